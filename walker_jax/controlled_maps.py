@@ -89,31 +89,38 @@ class Boxes(NamedTuple):
 Images = Points | Boxes
 
 
-def find_viable(images: Images) -> Int32[np.ndarray, " n"]:
+def find_viable(
+    images: Images,
+    cells: Int[np.ndarray, " n"] | None = None,
+    alive: Bool[np.ndarray, " all"] | None = None,
+) -> Int32[np.ndarray, " n"]:
     """The viability kernel: how many steps each cell can make at most; -1 where for ever.
 
     Each round removes the cells that no action takes to a cell that is left. A cell keeps a
-    witness, an action that does, and the others are tried only when the witness fails.
+    witness, an action that does, and the others are tried only when the witness fails. All cells
+    have images, or only some of those `alive` at first: the others of these stay.
     """
     n, m = images.shape
     lasting = np.full(n, -1, np.int32)
     witness = np.zeros(n, np.int32)
-    alive, left, steps = np.ones(n, bool), np.arange(n), 0
+    cells = np.arange(n) if cells is None else cells
+    alive = np.ones(n, bool) if alive is None else alive.copy()
+    left, steps = np.arange(n), 0
     while True:
         table, lost = images.table(alive), []
-        for cells in parts(left, 1):
-            lost.append(cells[~images.within(table, cells, witness[cells])])
+        for rows in parts(left, 1):
+            lost.append(rows[~images.within(table, rows, witness[rows])])
         dead = []
-        for cells in parts(np.concatenate(lost), m):
-            safe = images.within(table, cells, slice(None))
+        for rows in parts(np.concatenate(lost), m):
+            safe = images.within(table, rows, slice(None))
             some = safe.any(axis=1)
-            witness[cells[some]] = safe[some].argmax(axis=1)
-            dead.append(cells[~some])
+            witness[rows[some]] = safe[some].argmax(axis=1)
+            dead.append(rows[~some])
         ended = np.concatenate(dead)
         if not len(ended):
             return lasting
-        lasting[ended], alive[ended] = steps, False
-        left, steps = left[alive[left]], steps + 1
+        lasting[ended], alive[cells[ended]] = steps, False
+        left, steps = left[lasting[left] < 0], steps + 1
 
 
 def count_safe(images: Images, viable: Bool[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:

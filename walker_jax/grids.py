@@ -223,12 +223,8 @@ class Grid(eqx.Module):
         i is its place on each axis.
         The index is 0 ... size - 1.
         """
-        places = []
-        for count in self.counts[::-1]:
-            index, place = jnp.divmod(jnp.asarray(index).astype(jnp.int32), count)
-            places.insert(0, place)
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
-        u = lower + (jnp.stack(places).astype(lower.dtype) + 0.5) * spacing
+        u = lower + (self.cell_place(index).astype(lower.dtype) + 0.5) * spacing
         return jnp.asarray(self.origin) + multiply(self.shear, u)
 
     def centres(self, indices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
@@ -267,6 +263,14 @@ class Grid(eqx.Module):
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
         u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         return (u - lower) / spacing
+
+    def cell_place(self, index: Int[ArrayLike, ""]) -> Int32[Array, " d"]:
+        """The place of a cell on each axis, from 0; the index is 0 ... size - 1."""
+        places = []
+        for count in self.counts[::-1]:
+            index, place = jnp.divmod(jnp.asarray(index).astype(jnp.int32), count)
+            places.insert(0, place)
+        return jnp.stack(places)
 
     def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
         """Index of the cell that holds a point x, -1 where none does or x is not finite.

@@ -33,8 +33,7 @@ from walker_jax.basins.schema import (
     request_of,
 )
 from walker_jax.cellmaps import resolve
-from walker_jax.execution.progress import track
-from walker_jax.execution.workers import open_workers
+from walker_jax.execution.workers import missing_pieces, open_workers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import Outcome
@@ -187,11 +186,9 @@ def compute_in_pieces(
             overwrite=overwrite,
         ) as place,
     ):
-        compute = partial(method.piece, place.notes)
-        number = {block_at(grid, place, i): i for i in place.missing()}
-        found, done = each(compute, [*number]), place.count - len(number)
-        for piece, values in track(found, "pieces", progress, place.count, done):
-            place.write(number[piece], values, done=True)
+        compute, block_of = partial(method.piece, place.notes), partial(block_at, grid, place)
+        for i, values in missing_pieces(place, each, compute, block_of, "pieces", progress):
+            place.write(i, values, done=True)
         attractors, pieces = method.finish(place)
         cells, at_border = np.zeros(len(attractors), int), 0
         for i, values in enumerate(pieces):

@@ -23,6 +23,8 @@ class Actions(NamedTuple):
 
     names: tuple[str, ...]
     values: Float[np.ndarray, "m parameters"]
+    own: int
+    """Number of the one that leaves the system as it is."""
 
     def of(self, system: System, number: int) -> System:
         """The system during a stride by one of the actions."""
@@ -51,8 +53,11 @@ def read_actions(system: System, actions: Any) -> Actions:
         raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
     every = np.array(list(itertools.product(*values)))
     own = np.array([float(numbers_of(system)[name]) for name in actions])
-    among = np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1).any()
-    return Actions(tuple(actions), every if among else np.vstack([every, own]))
+    (among,) = np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1).nonzero()
+    number = int(among[0]) if len(among) else count
+    every = every if len(among) else np.vstack([every, own])
+    every[number] = own
+    return Actions(tuple(actions), every, number)
 
 
 def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:

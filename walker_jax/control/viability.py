@@ -9,23 +9,36 @@ viable is the measure of robustness of Heim and Sprowitz (2019, IEEE Transaction
 35:939-952).
 """
 
+import hashlib
 from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Array, Bool, Float, Int, Int32
+from jaxtyping import Bool
 
+from walker_jax import storage
 from walker_jax.basins.memory import check_grid
-from walker_jax.basins.methods import cell_map
-from walker_jax.basins.schema import describe
+from walker_jax.basins.refinement import BYTES_PER_REFINED_CELL, FINEST, finer
+from walker_jax.basins.schema import describe, request_of
 from walker_jax.basins.volumes import grid_of
-from walker_jax.cellmaps import cell_image, resolve
-from walker_jax.checks import WrongUse, array, check_kind, check_precision, refuses_tracers, short
-from walker_jax.control.actions import Actions, read_actions
+from walker_jax.cellmaps import resolve
+from walker_jax.checks import (
+    WrongUse,
+    array,
+    check_kind,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+    short,
+)
+from walker_jax.control.actions import read_actions
+from walker_jax.control.bounds import bytes_of_cell, narrow, subdivide
+from walker_jax.control.images import MappedCells, Task, map_in_tiles, map_tile, put, tile_shape
 from walker_jax.controlled_maps import (
-    Boxes,
     Points,
     best_action,
     count_safe,
@@ -33,16 +46,11 @@ from walker_jax.controlled_maps import (
     find_viable,
     unavoidable_failure,
 )
-from walker_jax.execution.progress import track
-from walker_jax.execution.tiles import map_cells, order_of_cells
+from walker_jax.execution.workers import Compute, compute_here, missing_pieces, open_workers
 from walker_jax.grids import Grid
-from walker_jax.integrators.integrator import Integrator, integrator_of
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System
-from walker_jax.walking.stride import stride
-
-BYTES_PER_IMAGE = 5
-"""Memory for each cell and action, without bounds."""
 
 
 @refuses_tracers()
@@ -53,8 +61,13 @@ def viable(
     *,
     target: Bool[np.ndarray, "*shape"] | None = None,
     bounds: bool = True,
+    levels: int = 0,
     tolerance: float | None = None,
     progress: bool = False,
+    out: Path | str | None = None,
+    request: dict | None = None,
+    overwrite: bool = False,
+    cluster: Any = None,
 ) -> xr.Dataset:
     """The viability kernel of a system on a grid, and what leads to its gait.
 
@@ -75,10 +88,16 @@ def viable(
       is from the mean of theirs, holds the image of the cell to second order in its size. An
       `inner` cell has an action whose box lies in inner cells. An `outer` cell has an action that
       makes a stride from a corner or the centre, with a box that meets an outer cell.
+    - `levels`: how many times cells between the bounds are cut in two along each axis, and their
+      parts mapped anew.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show a progress bar on a terminal.
+    - `out`, `request`, `overwrite`, `cluster`: as in `basin`. A piece holds the images of some
+      cells by some actions. An interrupted run is resumed from there, with the same result to the
+      last bit; but strides from parts of cells are made again.
 
-    **Returns** a data set over the grid's axes:
+    **Returns** a data set over the axes of the grid, or of the finest one, 2^levels times as fine
+    along each axis, on which parts of a cell that was not cut are alike:
 
     - `viable`: whether some choice of actions keeps the walker on the grid for ever, cell by cell;
     - `inner`, `outer`: bounds on that, with `bounds`;
@@ -90,8 +109,10 @@ def viable(
       of several, the one that leads to the cell with the most safe actions; -1 in the target, where
       the system is left alone, and where there is none;
 
-    and over `action_number` the values of each parameter, by its name. Attributes: `area` of the
-    kernel in the state's coordinates, `inner_area` and `outer_area`, and `target_area`.
+    over `action_number` the values of each parameter, by its name; and with `bounds` over the
+    levels `mapped`, how many cells were mapped, and the areas within bounds after each,
+    `level_inner_area` and `level_outer_area`. Attributes: `area` of the kernel in the state's
+    coordinates, `inner_area` and `outer_area`, and `target_area`.
 
     Raises `ValueError` for a grid that does not fit the section, or is a slice, or that this
     machine has not the memory for, for actions that are none, and for a target of another shape.
@@ -102,36 +123,28 @@ def viable(
         raise WrongUse("grid must be of all coordinates of the section, not a slice", of="grid")
     choice = read_actions(walker, actions)
     check_kind("bounds", bounds, bool)
-    m = len(choice.values)
-    each = (BYTES_PER_IMAGE + (2 + 8 * d) * bounds) * m + 25 + bounds * 20 * d * (2**d + 1)
+    levels = check_whole("levels", levels, 0, FINEST)
+    if levels and not bounds:
+        raise WrongUse(f"levels={levels} narrow bounds: leave bounds=False out")
+    each = bytes_of_cell(len(choice.values), d, bounds=bounds)
     check_grid(walker, grid, "cell-map", each, kind="viability")
+    finest = finer(grid, levels)
+    check_grid(walker, finest, "cell-map", BYTES_PER_REFINED_CELL)
     for name in {*grid.names} & {*choice.names}:
         raise WrongUse(f"grid must not have an axis called {name}, as an action is: rename it")
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
-    integrator = integrator_of(dtype, tolerance)
-    chosen = (
-        find_passive_basin(walker, grid, integrator)
-        if target is None
-        else read_target(target, grid)
-    )
-    points, boxes = map_actions(walker, grid, choice, integrator, bounds, progress)
-    lasting = find_viable(points)
-    kernel = lasting < 0
-    capture, safe = find_capture(points, chosen), count_safe(points, kernel)
-    # The soonest into the target; and of these, the one with most room for others after it.
-    soonest = np.where(capture < 0, 0, capture.max() + 1 - capture).astype(np.int64)
-    action = best_action(points, (len(choice.values) + 1) * soonest + safe)
-    found = {
-        "viable": kernel,
-        "safe_actions": safe,
-        "lasting": lasting,
-        "failure": unavoidable_failure(points, lasting),
-        "capture": capture,
-        "action": np.where((kernel | (capture > 0)) & ~chosen, action, -1).astype(np.int32),
-    }
-    found |= {name: find_viable(one) < 0 for name, one in boxes.items()}
-    return to_dataset(walker, grid, choice, found, chosen, float(integrator.tolerance))
+    task = Task(walker, choice, integrator_of(dtype, tolerance), grid, finest, bounds)
+    if target is not None:
+        target = subdivide(read_target(target, grid), grid.shape, levels)
+    plan = Plan(task, levels, target)
+    if out is not None:
+        how = {"request": request, "overwrite": overwrite, "cluster": cluster}
+        return compute_in_pieces(plan, Path(out), progress=progress, **how)
+    if cluster is not None:
+        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
+    cells = map_in_tiles(task, None, compute_here, "strides", progress)
+    return plan.answer(cells, compute_here, progress)
 
 
 def grid_axes(grid: Any) -> int:
@@ -151,146 +164,133 @@ def read_target(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
     return values.ravel()
 
 
-def find_passive_basin(
-    walker: System, grid: Grid, integrator: Integrator
-) -> Bool[np.ndarray, " n"]:
-    """Cells that converge to an attractor without a choice of actions, by cell mapping."""
-    return resolve(cell_map(walker, grid, integrator), sinks=len(Outcome)).attractor >= 0
+class Plan(NamedTuple):
+    """All that is to be computed."""
+
+    task: Task
+    levels: int
+    target: Bool[np.ndarray, " n"] | None
+    """Of the finest grid's cells; by default the passive basin."""
+
+    def about(self) -> xr.Dataset:
+        """The axes of the finest grid, and what all depends on."""
+        walker, choice, integrator, _, grid, _ = self.task
+        settings = {"actions": list(choice.names), "tolerance": float(integrator.tolerance)}
+        frame = {
+            "axis": ("axis", np.array(grid.names, object)),
+            "lower": ("axis", grid.lower),
+            "upper": ("axis", grid.upper),
+            "shear": (("coordinate", "axis"), grid.shear),
+            "origin": ("coordinate", grid.origin),
+        }
+        columns = zip(choice.names, choice.values.T, strict=True)
+        frame |= {name: ("action_number", row) for name, row in columns}
+        return describe(walker, grid, settings).assign(frame)
+
+    def request(self) -> dict:
+        """By what a stored result is known again."""
+        choice, target = self.task.actions, self.target
+        own = {
+            "command": "viable",
+            "actions": dict(zip(choice.names, choice.values.T.tolist(), strict=True)),
+            "bounds": self.task.bounds,
+            "levels": self.levels,
+            "target": None if target is None else hashlib.sha256(target.tobytes()).hexdigest(),
+        }
+        return request_of(self.about(), self.task.grid) | own
+
+    def answer(self, cells: MappedCells, each: Compute, progress: bool) -> xr.Dataset:
+        """The data set, given the images of all cells of the coarse grid."""
+        grid, target = self.task.finest, self.target
+        if not self.task.bounds:
+            found = settle(self.task, Points(cells.image), target)
+            return with_areas(self.about(), grid, found)
+        map_cells = lambda task, some, label: map_in_tiles(task, some, each, label, progress)
+        mixed = narrow(self.task, cells, self.levels, map_cells)
+        if target is not None:
+            target = mixed.of_parts(target)
+        found = settle(self.task, mixed.points, target)
+        found = {name: values[mixed.number] for name, values in found.items()}
+        inner, outer = np.array(mixed.areas).T
+        data = self.about().assign(
+            mapped=("level", mixed.mapped),
+            level_inner_area=("level", inner),
+            level_outer_area=("level", outer),
+        )
+        return with_areas(data, grid, found | mixed.bounds._asdict())
 
 
-class Arrivals(NamedTuple):
-    """Where an action takes starts: centres of cells, or their corners."""
-
-    place: Float[np.ndarray, "n d"]
-    """On each axis, in cells from the grid's lower end; of strides that were made."""
-    made: Bool[np.ndarray, " n"]
-    image: Int32[np.ndarray, " n"]
-    """The cell, or the sink."""
-
-
-def map_actions(
-    walker: System,
-    grid: Grid,
-    actions: Actions,
-    integrator: Integrator,
-    bounds: bool,
-    progress: bool,
-) -> tuple[Points, dict[str, Boxes]]:
-    """The images of all cells by all actions; and the boxes of `inner` and `outer` bounds."""
-    n, m, d = grid.size, len(actions.values), len(grid.names)
-    points = Points(np.empty((n, m), np.int32))
-    shape = (n, m, d) if bounds else (0, 0, d)
-    low, high = (np.empty(shape, np.min_scalar_type(-max(grid.shape))) for _ in range(2))
-    whole, some = np.empty(shape[:2], bool), np.empty(shape[:2], bool)
-    corners = grid_of_corners(grid)
-    for number in track(range(m), "actions", progress, m):
-        acting = actions.of(walker, number)
-        centres = take_strides(acting, grid, grid, integrator)
-        points.image[:, number] = centres.image
-        if bounds:
-            around = take_strides(acting, corners, grid, integrator)
-            box = box_around(grid, centres, around)
-            low[:, number], high[:, number], whole[:, number], some[:, number] = box
-    if not bounds:
-        return points, {}
-    return points, {
-        "inner": Boxes(low, high, whole, grid.shape, every=True),
-        "outer": Boxes(low, high, some, grid.shape, every=False),
+def settle(
+    task: Task, points: Points, target: Bool[np.ndarray, " n"] | None
+) -> dict[str, np.ndarray]:
+    """What is found of each cell, given where each leads."""
+    if target is None:  # what converges to an attractor without a choice of actions
+        passive = resolve(points.image[:, task.actions.own], sinks=len(Outcome))
+        target = passive.attractor >= 0
+    lasting = find_viable(points)
+    kernel = lasting < 0
+    capture, safe = find_capture(points, target), count_safe(points, kernel)
+    # The soonest into the target; and of these, the one with most room for others after it.
+    soonest = np.where(capture < 0, 0, capture.max() + 1 - capture).astype(np.int64)
+    action = best_action(points, (len(task.actions.values) + 1) * soonest + safe)
+    return {
+        "viable": kernel,
+        "safe_actions": safe,
+        "lasting": lasting,
+        "failure": unavoidable_failure(points, lasting),
+        "capture": capture,
+        "action": np.where((kernel | (capture > 0)) & ~target, action, -1).astype(np.int32),
     }
 
 
-def grid_of_corners(grid: Grid) -> Grid:
-    """A grid whose cells have the corners of another one's for their centres."""
-    ends = zip(grid.names, grid.lower, grid.upper, grid.spacing / 2, grid.shape, strict=True)
-    axes = {name: (low - half, high + half, count + 1) for name, low, high, half, count in ends}
-    return Grid(axes, grid.shear, grid.origin)
-
-
-def take_strides(acting: System, starts: Grid, grid: Grid, integrator: Integrator) -> Arrivals:
-    """Where strides from the centres of one grid arrive on another."""
-    order = order_of_cells(starts.shape)
-    found = map_cells(take_stride, ((acting, starts, grid, integrator), order))
-    back = np.empty_like(order)
-    back[order] = np.arange(len(order), dtype=order.dtype)
-    return Arrivals(*(values[back] for values in found))
-
-
-def take_stride(
-    shared: tuple[System, Grid, Grid, Integrator], index: Int[Array, ""]
-) -> tuple[Float[Array, " d"], Bool[Array, ""], Int[Array, ""]]:
-    """`Arrivals` of one start."""
-    walker, starts, grid, integrator = shared
-    by = {"tolerance": integrator.tolerance, "solver": integrator.solver}
-    made = stride(walker, starts.centre(index), **by)
-    image = cell_image(grid, made.state, made.outcome, leave=Outcome.LEFT_GRID)
-    return grid.position(made.state), made.outcome == Outcome.STRIDE, image
-
-
-def box_around(grid: Grid, centres: Arrivals, corners: Arrivals) -> tuple[np.ndarray, ...]:
-    """The box that holds the image of each cell, to second order, and whether each bound counts it.
-
-    Returns its first and last places on each axis. The inner bound counts it if no part of the cell
-    fails and all of the box lies on the grid, the outer one if some of it does.
-    """
-    shape, d = np.array(grid.shape), len(grid.names)
-    places = np.where(corners.made[:, None], corners.place, np.nan).reshape(*shape + 1, d)
-    around = [
-        places[tuple(slice(k, k + count) for k, count in zip(corner, shape, strict=True))]
-        for corner in np.ndindex(*(2,) * d)
-    ]
-    middle = np.where(centres.made[:, None], centres.place, np.nan).reshape(*shape, d)
-    ends = np.stack([*around, middle])
-    least, most = np.fmin.reduce(ends), np.fmax.reduce(ends)
-    whole: Any = np.isfinite(ends).all(axis=(0, -1))
-    bend = np.abs(middle - np.mean(around, axis=0))
-    # Where a part of a cell fails, how far its image goes is known to the size of that alone.
-    bend = np.where(whole[..., None], bend, np.fmax(most - least, 1))
-    with np.errstate(invalid="ignore"):
-        least, most = np.floor(least - bend), np.floor(most + bend)
-        inside = ((least >= 0) & (most < shape)).all(axis=-1)
-        touches = ((most >= 0) & (least < shape)).all(axis=-1)
-    known = np.isfinite(least).all(axis=-1)
-    clip = lambda value: np.clip(np.where(known[..., None], value, 0), 0, shape - 1)
-    # The centre's own cell belongs to the box, however its place is rounded.
-    image, on_grid = centres.image.reshape(grid.shape), (centres.image < grid.size)
-    on_grid = on_grid.reshape(grid.shape)
-    held = np.stack(np.unravel_index(np.where(on_grid, image, 0), grid.shape), axis=-1)
-    low, high = (
-        np.where(on_grid[..., None], end(held, clip(of)), clip(of))
-        for end, of in ((np.minimum, least), (np.maximum, most))
-    )
-    flat = lambda value: value.reshape(grid.size, *value.shape[d:])
-    return tuple(map(flat, (low, high, whole & inside & on_grid, (known & touches) | on_grid)))
-
-
-def to_dataset(
-    walker: System,
-    grid: Grid,
-    actions: Actions,
-    found: dict[str, np.ndarray],
-    target: Bool[np.ndarray, " n"],
-    tolerance: float,
-) -> xr.Dataset:
-    """All of it over the grid, with areas as attributes."""
+def with_areas(data: xr.Dataset, grid: Grid, found: dict[str, np.ndarray]) -> xr.Dataset:
+    """The same with arrays over the grid, and their areas as attributes."""
     areas = {"viable": "area", "inner": "inner_area", "outer": "outer_area"}
-    sizes = {
-        called: float(found[name].sum() * grid.cell_area)
-        for name, called in areas.items()
-        if name in found
+    sizes = {areas[name]: found[name].sum() for name in areas if name in found}
+    sizes["target_area"] = (found["capture"] == 0).sum()
+    data = data.assign_attrs({name: float(n * grid.cell_area) for name, n in sizes.items()})
+    return data.assign(
+        {name: (grid.names, values.reshape(grid.shape)) for name, values in found.items()}
+    )
+
+
+def compute_in_pieces(
+    plan: Plan, out: Path, *, request: dict | None, overwrite: bool, cluster: Any, progress: bool
+) -> xr.Dataset:
+    """The same, whose images are computed piece by piece into a store, until the end.
+
+    What takes all of them follows when all are there. It may be repeated, with the same result; so
+    are strides from the parts of cells.
+    """
+    task = plan.task
+    request = request or plan.request()
+    found = storage.find(out, request, overwrite=overwrite)
+    if found is not None:
+        return found
+    cells = MappedCells.empty(task, task.grid.size)
+    names = {f"stride_{name}": name for name, values in cells._asdict().items() if len(values)}
+    dims = "cell", "action_number", "axis"
+    nothing = {
+        stored: xr.Variable(dims[: one.ndim], np.broadcast_to(one.dtype.type(0), one.shape))
+        for stored, name in names.items()
+        for one in [getattr(cells, name)]
     }
-    sizes["target_area"] = float(target.sum() * grid.cell_area)
-    settings = {"actions": list(actions.names), "tolerance": tolerance, **sizes}
-    frame = {
-        "axis": ("axis", np.array(grid.names, object)),
-        "lower": ("axis", grid.lower),
-        "upper": ("axis", grid.upper),
-        "shear": (("coordinate", "axis"), grid.shear),
-        "origin": ("coordinate", grid.origin),
-    }
-    data = describe(walker, grid, settings).assign(frame)
-    over = {name: (grid.names, values.reshape(grid.shape)) for name, values in found.items()}
-    columns = zip(actions.names, actions.values.T, strict=True)
-    return data.assign(over).assign({name: ("action_number", row) for name, row in columns})
+    block = tile_shape(task.grid.size, len(task.actions.values))
+    with (
+        open_workers(cluster) as each,  # first, as there may be none
+        storage.open_pieces(
+            out, request, plan.about(), nothing, block, dict, aside=[*names], overwrite=overwrite
+        ) as place,
+    ):
+        tile_of = lambda piece: tuple((one.start, one.stop) for one in place.at(piece))
+        compute = partial(map_tile, task, None)
+        for i, part in missing_pieces(place, each, compute, tile_of, "pieces", progress):
+            values = {stored: getattr(part, name) for stored, name in names.items()}
+            place.write(i, values, done=True)
+        for i in range(place.count):
+            put(cells, tile_of(i), {name: place.read(stored, i) for stored, name in names.items()})
+        place.finish(plan.answer(cells, each, progress))
+    return storage.open_dataset(out)
 
 
 def summarise_viability(data: xr.Dataset) -> dict:

@@ -24,8 +24,7 @@ from walker_jax.basins.refinement import FINEST, refine
 from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.design.measures import gait_measures
-from walker_jax.execution.progress import track
-from walker_jax.execution.workers import open_workers
+from walker_jax.execution.workers import missing_pieces, open_workers
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import default_tolerance
@@ -184,14 +183,14 @@ def compute_missing(
         open_workers(cluster) as each,  # first, as there may be none
         storage.open_pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place,
     ):
-        number = {}
-        for i in place.missing():
-            at = zip(plan.names, place.place(i), strict=True)
-            number[tuple(float(about[name][k]) for name, k in at)] = i
+
+        def values_of(piece: int) -> tuple[float, ...]:
+            at = zip(plan.names, place.place(piece), strict=True)
+            return tuple(float(about[name][k]) for name, k in at)
+
         label = " × ".join(plan.names)
-        found, done = each(compute, [*number]), place.count - len(number)
-        for values, row in track(found, label, progress, place.count, done):
-            place.write(number[values], unknown | row, done=True)
+        for i, row in missing_pieces(place, each, compute, values_of, label, progress):
+            place.write(i, unknown | row, done=True)
         period, states = (np.asarray(place.array(name)[...]) for name in OF_OWN)
         numbered = {"attractor_number": ((*plan.names, "own"), number_alike(period, states))}
         place.finish(about.assign(numbered))

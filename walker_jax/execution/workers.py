@@ -16,7 +16,9 @@ import jax
 
 from walker_jax.checks import WrongUse, check_whole
 from walker_jax.execution import tiles
+from walker_jax.execution.progress import track
 from walker_jax.kernels.program import MODES
+from walker_jax.storage.pieces import Pieces
 
 PIECES_PER_WORKER = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""
@@ -96,6 +98,21 @@ def compute_on_cluster(
             waiting.append(thing)
         ask_more()
         yield from found
+
+
+def missing_pieces(
+    place: Pieces,
+    each: Compute,
+    function: Callable[[Any], Any],
+    thing_of: Callable[[int], Any],
+    label: str,
+    progress: bool,
+) -> Iterator[tuple[int, Any]]:
+    """Each piece that a data set on disk lacks, and function(thing_of(piece)), as they are done."""
+    number = {thing_of(piece): piece for piece in place.missing()}
+    found, done = each(function, [*number]), place.count - len(number)
+    for thing, values in track(found, label, progress, place.count, done):
+        yield number[thing], values
 
 
 @contextmanager

@@ -1,0 +1,117 @@
+"""Bounds on the viability kernel, narrowed by finer cells where they are apart.
+
+Cells between the bounds, in the outer one but not in the inner one, are cut in two along each axis,
+and their parts mapped anew; and so on, level by level. All others are settled: parts of `inner`
+cells stay viable, as their boxes lie in cells that do, and of others than `outer` ones no part is.
+So bounds never move apart, and strides are made for the kernel's boundary alone.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int, Int32
+
+from walker_jax.basins.memory import TooLarge, memory_of_machine
+from walker_jax.basins.refinement import finer
+from walker_jax.control.images import MappedCells, Task
+from walker_jax.controlled_maps import Points, find_viable
+from walker_jax.grids import MAX_SINKS
+
+MapCells = Callable[[Task, Int[np.ndarray, " n"], str], MappedCells]
+"""Gives the images of some cells of a task's grid, under a label of its progress."""
+
+
+class Bounds(NamedTuple):
+    """Which cells of a grid are within each bound, in the order of their indices."""
+
+    inner: Bool[np.ndarray, " n"]
+    outer: Bool[np.ndarray, " n"]
+
+
+class Narrowed(NamedTuple):
+    """Cells of several sizes that fill the grid, where they lead, and the bounds."""
+
+    points: Points
+    """Their images among each other."""
+    number: Int32[np.ndarray, " finest"]
+    """Which of them holds each cell of the finest grid."""
+    bounds: Bounds
+    """Of the finest grid."""
+    mapped: list[int]
+    """How many cells were mapped, level by level."""
+    areas: list[tuple[float, float]]
+    """Inner and outer area, level by level."""
+
+    def of_parts(self, chosen: Bool[np.ndarray, " finest"]) -> Bool[np.ndarray, " n"]:
+        """Which of the cells are chosen, given whether their parts are."""
+        found = np.zeros(self.points.shape[0], bool)
+        found[self.number] = chosen
+        return found
+
+
+def narrow(task: Task, images: MappedCells, levels: int, map_cells: MapCells) -> Narrowed:
+    """Bound the kernel, given the images of all cells of the coarse grid."""
+    grid, cells = task.grid, np.arange(task.grid.size)
+    number, bounds = cells.astype(np.int32), Bounds(np.zeros(grid.size, bool), cells >= 0)
+    rows, whole, mapped, areas = [images.image], [np.ones(grid.size, bool)], [], []
+    for level in range(levels + 1):
+        if level:
+            is_open = bounds.outer & ~bounds.inner
+            whole[-1] = ~is_open[cells]
+            number, is_open, *both = (
+                subdivide(values, grid.shape) for values in (number, is_open, *bounds)
+            )
+            grid, cells, bounds = finer(task.grid, level), np.flatnonzero(is_open), Bounds(*both)
+            check_memory(task, sum(mapped) + len(cells), level, levels)
+            number[cells] = sum(mapped) + np.arange(len(cells))
+            images = map_cells(task._replace(grid=grid), cells, f"level {level}")
+            rows.append(images.image)
+            whole.append(np.ones(len(cells), bool))
+        bounds = close_in(images, grid.shape, cells, bounds)
+        mapped.append(len(cells))
+        areas.append(tuple(float(one.sum() * grid.cell_area) for one in bounds))
+    if not levels:
+        return Narrowed(Points(images.image), number, bounds, mapped, areas)
+    kept = np.concatenate(whole)
+    count = np.count_nonzero(kept)
+    renumber = (np.cumsum(kept) - 1).astype(np.int32)
+    number = renumber[number]
+    leads = np.append(number, count + np.arange(MAX_SINKS + 1, dtype=np.int32))
+    image = np.concatenate([leads[part[chosen]] for part, chosen in zip(rows, whole, strict=True)])
+    return Narrowed(Points(image), number, bounds, mapped, areas)
+
+
+def close_in(
+    images: MappedCells, shape: tuple[int, ...], cells: Int[np.ndarray, " n"], before: Bounds
+) -> Bounds:
+    """The bounds, given those of before, of which only the cells that have images may change."""
+    inner, outer = before.inner.copy(), before.outer.copy()
+    for bound, every in ((inner, True), (outer, False)):
+        bound[cells] = find_viable(images.boxes(shape, every=every), cells, before.outer) < 0
+    return Bounds(inner, outer)
+
+
+def subdivide(values: np.ndarray, shape: tuple[int, ...], levels: int = 1) -> np.ndarray:
+    """Values of a grid's cells, for their parts when each is cut in two along each axis."""
+    values = values.reshape(shape)
+    for axis in range(len(shape)):
+        values = values.repeat(2**levels, axis)
+    return values.ravel()
+
+
+def check_memory(task: Task, count: int, level: int, levels: int) -> None:
+    """Refuse to map more cells than this machine has memory for."""
+    needed = count * bytes_of_cell(len(task.actions.values), len(task.grid.names), bounds=True)
+    memory = memory_of_machine()
+    if needed > memory:
+        raise TooLarge(
+            f"levels={levels}: level {level} maps {count} cells by {len(task.actions.values)} "
+            f"actions, which need {needed / 2**30:.1f} GiB of memory, and this machine has "
+            f"{memory / 2**30:.1f} GiB: lower levels"
+        )
+
+
+def bytes_of_cell(actions: int, axes: int, *, bounds: bool) -> int:
+    """Memory for each cell that is mapped: its images, its boxes, and what is found of it."""
+    return (5 + (2 + 8 * axes) * bounds) * actions + 25
