@@ -21,6 +21,7 @@ from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.pieces import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
+from walker_jax.execution.workers import check_cluster
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, integrator_of
 from walker_jax.systems.system import System
@@ -119,8 +120,7 @@ def basin(
             cluster=cluster,
             progress=progress,
         )
-    if cluster is not None:
-        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
+    check_cluster(cluster, out)
     if method == "cell-map":
         basins = cell_mapping(walker, grid, integrator, progress)
     else:

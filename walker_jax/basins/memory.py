@@ -73,6 +73,17 @@ def check_grid(
         )
 
 
+def check_level(levels: int, level: int, count: int, each: int) -> None:
+    """Refuse a level of refinement with more cells than this machine has memory for."""
+    needed, memory = count * each, memory_of_machine()
+    if needed > memory:
+        raise TooLarge(
+            f"levels={levels}: level {level} follows {count} cells, "
+            f"which need {needed / 2**30:.1f} GiB of memory, "
+            f"and this machine has {memory / 2**30:.1f} GiB: lower levels"
+        )
+
+
 def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " section"]:
     """A state on the walker's section, as float64; refuses any other argument of that name."""
     values = numbers(name, x)

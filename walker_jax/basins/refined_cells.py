@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from walker_jax.basins.mapper import Labels, Mapper
-from walker_jax.basins.memory import TooLarge, memory_of_machine
+from walker_jax.basins.memory import check_level
 from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
 from walker_jax.grids import Grid
 
@@ -75,7 +75,7 @@ class RefinedCells:
     def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:
         """Follow cells, and then those beside them where that shows a boundary, until none is."""
         while cells.size:
-            self.check_memory(level, len(cells))
+            check_level(self.levels, level, len(self.cells) + len(cells), BYTES_PER_FOLLOWED_CELL)
             anywhere = level == self.levels and not self.by_centres
             found = self.map(cells, self.random_places(len(cells)) if anywhere else None)
             self.runs = self.runs.with_cells(cells, label_of(found.fate, found.attractor), level)
@@ -88,16 +88,6 @@ class RefinedCells:
                 met = (self.runs.label[run] != own) & (self.runs.level[run] < level)
                 unlike.append(beside[met])
             cells = merge(unlike)
-
-    def check_memory(self, level: int, count: int) -> None:
-        """Refuse to follow more cells on a level than this machine has memory for."""
-        needed, memory = (len(self.cells) + count) * BYTES_PER_FOLLOWED_CELL, memory_of_machine()
-        if needed > memory:
-            raise TooLarge(
-                f"levels={self.levels}: level {level} follows {len(self.cells) + count} cells, "
-                f"which need {needed / 2**30:.1f} GiB of memory, "
-                f"and this machine has {memory / 2**30:.1f} GiB: lower levels"
-            )
 
     def on_boundary(self, values: Shaped[np.ndarray, " runs"]) -> Bool[np.ndarray, " n"]:
         """Mark the cells followed on this level that have a neighbour in a run of another value.

@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import walker_jax as wj
 from walker_jax.basins.windows import fill_around_gait, grid_along
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import RANGE_FORM, hyphenated, read_range, refuse_again
+from walker_jax.cli.options import RANGE_FORM, Pieces, hyphenated, read_range, refuse_again
 from walker_jax.cli.section import Window
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.control.viability import summarise_viability
@@ -27,6 +28,12 @@ class Options:
         metavar=RANGE_FORM,
     )
     no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
+    levels: int = option(
+        0,
+        "Halve cells between the bounds so many times, which narrows these.",
+        min=0,
+        max=8,
+    )
 
 
 @takes_walker(systems=True)
@@ -34,6 +41,7 @@ def viable(
     walker: System,
     window: Window,
     options: Options,
+    pieces: Pieces,
     output: Output = Output(Path("viable.zarr")),
 ) -> None:
     """Compute how large the basin could be: from where some choice of actions walks for ever.
@@ -51,12 +59,16 @@ def viable(
             f"--axis NAME=LO:HI:N is required for each of {section}: a slice will not do"
         )
     axes = window.axes(walker, most=3)
-    bounds = not options.no_bounds
-    request = request_for("viable", walker, axes=axes, actions=actions, bounds=bounds)
-    compute = lambda: wj.viable(
-        walker, grid_along(fill_around_gait(walker, axes)), actions, bounds=bounds, progress=True
-    )
-    data = output.produce(request, compute, "viability")
+    how: dict[str, Any] = {"bounds": not options.no_bounds, "levels": options.levels}
+    if options.no_bounds and options.levels:
+        raise WrongUse("--levels narrows the bounds: leave out --no-bounds")
+    request = request_for("viable", walker, axes=axes, actions=actions, **how)
+    how |= {"cluster": pieces.cluster(), "progress": True, **output.place(request)}
+
+    def compute():
+        return wj.viable(walker, grid_along(fill_around_gait(walker, axes)), actions, **how)
+
+    data = output.produce(request, compute, "viability", kept=True)
     answer = {"walker": request["walker"], "actions": actions} | summarise_viability(data)
     output.tell(answer, kernel_in_words(walker, answer))
 
@@ -86,5 +98,9 @@ def kernel_in_words(walker: System, answer: dict) -> Iterator[str]:
     if answer["inner_area"] is not None:
         between = f", between {answer['inner_area']:.4g} and {answer['outer_area']:.4g}"
     yield f"  area {answer['area']:.6g}{between}; passive basin {answer['target_area']:.6g}"
+    levels = answer["levels"] if len(answer["levels"]) > 1 else []
+    for n, one in enumerate(levels):
+        areas = f"between {one['inner_area']:.4g} and {one['outer_area']:.4g}"
+        yield f"  level {n}: {areas}, {one['mapped']} cells mapped"
     for n, area in enumerate(answer["capturable"], 1):
         yield f"  caught within {n} {'stride' if n == 1 else 'strides'}: {area:.6g}"

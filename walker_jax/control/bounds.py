@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int, Int32
 
-from walker_jax.basins.memory import TooLarge, memory_of_machine
+from walker_jax.basins.memory import check_level
 from walker_jax.basins.refinement import finer
 from walker_jax.control.images import MappedCells, Task
 from walker_jax.controlled_maps import Points, find_viable
@@ -52,6 +52,7 @@ class Narrowed(NamedTuple):
 
 def narrow(task: Task, images: MappedCells, levels: int, map_cells: MapCells) -> Narrowed:
     """Bound the kernel, given the images of all cells of the coarse grid."""
+    each = bytes_of_cell(len(task.actions.values), len(task.grid.names), bounds=True)
     grid, cells = task.grid, np.arange(task.grid.size)
     number, bounds = cells.astype(np.int32), Bounds(np.zeros(grid.size, bool), cells >= 0)
     rows, whole, mapped, areas = [images.image], [np.ones(grid.size, bool)], [], []
@@ -63,7 +64,7 @@ def narrow(task: Task, images: MappedCells, levels: int, map_cells: MapCells) ->
                 subdivide(values, grid.shape) for values in (number, is_open, *bounds)
             )
             grid, cells, bounds = finer(task.grid, level), np.flatnonzero(is_open), Bounds(*both)
-            check_memory(task, sum(mapped) + len(cells), level, levels)
+            check_level(levels, level, sum(mapped) + len(cells), each)
             number[cells] = sum(mapped) + np.arange(len(cells))
             images = map_cells(task._replace(grid=grid), cells, f"level {level}")
             rows.append(images.image)
@@ -98,18 +99,6 @@ def subdivide(values: np.ndarray, shape: tuple[int, ...], levels: int = 1) -> np
     for axis in range(len(shape)):
         values = values.repeat(2**levels, axis)
     return values.ravel()
-
-
-def check_memory(task: Task, count: int, level: int, levels: int) -> None:
-    """Refuse to map more cells than this machine has memory for."""
-    needed = count * bytes_of_cell(len(task.actions.values), len(task.grid.names), bounds=True)
-    memory = memory_of_machine()
-    if needed > memory:
-        raise TooLarge(
-            f"levels={levels}: level {level} maps {count} cells by {len(task.actions.values)} "
-            f"actions, which need {needed / 2**30:.1f} GiB of memory, and this machine has "
-            f"{memory / 2**30:.1f} GiB: lower levels"
-        )
 
 
 def bytes_of_cell(actions: int, axes: int, *, bounds: bool) -> int:

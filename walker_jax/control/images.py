@@ -119,7 +119,8 @@ def put(found: MappedCells, tile: Tile, part: Mapping[str, np.ndarray]) -> None:
 def map_tile(task: Task, cells: Int[np.ndarray, " n"] | None, tile: Tile) -> MappedCells:
     """The images of a tile's cells by its actions."""
     (first, end), (action, last) = tile
-    starts = np.arange(first, end, dtype=np.int32) if cells is None else cells[first:end]
+    starts = np.arange(first, end) if cells is None else cells[first:end]
+    starts = starts.astype(np.int32)
     part = task._replace(actions=task.actions._replace(values=task.actions.values[action:last]))
     found = MappedCells.empty(part, len(starts))
     corners, of_cell = corners_of(starts, task.grid.shape) if task.bounds else (None, None)
@@ -131,8 +132,8 @@ def map_tile(task: Task, cells: Int[np.ndarray, " n"] | None, tile: Tile) -> Map
         if corners is not None:
             shared = acting, corner_grid(task.grid), *shared[2:]
             around = Arrivals(*map_cells(take_stride, (shared, corners)))
-            around = Arrivals(*(values[of_cell] for values in around))
-            given = (task.grid, task.finest), centres, around
+            around = (values.take(of_cell, axis=0) for values in (around.place, around.made))
+            given = (task.grid, task.finest), centres, tuple(around)
             boxes = map_cells(box_around, given, (False, True, True))
             for values, new in zip(found[1:], boxes, strict=True):
                 values[:, number] = new
@@ -176,7 +177,9 @@ def take_stride(
 
 
 def box_around(
-    shared: tuple[Grid, Grid], centre: Arrivals, corners: Arrivals
+    shared: tuple[Grid, Grid],
+    centre: Arrivals,
+    corners: tuple[Float[Array, "corners d"], Bool[Array, " corners"]],
 ) -> tuple[Int[Array, " d"], Int[Array, " d"], Bool[Array, ""], Bool[Array, ""]]:
     """The box that holds the image of a cell, to second order, and whether each bound counts it.
 
@@ -186,8 +189,10 @@ def box_around(
     grid, finest = shared
     counts, finer = jnp.asarray(grid.counts), jnp.asarray(finest.counts)
     on_grid = centre.image < jnp.prod(finer, dtype=jnp.int32)
-    around = [Arrivals(*one) for one in zip(*corners, strict=True)]
-    arrived = [(one.place, one.made & jnp.isfinite(one.place).all()) for one in (*around, centre)]
+    arrived = [
+        (place, made & jnp.isfinite(place).all())
+        for place, made in (*zip(*corners, strict=True), (centre.place, centre.made))
+    ]
     least, most = (
         functools.reduce(pick, [jnp.where(made, place, none) for place, made in arrived])
         for pick, none in ((jnp.minimum, jnp.inf), (jnp.maximum, -jnp.inf))
@@ -196,7 +201,7 @@ def box_around(
         functools.reduce(pick, [made for _, made in arrived])
         for pick in (jnp.logical_or, jnp.logical_and)
     )
-    bend = jnp.abs(centre.place - sum(one.place for one in around) / len(around))
+    bend = jnp.abs(centre.place - sum(corners[0]) / len(corners[0]))
     # Where a part of a cell fails, how far its image goes is known to the size of that alone.
     bend = jnp.where(whole, bend, jnp.maximum(most - least, 1))
     least, most = jnp.floor(least - bend), jnp.floor(most + bend)

@@ -46,7 +46,13 @@ from walker_jax.controlled_maps import (
     find_viable,
     unavoidable_failure,
 )
-from walker_jax.execution.workers import Compute, compute_here, missing_pieces, open_workers
+from walker_jax.execution.workers import (
+    Compute,
+    check_cluster,
+    compute_here,
+    missing_pieces,
+    open_workers,
+)
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
@@ -141,8 +147,7 @@ def viable(
     if out is not None:
         how = {"request": request, "overwrite": overwrite, "cluster": cluster}
         return compute_in_pieces(plan, Path(out), progress=progress, **how)
-    if cluster is not None:
-        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
+    check_cluster(cluster, out)
     cells = map_in_tiles(task, None, compute_here, "strides", progress)
     return plan.answer(cells, compute_here, progress)
 
@@ -300,9 +305,14 @@ def summarise_viability(data: xr.Dataset) -> dict:
     steps = range(1, int(capture.max(initial=0)) + 1)
     codes, counts = np.unique(failure[~data["viable"].values], return_counts=True)
     areas = ("area", "inner_area", "outer_area", "target_area")
+    of_level = ("mapped", "level_inner_area", "level_outer_area")
+    levels = zip(*(data[name].values.tolist() for name in of_level if name in data), strict=True)
     return {
         "cells": int(capture.size),
         **{name: data.attrs.get(name) for name in areas},
+        "levels": [
+            dict(zip(("mapped", "inner_area", "outer_area"), one, strict=True)) for one in levels
+        ],
         "capturable": [float(((capture >= 0) & (capture <= n)).sum() * cell) for n in steps],
         "failures": {
             name_of_outcome(int(code), failures_of(data)): int(count)

@@ -31,6 +31,12 @@ CONNECT_SECONDS = 10
 Compute = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
 
 
+def check_cluster(cluster: Any, out: Any) -> None:
+    """Refuse a cluster without a place for the pieces that it computes."""
+    if cluster is not None and out is None:
+        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
+
+
 @contextmanager
 def open_workers(cluster: Any = None) -> Iterator[Compute]:
     """Something that computes function(thing) for each thing: gives both, as they are done.
