@@ -1322,3 +1322,25 @@ def test_viable_tells_the_kernel_and_what_is_caught(run):
     again = run(*command)
     assert again[0] == 0 and f"area {answer['area']:.6g}, between" in again[1]
     assert "caught within 1 stride: " in again[1]
+
+
+def test_viable_narrows_its_bounds_and_goes_on_with_what_was_interrupted(run, monkeypatch):
+    window = ("--theta", "0.05", "0.45", "20", "--sum", "-0.05", "0.01", "24")
+    command = ("viable", "--walker", "powered", "--action", "push-off=0:0.08:5", *window)
+    command += ("--levels", "1")
+
+    def interrupted(place, piece, values, done=False):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(storage.Pieces, "write", interrupted)
+        code, out, err = run(*command)
+        assert (code, out, err) == (130, "", f"walker-jax: interrupted: {RESUME} viable.zarr\n")
+    code, _, err = run(*command[:-1], "2")
+    assert code == 2 and "viable.zarr holds another result (levels: 1, not 2)" in err
+    code, out, _ = run(*command, "--json")
+    first, second = json.loads(out)["levels"]
+    assert code == 0 and first["mapped"] == 480 and second["mapped"] > 0
+    assert second["outer_area"] - second["inner_area"] < first["outer_area"] - first["inner_area"]
+    said = f"  level 1: between {second['inner_area']:.4g} and {second['outer_area']:.4g}, "
+    assert said + f"{second['mapped']} cells mapped\n" in run(*command)[1]

@@ -53,7 +53,7 @@ def read_actions(system: System, actions: Any) -> Actions:
         raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
     every = np.array(list(itertools.product(*values)))
     own = np.array([float(numbers_of(system)[name]) for name in actions])
-    (among,) = np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1).nonzero()
+    among = np.flatnonzero(np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1))
     number = int(among[0]) if len(among) else count
     every = every if len(among) else np.vstack([every, own])
     every[number] = own

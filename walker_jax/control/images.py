@@ -27,7 +27,7 @@ from walker_jax.walking.stride import stride
 
 TILE = (2**17, 2**20)
 """Cells of a tile, and its strides from centres, at most."""
-Tile = tuple[tuple[int, int], tuple[int, int]]
+Tile = tuple[tuple[int, int], ...]
 """The first of some cells and the end of them, and the same of actions."""
 
 
@@ -131,9 +131,9 @@ def map_tile(task: Task, cells: Int[np.ndarray, " n"] | None, tile: Tile) -> Map
         found.image[:, number] = centres.image
         if corners is not None:
             shared = acting, corner_grid(task.grid), *shared[2:]
-            around = Arrivals(*map_cells(take_stride, (shared, corners)))
-            around = (values.take(of_cell, axis=0) for values in (around.place, around.made))
-            given = (task.grid, task.finest), centres, tuple(around)
+            place, made, _ = map_cells(take_stride, (shared, corners))
+            around = place.take(of_cell, axis=0), made.take(of_cell, axis=0)
+            given = (task.grid, task.finest), centres, around
             boxes = map_cells(box_around, given, (False, True, True))
             for values, new in zip(found[1:], boxes, strict=True):
                 values[:, number] = new
@@ -212,4 +212,5 @@ def box_around(
     held = finest.cell_place(jnp.where(on_grid, centre.image, 0)) // (finer // counts)
     low = jnp.where(on_grid, jnp.minimum(low, held), low)
     high = jnp.where(on_grid, jnp.maximum(high, held), high)
-    return low, high, whole & inside & on_grid, (some & touches) | on_grid
+    counted = jnp.logical_and(whole & inside, on_grid), jnp.logical_or(some & touches, on_grid)
+    return low, high, *counted

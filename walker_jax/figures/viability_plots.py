@@ -137,5 +137,7 @@ def viability_note(data: xr.Dataset) -> str:
     count = data.sizes["action_number"]
     words = f"{count} actions, {' and '.join(ranges)}: viable {area:.4g}"
     if "inner_area" in data.attrs:
-        words += f" ({data.attrs['inner_area']:.4g} to {data.attrs['outer_area']:.4g})"
+        cut = data.sizes.get("level", 1) - 1
+        words += f" ({data.attrs['inner_area']:.4g} to {data.attrs['outer_area']:.4g}"
+        words += f", {cut} level{'s' * (cut > 1)} of finer cells)" if cut else ")"
     return f"{words}, target {target:.4g}"
