@@ -12,7 +12,8 @@ window each:
   is at least and at most by what cells do as a whole;
 - `policy`: of the basin of the walker whose actions are `Policy`'s, followed directly.
 
-Then a kernel of a million cells and 64 actions, and strides alone for comparison.
+Then a kernel of a million cells and 64 actions, and strides alone for comparison; and bounds on
+grids of the same finest cells, which are coarser at first.
 """
 
 import argparse
@@ -68,6 +69,7 @@ def main():
         print(f"{label:32}{''.join(f'{x:10.4g}' for x in row)}{capture.max():10}", flush=True)
     if not args.without_speed:
         measure()
+        measure_levels()
 
 
 def actions_of(data) -> range:
@@ -100,6 +102,21 @@ def measure() -> None:
     print(f"{os.cpu_count()} cores; jax {jax.__version__}; 1,000,000 cells, 64 actions")
     for name, value in seconds.items():
         print(f"{name:24}{value:8.1f} s")
+
+
+def measure_levels() -> None:
+    """Cells, areas and seconds of bounds that are narrowed level by level."""
+    walker, actions = wj.PoweredWalker(0.004), {"push_off": (0.0, 0.1, 17)}
+    names = "cells levels mapped at-least at-most area seconds".split()
+    print("".join(f"{name:>10}" for name in names))
+    for levels in range(4):
+        side = 800 // 2**levels
+        grid = wj.Grid.sheared(theta=(0.0, 0.8, side), sum=(-0.4, 0.05, side))
+        start = time.perf_counter()
+        data = wj.viable(walker, grid, actions, levels=levels)
+        seconds, about = time.perf_counter() - start, data.attrs
+        areas = "".join(f"{about[name]:10.4g}" for name in ("inner_area", "outer_area", "area"))
+        print(f"{grid.size:10}{levels:10}{int(data['mapped'].sum()):10}{areas}{seconds:10.1f}")
 
 
 if __name__ == "__main__":
