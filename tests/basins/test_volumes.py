@@ -143,7 +143,7 @@ def test_a_volume_that_needs_too_much_memory_is_refused_before_its_cells_are_fol
     walks_in, monkeypatch
 ):
     asked = walks_in(ellipsoid)
-    monkeypatch.setattr("walker_jax.basins.refined_cells.memory_of_machine", lambda: 1e6)
+    monkeypatch.setattr("walker_jax.basins.memory.memory_of_machine", lambda: 1e6)
     with pytest.raises(TooLarge, match=r"levels=3: level 2 follows \d+ cells, which need .* GiB"):
         wj.refine(WALKER, cube(12), 3)
     assert len(asked) == 2

@@ -9,9 +9,7 @@ from rich.console import Console
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.basins import pieces
-from walker_jax.design import sweeps
-from walker_jax.execution import progress
+from walker_jax.execution import progress, workers
 from walker_jax.stability import boundaries, summary
 from walker_jax.systems.outcomes import Outcome
 
@@ -25,18 +23,19 @@ def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
     assert parts[0] == 80 and parts[-1] == 100 and parts == sorted(parts)
 
 
-@pytest.mark.parametrize("name", ["basin", "sweep"])
+@pytest.mark.parametrize("name", ["basin", "sweep", "viable"])
 def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
-    module = {"basin": pieces, "sweep": sweeps}[name]
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 8), sum=(-0.03, 0.01, 6))
     walker, out = wj.SimplestWalker(0.004), tmp_path / "a.zarr"
     monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 12)
+    monkeypatch.setattr("walker_jax.control.images.TILE", (12, 12))
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", lambda *_: {"area": 0.001})
     calls = {
         "basin": lambda: wj.basin(walker, grid, out=out),
         "sweep": lambda: wj.sweep(
             walker, {"slope": [0.004, 0.005, 0.006, 0.007]}, grid, levels=0, check=0, out=out
         ),
+        "viable": lambda: wj.viable(walker, grid, {"slope": [0.004]}, bounds=False, out=out),
     }
     write, seen = storage.Pieces.write, []
 
@@ -48,9 +47,9 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(storage.Pieces, "write", interrupted)
         calls[name]()
-    track = module.track
+    track = workers.track
     keep = lambda things, label, wanted, *counts: seen.append(counts) or track(things, label, False)
-    monkeypatch.setattr(module, "track", keep)
+    monkeypatch.setattr(workers, "track", keep)
     calls[name]()
     assert seen == [(4, 3)]
 
