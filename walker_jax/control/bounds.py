@@ -14,7 +14,7 @@ from jaxtyping import Bool, Int, Int32
 
 from walker_jax.basins.memory import check_level
 from walker_jax.basins.refinement import finer
-from walker_jax.control.images import MappedCells, Task
+from walker_jax.control.images import MappedCells, Task, bytes_of_cell
 from walker_jax.controlled_maps import Points, find_viable
 from walker_jax.grids import MAX_SINKS
 
@@ -37,7 +37,7 @@ class Narrowed(NamedTuple):
     number: Int32[np.ndarray, " finest"]
     """Which of them holds each cell of the finest grid."""
     bounds: Bounds
-    """Of the finest grid."""
+    """Over the finest grid."""
     mapped: list[int]
     """How many cells were mapped, level by level."""
     areas: list[tuple[float, float]]
@@ -72,15 +72,8 @@ def narrow(task: Task, images: MappedCells, levels: int, map_cells: MapCells) ->
         bounds = close_in(images, grid.shape, cells, bounds)
         mapped.append(len(cells))
         areas.append(tuple(float(one.sum() * grid.cell_area) for one in bounds))
-    if not levels:
-        return Narrowed(Points(images.image), number, bounds, mapped, areas)
-    kept = np.concatenate(whole)
-    count = np.count_nonzero(kept)
-    renumber = (np.cumsum(kept) - 1).astype(np.int32)
-    number = renumber[number]
-    leads = np.append(number, count + np.arange(MAX_SINKS + 1, dtype=np.int32))
-    image = np.concatenate([leads[part[chosen]] for part, chosen in zip(rows, whole, strict=True)])
-    return Narrowed(Points(image), number, bounds, mapped, areas)
+    points, number = join_levels(rows, whole, number) if levels else (Points(*rows), number)
+    return Narrowed(points, number, bounds, mapped, areas)
 
 
 def close_in(
@@ -93,14 +86,27 @@ def close_in(
     return Bounds(inner, outer)
 
 
+def join_levels(
+    rows: list[Int32[np.ndarray, "_cells m"]],
+    whole: list[Bool[np.ndarray, " _cells"]],
+    number: Int32[np.ndarray, " finest"],
+) -> tuple[Points, Int32[np.ndarray, " finest"]]:
+    """The images of cells of all levels that were not cut, among each other.
+
+    Images are cells of the finest grid at first. `number` says which of all cells, the cut ones
+    too, holds each of these. It is returned for those that are left.
+    """
+    kept = np.concatenate(whole)
+    number = (np.cumsum(kept, dtype=np.int32) - 1)[number]
+    sinks = np.count_nonzero(kept) + np.arange(MAX_SINKS + 1, dtype=np.int32)
+    leads = np.append(number, sinks)
+    image = [leads[part[chosen]] for part, chosen in zip(rows, whole, strict=True)]
+    return Points(np.concatenate(image)), number
+
+
 def subdivide(values: np.ndarray, shape: tuple[int, ...], levels: int = 1) -> np.ndarray:
     """Values of a grid's cells, for their parts when each is cut in two along each axis."""
     values = values.reshape(shape)
     for axis in range(len(shape)):
         values = values.repeat(2**levels, axis)
     return values.ravel()
-
-
-def bytes_of_cell(actions: int, axes: int, *, bounds: bool) -> int:
-    """Memory for each cell that is mapped: its images, its boxes, and what is found of it."""
-    return (5 + (2 + 8 * axes) * bounds) * actions + 25

@@ -1,4 +1,4 @@
-"""Where actions take the cells of a grid: the images of their centres, and boxes around theirs.
+"""Where actions take the cells of a grid: images of centres, and boxes around those of whole cells.
 
 A stride is made from the centre of each cell, and one from each corner of cells. The box around the
 images of a cell's corners, widened by how far that of its centre is from the mean of theirs, holds
@@ -80,6 +80,11 @@ class Arrivals(NamedTuple):
     made: Bool[np.ndarray, " n"]
     image: Int32[np.ndarray, " n"]
     """The cell of the finest grid, or the sink."""
+
+
+def bytes_of_cell(actions: int, axes: int, *, bounds: bool) -> int:
+    """Memory for each cell that is mapped: its images, its boxes, and what is found of it."""
+    return (5 + (2 + 8 * axes) * bounds) * actions + 25
 
 
 def tile_shape(n: int, m: int) -> tuple[int, int]:

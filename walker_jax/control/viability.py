@@ -36,8 +36,16 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.control.actions import read_actions
-from walker_jax.control.bounds import bytes_of_cell, narrow, subdivide
-from walker_jax.control.images import MappedCells, Task, map_in_tiles, map_tile, put, tile_shape
+from walker_jax.control.bounds import narrow, subdivide
+from walker_jax.control.images import (
+    MappedCells,
+    Task,
+    bytes_of_cell,
+    map_in_tiles,
+    map_tile,
+    put,
+    tile_shape,
+)
 from walker_jax.controlled_maps import (
     Points,
     best_action,
@@ -100,7 +108,7 @@ def viable(
     - `progress`: whether to show a progress bar on a terminal.
     - `out`, `request`, `overwrite`, `cluster`: as in `basin`. A piece holds the images of some
       cells by some actions. An interrupted run is resumed from there, with the same result to the
-      last bit; but strides from parts of cells are made again.
+      last bit; strides from parts of cells are made again.
 
     **Returns** a data set over the axes of the grid, or of the finest one, 2^levels times as fine
     along each axis, on which parts of a cell that was not cut are alike:
@@ -121,7 +129,8 @@ def viable(
     coordinates, `inner_area` and `outer_area`, and `target_area`.
 
     Raises `ValueError` for a grid that does not fit the section, or is a slice, or that this
-    machine has not the memory for, for actions that are none, and for a target of another shape.
+    machine has not the memory for, for actions that are none, for a target of another shape, and
+    for `out` as `basin` does.
     """
     check_kind("walker", walker, System)
     d = grid_axes(grid)
@@ -175,7 +184,7 @@ class Plan(NamedTuple):
     task: Task
     levels: int
     target: Bool[np.ndarray, " n"] | None
-    """Of the finest grid's cells; by default the passive basin."""
+    """Whether each cell of the finest grid belongs to it; by default the passive basin."""
 
     def about(self) -> xr.Dataset:
         """The axes of the finest grid, and what all depends on."""
@@ -193,7 +202,7 @@ class Plan(NamedTuple):
         return describe(walker, grid, settings).assign(frame)
 
     def request(self) -> dict:
-        """By what a stored result is known again."""
+        """All that the result depends on, by which a stored one is recognised."""
         choice, target = self.task.actions, self.target
         own = {
             "command": "viable",
@@ -228,8 +237,8 @@ class Plan(NamedTuple):
 def settle(
     task: Task, points: Points, target: Bool[np.ndarray, " n"] | None
 ) -> dict[str, np.ndarray]:
-    """What is found of each cell, given where each leads."""
-    if target is None:  # what converges to an attractor without a choice of actions
+    """Answers for each cell, given where each leads."""
+    if target is None:  # those that converge to an attractor without a choice of actions
         passive = resolve(points.image[:, task.actions.own], sinks=len(Outcome))
         target = passive.attractor >= 0
     lasting = find_viable(points)
@@ -262,10 +271,10 @@ def with_areas(data: xr.Dataset, grid: Grid, found: dict[str, np.ndarray]) -> xr
 def compute_in_pieces(
     plan: Plan, out: Path, *, request: dict | None, overwrite: bool, cluster: Any, progress: bool
 ) -> xr.Dataset:
-    """The same, whose images are computed piece by piece into a store, until the end.
+    """`viable`, with images that are computed piece by piece into a store, and removed at the end.
 
-    What takes all of them follows when all are there. It may be repeated, with the same result; so
-    are strides from the parts of cells.
+    The kernel follows when all images are there, with strides from parts of cells. If that is
+    interrupted it is repeated, with the same result.
     """
     task = plan.task
     request = request or plan.request()
