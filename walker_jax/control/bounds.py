@@ -23,7 +23,7 @@ MapCells = Callable[[Task, Int[np.ndarray, " n"], str], MappedCells]
 
 
 class Bounds(NamedTuple):
-    """Which cells of a grid are within each bound, in the order of their indices."""
+    """Marks of the cells of a grid within each bound, in the order of their indices."""
 
     inner: Bool[np.ndarray, " n"]
     outer: Bool[np.ndarray, " n"]
@@ -44,7 +44,7 @@ class Narrowed(NamedTuple):
     """Inner and outer area, level by level."""
 
     def of_parts(self, chosen: Bool[np.ndarray, " finest"]) -> Bool[np.ndarray, " n"]:
-        """Which of the cells are chosen, given whether their parts are."""
+        """Mark the cells that are chosen, given whether their parts are."""
         found = np.zeros(self.points.shape[0], bool)
         found[self.number] = chosen
         return found
