@@ -28,6 +28,7 @@ from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, exclude, r
 from walker_jax.cli.section import AXIS, Axis, Window, check_section
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
+from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 
@@ -265,8 +266,15 @@ def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> It
         yield f"  {measure} {answer['area']:.6g} in all"
     if answer.get("at_border") and not zoomed:
         yield f"  the basin reaches the border of the grid, in {answer['at_border']} cells"
-    fates = [f"{n} {name}" for name, n in answer["fates"].items() if n or name == "UNDECIDED"]
-    yield f"  cells: {', '.join(fates)}"
+    yield from fates_in_words(answer["fates"])
+
+
+def fates_in_words(fates: dict[str, int]) -> Iterator[str]:
+    """A line for each fate that cells have: its share, and how many they are."""
+    whole = max(1, sum(fates.values()))
+    for name, count in fates.items():
+        if count:
+            yield f"  {count / whole:7.2%}  {outcome_in_words(name)}, {count:,} cells"
 
 
 def cycles_in_words(attractor: dict) -> str:

@@ -11,6 +11,7 @@ from walker_jax.cli.groups import option
 from walker_jax.cli.section import Window
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.boundaries import summarise_boundary
+from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_in_words
 
@@ -52,22 +53,29 @@ def boundary(
 def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
     """The answer of `boundary`."""
     yield f"Boundary between fates, {describe_in_words(walker)}"
-    yield f"  basin entropy {answer['basin_entropy']:.5f}"
+    yield f"  basin entropy {answer['basin_entropy']:.5f} (0: every fate is certain)"
     entropy = answer["boundary_entropy"]
     if entropy["value"] is not None:
-        fractal = "fractal by the log 2 test" if entropy["fractal"] else "log 2 test not passed"
-        yield f"  of the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}, {fractal}"
+        fractal = (
+            "above log 2: fractal"
+            if entropy["fractal"]
+            else "not above log 2: no sign of a fractal"
+        )
+        yield f"  on the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}, {fractal}"
         yield f"  boxes on the boundary with three fates or more: {entropy['crowded']:.2%}"
     if answer["wada"]:
         shares = ", ".join(f"{one['share']:.1%} at {one['spacing']}" for one in answer["wada"])
-        yield f"  boundaries that another region lacks, by spacing in cells: {shares}"
+        yield f"  largest part of a boundary that touches only two fates: {shares} cells"
+        yield "    it tends to nothing on finer grids if the boundary is Wada's"
     for one in answer["edges"]:
         yield f"  {edge_in_words(one)}"
 
 
 def edge_in_words(edge: dict) -> str:
     """An edge state in words."""
-    regions, between = " / ".join(edge["regions"]), " / ".join(edge["between"])
+    regions, between = (
+        " / ".join(map(outcome_in_words, edge[pair])) for pair in ("regions", "between")
+    )
     third = "" if edge["between"] == edge["regions"] else f" (between {between})"
     if edge["kind"] != "saddle":
         return f"{regions}{third}: {edge['kind'] or 'no cycle found'}"

@@ -26,6 +26,7 @@ from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.evaluation import check_starts
 from walker_jax.grids import Grid
 from walker_jax.stability.robustness_fields import summarise_robustness
+from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import space_decimals
@@ -204,5 +205,5 @@ def disturbance_in_words(disturbance: dict) -> str:
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"
     if disturbance["failure"] != "STRIDE":
-        end = f"{disturbance['failure']} after {disturbance['strides']} strides"
+        end = f"{outcome_in_words(disturbance['failure'])} after {disturbance['strides']} strides"
     return f"{disturbance['size']:.8f} along ({listed(disturbance['direction'], '.4f')}): {end}"

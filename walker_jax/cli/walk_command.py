@@ -18,7 +18,7 @@ from walker_jax.cli.options import OUTPUT, check_finite, refuse_for_systems
 from walker_jax.cli.section import Start, begin_at, has_own_options
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
-from walker_jax.systems.outcomes import name_of_outcome
+from walker_jax.systems.outcomes import name_of_outcome, outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import State, Walker, moves_like
 
@@ -106,7 +106,7 @@ def walk_in_words(answer: dict, coordinates: tuple[str, ...]) -> Iterator[str]:
     yield f"{'stride':>6}  {heads}  {'time':>8}  outcome"
     strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
     for i, (state, name, duration) in enumerate(strides, start=1):
-        yield f"{i:6}  {row(state)}  {duration:8.4f}  {name}"
+        yield f"{i:6}  {row(state)}  {duration:8.4f}  {outcome_in_words(name)}"
     if len(answer["states"]) > len(answer["outcomes"]):
         yield f"{'next':>6}  {row(answer['states'][-1])}"
 

@@ -20,7 +20,7 @@ from walker_jax.figures.regions import (
 from walker_jax.figures.style import BASINS, INK, failure_words
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome, failures_of
+from walker_jax.systems.outcomes import failures_of
 
 CURVES = ("#e4572e", "#17a398", "#f2c14e")
 """Colours of stable manifolds, unlike those of regions."""
@@ -107,8 +107,7 @@ def boundary(
 
 def name_of(outcome: int, data: xr.Dataset) -> str:
     """A region in a word or two."""
-    failures = failures_of(data)
-    return "walks" if outcome == Outcome.STRIDE else failure_words(outcome, failures)
+    return failure_words(outcome, failures_of(data))
 
 
 def saddle_phrase(one: xr.Dataset) -> str:

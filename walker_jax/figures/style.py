@@ -6,35 +6,33 @@ from typing import Any
 from matplotlib import rcParams
 from matplotlib.font_manager import FontProperties
 
-from walker_jax.systems.outcomes import OWN, Outcome, name_of_outcome
+from walker_jax.systems.outcomes import Outcome, name_of_outcome, outcome_in_words
 
 INK = "#1a1a1a"
 FAILURES = {
-    Outcome.LEFT_GRID: ("#f7f7f7", "", "leaves the grid"),
-    Outcome.BACKWARD: ("#fae0b5", "B", "falls backward"),
-    Outcome.FORWARD: ("#b4d1e9", "F", "falls forward"),
-    Outcome.RUNNING: ("#e1abb8", "R", "runs"),
-    Outcome.OUTSIDE: ("#a7a7a7", "", "not a feasible start"),
-    Outcome.STOPPED: ("#648f4b", "", "stops on both feet"),
-    Outcome.UNDECIDED: ("#d1361b", "", "undecided"),
-    Outcome.BENT_KNEE: ("#6e51a0", "K", "lands on a bent knee"),
-    Outcome.BUCKLED: ("#6b4828", "", "buckles"),
-    Outcome.SCUFFED: ("#1d4843", "", "scuffs"),
-    Outcome.SIDEWAYS: ("#c68739", "S", "falls sideways"),
-    Outcome.OWN_1: ("#9f88cb", "", "first failure of its own"),
-    Outcome.OWN_2: ("#4b3364", "", "second failure of its own"),
-    Outcome.OWN_3: ("#8f437c", "", "third failure of its own"),
-    Outcome.OWN_4: ("#4d5417", "", "fourth failure of its own"),
+    Outcome.LEFT_GRID: ("#f7f7f7", ""),
+    Outcome.BACKWARD: ("#fae0b5", "B"),
+    Outcome.FORWARD: ("#b4d1e9", "F"),
+    Outcome.RUNNING: ("#e1abb8", "R"),
+    Outcome.OUTSIDE: ("#a7a7a7", ""),
+    Outcome.STOPPED: ("#648f4b", ""),
+    Outcome.UNDECIDED: ("#d1361b", ""),
+    Outcome.BENT_KNEE: ("#6e51a0", "K"),
+    Outcome.BUCKLED: ("#6b4828", ""),
+    Outcome.SCUFFED: ("#1d4843", ""),
+    Outcome.SIDEWAYS: ("#c68739", "S"),
+    Outcome.OWN_1: ("#9f88cb", ""),
+    Outcome.OWN_2: ("#4b3364", ""),
+    Outcome.OWN_3: ("#8f437c", ""),
+    Outcome.OWN_4: ("#4d5417", ""),
 }
-"""Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark; then those of a
-system's own, which has a name for each that it knows."""
+"""Colour and letter (Schwab and Wisse 2001, Figure 2), from light to dark; then those of a system's
+own failures."""
 
 
 def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
     """How a walk fails, in words, of a system with these failures of its own."""
-    own = outcome in OWN[: len(failures)]
-    words = FAILURES[Outcome(outcome)][2]
-    return name_of_outcome(outcome, failures).replace("_", " ") if own else words
+    return outcome_in_words(name_of_outcome(outcome, failures))
 
 
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")

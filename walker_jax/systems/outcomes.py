@@ -49,6 +49,25 @@ class Outcome(enum.IntEnum):
     """The fourth of them."""
 
 
+WORDS = {
+    "STRIDE": "walks",
+    "FORWARD": "falls forward",
+    "BACKWARD": "falls backward",
+    "RUNNING": "runs",
+    "STOPPED": "stops on both feet",
+    "OUTSIDE": "not a feasible start",
+    "UNDECIDED": "undecided",
+    "LEFT_GRID": "leaves the grid",
+    "BENT_KNEE": "lands on a bent knee",
+    "BUCKLED": "buckles",
+    "SCUFFED": "scuffs",
+    "SIDEWAYS": "falls sideways",
+    "OWN_1": "first failure of its own",
+    "OWN_2": "second failure of its own",
+    "OWN_3": "third failure of its own",
+    "OWN_4": "fourth failure of its own",
+}
+"""Outcomes in words, by their names."""
 OWN = Outcome.OWN_1, Outcome.OWN_2, Outcome.OWN_3, Outcome.OWN_4
 """Failures that have names only in a system."""
 
@@ -74,6 +93,11 @@ def names_of_outcomes(failures: Sequence[str] = ()) -> dict[Outcome, str]:
     """The names of all outcomes of a system with these failures of its own."""
     known = [one for one in Outcome if one not in OWN[len(failures) :]]
     return {one: name_of_outcome(one, failures) for one in known}
+
+
+def outcome_in_words(name: str) -> str:
+    """An outcome in words, given its name; a failure of a system's own is its name."""
+    return WORDS.get(name) or name.replace("_", " ")
 
 
 class Stride(NamedTuple):
