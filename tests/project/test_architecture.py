@@ -114,7 +114,7 @@ def test_files_are_short():
 
 def test_docstrings_begin_with_their_subject():
     """A noun or a verb: a sentence that begins with a relative clause is read twice."""
-    kinds = ast.Module | ast.ClassDef | ast.FunctionDef
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
     described = [
         (name, found)
         for name, path in MODULES.items()
