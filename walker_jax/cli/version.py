@@ -22,6 +22,7 @@ def print_version(requested: bool) -> bool:
 
     from walker_jax.execution.tiles import cores
     from walker_jax.kernels import machine
+    from walker_jax.kernels.gpu import in_words
     from walker_jax.kernels.object_cache import cache_folder
 
     devices = jax.devices()
@@ -36,10 +37,12 @@ def print_version(requested: bool) -> bool:
     if machine.switched_off():
         print(f"  kernels are switched off, by {machine.VARIABLE}")
     elif devices[0].platform != "cpu":
-        print("  kernels are not in use: they are for processors")
+        print(f"  kernels are {in_words()}")
     else:
         named = f", by {machine.VARIABLE}" * bool(os.environ.get(machine.VARIABLE))
         print(f"  kernels are in use, compiled for {target}{named}")
+        if machine.on_gpus():
+            print(f"  kernels on GPUs are {in_words()}")
     print(f"  compiled programs are kept in {cache_folder() or 'no folder'}")
     raise typer.Exit
 

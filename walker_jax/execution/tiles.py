@@ -1,9 +1,10 @@
 """A function of one cell over millions of them: kernels, tiles, devices, cores, progress.
 
-On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`). A function
-that no kernel can do, and any on an accelerator, is mapped over tiles of cells by XLA. On a CPU a
-tile is small enough to stay in the cache, and ends when its own slowest cell does; on a GPU it is
-large enough to fill the card. Either way the results are the same to the last bit, however many
+On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`), and so it does
+on a GPU where kernels run there, for one call. A function that no kernel can do, and any on another
+accelerator, is mapped over tiles of cells by XLA. On a CPU a tile is small enough to stay in the
+cache, and ends when its own slowest cell does; on a GPU it is large enough to fill the card. Either
+way the results are the same to the last bit, however many
 cores or devices share the work.
 """
 
@@ -26,6 +27,8 @@ from jaxtyping import Int, PyTree
 
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import bar
+from walker_jax.kernels.decorator import kernel
+from walker_jax.kernels.gpu import Route, ptx_for, route_in_use
 from walker_jax.kernels.program import (
     MAX_PROGRAMS,
     Program,
@@ -34,6 +37,7 @@ from walker_jax.kernels.program import (
     program_of,
 )
 from walker_jax.kernels.program_cache import states_of
+from walker_jax.kernels.ptx import THREADS
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 CALL_SHAPES = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
@@ -41,6 +45,9 @@ SMALL_CALL_SHAPE = (64, 8)
 """The same, where there are few cells for a CPU."""
 KERNEL_CALL_CELLS = (512, 2**15)
 """Cells that a core works on without a break, by a kernel, at least and at most."""
+GPU_KERNEL_CELLS = (2**15, 2**20)
+"""Cells of a call of a kernel on a GPU, at least and at most. An H100 works on 33,792 at once, so
+fewer take as long. A call has a power of two of them, and each such number a program of XLA."""
 
 
 # A library may set these for its own calls. 512-bit vectors where the processor has them; elsewhere
@@ -90,20 +97,26 @@ def map_cells(
     if any(stop.is_set() for stop in stopping.get()):
         raise CancelledError
     devices = jax.local_devices()
-    platform = devices[0].platform
-    if platform == "cpu":
+    platform, route = devices[0].platform, route_here()
+    by_kernel = False
+    if platform == "cpu" or route:
         operands, structure = jax.tree.flatten(args)
         each = [each for arg, each in pairs for _ in jax.tree.leaves(arg)]
         avals = [abstract_value(x, one) for x, one in zip(operands, each, strict=True)]
         program, results = program_of(function, structure, avals)
-        if program.compiled is not None:
+        by_kernel = ptx_for(program, each, route) is not None
+        if not route and program.compiled is not None:
             found = run_kernel(program, operands, each, n, progress)
             return jax.tree.unflatten(results, found)
     few = platform == "cpu" and n <= math.prod(SMALL_CALL_SHAPE)
     tile, tiles = SMALL_CALL_SHAPE if few else CALL_SHAPES.get(platform, CALL_SHAPES["gpu"])
+    if by_kernel:
+        least, most = GPU_KERNEL_CELLS
+        share = -(-n // len(devices))  # of each device
+        tile, tiles = min(most, max(least, 1 << (share - 1).bit_length())), 1
     call = tile * tiles * len(devices)
     states = states_of(function, jax.tree.structure(args))
-    run = compile_call(function, states, mapped, platform, tile, tiles)
+    run = compile_call(function, states, mapped, platform, tile, tiles, by_kernel)
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
         """The results of at most one call, in which each device has an equal share of the cells."""
@@ -213,11 +226,13 @@ def compile_call(
     platform: str,
     tile: int,
     tiles: int,
+    by_kernel: bool,
 ) -> Callable:
     """The jitted function of (shared, cells of one call, how many tiles each device does of it).
 
     There is one for each of the `states` in which code that it runs has been.
     """
+    function = kernel(function) if by_kernel else function
 
     def run(shared, cells, count):
         blocks = jax.tree.map(lambda leaf: leaf.reshape(tiles, tile, *leaf.shape[1:]), cells)
@@ -261,8 +276,18 @@ def has_option(name: str, value: Any) -> bool:
     return True
 
 
+def route_here() -> Route | None:
+    """The route by which kernels run on the devices of this process, if these are GPUs."""
+    return route_in_use() if jax.local_devices()[0].platform == "gpu" else None
+
+
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
-    """Flat indices of a grid's cells, in the order in which to give them to `map_cells`."""
+    """Flat indices of a grid's cells, in the order in which to give them to `map_cells`.
+
+    What waits for its slowest cell has neighbours together: a tile, or a block of a GPU's threads.
+    """
+    if route_here():
+        return compact_order(shape, THREADS)
     if jax.local_devices()[0].platform != "cpu":
         return compact_order(shape)
     size = math.prod(shape)

@@ -28,15 +28,7 @@ class Compiled:
     def __init__(self, closed: ClosedJaxpr):
         """Compiles the jaxpr. Raises `UnsupportedPrimitive` for what kernels do not support."""
         start = time.perf_counter()
-        avals = [*closed.in_avals, *closed.out_avals]
-        if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
-            raise UnsupportedPrimitive("a key to random numbers")
-        self.operands = shapes_and_types(closed.in_avals)
-        self.results = shapes_and_types(closed.out_avals)
-        if sum(math.prod(shape) for shape, _ in (*self.operands, *self.results)) > MAX_NUMBERS:
-            raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
-        with without_garbage_collection():
-            source = emit(closed, self.operands, self.results, register_bits())
+        self.operands, self.results, source = source_of(closed, register_bits())
         self.digest = digest_of(source)
         self.begin(load_program(source))
         seconds = time.perf_counter() - start
@@ -82,6 +74,18 @@ class Compiled:
         # The default argument keeps the arrays alive as long as the function.
         compute = lambda start, stop, _=arrays: self.run(start, stop, pointers, strides)
         return compute, results
+
+
+def source_of(closed: ClosedJaxpr, bits: int) -> tuple[list, list, str]:
+    """Shapes and types of operands and of results, and the source of the program (`emit`)."""
+    avals = [*closed.in_avals, *closed.out_avals]
+    if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
+        raise UnsupportedPrimitive("a key to random numbers")
+    operands, results = shapes_and_types(closed.in_avals), shapes_and_types(closed.out_avals)
+    if sum(math.prod(shape) for shape, _ in (*operands, *results)) > MAX_NUMBERS:
+        raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
+    with without_garbage_collection():
+        return operands, results, emit(closed, operands, results, bits)
 
 
 def shapes_and_types(avals: Sequence) -> list[tuple[tuple[int, ...], np.dtype]]:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from walker_jax.checks import WrongUse, short
+from walker_jax.kernels import gpu
 from walker_jax.kernels.primitive import call_program
 from walker_jax.kernels.program import Program, program_of
 
@@ -21,7 +22,8 @@ def kernel(
 
     A kernel is called as its function is, and `jax.vmap` maps it over cells. On a CPU it is machine
     code that works on as many cells at once as a register holds, and on all cores under `jax.jit`.
-    On other devices, and where `why_not` gives a reason, XLA computes the same function.
+    On other devices, and where `why_not` gives a reason, XLA computes the same function; kernels on
+    NVIDIA GPUs are switched on by `WALKER_JAX_KERNELS=gpu`.
 
     `jit`, `vmap`, `jvp`, `vjp`, `grad`, `scan`, `shard_map` and all other transformations of JAX
     apply. Reverse mode multiplies by the Jacobian, which is computed in forward mode. So it passes
@@ -86,15 +88,17 @@ def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
     a kernel, which is then compiled.
     """
     platform = next(iter(jnp.zeros(()).devices())).platform
-    if platform != "cpu":
-        return f"arrays are on a {platform}, and kernels are for a CPU"
+    route = gpu.route_in_use() if platform != "cpu" else None
+    if platform != "cpu" and route is None:
+        return f"arrays are on a {platform}, where kernels are {gpu.in_words()}"
     if not hasattr(function, "find_program"):
         function = kernel(function)
     found = vars(function)["find_program"](args, kwargs)
     if found is None:
         return "kernels do not support complex numbers"
-    program, *_ = found
-    return None if program.compiled else program.why_not
+    program, leaves, _ = found
+    made = gpu.ptx_for(program, [True] * len(leaves), route) if route else program.compiled
+    return None if made else program.why_not
 
 
 def program_for(function: Callable, args: tuple) -> tuple[Program, list[jax.Array], Any] | None:

@@ -255,14 +255,14 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
 
     A vector should fill one register of the processor. LLVM splits a longer one over several
     registers, and a long function then runs out of them: with registers of 256 bits, vectors of 512
-    take twice as long to compile and run no faster.
+    take twice as long to compile and run no faster. With 0 bits there is one lane, as for a thread.
 
     Its signature is void kernel(start, stop, addresses, strides). The addresses point to the arrays
     of the operands, then to those of the results. A stride is the distance between the entries of
     two successive cells in an operand, 0 for an operand that all cells share.
     """
     floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
-    lanes = bits // 8 // max(floats, default=8)
+    lanes = max(1, bits // 8 // max(floats, default=8))
     arguments = [LONG, LONG, ADDRESS.as_pointer(), LONG.as_pointer()]
     module = ir.Module("kernel")
     function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")

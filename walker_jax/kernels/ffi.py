@@ -1,7 +1,7 @@
 """Kernels as custom calls of XLA, through its foreign function interface (FFI).
 
-One handler, a program of LLVM (`handler`), serves every kernel: it needs no compiler, and does not
-take Python's global lock. A kernel has a description for it, and a stub, which calls it with that
+One handler, a program of LLVM (`handler`), serves every kernel on a CPU: it needs no compiler, and
+does not take Python's global lock. A kernel has a description for it, and a stub, which calls it with that
 description and is what XLA calls. No custom calls are made if XLA's interface has an older or
 unknown version, or another major one.
 """
@@ -15,6 +15,7 @@ import re
 import sys
 import threading
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -71,30 +72,44 @@ Equal kernels share one. None is ever removed, as it is unknown whether a progra
 
 def target(compiled: Compiled) -> str:
     """The name under which XLA knows a kernel; registers the kernel on the first call."""
+    address = ctypes.cast(compiled.run, ctypes.c_void_p).value
+    return registered("cpu", compiled, load_handler, lambda: (address, *CELLS_PER_PIECE))
+
+
+def registered(
+    platform: str, code: Any, load_handler: Callable, words: Callable[[], tuple[Any, Any, Any]]
+) -> str:
+    """The name under which XLA knows code for a platform, with its handler.
+
+    `words` gives the words 0, 3 and 4 of the description of the code.
+    """
     buffers = [
         (XLA_TYPE_CODES[dtype.name], len(shape), math.prod(shape))
-        for shape, dtype in (*compiled.operands, *compiled.results)
+        for shape, dtype in (*code.operands, *code.results)
     ]
     # The name is the same in every process: programs that XLA keeps on disk refer to it.
-    digest = hashlib.sha256(repr((compiled.digest, buffers)).encode()).hexdigest()
+    digest = hashlib.sha256(repr((code.digest, buffers)).encode()).hexdigest()
     name = f"walker_jax_{digest[:32]}"
     with registration_lock:
         if name not in registrations:
-            registrations[name] = register(name, compiled, buffers)
+            first, *others = words()
+            head = [first, len(code.operands), len(code.results), *others]
+            description = np.array([*head, *itertools.chain(*buffers)], np.int64)
+            program = register(name, platform, load_handler(), description)
+            registrations[name] = code, description, program
     return name
 
 
-def register(name: str, compiled: Compiled, buffers: list[tuple[int, int, int]]) -> Any:
-    address = ctypes.cast(compiled.run, ctypes.c_void_p).value
-    head = [address, len(compiled.operands), len(compiled.results), *CELLS_PER_PIECE]
-    description = np.array([*head, *itertools.chain(*buffers)], np.int64)
-    handler = ctypes.cast(load_handler().get_function_address("handle"), ctypes.c_void_p).value
-    stub = STUB_PROGRAM.format(handler=handler, description=description.ctypes.data)
+def register(name: str, platform: str, handler: Any, description: np.ndarray) -> Any:
+    """Give XLA the stub of a kernel, whose program is returned."""
+    stub = STUB_PROGRAM.format(
+        handler=handler.get_function_address("handle"), description=description.ctypes.data
+    )
     program = load_program(stub, keep=False)
     call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(program.get_function_address("stub"))
-    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(call), platform="cpu")
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(call), platform=platform)
     jax.ffi.register_ffi_target_as_batch_partitionable(name)
-    return compiled, description, program
+    return program
 
 
 STUB_PROGRAM = """

@@ -9,6 +9,8 @@ a task of the pool that starts late finds no piece left and returns.
 Three short forms are expanded before LLVM reads the program: `field` and `put` load and store a
 value so many bytes into a structure, and `item` loads an entry of an array.
 
+The parts `CALLED` and `HELPERS` are those of the handler for GPUs too (`launcher`).
+
 Offsets are those of the structures in `xla/ffi/api/c_api.h`, version 0.3, on 64-bit machines. Minor
 versions only add to these.
 """
@@ -29,13 +31,18 @@ BUFFER_MISMATCH = "a kernel was called with buffers of another type, rank or siz
 
 @functools.cache
 def load_handler() -> Any:
-    """Compiles the handler, once for all kernels."""
+    """Compiles the handler, once for all kernels on a CPU."""
     x86 = platform.machine().lower() in ("x86_64", "amd64")
     rounding = {part: text if x86 else "" for part, text in ROUNDING.items()}
     pause = "" if sys.platform == "win32" else "  %yielded = call i32 @sched_yield()"
+    parts = {"compute": COMPUTE, "pause": pause, **rounding}
+    return load_program(fill_in(DECLARATIONS + CALLED + POOL + HELPERS, **parts))
+
+
+def fill_in(text: str, **parts: str) -> str:
+    """A program with its parts filled in and its short forms expanded."""
     message = {"message": BUFFER_MISMATCH, "length": len(BUFFER_MISMATCH) + 1}
-    text = HANDLER.format(version=VERSION, pause=pause, **message, **rounding)
-    return load_program(expand_short_forms(text))
+    return expand_short_forms(text.format(version=VERSION, **message, **parts))
 
 
 def expand_short_forms(text: str) -> str:
@@ -73,13 +80,14 @@ declare void @llvm.x86.sse.stmxcsr(ptr)
 # job; 24 cells; 32 cells of a piece; 40 the kernel; 48 its strides; 56 addresses, then strides.
 # The description of a kernel, word by word: 0 its code; 1 operands; 2 results; 3 fewest cells of a
 # piece and 4 most; then for each operand and result its type, its rank and its size.
-HANDLER = """
+DECLARATIONS = """
 declare ptr @malloc(i64)
 declare void @free(ptr)
 declare i32 @sched_yield()
 declare i64 @llvm.smin.i64(i64, i64)
 declare i64 @llvm.smax.i64(i64, i64)
-{declare_rounding}
+{declare_rounding}"""
+CALLED = """
 @wrong = private constant [{length} x i8] c"{message}\\00"
 
 define ptr @handle(ptr %frame, ptr %description) {{
@@ -102,8 +110,7 @@ run:
   %wrong = icmp eq ptr %job, null
   br i1 %wrong, label %refuse, label %compute
 compute:
-  call void @compute(ptr %frame, ptr %description, ptr %job)
-  ret ptr null
+{compute}
 refuse:
   %error_args = alloca [4 x i64]
   put i64 28, ptr %error_args, i64 0
@@ -202,7 +209,10 @@ unlike:
 refuse:
   ret ptr null
 }}
-
+"""
+COMPUTE = """  call void @compute(ptr %frame, ptr %description, ptr %job)
+  ret ptr null"""
+POOL = """
 define void @compute(ptr %frame, ptr %description, ptr %job) {{
 entry:
   %api = field ptr, ptr %frame, i64 16
@@ -324,7 +334,8 @@ remove:
 end:
   ret void
 }}
-
+"""
+HELPERS = """
 define i64 @product(ptr %numbers, i64 %from, i64 %to) {{
 entry:
   br label %next

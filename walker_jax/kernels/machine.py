@@ -16,9 +16,9 @@ OPTIMISATION_LEVEL = 2
 """Of LLVM's code generation, 0 to 3, as in `clang -O2`."""
 
 VARIABLE = "WALKER_JAX_KERNELS"
-"""The environment variable that turns kernels off, by the value `off`, or names the processor that
-they are compiled for as LLVM does (`haswell` has no AVX-512, `x86-64` no AVX), in the place of this
-machine's own."""
+"""The environment variable that turns kernels off, by the value `off`, turns those for GPUs on, by
+`gpu`, or names the processor that they are compiled for as LLVM does (`haswell` has no AVX-512,
+`x86-64` no AVX), in the place of this machine's own."""
 
 
 def switched_off() -> bool:
@@ -26,10 +26,15 @@ def switched_off() -> bool:
     return os.environ.get(VARIABLE, "").lower() == "off"
 
 
+def on_gpus() -> bool:
+    """Whether kernels are to run on GPUs too (`gpu`)."""
+    return os.environ.get(VARIABLE, "").lower() == "gpu"
+
+
 def processor() -> tuple[str, str]:
     """LLVM's name of the processor that kernels are compiled for, and its features."""
     named = os.environ.get(VARIABLE)
-    if named:
+    if named and not on_gpus():
         check_processor(named)
         return named, ""
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
@@ -44,7 +49,7 @@ def check_processor(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", TRIAL, name], capture_output=True, text=True)
     if done.returncode or "not a recognized processor" in done.stderr:
         raise WrongUse(
-            f"{VARIABLE} must be off, or a processor that LLVM knows, such as "
+            f"{VARIABLE} must be off, gpu, or a processor that LLVM knows, such as "
             f"{llvm.get_host_cpu_name()}, not {name}: unset it for this machine's own"
         )
 

@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
-from walker_jax.execution.tiles import map_cells
+from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
@@ -39,6 +39,9 @@ round the lanes of a kernel wait for the one that walks farthest, half of the ti
 walks have ended by then, and a round of fewer takes about as long as it takes to begin."""
 ROUNDS_OF_MAPS = 256, 1024
 """The same of systems that say themselves how they advance: a stride takes less than a call."""
+ROUNDS_ON_GPU = 64, 1024
+"""The same by kernels on a GPU: a warp of threads waits for the one that walks farthest, but it
+takes longer to bring the cells to the host, sort them and bring them back."""
 RECORDED = 16
 """Strides of which one call returns all states. More of them save no time, as a call takes much
 longer than it takes to make, and take longer to compile."""
@@ -275,7 +278,8 @@ def iterate(
     compiled = pad_to_power_of_two(None if for_host else targets, size, starts.dtype)
     active, done = np.flatnonzero(end.target < 0), 0
     moves = isinstance(walker, HybridSystem)
-    first = ROUNDS if moves else ROUNDS_OF_MAPS
+    of_modes = ROUNDS_ON_GPU if route_here() else ROUNDS
+    first = of_modes if moves else ROUNDS_OF_MAPS
     rounds = itertools.chain(first, itertools.repeat(first[-1]))
     in_lanes = moves and jax.local_devices()[0].platform == "cpu"
     while len(active) and done < limit:

@@ -1,0 +1,141 @@
+"""Kernels on NVIDIA GPUs, by one of two routes, where a user switches them on.
+
+Both give XLA a custom call in which the card runs a program of threads (`ptx`). The first is a
+handler of XLA's public interface, which has the driver launch the program (`launcher`). The second
+is a call that XLA has for PTX itself, an internal one. A tiny kernel is tried before the first
+other one: the route by which it works is taken, and without any XLA computes everything.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax.core import ShapedArray
+from jax.interpreters import mlir
+
+from walker_jax.kernels import ffi, launcher, machine
+from walker_jax.kernels.primitive import cells_shape, kernel_p, lower_to_xla
+from walker_jax.kernels.program import Program, program_of
+from walker_jax.kernels.ptx import THREADS, Ptx, libdevice
+from walker_jax.kernels.sharding import is_divided, lower_divided
+
+PTX_CALL = "__gpu$xla.gpu.ptx"
+"""XLA's own custom call of PTX, as the plugins of jax 0.10 to 0.12 for CUDA have it."""
+
+
+class Route(NamedTuple):
+    """A way to have XLA run a program of threads."""
+
+    name: str
+    lower: Callable[..., Sequence]
+    """(context, operands, program of threads, `mapped`) -> results."""
+    fixed: bool
+    """Whether the number of cells is known when a call is lowered; XLA cannot divide it then."""
+
+
+def lower_to_handler(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) -> Sequence:
+    """A call of the handler; each device computes the cells that it has."""
+    if not ffi.available():
+        raise OSError("XLA's foreign function interface is of an unknown version")
+    target = launcher.target(ptx)
+    if any(mapped) and is_divided(ctx):
+        return lower_divided(ctx, operands, target, mapped, cells_shape(ctx.avals_in, mapped))
+    return jax.ffi.ffi_lowering(target)(ctx, *operands)
+
+
+def lower_to_ptx_call(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) -> Sequence:
+    """XLA's own call of PTX. Its first operand is the number of cells."""
+    cells = int(np.prod(cells_shape(ctx.avals_in, mapped), dtype=np.int64))
+    texts = {"name": "entry", "kernel_type": "ptx", "kernel_data": ptx.text}
+    numbers = {f"{what}_{axis}": 1 for what in ("grid", "block") for axis in "xyz"}
+    numbers |= {"grid_x": max(1, -(-cells // THREADS)), "block_x": THREADS, "shared_mem_bytes": 0}
+    # Without them some versions of XLA give the program two operands in one place but once.
+    first = 1 + len(operands)
+    places = [mlir.ir_attribute(np.int32(first + i)) for i in range(len(ctx.avals_out))]
+    config = {
+        **{name: mlir.ir_attribute(text) for name, text in texts.items()},
+        **{name: mlir.ir_attribute(np.int32(number)) for name, number in numbers.items()},
+        "output_indices": mlir.ir.ArrayAttr.get(places),
+    }
+    given = [ShapedArray((), np.dtype(np.int64)), *ctx.avals_in]
+    call = jax.ffi.ffi_lowering(PTX_CALL, backend_config=config)
+    return call(ctx.replace(avals_in=given), mlir.ir_constant(np.int64(cells)), *operands)
+
+
+ROUTES = (
+    Route("XLA's foreign function interface", lower_to_handler, False),
+    Route("XLA's own call of PTX", lower_to_ptx_call, True),
+)
+trying: ContextVar[Route | None] = ContextVar("trying", default=None)
+"""The route that is being tried."""
+
+
+def route_in_use() -> Route | None:
+    """The first route by which a tiny kernel works; None if there is none, or none is asked for."""
+    if not machine.on_gpus():
+        return None
+    return next((route for route in ROUTES if failure_of(route) is None), None)
+
+
+@functools.cache
+def failure_of(route: Route) -> str | None:
+    """Why a tiny kernel does not work by a route; None if it does."""
+    with ThreadPoolExecutor(1) as thread:  # where no mesh and no other setting of JAX holds
+        return thread.submit(attempt, route).result()
+
+
+def attempt(route: Route) -> str | None:
+    """`failure_of` in this thread."""
+    trying.set(route)
+    cells = np.arange(THREADS + 1, dtype=np.float32)  # of two blocks
+    try:
+        there = jax.device_put((np.float32(2), cells), jax.devices("cuda")[0])
+        program, _ = program_of(tiny, jax.tree.structure((0, 0)), [jax.typeof(x[0]) for x in there])
+        run = jax.jit(lambda *x: kernel_p.bind(*x, program=program, mapped=(0, 1)))
+        (found,) = run(*there)
+        right = np.array_equal(found, 2 * cells + 1)
+    except Exception as error:  # whatever a driver or a version of XLA makes of it
+        return f"{type(error).__name__}: {error}".partition("\n")[0]
+    return None if right else "its results are wrong"
+
+
+def tiny(shared, x):
+    return shared * x + 1
+
+
+def in_words() -> str:
+    """Whether kernels run on a GPU, by which route, and why not by others."""
+    if not machine.on_gpus():
+        return f"not in use: {machine.VARIABLE}=gpu has them tried on a GPU, where none has run yet"
+    route = route_in_use()
+    reasons = [f"not by {one.name}: {why}" for one in ROUTES if (why := failure_of(one))]
+    if route and libdevice() is None:
+        reasons.append("none of sines and the like, as libdevice is missing")
+    return "; ".join([f"in use on GPUs, by {route.name}" if route else "not in use", *reasons])
+
+
+def ptx_for(program: Program, mapped: Sequence, route: Route | None) -> Ptx | None:
+    """The program of threads for a route, None where XLA is to compute."""
+    return program.ptx(tuple(map(bool, mapped)), route.fixed) if route else None
+
+
+def lower_on_gpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
+    """The call of a kernel on a GPU, or what XLA does in its place."""
+    exported = ctx.module_context.lowering_parameters.for_export
+    route = None if exported else trying.get() or route_in_use()
+    divided = any(mapped) and is_divided(ctx)
+    if route and route.fixed and divided:
+        route = None
+    ptx = ptx_for(program, [True] * len(mapped) if divided else mapped, route)
+    if route and ptx:
+        return route.lower(ctx, operands, ptx, mapped)
+    if trying.get():
+        raise OSError(program.why_not)
+    return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
+
+
+mlir.register_lowering(kernel_p, lower_on_gpu, platform="cuda")

@@ -1,0 +1,141 @@
+"""Kernels on a GPU as custom calls of XLA: a handler that has NVIDIA's driver launch them.
+
+XLA calls it with buffers on the card, whose number of cells it takes from their shapes, as the
+handler of a CPU does (`handler`). It asks XLA for the stream on which the card works off what this
+call follows, and launches the kernel there. So the call returns at once, and results stay on the
+card.
+"""
+
+import ctypes
+import functools
+from typing import Any
+
+from walker_jax.kernels import ffi
+from walker_jax.kernels.handler import CALLED, HELPERS, fill_in
+from walker_jax.kernels.machine import load_program
+from walker_jax.kernels.ptx import THREADS, Ptx
+
+DRIVER = "libcuda.so.1"
+LAUNCH_FAILED = "NVIDIA's driver could not launch a kernel"
+
+
+def target(ptx: Ptx) -> str:
+    """The name under which XLA knows a program of threads; registers it on the first call."""
+
+    def words():
+        launch = ctypes.cast(load_driver().cuLaunchKernel, ctypes.c_void_p).value
+        return load(ptx.text), THREADS, launch
+
+    return ffi.registered("CUDA", ptx, load_launcher, words)
+
+
+@functools.cache
+def load_driver() -> Any:
+    """The driver, which JAX has loaded too; `OSError` if there is none."""
+    driver = ctypes.CDLL(DRIVER)
+    check(driver, driver.cuInit(0))
+    return driver
+
+
+def load(ptx: str) -> int | None:
+    """The driver's handle of a kernel, which is good for all cards."""
+    driver, library, kernel = load_driver(), ctypes.c_void_p(), ctypes.c_void_p()
+    options = (None, None, 0) * 2
+    check(driver, driver.cuLibraryLoadData(ctypes.byref(library), ptx.encode(), *options))
+    check(driver, driver.cuLibraryGetKernel(ctypes.byref(kernel), library, b"entry"))
+    return kernel.value
+
+
+def check(driver: Any, status: int) -> None:
+    """Raises `OSError`, with the driver's words, unless a call of it succeeded."""
+    words = ctypes.c_char_p()
+    if status and not driver.cuGetErrorString(status, ctypes.byref(words)):
+        raise OSError(f"NVIDIA's driver says: {(words.value or b'').decode()}")
+    if status:
+        raise OSError(f"NVIDIA's driver fails with {status}")
+
+
+@functools.cache
+def load_launcher() -> Any:
+    """Compiles the handler, once for all kernels on GPUs."""
+    failure = {"failure": LAUNCH_FAILED, "failure_length": str(len(LAUNCH_FAILED) + 1)}
+    text = DECLARATIONS + CALLED + LAUNCH + HELPERS
+    return load_program(fill_in(text, compute=COMPUTE, **failure))
+
+
+DECLARATIONS = """
+declare ptr @malloc(i64)
+declare void @free(ptr)
+@failure = private constant [{failure_length} x i8] c"{failure}\\00"
+"""
+COMPUTE = """  %status = call ptr @launch(ptr %frame, ptr %description, ptr %job)
+  call void @free(ptr %job)
+  ret ptr %status"""
+# The job and the description are those of `handler`, but for the words of the description 0, the
+# driver's handle of the kernel; 3, the threads of a block; and 4, the driver's function to launch.
+LAUNCH = """
+define ptr @launch(ptr %frame, ptr %description, ptr %job) {{
+entry:
+  %cells = field i64, ptr %job, i64 24
+  %none = icmp eq i64 %cells, 0
+  br i1 %none, label %good, label %ask
+ask:
+  %api = field ptr, ptr %frame, i64 16
+  %context = field ptr, ptr %frame, i64 24
+  %stream_args = alloca [4 x i64]
+  put i64 32, ptr %stream_args, i64 0
+  put ptr null, ptr %stream_args, i64 8
+  put ptr %context, ptr %stream_args, i64 16
+  %get_stream = field ptr, ptr %api, i64 80
+  %no_stream = call ptr %get_stream(ptr %stream_args)
+  %streamed = icmp eq ptr %no_stream, null
+  br i1 %streamed, label %collect, label %without
+without:
+  ret ptr %no_stream
+collect:
+  ; the addresses of the arguments: of the number of cells, then of the addresses of all buffers
+  %stream = field ptr, ptr %stream_args, i64 24
+  %args = field i64, ptr %description, i64 8
+  %rets = field i64, ptr %description, i64 16
+  %all = add i64 %args, %rets
+  %count = add i64 %all, 1
+  %arguments = alloca ptr, i64 %count
+  %cells_at = getelementptr i8, ptr %job, i64 24
+  store ptr %cells_at, ptr %arguments
+  %addresses = getelementptr i8, ptr %job, i64 56
+  br label %each
+each:
+  %k = phi i64 [ 0, %collect ], [ %k_next, %note ]
+  %more = icmp slt i64 %k, %all
+  br i1 %more, label %note, label %start
+note:
+  %address_at = getelementptr ptr, ptr %addresses, i64 %k
+  %k_next = add i64 %k, 1
+  %argument_at = getelementptr ptr, ptr %arguments, i64 %k_next
+  store ptr %address_at, ptr %argument_at
+  br label %each
+start:
+  %kernel = load ptr, ptr %description
+  %threads64 = field i64, ptr %description, i64 24
+  %start_kernel = field ptr, ptr %description, i64 32
+  %blocks64 = call i64 @divide_up(i64 %cells, i64 %threads64)
+  %blocks = trunc i64 %blocks64 to i32
+  %threads = trunc i64 %threads64 to i32
+  %status = call i32 %start_kernel(ptr %kernel,
+    i32 %blocks, i32 1, i32 1, i32 %threads, i32 1, i32 1,
+    i32 0, ptr %stream, ptr %arguments, ptr null)
+  %launched = icmp eq i32 %status, 0
+  br i1 %launched, label %good, label %bad
+bad:
+  %error_args = alloca [4 x i64]
+  put i64 28, ptr %error_args, i64 0
+  put ptr null, ptr %error_args, i64 8
+  put ptr @failure, ptr %error_args, i64 16
+  put i64 13, ptr %error_args, i64 24
+  %create = field ptr, ptr %api, i64 48
+  %error = call ptr %create(ptr %error_args)
+  ret ptr %error
+good:
+  ret ptr null
+}}
+"""
