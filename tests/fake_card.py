@@ -1,36 +1,39 @@
-"""A driver and a card that are not there: a program of threads is run by a processor, thread by
-thread, with the arguments of its launch.
+"""A card that is not there, and its driver: a processor runs the threads, one after the other.
 
-XLA's handler for GPUs is compiled and called as on a GPU, with buffers of a CPU. The driver that it
-calls is this file's. What a card would be given is kept in `launches`.
+XLA on a CPU calls what it would call on a GPU: the handler for GPUs, or its own call of PTX. The
+handler calls this file's driver in the place of NVIDIA's, and XLA's call is one of this file's too.
+A card's program is its source with its entry, compiled for the processor. So all that a card would
+be given is seen here, and what it would compute; not what NVIDIA's driver makes of the PTX.
 """
 
 import ctypes
 import re
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import jax
 import pytest
 from jax.interpreters import mlir
 
 from walker_jax.kernels import ffi, gpu, launcher, primitive, program, ptx
+from walker_jax.kernels.handler import VERSION
 from walker_jax.kernels.machine import load_program
 
 STREAM = 0xABC0
+NO_CARD = 100
 
 
 class Launch(NamedTuple):
-    """The arguments of a launch."""
+    """What a card is given."""
 
     grid: tuple[int, ...]
     block: tuple[int, ...]
     shared_memory: int
     stream: int
-    cells: int
-    addresses: list[int]
+    arguments: list[int]
 
 
 WORDS = ctypes.POINTER(ctypes.c_uint64)
@@ -41,37 +44,18 @@ GET_KERNEL = ctypes.CFUNCTYPE(INT, ANY, ANY, TEXT)
 LAUNCH = ctypes.CFUNCTYPE(INT, ANY, *[UINT] * 7, ANY, ctypes.POINTER(WORDS), ANY)
 GET_WORDS = ctypes.CFUNCTYPE(INT, INT, ANY)
 GET_STREAM = ctypes.CFUNCTYPE(ANY, WORDS)
-"""Signatures of cuda.h, and of XLA's function for a stream."""
-
-# One thread after the other. The registers in which a card has its numbers are variables here.
-THREADS = """
-@thread = internal global i32 0
-@block = internal global i32 0
-define internal i32 @number_of_thread() {{
-  %n = load i32, ptr @thread
-  ret i32 %n
-}}
-define internal i32 @number_of_block() {{
-  %n = load i32, ptr @block
-  ret i32 %n
-}}
-define void @run(i32 %block, i32 %thread, {arguments}) {{
-  store i32 %block, ptr @block
-  store i32 %thread, ptr @thread
-  call void @entry({given})
-  ret void
-}}
-"""
+HANDLER = ctypes.CFUNCTYPE(ANY, ANY)
+"""Signatures of cuda.h and of XLA's c_api.h."""
 
 
 class Card:
-    """A card whose driver can fail."""
+    """A card, and a driver that can fail."""
 
     def __init__(self):
         self.launches: list[Launch] = []
         self.sources: dict[str, str] = {}
         """By PTX: the source of which it is made."""
-        self.loaded: list[Any] = []
+        self.loaded: list[tuple] = []
         """Programs, by the handles that the driver gives them."""
         self.status = {"init": 0, "load": 0, "launch": 0}
         self.driver = SimpleNamespace(
@@ -79,13 +63,14 @@ class Card:
             cuLibraryLoadData=LOAD(self.load),
             cuLibraryGetKernel=GET_KERNEL(self.kernel_of),
             cuLaunchKernel=LAUNCH(self.launch),
-            cuGetErrorString=GET_WORDS(self.words),
+            cuGetErrorString=GET_WORDS(self.words_of),
         )
         self.get_stream = GET_STREAM(self.stream_of)
+        self.ptx_call = HANDLER(self.call_ptx)
 
-    def load(self, library, code, *_):
-        source = self.sources[code.decode()]
-        self.loaded.append(for_processor(source))
+    def load(self, library, code, *options):
+        assert not any(options)
+        self.loaded.append(for_processor(self.sources[code.decode()]))
         ctypes.cast(library, WORDS)[0] = 100 + len(self.loaded)
         return self.status["load"]
 
@@ -99,74 +84,138 @@ class Card:
         assert not extra
         program, count = self.loaded[kernel - 1101]
         values = [arguments[i][0] for i in range(count)]
-        self.launches.append(
-            Launch(tuple(sizes[:3]), tuple(sizes[3:]), shared_memory, stream, values[0], values[1:])
-        )
-        run(program, values, sizes[0], sizes[3])
+        self.work(program, Launch((*sizes[:3],), (*sizes[3:],), shared_memory, stream, values))
         return self.status["launch"]
+
+    def work(self, program: Any, launch: Launch) -> None:
+        self.launches.append(launch)
+        run(program, launch.arguments, launch.grid[0], launch.block[0])
 
     def stream_of(self, given):
         assert given[0] == 32 and given[2] != 0
         given[3] = STREAM
         return 0
 
-    def words(self, status, words):
-        ctypes.cast(words, ctypes.POINTER(TEXT))[0] = b"no card"
-        return int(status != 100)
+    def words_of(self, status, words):
+        ctypes.cast(words, ctypes.POINTER(TEXT))[0] = b"no card is found"
+        return int(status != NO_CARD)
+
+    def call_ptx(self, frame):
+        """XLA's own call of PTX, on a CPU."""
+        frame = words_at(frame)
+        if extension := frame[1]:
+            assert INT.from_address(extension + 8).value == 1
+            (INT * 2).from_address(words_at(extension)[3] + 24)[:] = VERSION
+            return None
+        buffers = [*pointers(frame[9], frame[7]), *pointers(frame[14], frame[12])]
+        given = attributes(frame)
+        program, count = for_processor(self.sources[given["kernel_data"]])
+        assert count == len(buffers) and given["name"] == "entry" and given["kernel_type"] == "ptx"
+        addresses = [words_at(buffer)[3] for buffer in buffers]
+        sizes = [tuple(given[f"{what}_{axis}"] for axis in "xyz") for what in ("grid", "block")]
+        self.work(program, Launch(*sizes, given["shared_mem_bytes"], STREAM, addresses))
+        return None
+
+
+def words_at(address: int) -> Any:
+    return ctypes.cast(address, WORDS)
+
+
+def pointers(address: int, count: int) -> list[int]:
+    return [words_at(address)[i] for i in range(count)]
+
+
+def attributes(frame: Any) -> dict[str, Any]:
+    """Texts and numbers of 32 bits that a call of XLA has."""
+    text = lambda span: ctypes.string_at(*pointers(span, 2)).decode()
+    number = lambda scalar: INT.from_address(words_at(scalar)[1]).value
+    kinds = (INT * frame[17]).from_address(frame[18])
+    found = zip(kinds, pointers(frame[19], frame[17]), pointers(frame[20], frame[17]), strict=True)
+    return {text(name): (text if kind == 4 else number)(value) for kind, name, value in found}
+
+
+# One thread after the other. What a card knows of a thread is a variable here.
+ONE_THREAD = """
+@thread = internal global i32 0
+@block = internal global i32 0
+define internal i32 @number_of_thread() {{
+  %n = load i32, ptr @thread
+  ret i32 %n
+}}
+define internal i32 @number_of_block() {{
+  %n = load i32, ptr @block
+  ret i32 %n
+}}
+define void @run(i32 %block, i32 %thread, {arguments}) {{
+  store i32 %block, ptr @block
+  store i32 %thread, ptr @thread
+  call void @entry({arguments})
+  ret void
+}}
+"""
 
 
 def for_processor(source: str) -> tuple[Any, int]:
     """A program and its entry for this processor, and the number of its arguments."""
     head = re.search(r"define ptx_kernel void @entry\((.*)\)", source)
     assert head is not None
-    arguments = head[1]
-    given = re.sub(r"noalias (readonly )?", "", arguments)
-    own = source.replace("define ptx_kernel", "define").replace(" alwaysinline", "")
+    arguments = re.sub(r"noalias (readonly )?", "", head[1])
+    own = source.replace("define ptx_kernel", "define")
     own = re.sub(r"declare i32 @llvm.nvvm.*\n|!.*\n", "", own)
     own = own.replace("@llvm.nvvm.read.ptx.sreg.tid.x", "@number_of_thread")
     own = own.replace("@llvm.nvvm.read.ptx.sreg.ctaid.x", "@number_of_block")
-    return load_program(own + THREADS.format(arguments=given, given=given)), len(given.split(","))
+    own += ONE_THREAD.format(arguments=arguments)
+    return load_program(own), len(arguments.split(","))
 
 
-def run(program: Any, values: list[int], blocks: int, threads: int) -> None:
-    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int] * 2, *[ctypes.c_uint64] * len(values))
+def run(program: Any, arguments: Sequence[int], blocks: int, threads: int) -> None:
+    """All threads, under the lock of Python: XLA's threads share the variables."""
+    kind = ctypes.PYFUNCTYPE(None, INT, INT, *[ctypes.c_uint64] * len(arguments))
     call = kind(program.get_function_address("run"))
     for block in range(blocks):
         for thread in range(threads):
-            call(block, thread, *values)
+            call(block, thread, *arguments)
 
 
 @contextmanager
-def a_card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    """XLA on a CPU calls the handler for GPUs, and this driver launches."""
+def a_card() -> Iterator[Card]:
+    """XLA on a CPU has a card to call."""
     card = Card()
-    make, register = ptx.ptx_of, ffi.register
+    make, register, lowering = ptx.ptx_of, ffi.register, jax.ffi.ffi_lowering
 
     def ptx_of(source):
-        text = make(source)
+        text = make(source) if ptx.libdevice() else f"PTX of {hash(source)}"
         card.sources[text] = source
         return text
 
-    stream = ctypes.cast(card.get_stream, ctypes.c_void_p).value
-    monkeypatch.setattr(
-        launcher,
-        "LAUNCH",
-        launcher.LAUNCH.replace(
-            "%get_stream = field ptr, ptr %api, i64 80", f"%get_stream = inttoptr i64 {stream} to ptr"
-        ),
-    )
-    monkeypatch.setenv("WALKER_JAX_CACHE_DIR", "")
-    monkeypatch.setattr(ptx, "ptx_of", ptx_of)
-    monkeypatch.setattr(program, "programs", OrderedDict())
-    monkeypatch.setattr(ffi, "registrations", {})
-    monkeypatch.setattr(ffi, "register", lambda name, _, *more: register(name, "cpu", *more))
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: card.driver)
-    for function in launcher.load_driver, launcher.load_launcher:
-        function.cache_clear()
-    mlir.register_lowering(primitive.kernel_p, gpu.lower_on_gpu, platform="cpu")
-    try:
-        yield card
-    finally:
-        mlir.register_lowering(primitive.kernel_p, primitive.lower_on_cpu, platform="cpu")
-        for function in launcher.load_driver, launcher.load_launcher:
+    def ffi_lowering(name, backend_config=None, **more):
+        """A CPU's calls have no lists: where the results are is seen here."""
+        if name == gpu.PTX_CALL:
+            places = backend_config.pop("output_indices")
+            card.places = [place.value for place in places]
+        return lowering(name, backend_config=backend_config, **more)
+
+    stream = ctypes.cast(card.get_stream, ANY).value
+    asked = "%get_stream = field ptr, ptr %api, i64 80"
+    assert asked in launcher.LAUNCH
+    launch = launcher.LAUNCH.replace(asked, f"%get_stream = inttoptr i64 {stream} to ptr")
+    caches = launcher.load_driver, launcher.load_launcher, gpu.failure_of
+    jax.ffi.register_ffi_target(gpu.PTX_CALL, jax.ffi.pycapsule(card.ptx_call), platform="cpu")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WALKER_JAX_CACHE_DIR", "")
+        patch.setattr(launcher, "LAUNCH", launch)
+        patch.setattr(ptx, "ptx_of", ptx_of)
+        patch.setattr(program, "programs", OrderedDict())
+        patch.setattr(ffi, "registrations", {})
+        patch.setattr(ffi, "register", lambda name, _, *more: register(name, "cpu", *more))
+        patch.setattr(jax.ffi, "ffi_lowering", ffi_lowering)
+        patch.setattr(ctypes, "CDLL", lambda name: card.driver)
+        for function in caches:
             function.cache_clear()
+        mlir.register_lowering(primitive.kernel_p, gpu.lower_on_gpu, platform="cpu")
+        try:
+            yield card
+        finally:
+            mlir.register_lowering(primitive.kernel_p, primitive.lower_on_cpu, platform="cpu")
+            for function in caches:
+                function.cache_clear()

@@ -1,22 +1,29 @@
-"""Kernels for GPUs, without a GPU: PTX is made, and a driver that is not there gets the launches."""
+"""Kernels for GPUs, without a GPU: a card that is not there gets what a card would get."""
 
-import ctypes
+import itertools
+import os
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fake_card import STREAM, a_card
+from fake_card import NO_CARD, STREAM, a_card
 from jax import lax
+from test_primitive import A_FUNCTION, ON_DEVICES, ON_MESHES
 
 import walker_jax as wj
-from walker_jax.kernels import gpu, kernel, launcher, machine, ptx
-from walker_jax.kernels import program as of_program
+from walker_jax.execution import tiles
+from walker_jax.kernels import gpu, kernel, launcher, machine, ptx, why_not
+from walker_jax.kernels.primitive import kernel_p
+
+BY_HANDLER, BY_XLA = gpu.ROUTES
 
 
 @pytest.fixture(scope="module")
 def the_card():
-    with pytest.MonkeyPatch.context() as patch, a_card(patch) as card:
+    with a_card() as card:
         yield card
 
 
@@ -27,10 +34,10 @@ def card(the_card):
     the_card.status = dict.fromkeys(the_card.status, 0)
 
 
-@pytest.fixture
-def by_handler():
-    token = gpu.trying.set(gpu.ROUTES[0])
-    yield
+@pytest.fixture(params=gpu.ROUTES, ids=["by the handler", "by XLA"])
+def route(request):
+    token = gpu.trying.set(request.param)
+    yield request.param
     gpu.trying.reset(token)
 
 
@@ -48,17 +55,262 @@ def function(shared, x, n):
 SHARED = {"scale": jnp.asarray(0.9), "offset": jnp.asarray([2.0, 3.0])}
 
 
-@pytest.mark.parametrize("n", [0, 1, ptx.THREADS, ptx.THREADS + 1, 300])
-def test_a_launch(card, by_handler, n):
+def cells(n):
     rng = np.random.default_rng(n)
-    xs, counts = jnp.asarray(rng.normal(size=(n, 2))), jnp.asarray(rng.integers(0, 9, n))
-    found = jax.jit(jax.vmap(kernel(function), (None, 0, 0)))(SHARED, xs, counts)
-    expected = jax.jit(jax.vmap(function, (None, 0, 0)))(SHARED, xs, counts)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14), found, expected)
+    return jnp.asarray(rng.normal(size=(n, 2))), jnp.asarray(rng.integers(0, 9, n))
+
+
+def check(found, expected):
+    same = lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-13)
+    jax.tree.map(same, found, expected)
+
+
+@pytest.mark.parametrize("n", [0, 1, ptx.THREADS, ptx.THREADS + 1, 300])
+def test_a_launch(card, route, n):
+    """Its size, its stream, and its arguments in their order."""
+    many = lambda of: jax.jit(jax.vmap(of, (None, 0, 0)))(SHARED, *cells(n))
+    check(many(kernel(function)), many(function))
     if n == 0:
         assert not card.launches
         return
     (launch,) = card.launches
-    assert launch.grid == (-(-n // ptx.THREADS), 1, 1) and launch.block == (ptx.THREADS, 1, 1)
-    assert (launch.shared_memory, launch.stream, launch.cells) == (0, STREAM, n)
-    assert len(launch.addresses) == 4 + 4
+    assert launch.grid == (-(-n // ptx.THREADS), 1, 1)
+    assert launch.block == (ptx.THREADS, 1, 1)
+    assert (launch.shared_memory, launch.stream, len(launch.arguments)) == (0, STREAM, 1 + 4 + 4)
+    if route.fixed:
+        assert card.places == [5, 6, 7, 8]
+    else:
+        assert launch.arguments[0] == n
+
+
+def test_cells_along_several_axes_and_derivatives(card, route):
+    xs, counts = cells(6)
+    xs = xs.reshape(2, 3, 2)
+    for many in (
+        lambda of: jax.vmap(jax.vmap(lambda x: of(SHARED, x, counts[0])["y"]))(xs),
+        lambda of: jax.vmap(lambda n: of(SHARED, xs[0, 0], n)["both"])(counts),
+        lambda of: of(SHARED, xs[0, 0], counts[1])["y"],
+        lambda of: jax.vmap(jax.jacfwd(lambda x: of(SHARED, x, counts[2])["both"]))(xs[0]),
+        lambda of: jax.jvp(lambda s: of(s, xs[0, 1], counts[3])["y"], (SHARED,), (SHARED,)),
+        lambda of: lax.map(lambda x: of(SHARED, x, counts[4])["y"], xs[1]),
+    ):
+        card.launches.clear()
+        check(jax.jit(lambda many=many: many(kernel(function)))(), many(function))
+        assert card.launches
+    kernel_of = kernel(lambda x: x[0] * x[1] ** 2)
+    expected = np.stack([xs[0, :, 1] ** 2, 2 * xs[0, :, 0] * xs[0, :, 1]], axis=1)
+    check(jax.jit(jax.vmap(jax.grad(kernel_of)))(xs[0]), expected)
+    check(jax.jit(jax.vmap(jax.hessian(kernel_of)))(xs[0])[:, 1, 1], 2 * xs[0, :, 0])
+
+
+def test_float32(card, route):
+    xs = jnp.linspace(0, 1, 100, dtype=jnp.float32)
+    found = jax.jit(jax.vmap(kernel(lambda x: jnp.sqrt(x) * x)))(xs)
+    assert found.dtype == jnp.float32 and card.launches
+    np.testing.assert_allclose(found, np.sqrt(xs) * xs, rtol=3e-7)
+
+
+def test_one_operand_twice(card, route):
+    x = jnp.arange(5.0)
+    found = jax.jit(lambda x: jax.vmap(kernel(lambda a, b: a - 2 * b))(x, x))(x)
+    np.testing.assert_array_equal(found, -x)
+
+
+def test_strides(card, route):
+    starts = np.stack([np.linspace(0.1, 0.3, 70), np.linspace(-0.1, -0.3, 70)], axis=1)
+    walker = wj.SimplestWalker(0.004)
+    found = jax.jit(jax.vmap(lambda x: wj.stride(walker, x)))(starts)
+    assert card.launches[-1].grid == (2, 1, 1)
+    expected = wj.strides(walker, starts)
+    np.testing.assert_array_equal(found.outcome, expected.outcome)
+    np.testing.assert_allclose(found.state, expected.state, rtol=1e-12)
+
+
+SHARDED = """
+import sys
+sys.path.insert(0, "tests")
+from fake_card import a_card
+from walker_jax.kernels import gpu
+gpu.trying.set(gpu.ROUTES[0])
+with a_card() as card:
+    exec(sys.argv[1])
+assert len(card.launches) > 30
+"""
+
+
+@pytest.mark.parametrize("more", ["", pytest.param(ON_MESHES, marks=pytest.mark.slow)])
+def test_cells_on_several_devices(more):
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"}
+    flags["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+    command = [sys.executable, "-c", SHARDED, A_FUNCTION + ON_DEVICES + more]
+    done = subprocess.run(command, env=os.environ | flags, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_xlas_own_call_is_not_divided(card):
+    """Its number of cells is fixed, so that XLA would give it all of them on each device."""
+    token = gpu.trying.set(BY_XLA)
+    try:
+        mesh = jax.make_mesh((1,), ("cells",), axis_types=(jax.sharding.AxisType.Auto,))
+        xs = jnp.arange(8.0)
+        many = jax.vmap(kernel(lambda x: 3 * x))
+        cut = jax.shard_map(many, mesh=mesh, in_specs=jax.P("cells"), out_specs=jax.P("cells"))
+        assert gpu.PTX_CALL in jax.jit(cut).lower(xs).as_text()
+    finally:
+        gpu.trying.reset(token)
+
+
+# Routes
+
+
+def another_tiny(numbers=itertools.count(1000)):
+    """XLA would know the same program, and the driver would have it."""
+    most = np.float32(next(numbers))
+    return lambda shared, x: shared * jnp.minimum(x, most) + 1
+
+
+@pytest.fixture
+def switched_on(card, monkeypatch):
+    """A GPU is there, as far as routes look for one, and kernels are to run on it."""
+    monkeypatch.setenv(machine.VARIABLE, "gpu")
+    monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices())
+    monkeypatch.setattr(gpu, "tiny", another_tiny())
+    caches = gpu.failure_of, launcher.load_driver, gpu.ffi.available
+    for function in caches:
+        function.cache_clear()
+    yield card
+    for function in caches:
+        function.cache_clear()
+
+
+def many_of(factor):
+    """The launches of a kernel that is not known yet, whose results are checked."""
+    xs = jnp.arange(5.0)
+    np.testing.assert_array_equal(jax.jit(jax.vmap(kernel(lambda x: factor * x)))(xs), factor * xs)
+
+
+def test_the_first_route_that_works_is_taken(switched_on):
+    assert gpu.route_in_use() is BY_HANDLER
+    assert [launch.grid for launch in switched_on.launches] == [(2, 1, 1)]  # the trial
+    many_of(2.0)
+    assert len(switched_on.launches) == 2
+    assert gpu.in_words().startswith("in use on GPUs, by XLA's foreign function interface")
+
+
+def no_driver(_):
+    raise OSError("libcuda.so.1: cannot open shared object file")
+
+
+def old_interface(patch, card):
+    patch.setattr(gpu.ffi, "VERSION", (0, 10**6))
+
+
+def failing(what, status=NO_CARD):
+    return lambda patch, card: card.status.update({what: status})
+
+
+PARTS = {
+    "the driver": (
+        lambda patch, card: patch.setattr(launcher.ctypes, "CDLL", no_driver),
+        "OSError: libcuda.so.1: cannot open shared object file",
+    ),
+    "a card": (failing("init"), "OSError: NVIDIA's driver says: no card is found"),
+    "a driver that takes the PTX": (failing("load", 218), "OSError: NVIDIA's driver fails with 218"),
+    "room for a launch": (
+        failing("launch", 701),
+        "JaxRuntimeError: INTERNAL: NVIDIA's driver could not launch a kernel",
+    ),
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_where_a_part_is_missing_the_next_route_is_taken(part, switched_on, monkeypatch):
+    remove, reason = PARTS[part]
+    remove(monkeypatch, switched_on)
+    assert gpu.route_in_use() is BY_XLA
+    assert gpu.failure_of(BY_HANDLER) == reason
+    assert f"by XLA's own call of PTX; not by {BY_HANDLER.name}: {reason}" in gpu.in_words()
+    before = len(switched_on.launches)
+    many_of(3.0 + len(part))
+    assert len(switched_on.launches) == before + 1
+
+
+def test_where_xlas_interface_is_unknown_the_next_route_is_taken(switched_on, monkeypatch):
+    monkeypatch.setattr(gpu.ffi, "VERSION", (0, 10**6))
+    with pytest.warns(RuntimeWarning, match="more slowly"):
+        assert gpu.route_in_use() is BY_XLA
+    assert gpu.failure_of(BY_HANDLER).endswith("interface is of an unknown version")
+
+
+def test_a_wrong_result_is_no_route(switched_on, monkeypatch):
+    monkeypatch.setattr(type(switched_on), "work", lambda *_: None)
+    assert gpu.route_in_use() is None
+    assert gpu.in_words() == "not in use" + "".join(
+        f"; not by {route.name}: its results are wrong" for route in gpu.ROUTES
+    )
+
+
+def test_without_a_gpu_xla_computes(card, monkeypatch):
+    monkeypatch.setenv(machine.VARIABLE, "gpu")
+    gpu.failure_of.cache_clear()
+    assert gpu.route_in_use() is None
+    for route in gpu.ROUTES:
+        assert gpu.failure_of(route) == "RuntimeError: Unknown backend cuda. Available backends are ['cpu']"
+    many_of(5.0)
+    assert not card.launches
+
+
+def test_where_no_compiler_for_cards_is_xla_computes(switched_on, monkeypatch):
+    def no_target(_):
+        raise RuntimeError("No available targets are compatible with triple")
+
+    monkeypatch.setattr(ptx, "ptx_of", lambda source: no_target(source))
+    assert gpu.route_in_use() is None
+    many_of(6.0)
+    assert not switched_on.launches
+
+
+def test_kernels_are_not_on_gpus_unless_asked_for(card, monkeypatch):
+    monkeypatch.delenv(machine.VARIABLE, raising=False)
+    assert gpu.route_in_use() is None
+    assert gpu.in_words().startswith("not in use: WALKER_JAX_KERNELS=gpu has them tried on a GPU")
+    many_of(7.0)
+    assert not card.launches
+
+
+def test_what_kernels_do_not_support_is_xlas(switched_on, monkeypatch):
+    middle = kernel(lambda x: jnp.sort(x)[1])
+    assert jax.jit(middle)(jnp.asarray([3.0, 1.0, 2.0])) == 2
+    assert [launch.grid for launch in switched_on.launches] == [(2, 1, 1)]
+
+
+# Cells in pieces
+
+
+@pytest.fixture
+def as_on_a_gpu(switched_on, monkeypatch):
+    """`map_cells` takes the CPU of the tests for a GPU."""
+    monkeypatch.setattr(tiles, "route_here", gpu.route_in_use)
+    monkeypatch.setattr(tiles, "GPU_CALL_CELLS", (64, 256))
+    return switched_on
+
+
+@pytest.mark.parametrize("n", [0, 1, 65, 256, 600])
+def test_calls_of_a_kernel(as_on_a_gpu, n):
+    xs = np.linspace(0, 1, n)
+    gpu.route_in_use()
+    as_on_a_gpu.launches.clear()
+    found = tiles.map_cells(lambda shared, x: shared * x - 1, (np.float64(n), xs))
+    np.testing.assert_allclose(found, n * xs - 1, rtol=1e-14, atol=1e-15)
+    sizes = {0: [], 1: [64], 65: [128], 256: [256], 600: [256] * 3}[n]
+    assert [launch.arguments[0] for launch in as_on_a_gpu.launches] == sizes
+
+
+def test_a_basin(as_on_a_gpu, monkeypatch):
+    """Walks are followed in fewer rounds, to the same ends."""
+    walker, grid = wj.SimplestWalker(0.004), wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.1, 0.0, 12))
+    as_on_a_gpu.launches.clear()
+    found = wj.basin(walker, grid, method="direct")
+    assert as_on_a_gpu.launches
+    monkeypatch.undo()
+    np.testing.assert_array_equal(found.fate, wj.basin(walker, grid, method="direct").fate)

@@ -1,10 +1,10 @@
 """A function of one cell over millions of them: kernels, tiles, devices, cores, progress.
 
-On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`), and so it does
-on a GPU where kernels run there, for one call. A function that no kernel can do, and any on another
-accelerator, is mapped over tiles of cells by XLA. On a CPU a tile is small enough to stay in the
-cache, and ends when its own slowest cell does; on a GPU it is large enough to fill the card. Either
-way the results are the same to the last bit, however many
+On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`), and on a GPU
+where kernels run there. A function that no kernel can do, and any on another accelerator, is mapped
+over tiles of cells by XLA. On a CPU a
+tile is small enough to stay in the cache, and ends when its own slowest cell does; on a GPU it is
+large enough to fill the card. Either way the results are the same to the last bit, however many
 cores or devices share the work.
 """
 
@@ -27,8 +27,8 @@ from jaxtyping import Int, PyTree
 
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import bar
-from walker_jax.kernels.decorator import kernel
 from walker_jax.kernels.gpu import Route, ptx_for, route_in_use
+from walker_jax.kernels.primitive import kernel_p
 from walker_jax.kernels.program import (
     MAX_PROGRAMS,
     Program,
@@ -45,9 +45,8 @@ SMALL_CALL_SHAPE = (64, 8)
 """The same, where there are few cells for a CPU."""
 KERNEL_CALL_CELLS = (512, 2**15)
 """Cells that a core works on without a break, by a kernel, at least and at most."""
-GPU_KERNEL_CELLS = (2**15, 2**20)
-"""Cells of a call of a kernel on a GPU, at least and at most. An H100 works on 33,792 at once, so
-fewer take as long. A call has a power of two of them, and each such number a program of XLA."""
+GPU_CALL_CELLS = (2**15, 2**20)
+"""The same of a GPU. An H100 works on 33,792 at once, so that fewer take as long."""
 
 
 # A library may set these for its own calls. 512-bit vectors where the processor has them; elsewhere
@@ -98,25 +97,23 @@ def map_cells(
         raise CancelledError
     devices = jax.local_devices()
     platform, route = devices[0].platform, route_here()
-    by_kernel = False
     if platform == "cpu" or route:
         operands, structure = jax.tree.flatten(args)
         each = [each for arg, each in pairs for _ in jax.tree.leaves(arg)]
         avals = [abstract_value(x, one) for x, one in zip(operands, each, strict=True)]
         program, results = program_of(function, structure, avals)
-        by_kernel = ptx_for(program, each, route) is not None
-        if not route and program.compiled is not None:
+        found = None
+        if route and ptx_for(program, each, route):
+            found = run_on_gpus(program, operands, each, n, progress)
+        elif not route and program.compiled is not None:
             found = run_kernel(program, operands, each, n, progress)
+        if found is not None:
             return jax.tree.unflatten(results, found)
     few = platform == "cpu" and n <= math.prod(SMALL_CALL_SHAPE)
     tile, tiles = SMALL_CALL_SHAPE if few else CALL_SHAPES.get(platform, CALL_SHAPES["gpu"])
-    if by_kernel:
-        least, most = GPU_KERNEL_CELLS
-        share = -(-n // len(devices))  # of each device
-        tile, tiles = min(most, max(least, 1 << (share - 1).bit_length())), 1
     call = tile * tiles * len(devices)
     states = states_of(function, jax.tree.structure(args))
-    run = compile_call(function, states, mapped, platform, tile, tiles, by_kernel)
+    run = compile_call(function, states, mapped, platform, tile, tiles)
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
         """The results of at most one call, in which each device has an equal share of the cells."""
@@ -198,6 +195,44 @@ def run_kernel(
     return results
 
 
+def route_here() -> Route | None:
+    """The route by which kernels run on the devices of this process, if these are GPUs."""
+    return route_in_use() if jax.local_devices()[0].platform == "gpu" else None
+
+
+def run_on_gpus(
+    program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
+) -> list[np.ndarray]:
+    """The cells' results by a kernel, on all GPUs. Each call has a power of two of them."""
+    least, most = GPU_CALL_CELLS
+    devices = len(jax.local_devices())
+    call = devices * min(most, max(least, 1 << (-(-n // devices) - 1).bit_length()))
+    run = compile_kernel_call(program, tuple(map(int, mapped)))
+    given = [np.asarray(x, aval.dtype) for x, aval in zip(operands, program.operands, strict=True)]
+    results = [np.empty((n, *aval.shape), aval.dtype) for aval in program.results]
+
+    def put(start: int, stop: int) -> None:
+        pairs = zip(given, mapped, strict=True)
+        found = run(*(pad(x[start:stop], call) if each else x for x, each in pairs))
+        for result, part in zip(results, jax.device_get(found), strict=True):
+            result[start:stop] = part[: stop - start]
+
+    if 0 < n <= call and progress is None:
+        put(0, n)
+    else:
+        run_in_threads(put, n, call, 2, progress)  # two at a time, as of XLA's calls
+    return results
+
+
+@functools.lru_cache(MAX_PROGRAMS)
+def compile_kernel_call(program: Program, mapped: tuple[int, ...]) -> Callable:
+    """The jitted function of the arrays of a call, of whose cells each GPU has an equal share."""
+    mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
+    specs = tuple(each if one else P() for one in mapped)
+    run = lambda *operands: kernel_p.bind(*operands, program=program, mapped=mapped)
+    return jax.jit(jax.shard_map(run, mesh=mesh, in_specs=specs, out_specs=each, check_vma=False))
+
+
 def abstract_value(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
     """Type of a leaf, and its shape in one cell."""
     plain = type(leaf) in (bool, int, float, complex)
@@ -226,13 +261,11 @@ def compile_call(
     platform: str,
     tile: int,
     tiles: int,
-    by_kernel: bool,
 ) -> Callable:
     """The jitted function of (shared, cells of one call, how many tiles each device does of it).
 
     There is one for each of the `states` in which code that it runs has been.
     """
-    function = kernel(function) if by_kernel else function
 
     def run(shared, cells, count):
         blocks = jax.tree.map(lambda leaf: leaf.reshape(tiles, tile, *leaf.shape[1:]), cells)
@@ -276,15 +309,10 @@ def has_option(name: str, value: Any) -> bool:
     return True
 
 
-def route_here() -> Route | None:
-    """The route by which kernels run on the devices of this process, if these are GPUs."""
-    return route_in_use() if jax.local_devices()[0].platform == "gpu" else None
-
-
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
     """Flat indices of a grid's cells, in the order in which to give them to `map_cells`.
 
-    What waits for its slowest cell has neighbours together: a tile, or a block of a GPU's threads.
+    Neighbours are together in what waits for its slowest cell: a tile, or a block of threads.
     """
     if route_here():
         return compact_order(shape, THREADS)

@@ -94,7 +94,8 @@ def attempt(route: Route) -> str | None:
     cells = np.arange(THREADS + 1, dtype=np.float32)  # of two blocks
     try:
         there = jax.device_put((np.float32(2), cells), jax.devices("cuda")[0])
-        program, _ = program_of(tiny, jax.tree.structure((0, 0)), [jax.typeof(x[0]) for x in there])
+        like = jax.ShapeDtypeStruct((), np.float32)
+        program, _ = program_of(tiny, jax.tree.structure((0, 0)), [like, like])
         run = jax.jit(lambda *x: kernel_p.bind(*x, program=program, mapped=(0, 1)))
         (found,) = run(*there)
         right = np.array_equal(found, 2 * cells + 1)
