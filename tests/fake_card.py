@@ -8,6 +8,7 @@ be given is seen here, and what it would compute; not what NVIDIA's driver makes
 
 import ctypes
 import re
+import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +21,7 @@ from jax.interpreters import mlir
 
 from walker_jax.kernels import ffi, gpu, launcher, primitive, program, ptx
 from walker_jax.kernels.handler import VERSION
-from walker_jax.kernels.machine import load_program
+from walker_jax.kernels.machine import digest_of, load_program
 
 STREAM = 0xABC0
 NO_CARD = 100
@@ -138,20 +139,19 @@ def attributes(frame: Any) -> dict[str, Any]:
 ONE_THREAD = """
 @thread = internal global i32 0
 @block = internal global i32 0
-define internal i32 @number_of_thread() {{
+define internal i32 @number_of_thread() {
   %n = load i32, ptr @thread
   ret i32 %n
-}}
-define internal i32 @number_of_block() {{
+}
+define internal i32 @number_of_block() {
   %n = load i32, ptr @block
   ret i32 %n
-}}
-define void @run(i32 %block, i32 %thread, {arguments}) {{
+}
+define void @become(i32 %block, i32 %thread) {
   store i32 %block, ptr @block
   store i32 %thread, ptr @thread
-  call void @entry({arguments})
   ret void
-}}
+}
 """
 
 
@@ -159,32 +159,37 @@ def for_processor(source: str) -> tuple[Any, int]:
     """A program and its entry for this processor, and the number of its arguments."""
     head = re.search(r"define ptx_kernel void @entry\((.*)\)", source)
     assert head is not None
-    arguments = re.sub(r"noalias (readonly )?", "", head[1])
     own = source.replace("define ptx_kernel", "define")
-    own = re.sub(r"declare i32 @llvm.nvvm.*\n|!.*\n", "", own)
+    own = re.sub(r"(?m)^(declare .*@llvm.nvvm.read.*|!.*|target .*)\n", "", own)
     own = own.replace("@llvm.nvvm.read.ptx.sreg.tid.x", "@number_of_thread")
     own = own.replace("@llvm.nvvm.read.ptx.sreg.ctaid.x", "@number_of_block")
-    own += ONE_THREAD.format(arguments=arguments)
-    return load_program(own), len(arguments.split(","))
+    return load_program(own + ONE_THREAD), head[1].count("%")
+
+
+one_at_a_time = threading.Lock()
+"""For the threads of XLA, as the variables of a program are those of all."""
 
 
 def run(program: Any, arguments: Sequence[int], blocks: int, threads: int) -> None:
-    """All threads, under the lock of Python: XLA's threads share the variables."""
-    kind = ctypes.PYFUNCTYPE(None, INT, INT, *[ctypes.c_uint64] * len(arguments))
-    call = kind(program.get_function_address("run"))
-    for block in range(blocks):
-        for thread in range(threads):
-            call(block, thread, *arguments)
+    """All threads of a launch."""
+    become = ctypes.CFUNCTYPE(None, INT, INT)(program.get_function_address("become"))
+    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_uint64] * len(arguments))
+    entry = kind(program.get_function_address("entry"))
+    with one_at_a_time:
+        for block in range(blocks):
+            for thread in range(threads):
+                become(block, thread)
+                entry(*arguments)
 
 
 @contextmanager
 def a_card() -> Iterator[Card]:
     """XLA on a CPU has a card to call."""
     card = Card()
-    make, register, lowering = ptx.ptx_of, ffi.register, jax.ffi.ffi_lowering
+    register, lowering = ffi.register, jax.ffi.ffi_lowering
 
     def ptx_of(source):
-        text = make(source) if ptx.libdevice() else f"PTX of {hash(source)}"
+        text = f"PTX of {digest_of(source)}"
         card.sources[text] = source
         return text
 
@@ -202,9 +207,10 @@ def a_card() -> Iterator[Card]:
     caches = launcher.load_driver, launcher.load_launcher, gpu.failure_of
     jax.ffi.register_ffi_target(gpu.PTX_CALL, jax.ffi.pycapsule(card.ptx_call), platform="cpu")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("WALKER_JAX_CACHE_DIR", "")
         patch.setattr(launcher, "LAUNCH", launch)
         patch.setattr(ptx, "ptx_of", ptx_of)
+        patch.setattr(ptx, "load_or_compile", lambda name, compile: compile())
+        patch.setattr(ptx, "recall", lambda name: None)
         patch.setattr(program, "programs", OrderedDict())
         patch.setattr(ffi, "registrations", {})
         patch.setattr(ffi, "register", lambda name, _, *more: register(name, "cpu", *more))

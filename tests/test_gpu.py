@@ -95,7 +95,7 @@ def test_cells_along_several_axes_and_derivatives(card, route):
         lambda of: lax.map(lambda x: of(SHARED, x, counts[4])["y"], xs[1]),
     ):
         card.launches.clear()
-        check(jax.jit(lambda many=many: many(kernel(function)))(), many(function))
+        check(jax.jit(lambda many=many: many(kernel(function)))(), jax.jit(many, static_argnums=0)(function))
         assert card.launches
     kernel_of = kernel(lambda x: x[0] * x[1] ** 2)
     expected = np.stack([xs[0, :, 1] ** 2, 2 * xs[0, :, 0] * xs[0, :, 1]], axis=1)
@@ -138,11 +138,11 @@ assert len(card.launches) > 30
 """
 
 
-@pytest.mark.parametrize("more", ["", pytest.param(ON_MESHES, marks=pytest.mark.slow)])
-def test_cells_on_several_devices(more):
+@pytest.mark.slow
+def test_cells_on_several_devices():
     flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"}
     flags["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
-    command = [sys.executable, "-c", SHARDED, A_FUNCTION + ON_DEVICES + more]
+    command = [sys.executable, "-c", SHARDED, A_FUNCTION + ON_DEVICES + ON_MESHES]
     done = subprocess.run(command, env=os.environ | flags, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -306,6 +306,7 @@ def test_calls_of_a_kernel(as_on_a_gpu, n):
     assert [launch.arguments[0] for launch in as_on_a_gpu.launches] == sizes
 
 
+@pytest.mark.slow
 def test_a_basin(as_on_a_gpu, monkeypatch):
     """Walks are followed in fewer rounds, to the same ends."""
     walker, grid = wj.SimplestWalker(0.004), wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.1, 0.0, 12))
