@@ -6,6 +6,14 @@ results stay there. Compared are outcomes, next states of those that stride, and
 start, `jax.jacfwd`. Then `wj.basin`, followed directly, of a million cells, on the first device
 alone: run the script again with `JAX_PLATFORMS=cpu` for the processor.
 
+On a GPU each row has a second one, `kernel`, of the same by kernels (`WALKER_JAX_KERNELS=gpu`), side
+by side with XLA; so has the basin. Then come a sweep of a thousand basins, the strides of the
+tests' reference map, and an ensemble that others have timed, GPUODEBenchmarks' Lorenz systems: t from 0 to
+1, (1, 0, 0) at first, r from 0 to 21, adaptive steps of Tsit5 with tolerances of 1e-8, in float32.
+For 8,388,608 of them they print 48.8 ms (MPGOS), 69.5 (DiffEqGPU) and 2,611 (diffrax), on a V100.
+`--registers 96 128 168 255` and `--threads 32 64 128` try what the programs of kernels have in the
+place of ours. Kernels have not been run on a GPU yet: the table below is of XLA.
+
 The answer: the same strides, five times as many as 16 cores make for the simplest walker, and no
 more than they make for walkers with mass on their legs, whose programs XLA splits into many passes
 over the card's memory. XLA compiles for a GPU in 10 s to a minute, and a kneed walker in more than
@@ -37,15 +45,21 @@ import argparse
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import diffrax
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
 from walker_jax.execution import tiles
+from walker_jax.kernels import gpu, launcher, machine, ptx
+from walker_jax.kernels import program as of_program
 from walker_jax.systems.outcomes import Outcome
 
 WALKERS = {
@@ -57,6 +71,26 @@ WALKERS = {
     "knees": wj.KneedWalker(0.05),
 }
 """Each at a slope where it walks."""
+MAP = Path(__file__).parents[1] / "tests" / "data" / "strides_slope_0.004.npz"
+
+
+@contextmanager
+def kernels(on: bool) -> Iterator[None]:
+    """Kernels on GPUs, or XLA alone there."""
+    before = os.environ.pop(machine.VARIABLE, None)
+    if on:
+        os.environ[machine.VARIABLE] = "gpu"
+    try:
+        yield
+    finally:
+        os.environ.pop(machine.VARIABLE, None)
+        if before is not None:
+            os.environ[machine.VARIABLE] = before
+
+
+def ways() -> list[bool]:
+    """By XLA, and by kernels where there is a GPU for them."""
+    return [False, True] if jax.devices()[0].platform == "gpu" else [False]
 
 
 def starts_about(walker: wj.Walker, count: int) -> np.ndarray:
@@ -80,7 +114,7 @@ def time_on(device: Any, function: Callable, xs: np.ndarray, repeats: int):
     """Seconds of compiling and of a call (median), and the result as NumPy arrays."""
     xs_there = jax.device_put(xs, device)
     begin = time.perf_counter()
-    run = jax.jit(jax.vmap(function)).lower(xs_there).compile()
+    run = jax.jit(jax.vmap(lambda x: function(x))).lower(xs_there).compile()
     result = jax.block_until_ready(run(xs_there))
     compiling = time.perf_counter() - begin
     seconds = []
@@ -96,31 +130,63 @@ def compare_strides(
 ) -> None:
     here, there = jax.devices("cpu")[0], jax.devices()[0]
     print(f"{count} strides, {here.platform} | {there.platform}")
-    print(f"{'walker':12}{'dtype':9}{'what':11}{'compile s':>15}{'per second':>24}", end="")
+    print(f"{'walker':12}{'dtype':9}{'what':11}{'compile s':>15}{'per second':>27}", end="")
     print(f"{'ratio':>8}{'outcomes':>10}{'median':>9}{'largest':>9}")
     for name in names:
-        walker = WALKERS[name]
-        found = starts_about(walker, count)
+        found = starts_about(WALKERS[name], count)
         for dtype in dtypes:
-            xs = found.astype(dtype)
-            for what, function in (("stride", one_stride), ("jacobian", jacobian)):
-                if what == "jacobian" and name not in jacobians:
-                    continue
-                one = partial(function, walker)
-                results = [time_on(device, one, xs, repeats) for device in (here, there)]
-                (slow, seconds, of_here), (fast, seconds_there, of_there) = results
-                differ = 0
-                if what == "stride":
-                    (of_here, outcomes), (of_there, others) = of_here, of_there
-                    differ = int((outcomes != others).sum())
-                    going = (outcomes == Outcome.STRIDE) & (others == Outcome.STRIDE)
-                size = 1 if what == "stride" else np.maximum(1, abs(of_here[going]))
-                error = (abs(of_here[going] - of_there[going]) / size).reshape(going.sum(), -1)
-                worst = error.max(axis=1)
-                rates = f"{count / seconds:,.0f} | {count / seconds_there:,.0f}"
-                print(f"{name:12}{dtype:9}{what:11}{slow:6.1f} | {fast:6.1f}{rates:>24}", end="")
-                print(f"{seconds / seconds_there:8.1f}{differ:10}", end="")
-                print(f"{np.median(worst):9.0e}{worst.max():9.0e}", flush=True)
+            compare_walker(name, found.astype(dtype), "stride", here, there, repeats)
+            if name in jacobians:
+                compare_walker(name, found.astype(dtype), "jacobian", here, there, repeats)
+
+
+def compare_walker(name: str, xs: np.ndarray, what: str, here, there, repeats: int) -> None:
+    """A row for XLA on the first device beside the processor, and one for kernels."""
+    one = partial({"stride": one_stride, "jacobian": jacobian}[what], WALKERS[name])
+    slow, seconds, of_here = time_on(here, one, xs, repeats)
+    outcomes = one_stride_outcomes(name, xs)
+    for by_kernel in ways():
+        with kernels(by_kernel):
+            fast, seconds_there, of_there = time_on(there, one, xs, repeats)
+        values, others, differ = of_here, of_there, 0
+        going = outcomes == Outcome.STRIDE
+        if what == "stride":
+            (values, _), (others, ends) = of_here, of_there
+            differ = int((outcomes != ends).sum())
+            going &= ends == Outcome.STRIDE
+        size = 1 if what == "stride" else np.maximum(1, abs(values[going]))
+        error = (abs(values[going] - others[going]) / size).reshape(going.sum(), -1)
+        worst = error.max(axis=1)
+        rates = f"{len(xs) / seconds:,.0f} | {len(xs) / seconds_there:,.0f}"
+        label = {"stride": "kernel", "jacobian": "its jac."}[what] if by_kernel else what
+        print(f"{name:12}{xs.dtype!s:9}{label:11}{slow:6.1f} | {fast:6.1f}{rates:>27}", end="")
+        print(f"{seconds / seconds_there:8.1f}{differ:10}", end="")
+        print(f"{np.median(worst):9.0e}{worst.max():9.0e}", flush=True)
+
+
+def one_stride_outcomes(name: str, xs: np.ndarray) -> np.ndarray:
+    """Outcomes on the processor."""
+    with jax.default_device(jax.devices("cpu")[0]):
+        many = jax.jit(jax.vmap(partial(one_stride, WALKERS[name])))
+        return np.asarray(many(xs)[1])
+
+
+def compare_with_map() -> None:
+    """Strides of the tests' reference map, on the first device."""
+    with np.load(MAP) as data:
+        theta, total = np.meshgrid(data["theta"], data["sum"], indexing="ij")
+        starts = np.stack([theta, total - theta], axis=-1).reshape(-1, 2)
+        outcome = data["outcome"].ravel()
+        following = np.stack([data["next_theta"], data["next_velocity"]], -1).reshape(-1, 2)
+    for by_kernel in ways():
+        with kernels(by_kernel):
+            _, _, (states, ends) = time_on(
+                jax.devices()[0], partial(one_stride, WALKERS["simplest"]), starts, 1
+            )
+        walks = (outcome == Outcome.STRIDE) & (ends == Outcome.STRIDE)
+        error = np.abs(states[walks] - following[walks]).max()
+        print(f"reference map{', kernel' * by_kernel}: {np.sum(outcome != ends)} of ", end="")
+        print(f"{len(outcome)} outcomes differ, next states by {error:.0e}", flush=True)
 
 
 def time_basin(side: int, repeats: int) -> None:
@@ -138,25 +204,112 @@ def time_basin(side: int, repeats: int) -> None:
     print(f"{side} x {side} cells on {platform}: first {first:.1f} s, then {later:.2f} s; {tally}")
 
 
+def time_sweep(count: int) -> None:
+    """Basins of so many slopes, of 100 x 100 cells each."""
+    slopes = np.linspace(0.001, 0.015, count)
+    grid = wj.Grid.sheared(theta=(0.0, 0.4, 100), sum=(-0.05, 0.02, 100))
+    for by_kernel in ways():
+        with kernels(by_kernel):
+            begin = time.perf_counter()
+            found = wj.sweep(WALKERS["simplest"], {"slope": slopes}, grid, levels=0, check=0)
+        seconds = time.perf_counter() - begin
+        area = float(np.nansum(found["area"]))
+        print(f"sweep of {count} basins{', kernel' * by_kernel}: {seconds:.1f} s; ", end="")
+        print(f"their areas together {area:.6f}", flush=True)
+
+
+class Lorenz(wj.System):
+    """Lorenz' system, from (1, 0, 0) as a point, to t = 1."""
+
+    r: Any
+    section = ("x", "y", "z")
+
+    def advance(self, x):
+        def rate(t, y, r):
+            a, b, c = y
+            return jnp.stack([10 * (b - a), r * a - b - a * c, a * b - 8 / 3 * c])
+
+        solution = diffrax.diffeqsolve(
+            *(diffrax.ODETerm(rate), diffrax.Tsit5(), 0.0, 1.0, 1e-3, x, self.r),
+            stepsize_controller=diffrax.PIDController(rtol=1e-8, atol=1e-8),
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        )
+        assert solution.ys is not None
+        return solution.ys[-1], jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.ones_like(x[0])
+
+
+def time_lorenz(count: int, repeats: int) -> None:
+    start = jnp.asarray([1.0, 0.0, 0.0], jnp.float32)
+    end = lambda r: wj.stride(Lorenz(r), start).state
+    with jax.enable_x64(False):
+        r = np.linspace(0, 21, count, dtype=np.float32)
+        for by_kernel in ways():
+            with kernels(by_kernel):
+                compiling, seconds, found = time_on(jax.devices()[0], end, r, repeats)
+            print(
+                f"{count} Lorenz systems{', kernel' * by_kernel}: {1e3 * seconds:.1f} ms, ", end=""
+            )
+            print(f"{compiling:.1f} s to compile; the last ends at {found[-1]}", flush=True)
+
+
+def try_choices(registers: list[int], threads: list[int], count: int, repeats: int) -> None:
+    """Strides by kernels that have other numbers of registers, and of threads in a block."""
+    for most in registers or [ptx.REGISTERS]:
+        for block in threads or [ptx.THREADS]:
+            ptx.REGISTERS = most
+            ptx.THREADS = launcher.THREADS = gpu.THREADS = block
+            of_program.programs.clear()
+            for name, walker in WALKERS.items():
+                xs = starts_about(walker, count)
+                with kernels(True):
+                    _, seconds, _ = time_on(
+                        jax.devices()[0], partial(one_stride, walker), xs, repeats
+                    )
+                rate = f"{count / seconds:,.0f}"
+                print(
+                    f"{most} registers, blocks of {block}: {name:12}{rate:>15} a second", flush=True
+                )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Strides on an accelerator.")
     parser.add_argument("--count", type=int, default=2**20, help="starts of each walker")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--side", type=int, default=1000, help="cells along a side of the basin")
-    parser.add_argument("--tile", type=int, nargs="*", help="cells of a call, instead of ours")
+    parser.add_argument("--tile", type=int, nargs="*", help="cells of a call of XLA, not ours")
+    parser.add_argument("--basins", type=int, default=1000, help="basins of the sweep")
+    parser.add_argument("--lorenz", type=int, default=2**23, help="Lorenz systems")
     parser.add_argument("--walkers", nargs="*", default=list(WALKERS), choices=list(WALKERS))
     parser.add_argument("--jacobians", nargs="*", default=["simplest"], choices=list(WALKERS))
     parser.add_argument("--dtypes", nargs="*", default=["float64", "float32"])
+    parser.add_argument("--registers", type=int, nargs="*", default=[], help="of kernels' threads")
+    parser.add_argument("--threads", type=int, nargs="*", default=[], help="of kernels' blocks")
     args = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     device = jax.devices()[0]
     print(f"{os.cpu_count()} cores; {device.device_kind}; jax {jax.__version__}", flush=True)
+    if True in ways():
+        with kernels(True):
+            print(f"kernels are {gpu.in_words()}", flush=True)
+    if args.registers or args.threads:
+        return try_choices(args.registers, args.threads, args.count, args.repeats)
     if args.side:
         for tile in args.tile or [tiles.CALL_SHAPES["gpu"][0]]:
             tiles.CALL_SHAPES["gpu"] = tile, 1
             print(f"basin, calls of {tile} cells: ", end="")
-            time_basin(args.side, args.repeats)
+            with kernels(False):
+                time_basin(args.side, args.repeats)
+        if True in ways():
+            print("basin, kernel: ", end="")
+            with kernels(True):
+                time_basin(args.side, args.repeats)
+    compare_with_map()
     compare_strides(args.walkers, args.jacobians, args.count, args.repeats, args.dtypes)
+    if args.basins:
+        time_sweep(args.basins)
+    if args.lorenz:
+        time_lorenz(args.lorenz, args.repeats)
 
 
 if __name__ == "__main__":

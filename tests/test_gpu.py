@@ -95,7 +95,10 @@ def test_cells_along_several_axes_and_derivatives(card, route):
         lambda of: lax.map(lambda x: of(SHARED, x, counts[4])["y"], xs[1]),
     ):
         card.launches.clear()
-        check(jax.jit(lambda many=many: many(kernel(function)))(), jax.jit(many, static_argnums=0)(function))
+        check(
+            jax.jit(lambda many=many: many(kernel(function)))(),
+            jax.jit(many, static_argnums=0)(function),
+        )
         assert card.launches
     kernel_of = kernel(lambda x: x[0] * x[1] ** 2)
     expected = np.stack([xs[0, :, 1] ** 2, 2 * xs[0, :, 0] * xs[0, :, 1]], axis=1)
@@ -215,7 +218,10 @@ PARTS = {
         "OSError: libcuda.so.1: cannot open shared object file",
     ),
     "a card": (failing("init"), "OSError: NVIDIA's driver says: no card is found"),
-    "a driver that takes the PTX": (failing("load", 218), "OSError: NVIDIA's driver fails with 218"),
+    "a driver that takes the PTX": (
+        failing("load", 218),
+        "OSError: NVIDIA's driver fails with 218",
+    ),
     "room for a launch": (
         failing("launch", 701),
         "JaxRuntimeError: INTERNAL: NVIDIA's driver could not launch a kernel",
@@ -255,7 +261,10 @@ def test_without_a_gpu_xla_computes(card, monkeypatch):
     gpu.failure_of.cache_clear()
     assert gpu.route_in_use() is None
     for route in gpu.ROUTES:
-        assert gpu.failure_of(route) == "RuntimeError: Unknown backend cuda. Available backends are ['cpu']"
+        assert (
+            gpu.failure_of(route)
+            == "RuntimeError: Unknown backend cuda. Available backends are ['cpu']"
+        )
     many_of(5.0)
     assert not card.launches
 
@@ -309,7 +318,10 @@ def test_calls_of_a_kernel(as_on_a_gpu, n):
 @pytest.mark.slow
 def test_a_basin(as_on_a_gpu, monkeypatch):
     """Walks are followed in fewer rounds, to the same ends."""
-    walker, grid = wj.SimplestWalker(0.004), wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.1, 0.0, 12))
+    walker, grid = (
+        wj.SimplestWalker(0.004),
+        wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.1, 0.0, 12)),
+    )
     as_on_a_gpu.launches.clear()
     found = wj.basin(walker, grid, method="direct")
     assert as_on_a_gpu.launches

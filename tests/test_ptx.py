@@ -18,15 +18,18 @@ import pytest
 from fake_card import INIT, LAUNCH, LOAD, for_processor, run
 from jax import lax
 from jax.interpreters import mlir
+from scipy import special
 from test_walker_family import GAITS
 
 import walker_jax as wj
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import ffi, gpu, kernel, launcher, object_cache, primitive, ptx
 from walker_jax.kernels import program as of_program
 from walker_jax.kernels.compiled import Compiled, source_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.machine import load_program
 from walker_jax.kernels.program import tracing_for_kernel
+from walker_jax.walking.stride import follow_stride
 
 SLOW = [*GAITS][1:]
 WALKERS = [
@@ -418,7 +421,9 @@ def linked_for_processor(closed, monkeypatch):
     declared = set(re.findall(r"(?m)^declare .* (@[\w.]+)\(", text))
     lines = CARD.strip().split("\n")
     own = "\n".join(
-        line for line in lines if not (line.startswith("declare") and any(f"{one}(" in line for one in declared))
+        line
+        for line in lines
+        if not (line.startswith("declare") and any(f"{one}(" in line for one in declared))
     )
     return for_processor(text + own + "\n")
 
@@ -436,13 +441,17 @@ def test_functions_of_libdevice(dtype, monkeypatch):
     assert count == len(arguments)
     run(program, arguments, -(-len(xs) // ptx.THREADS), ptx.THREADS)
     exact = xs.astype(more)
-    names = "arcsin arccos arctan arcsinh arccosh arctanh".split()
-    named = dict(zip("asin acos atan asinh acosh atanh".split(), names, strict=True))
-    for name, values in zip(KNOWN.split(), found, strict=False):
-        if name == "acosh":  # of numbers below one
-            assert np.isnan(values).all()
-            continue
-        expected = getattr(np, named.get(name, name))(exact)
+    one = [getattr(np, name)(exact) for name in KNOWN.split() if name != "acosh"]
+    several = [
+        special.erf(exact.astype(float)),
+        np.atan2(exact, 2 * exact),
+        exact ** (2 * exact),
+        exact,
+    ]
+    names = [name for name in (*KNOWN.split(), "erf", *TWICE)]
+    by_name = dict(zip(names, found, strict=True))
+    assert np.isnan(by_name.pop("acosh")).all()  # of numbers below one
+    for (name, values), expected in zip(by_name.items(), [*one, *several], strict=True):
         unit = np.spacing(np.abs(expected).astype(dtype))
         error = np.abs(values.astype(more) - expected) / unit
         assert error.max() < ERRORS[dtype], (name, error.max())
@@ -486,3 +495,118 @@ def test_where_libdevice_is_found(monkeypatch, tmp_path):
     (inner / "nvvm").parent.mkdir()
     (tmp_path / "moved").rename(inner / "nvvm")
     assert ptx.libdevice.__wrapped__() == b"functions"
+
+
+# Programs on disk
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path))
+    monkeypatch.setattr(of_program, "programs", OrderedDict())
+    return tmp_path
+
+
+def program_of_a_stride():
+    """As a process finds it that has none in memory."""
+    of_program.programs.clear()
+    leaves = wj.SimplestWalker(0.004), np.array([0.2, -0.2]), Integrator(1e-12)
+    operands, structure = jax.tree.flatten(leaves)
+    like = [jax.ShapeDtypeStruct(np.shape(x), float) for x in operands]
+    return of_program.program_of(follow_stride, structure, like)[0]
+
+
+MAPPED = False, True, False
+
+
+def test_a_program_is_found_on_disk(folder):
+    """With the facts of its trace, whatever else is known of it: its machine code is kept too."""
+    first = program_of_a_stride()
+    made = first.ptx(MAPPED, False)
+    assert made is not None and first.compiled is not None
+    again = program_of_a_stride()
+    assert again.ptx(MAPPED, False) == made and again.compiled is not None
+    assert "closed" not in vars(again)  # it was not traced
+    other = program_of_a_stride()
+    spread = other.ptx((True,) * 3, False)
+    assert spread is not None and spread.text != made.text  # operands of each cell are others
+
+
+@pytest.mark.parametrize("what", ["CARD", "PTX_VERSION", "THREADS", "REGISTERS", "libdevice"])
+def test_a_name_on_disk_tells_all_that_a_program_depends_on(what, monkeypatch):
+    kinds = [((2,), np.dtype(float))]
+    name = lambda mapped, memory: ptx.name_of("digest", ptx.entry_of(kinds, kinds, mapped, memory))
+    before = {name((True,), False), name((False,), False), name((True,), True)}
+    assert len(before) == 3
+    known = {"THREADS": 32, "REGISTERS": 96, "libdevice": lambda: b"another"}
+    monkeypatch.setattr(ptx, what, known.get(what, "+ptx70"))
+    assert name((True,), False) not in before
+
+
+def test_more_arrays_than_a_launch_takes():
+    many = closed_of(lambda *xs: sum(xs), *[np.float32(1)] * ptx.MAX_ARRAYS)
+    with pytest.raises(UnsupportedPrimitive, match="more than 500 arrays"):
+        ptx_of(many)
+
+
+# Lowering for cards
+
+
+@pytest.fixture
+def driver(monkeypatch):
+    """One that says yes to everything."""
+    load, launch = LOAD(lambda *_: 0), LAUNCH(lambda *_: 0)
+    found = lambda kernel, *_: setattr(kernel._obj, "value", 1) or 0
+    driver = SimpleNamespace(cuInit=lambda _: 0, cuLibraryLoadData=load)
+    driver.cuLibraryGetKernel, driver.cuLaunchKernel = found, launch
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: driver)
+    caches = launcher.load_driver, launcher.load_launcher
+    for function in caches:
+        function.cache_clear()
+    yield driver
+    for function in caches:
+        function.cache_clear()
+
+
+@pytest.mark.parametrize("route", gpu.ROUTES)
+@pytest.mark.parametrize("jacobian", [False, True])
+def test_a_program_for_cuda_holds_the_call(route, jacobian, driver):
+    one = kernel(lambda x: x[0] * jnp.sqrt(x))
+
+    def text():
+        many = jax.jit(jax.vmap(jax.jacfwd(one) if jacobian else lambda x: one(x)))
+        return many.trace(jnp.ones((100, 2))).lower(lowering_platforms=("cuda",)).as_text()
+
+    assert "custom_call" not in text()  # by default
+    token = gpu.trying.set(route)
+    try:
+        found = text()
+    finally:
+        gpu.trying.reset(token)
+    assert found.count("custom_call @") == 1
+    assert (f"@{gpu.PTX_CALL}(" if route.fixed else "@walker_jax_") in found
+
+
+def test_an_exported_program_has_no_call(driver):
+    token = gpu.trying.set(gpu.ROUTES[1])
+    try:
+        many = jax.jit(jax.vmap(kernel(lambda x: 2 * x)))
+        exported = jax.export.export(many, platforms=("cuda",))(jnp.ones(3))
+    finally:
+        gpu.trying.reset(token)
+    assert "custom_call" not in exported.mlir_module()
+
+
+def test_where_xla_has_no_stream_its_words_are_passed_on(driver, monkeypatch):
+    """The function that is asked is that for streams, and errors of XLA reach XLA."""
+    register = ffi.register
+    monkeypatch.setattr(ffi, "registrations", {})
+    monkeypatch.setattr(ffi, "register", lambda name, _, *more: register(name, "cpu", *more))
+    mlir.register_lowering(primitive.kernel_p, gpu.lower_on_gpu, platform="cpu")
+    token = gpu.trying.set(gpu.ROUTES[0])
+    try:
+        with pytest.raises(jax.errors.JaxRuntimeError, match="GPU context is not available"):
+            jax.block_until_ready(jax.jit(kernel(lambda x: 17 * x))(1.0))
+    finally:
+        gpu.trying.reset(token)
+        mlir.register_lowering(primitive.kernel_p, primitive.lower_on_cpu, platform="cpu")

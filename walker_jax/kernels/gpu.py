@@ -127,14 +127,15 @@ def ptx_for(program: Program, mapped: Sequence, route: Route | None) -> Ptx | No
 def lower_on_gpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     """The call of a kernel on a GPU, or what XLA does in its place."""
     exported = ctx.module_context.lowering_parameters.for_export
-    route = None if exported else trying.get() or route_in_use()
+    tried = None if exported else trying.get()
+    route = None if exported else tried or route_in_use()
     divided = any(mapped) and is_divided(ctx)
     if route and route.fixed and divided:
         route = None
     ptx = ptx_for(program, [True] * len(mapped) if divided else mapped, route)
     if route and ptx:
         return route.lower(ctx, operands, ptx, mapped)
-    if trying.get():
+    if tried:
         raise OSError(program.why_not)
     return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
 
