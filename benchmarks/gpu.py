@@ -6,13 +6,13 @@ results stay there. Compared are outcomes, next states of those that stride, and
 start, `jax.jacfwd`. Then `wj.basin`, followed directly, of a million cells, on the first device
 alone: run the script again with `JAX_PLATFORMS=cpu` for the processor.
 
-On a GPU each row has a second one, `kernel`, of the same by kernels (`WALKER_JAX_KERNELS=gpu`), side
-by side with XLA; so has the basin. Then come a sweep of a thousand basins, the strides of the
-tests' reference map, and an ensemble that others have timed, GPUODEBenchmarks' Lorenz systems: t from 0 to
-1, (1, 0, 0) at first, r from 0 to 21, adaptive steps of Tsit5 with tolerances of 1e-8, in float32.
-For 8,388,608 of them they print 48.8 ms (MPGOS), 69.5 (DiffEqGPU) and 2,611 (diffrax), on a V100.
-`--registers 96 128 168 255` and `--threads 32 64 128` try what the programs of kernels have in the
-place of ours. Kernels have not been run on a GPU yet: the table below is of XLA.
+On a GPU each row has a second one, `kernel`, of the same by kernels (`WALKER_JAX_KERNELS=gpu`), so
+that both stand side by side; so has the basin. Then come a sweep of a thousand basins, the strides
+of the tests' reference map, and an ensemble that others have timed, Lorenz' systems of
+GPUODEBenchmarks: t from 0 to 1, (1, 0, 0) at first, r from 0 to 21, adaptive steps of Tsit5 with
+tolerances of 1e-8, in float32. For 8,388,608 of them they print 48.8 ms (MPGOS), 69.5 (DiffEqGPU)
+and 2,611 (diffrax), on a V100. `--registers 96 128 168 255` and `--threads 32 64 128` try other
+programs of kernels. Kernels have not been run on a GPU yet: the table below is of XLA.
 
 The answer: the same strides, five times as many as 16 cores make for the simplest walker, and no
 more than they make for walkers with mass on their legs, whose programs XLA splits into many passes

@@ -43,7 +43,6 @@ INIT = ctypes.CFUNCTYPE(INT, UINT)
 LOAD = ctypes.CFUNCTYPE(INT, ANY, TEXT, ANY, ANY, UINT, ANY, ANY, UINT)
 GET_KERNEL = ctypes.CFUNCTYPE(INT, ANY, ANY, TEXT)
 LAUNCH = ctypes.CFUNCTYPE(INT, ANY, *[UINT] * 7, ANY, ctypes.POINTER(WORDS), ANY)
-GET_WORDS = ctypes.CFUNCTYPE(INT, INT, ANY)
 GET_STREAM = ctypes.CFUNCTYPE(ANY, WORDS)
 HANDLER = ctypes.CFUNCTYPE(ANY, ANY)
 """Signatures of cuda.h and of XLA's c_api.h."""
@@ -54,6 +53,8 @@ class Card:
 
     def __init__(self):
         self.launches: list[Launch] = []
+        self.places: list[int] = []
+        """Of the results of XLA's own call among its arguments."""
         self.sources: dict[str, str] = {}
         """By PTX: the source of which it is made."""
         self.loaded: list[tuple] = []
@@ -64,7 +65,6 @@ class Card:
             cuLibraryLoadData=LOAD(self.load),
             cuLibraryGetKernel=GET_KERNEL(self.kernel_of),
             cuLaunchKernel=LAUNCH(self.launch),
-            cuGetErrorString=GET_WORDS(self.words_of),
         )
         self.get_stream = GET_STREAM(self.stream_of)
         self.ptx_call = HANDLER(self.call_ptx)
@@ -82,10 +82,11 @@ class Card:
 
     def launch(self, kernel, *rest):
         *sizes, shared_memory, stream, arguments, extra = rest
+        grid, block = tuple(sizes[:3]), tuple(sizes[3:])
         assert not extra
         program, count = self.loaded[kernel - 1101]
         values = [arguments[i][0] for i in range(count)]
-        self.work(program, Launch((*sizes[:3],), (*sizes[3:],), shared_memory, stream, values))
+        self.work(program, Launch(grid, block, shared_memory, stream, values))
         return self.status["launch"]
 
     def work(self, program: Any, launch: Launch) -> None:
@@ -96,10 +97,6 @@ class Card:
         assert given[0] == 32 and given[2] != 0
         given[3] = STREAM
         return 0
-
-    def words_of(self, status, words):
-        ctypes.cast(words, ctypes.POINTER(TEXT))[0] = b"no card is found"
-        return int(status != NO_CARD)
 
     def call_ptx(self, frame):
         """XLA's own call of PTX, on a CPU."""
@@ -113,8 +110,8 @@ class Card:
         program, count = for_processor(self.sources[given["kernel_data"]])
         assert count == len(buffers) and given["name"] == "entry" and given["kernel_type"] == "ptx"
         addresses = [words_at(buffer)[3] for buffer in buffers]
-        sizes = [tuple(given[f"{what}_{axis}"] for axis in "xyz") for what in ("grid", "block")]
-        self.work(program, Launch(*sizes, given["shared_mem_bytes"], STREAM, addresses))
+        grid, block = (tuple(given[f"{one}_{axis}"] for axis in "xyz") for one in ("grid", "block"))
+        self.work(program, Launch(grid, block, given["shared_mem_bytes"], STREAM, addresses))
         return None
 
 
@@ -195,7 +192,7 @@ def a_card() -> Iterator[Card]:
 
     def ffi_lowering(name, backend_config=None, **more):
         """A CPU's calls have no lists: where the results are is seen here."""
-        if name == gpu.PTX_CALL:
+        if name == gpu.PTX_CALL and backend_config:
             places = backend_config.pop("output_indices")
             card.places = [place.value for place in places]
         return lowering(name, backend_config=backend_config, **more)
@@ -210,7 +207,6 @@ def a_card() -> Iterator[Card]:
         patch.setattr(launcher, "LAUNCH", launch)
         patch.setattr(ptx, "ptx_of", ptx_of)
         patch.setattr(ptx, "load_or_compile", lambda name, compile: compile())
-        patch.setattr(ptx, "recall", lambda name: None)
         patch.setattr(program, "programs", OrderedDict())
         patch.setattr(ffi, "registrations", {})
         patch.setattr(ffi, "register", lambda name, _, *more: register(name, "cpu", *more))

@@ -314,10 +314,8 @@ def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
 
     Neighbours are together in what waits for its slowest cell: a tile, or a block of threads.
     """
-    if route_here():
-        return compact_order(shape, THREADS)
     if jax.local_devices()[0].platform != "cpu":
-        return compact_order(shape)
+        return compact_order(shape, THREADS if route_here() else CALL_SHAPES["gpu"][0])
     size = math.prod(shape)
     return np.arange(size, dtype=np.int32 if size < 2**31 else np.int64)
 

@@ -1,9 +1,9 @@
 """Kernels as custom calls of XLA, through its foreign function interface (FFI).
 
-One handler, a program of LLVM (`handler`), serves every kernel on a CPU: it needs no compiler, and
-does not take Python's global lock. A kernel has a description for it, and a stub, which calls it with that
-description and is what XLA calls. No custom calls are made if XLA's interface has an older or
-unknown version, or another major one.
+One handler, a program of LLVM (`handler`), serves every kernel on a CPU, another one those on GPUs
+(`launcher`): they need no compiler, and do not take Python's global lock. A kernel has a
+description for its handler, and a stub, which calls it with that description and is what XLA calls.
+No custom calls are made if XLA's interface has an older or unknown version, or another major one.
 """
 
 import ctypes

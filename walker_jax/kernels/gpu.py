@@ -50,17 +50,14 @@ def lower_to_handler(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) -
 def lower_to_ptx_call(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) -> Sequence:
     """XLA's own call of PTX. Its first operand is the number of cells."""
     cells = int(np.prod(cells_shape(ctx.avals_in, mapped), dtype=np.int64))
-    texts = {"name": "entry", "kernel_type": "ptx", "kernel_data": ptx.text}
-    numbers = {f"{what}_{axis}": 1 for what in ("grid", "block") for axis in "xyz"}
-    numbers |= {"grid_x": max(1, -(-cells // THREADS)), "block_x": THREADS, "shared_mem_bytes": 0}
-    # Without them some versions of XLA give the program two operands in one place but once.
-    first = 1 + len(operands)
-    places = [mlir.ir_attribute(np.int32(first + i)) for i in range(len(ctx.avals_out))]
-    config = {
-        **{name: mlir.ir_attribute(text) for name, text in texts.items()},
-        **{name: mlir.ir_attribute(np.int32(number)) for name, number in numbers.items()},
-        "output_indices": mlir.ir.ArrayAttr.get(places),
-    }
+    config = {f"{what}_{axis}": np.int32(1) for what in ("grid", "block") for axis in "xyz"}
+    config |= {"grid_x": np.int32(max(1, -(-cells // THREADS))), "block_x": np.int32(THREADS)}
+    config |= {"name": "entry", "kernel_type": "ptx", "kernel_data": ptx.text}
+    config = {name: mlir.ir_attribute(value) for name, value in config.items()}
+    config["shared_mem_bytes"] = mlir.ir_attribute(np.int32(0))
+    # Without these some versions of XLA pass two operands that are in one place only once.
+    places = (np.int32(1 + len(operands) + i) for i in range(len(ctx.avals_out)))
+    config["output_indices"] = mlir.ir.ArrayAttr.get([*map(mlir.ir_attribute, places)])
     given = [ShapedArray((), np.dtype(np.int64)), *ctx.avals_in]
     call = jax.ffi.ffi_lowering(PTX_CALL, backend_config=config)
     return call(ctx.replace(avals_in=given), mlir.ir_constant(np.int64(cells)), *operands)
@@ -115,7 +112,7 @@ def in_words() -> str:
     route = route_in_use()
     reasons = [f"not by {one.name}: {why}" for one in ROUTES if (why := failure_of(one))]
     if route and libdevice() is None:
-        reasons.append("none of sines and the like, as libdevice is missing")
+        reasons.append("not of sines and the like: there is no libdevice")
     return "; ".join([f"in use on GPUs, by {route.name}" if route else "not in use", *reasons])
 
 

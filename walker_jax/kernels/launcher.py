@@ -15,7 +15,6 @@ from walker_jax.kernels.handler import CALLED, HELPERS, fill_in
 from walker_jax.kernels.machine import load_program
 from walker_jax.kernels.ptx import THREADS, Ptx
 
-DRIVER = "libcuda.so.1"
 LAUNCH_FAILED = "NVIDIA's driver could not launch a kernel"
 
 
@@ -32,8 +31,8 @@ def target(ptx: Ptx) -> str:
 @functools.cache
 def load_driver() -> Any:
     """The driver, which JAX has loaded too; `OSError` if there is none."""
-    driver = ctypes.CDLL(DRIVER)
-    check(driver, driver.cuInit(0))
+    driver = ctypes.CDLL("libcuda.so.1")
+    check(driver.cuInit(0))
     return driver
 
 
@@ -41,18 +40,15 @@ def load(ptx: str) -> int | None:
     """The driver's handle of a kernel, which is good for all cards."""
     driver, library, kernel = load_driver(), ctypes.c_void_p(), ctypes.c_void_p()
     options = (None, None, 0) * 2
-    check(driver, driver.cuLibraryLoadData(ctypes.byref(library), ptx.encode(), *options))
-    check(driver, driver.cuLibraryGetKernel(ctypes.byref(kernel), library, b"entry"))
+    check(driver.cuLibraryLoadData(ctypes.byref(library), ptx.encode(), *options))
+    check(driver.cuLibraryGetKernel(ctypes.byref(kernel), library, b"entry"))
     return kernel.value
 
 
-def check(driver: Any, status: int) -> None:
-    """Raises `OSError`, with the driver's words, unless a call of it succeeded."""
-    words = ctypes.c_char_p()
-    if status and not driver.cuGetErrorString(status, ctypes.byref(words)):
-        raise OSError(f"NVIDIA's driver says: {(words.value or b'').decode()}")
+def check(status: int) -> None:
+    """Raises `OSError` unless a call of the driver succeeded."""
     if status:
-        raise OSError(f"NVIDIA's driver fails with {status}")
+        raise OSError(f"NVIDIA's driver fails, with CUDA's error {status}")
 
 
 @functools.cache

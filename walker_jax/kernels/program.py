@@ -31,7 +31,7 @@ from walker_jax.kernels.program_cache import (
     recall_trace,
     states_of,
 )
-from walker_jax.kernels.ptx import Ptx, compile_ptx, recall_ptx
+from walker_jax.kernels.ptx import Ptx, find_ptx
 
 MAX_PROGRAMS = 256
 """Most functions that are kept compiled; those used least recently are dropped."""
@@ -71,7 +71,7 @@ class Program:
         """Operands in which the function is jointly linear: the directions of a derivative."""
         self.derivatives: dict[tuple, Program] = {}
         self.on_gpu: dict[tuple, Ptx | None] = {}
-        """Programs of threads, by the arguments of `ptx`; None where there is none."""
+        """By arguments of `ptx`: its program of threads, None if there is none."""
         self.tree: Any = self.traced.tree if self.traced else None
         """The tree of the results; None of a derivative."""
         self.why_not: str | None = None
@@ -96,7 +96,7 @@ class Program:
         if machine.switched_off():
             self.why_not = f"{machine.VARIABLE} is off"
             return None
-        if self.traced is not None and self.traced.digest:
+        if self.traced is not None:
             compiled = Compiled.recall(self.operands, self.results, self.traced.digest)
             if compiled is not None:
                 return compiled
@@ -105,34 +105,23 @@ class Program:
         except UnsupportedPrimitive as error:
             self.why_not = f"kernels do not support {error}"
             return None
-        self.keep_traced(digest=compiled.digest)
+        found = Traced(self.operands, self.results, self.tree, self.size, compiled.digest)
+        keep_trace(self.name, found)
         return compiled
 
     def ptx(self, mapped: tuple[bool, ...], in_memory: bool) -> Ptx | None:
-        """Its program for GPUs (`ptx.entry_of`), None if there is none: `why_not` says why."""
+        """Its program for GPUs (`ptx.entry_of`); None if there is none: `why_not` says why."""
         key = mapped, in_memory
         if key not in self.on_gpu:
-            self.on_gpu[key] = self.find_ptx(*key)
+            given = self.operands, self.results, self.name, lambda: self.closed
+            try:
+                self.on_gpu[key] = find_ptx(*given, *key)
+            except UnsupportedPrimitive as error:
+                self.on_gpu[key], self.why_not = None, f"kernels do not support {error}"
+            if self.traced is None and "closed" in vars(self):  # with no machine code
+                found = Traced(self.operands, self.results, self.tree, self.size, "")
+                keep_trace(self.name, found)
         return self.on_gpu[key]
-
-    def find_ptx(self, mapped: tuple[bool, ...], in_memory: bool) -> Ptx | None:
-        if self.traced is not None and (digest := self.traced.digest_on_gpu):
-            found = recall_ptx(self.operands, self.results, digest, mapped, in_memory)
-            if found is not None:
-                return found
-        try:
-            found = compile_ptx(self.closed, mapped, in_memory)
-        except UnsupportedPrimitive as error:
-            self.why_not = f"kernels do not support {error}"
-            return None
-        self.keep_traced(digest_on_gpu=found.source_digest)
-        return found
-
-    def keep_traced(self, **digests: str) -> None:
-        """Add the hash of a program to what is on disk."""
-        empty = Traced(self.operands, self.results, self.tree, self.size, None, None)
-        self.traced = (self.traced or empty)._replace(**digests)
-        keep_trace(self.name, self.traced)
 
     @property
     def function(self) -> Callable[..., list]:

@@ -66,10 +66,8 @@ class Traced(NamedTuple):
     """The tree of the results; None of a derivative."""
     size: int
     """The number of operations of one cell."""
-    digest: str | None
-    """The hash of its program, by which its machine code is found; None if there is none yet."""
-    digest_on_gpu: str | None
-    """The same of its program with one lane, by which its PTX is found."""
+    digest: str
+    """The hash of its program, by which its machine code is found."""
 
 
 class Unknown(Exception):
@@ -201,7 +199,7 @@ def recall_trace(name: str | None) -> Traced | None:
         tree = None if like is None else jax.tree.structure(build_like(like))
         return Traced(
             *(arrays(found["operands"]), arrays(found["results"]), tree),
-            *(found["size"], found["digest"], found["digest_on_gpu"]),
+            *(found["size"], found["digest"]),
         )
     except (ValueError, KeyError, TypeError, AttributeError, ImportError):
         return None
@@ -218,8 +216,7 @@ def keep_trace(name: str | None, traced: Traced) -> None:
     found = {
         "operands": list(map(describe_aval, traced.operands)),
         "results": list(map(describe_aval, traced.results)),
-        **{"tree": like, "size": traced.size},
-        **{"digest": traced.digest, "digest_on_gpu": traced.digest_on_gpu},
+        **{"tree": like, "size": traced.size, "digest": traced.digest},
     }
     store(name, json.dumps(found).encode())
 
