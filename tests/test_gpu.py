@@ -281,7 +281,7 @@ def test_where_no_compiler_for_cards_is_xla_computes(switched_on, monkeypatch):
 def test_kernels_are_not_on_gpus_unless_asked_for(card, monkeypatch):
     monkeypatch.delenv(machine.VARIABLE, raising=False)
     assert gpu.route_in_use() is None
-    assert gpu.in_words().startswith("not in use: WALKER_JAX_KERNELS=gpu has them tried on a GPU")
+    assert gpu.in_words().startswith("not in use: WALKER_JAX_KERNELS=gpu switches them on")
     many_of(7.0)
     assert not card.launches
 

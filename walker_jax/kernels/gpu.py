@@ -108,7 +108,7 @@ def tiny(shared, x):
 def in_words() -> str:
     """Whether kernels run on a GPU, by which route, and why not by others."""
     if not machine.on_gpus():
-        return f"not in use: {machine.VARIABLE}=gpu has them tried on a GPU, where none has run yet"
+        return f"not in use: {machine.VARIABLE}=gpu switches them on, but no GPU has run them yet"
     route = route_in_use()
     reasons = [f"not by {one.name}: {why}" for one in ROUTES if (why := failure_of(one))]
     if route and libdevice() is None:
