@@ -4,6 +4,7 @@ import itertools
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -131,7 +132,7 @@ def test_strides(card, route):
 
 SHARDED = """
 import sys
-sys.path.insert(0, "tests")
+sys.path.insert(0, sys.argv[2])
 from fake_card import a_card
 from walker_jax.kernels import gpu
 gpu.trying.set(gpu.ROUTES[0])
@@ -145,7 +146,8 @@ assert len(card.launches) > 30
 def test_cells_on_several_devices():
     flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"}
     flags["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
-    command = [sys.executable, "-c", SHARDED, A_FUNCTION + ON_DEVICES + ON_MESHES]
+    helpers = str(Path(__file__).parents[1] / "helpers")
+    command = [sys.executable, "-c", SHARDED, A_FUNCTION + ON_DEVICES + ON_MESHES, helpers]
     done = subprocess.run(command, env=os.environ | flags, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
