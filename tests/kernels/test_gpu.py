@@ -83,6 +83,7 @@ def test_a_launch(card, route, n):
         assert launch.arguments[0] == n
 
 
+@pytest.mark.slow
 def test_cells_along_several_axes_and_derivatives(card, route):
     xs, counts = cells(6)
     xs = xs.reshape(2, 3, 2)

@@ -540,28 +540,28 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def program_of_a_stride():
+def program_of_a_map():
     """As a process finds it that has none in memory."""
     of_program.programs.clear()
-    leaves = wj.SimplestWalker(0.004), np.array([0.2, -0.2]), Integrator(1e-12)
+    leaves = wj.HenonMap(), np.array([0.2, -0.2]), Integrator(1e-12)
     operands, structure = jax.tree.flatten(leaves)
     like = [jax.ShapeDtypeStruct(np.shape(x), float) for x in operands]
     return of_program.program_of(follow_stride, structure, like)[0]
 
 
-MAPPED = False, True, False
+MAPPED = False, False, True, False
 
 
 def test_a_program_is_found_on_disk(folder):
     """With the facts of its trace, whatever else is known of it: its machine code is kept too."""
-    first = program_of_a_stride()
+    first = program_of_a_map()
     made = first.ptx(MAPPED, False)
     assert made is not None and first.compiled is not None
-    again = program_of_a_stride()
+    again = program_of_a_map()
     assert again.ptx(MAPPED, False) == made and again.compiled is not None
     assert "closed" not in vars(again)  # it was not traced
-    other = program_of_a_stride()
-    spread = other.ptx((True,) * 3, False)
+    other = program_of_a_map()
+    spread = other.ptx((True,) * len(MAPPED), False)
     assert spread is not None and spread.text != made.text  # operands of each cell are others
 
 
