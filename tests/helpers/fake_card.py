@@ -24,7 +24,6 @@ from walker_jax.kernels.handler import VERSION
 from walker_jax.kernels.machine import digest_of, load_program
 
 STREAM = 0xABC0
-NO_CARD = 100
 
 
 class Launch(NamedTuple):

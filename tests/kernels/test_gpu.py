@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fake_card import NO_CARD, STREAM, a_card
+from fake_card import STREAM, a_card
 from jax import lax
 from test_primitive import A_FUNCTION, ON_DEVICES, ON_MESHES
 
@@ -210,36 +210,33 @@ def no_driver(_):
     raise OSError("libcuda.so.1: cannot open shared object file")
 
 
-def failing(what, status=NO_CARD):
+def failing(what, status):
     return lambda patch, card: card.status.update({what: status})
 
 
-PARTS = {
-    "the driver": (
-        lambda patch, card: patch.setattr(launcher.ctypes, "CDLL", no_driver),
-        "OSError: libcuda.so.1: cannot open shared object file",
-    ),
-    "a card": (failing("init"), "OSError: NVIDIA's driver fails, with CUDA's error 100"),
-    "a driver that takes the PTX": (
-        failing("load", 218),
-        "OSError: NVIDIA's driver fails, with CUDA's error 218",
-    ),
-    "room for a launch": (
-        failing("launch", 701),
-        "JaxRuntimeError: INTERNAL: NVIDIA's driver could not launch a kernel",
-    ),
-}
-
-
-@pytest.mark.parametrize("part", PARTS)
-def test_where_a_part_is_missing_the_next_route_is_taken(part, switched_on, monkeypatch):
-    remove, reason = PARTS[part]
+@pytest.mark.parametrize(
+    ("remove", "reason"),
+    [
+        (
+            lambda patch, card: patch.setattr(launcher.ctypes, "CDLL", no_driver),
+            "OSError: libcuda.so.1: cannot open shared object file",
+        ),
+        (failing("init", 100), "OSError: NVIDIA's driver fails, with CUDA's error 100"),
+        (failing("load", 218), "OSError: NVIDIA's driver fails, with CUDA's error 218"),
+        (
+            failing("launch", 701),
+            "JaxRuntimeError: INTERNAL: NVIDIA's driver could not launch a kernel",
+        ),
+    ],
+    ids=["the driver", "a card", "a driver that takes the PTX", "room for a launch"],
+)
+def test_where_a_part_is_missing_the_next_route_is_taken(remove, reason, switched_on, monkeypatch):
     remove(monkeypatch, switched_on)
     assert gpu.route_in_use() is BY_XLA
     assert gpu.failure_of(BY_HANDLER) == reason
     assert f"by XLA's own call of PTX; not by {BY_HANDLER.name}: {reason}" in gpu.in_words()
     before = len(switched_on.launches)
-    many_of(3.0 + len(part))
+    many_of(3.0 + len(reason))
     assert len(switched_on.launches) == before + 1
 
 

@@ -18,6 +18,7 @@ from jax.core import ShapedArray
 from jax.interpreters import mlir
 
 from walker_jax.kernels import ffi, launcher, machine
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.primitive import cells_shape, kernel_p, lower_to_xla
 from walker_jax.kernels.program import Program, program_of
 from walker_jax.kernels.ptx import THREADS, Ptx, libdevice
@@ -133,7 +134,7 @@ def lower_on_gpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     if route and ptx:
         return route.lower(ctx, operands, ptx, mapped)
     if tried:
-        raise OSError(program.why_not)
+        raise UnsupportedPrimitive(program.why_not)
     return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
 
 
