@@ -5,18 +5,21 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import typer
 from fake_card import STREAM, a_card
 from jax import lax
 from test_primitive import A_FUNCTION, ON_DEVICES, ON_MESHES
 
 import walker_jax as wj
+from walker_jax.cli.version import print_version
 from walker_jax.execution import tiles
-from walker_jax.kernels import gpu, kernel, launcher, machine, ptx
+from walker_jax.kernels import decorator, gpu, kernel, launcher, machine, ptx, why_not
 
 BY_HANDLER, BY_XLA = gpu.ROUTES
 
@@ -203,7 +206,22 @@ def test_the_first_route_that_works_is_taken(switched_on):
     assert [launch.grid for launch in switched_on.launches] == [(2, 1, 1)]  # the trial
     many_of(2.0)
     assert len(switched_on.launches) == 2
-    assert gpu.in_words().startswith("in use on GPUs, by XLA's foreign function interface")
+    assert gpu.in_words().startswith("in use, by XLA's foreign function interface")
+
+
+def test_what_is_in_use_is_said(switched_on, monkeypatch, capsys):
+    """In a report of a bug, and of a function."""
+    with pytest.raises(typer.Exit):
+        print_version(True)
+    assert "kernels on GPUs are in use, by XLA's foreign function" in capsys.readouterr().out
+    there = SimpleNamespace(devices=lambda: [SimpleNamespace(platform="gpu")])
+    monkeypatch.setattr(decorator.jnp, "zeros", lambda _: there)
+    assert why_not(lambda x: 23 * x, 1.0) is None
+    assert str(why_not(lambda x: jnp.sort(x), jnp.ones(3))).startswith(
+        "kernels do not support sort"
+    )
+    monkeypatch.delenv(machine.VARIABLE)
+    assert str(why_not(lambda x: 23 * x, 1.0)).startswith("arrays are on a gpu, where kernels are")
 
 
 def no_driver(_):

@@ -114,7 +114,7 @@ def in_words() -> str:
     reasons = [f"not by {one.name}: {why}" for one in ROUTES if (why := failure_of(one))]
     if route and libdevice() is None:
         reasons.append("not of sines and the like: there is no libdevice")
-    return "; ".join([f"in use on GPUs, by {route.name}" if route else "not in use", *reasons])
+    return "; ".join([f"in use, by {route.name}" if route else "not in use", *reasons])
 
 
 def ptx_for(program: Program, mapped: Sequence, route: Route | None) -> Ptx | None:

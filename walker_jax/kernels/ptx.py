@@ -34,7 +34,7 @@ multiprocessor, fill it. A block ends with its slowest cell, so a larger one wou
 REGISTERS = 255
 """Most registers of a thread, of 32 bits; there are no more. 65,536 of a multiprocessor hold 256
 such threads, and with 128 twice as many would hide more waiting. But numbers that find no register
-go through memory: with 128, eight times as many for the simplest walker in float64, and four times
+go through memory: with 128, eight times as many for the simplest walker in float64, and three times
 as many for one with knees, says `ptxas`. To be tried on a card (`benchmarks/gpu.py`)."""
 MAX_ARRAYS = 500
 """Most operands and results: the addresses of all must fit into the 4352 bytes of arguments."""
