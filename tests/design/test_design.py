@@ -8,54 +8,29 @@ import numpy as np
 import powered_reference
 import pytest
 import xarray as xr
+from optima import FEW, GRID, SLOPES, WALKER, measure, values
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import multivariate_normal
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.design import climbs, problem
-from walker_jax.design.evaluation import ENDS_STAGE, Evaluation, evaluate_objective
-from walker_jax.design.limits import Slack
-from walker_jax.design.measures import Measure
+from walker_jax.design.evaluation import ENDS_STAGE, evaluate_objective
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import (
     Problem,
     describe_problem,
-    latin_hypercube,
     parse_objective,
-    starting_places,
 )
-from walker_jax.design.trace import Trace
 from walker_jax.stability.slices import default_region
 
-WALKER = wj.SimplestWalker(0.004)
-SLOPES = {"slope": (0.001, 0.015)}
-"""On all of them the gait with the largest basin is the long one of period one."""
-GRID = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 60))
-FEW = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.02, 0.01, 12))
-"""Walkers reach the gait from a few of its cells, and the search for it is quick."""
 SHOWN = 100
 """Cells along each axis in pictures of basins."""
-
-
-def measure(name, slope):
-    return wj.gait_measures(wj.SimplestWalker(slope), ())[name].value
 
 
 def lowest(function):
     """The slope of its least value, and that, by golden sections."""
     found: Any = minimize_scalar(function, bounds=(0.001, 0.015), method="bounded")
     return found.x, found.fun
-
-
-def values(data, name):
-    return data[name].values.tolist()
-
-
-@pytest.fixture
-def no_basins(monkeypatch):
-    """Those at both ends take most of the time, and have a test of their own."""
-    monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
 
 
 @pytest.fixture(scope="module")
@@ -280,13 +255,6 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     assert not made
 
 
-def test_random_places_are_one_in_each_layer_along_every_axis():
-    places = latin_hypercube(7, 3, seed=2)
-    np.testing.assert_array_equal(np.sort(np.floor(7 * places), axis=0).T, [range(7)] * 3)
-    assert len(np.unique(places)) == 21 and len(latin_hypercube(0, 3, seed=2)) == 0
-    assert not np.array_equal(places, latin_hypercube(7, 3, seed=3))
-
-
 def test_measurements_of_something_else_are_refused(no_basins):
     known = optimise(WALKER, {"slope": (0.008, 0.009)}, "speed", starts=1)
     with pytest.raises(ValueError, match="known must be of the same objective"):
@@ -328,17 +296,6 @@ def test_limits_hold_at_a_loose_tolerance(no_basins):
     assert float(found.optimum[0]) == pytest.approx(0.01465582, rel=1e-4)
 
 
-def test_parameters_that_the_walker_refuses_together_are_not_tried():
-    walker = wj.RoundFootWalker(0.01, leg_length=0.6, foot_radius=0.3)
-    bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
-    trace = Trace(problem_of(walker, bounds), None, None, False, 1)
-    assert trace.limits.nearest_allowed(np.array([1.0, 0.0])) is None
-    assert "foot_radius must be less than leg_length" in climbs.explain_failure(
-        trace, np.array([1.0, 0.0])
-    )
-    np.testing.assert_array_equal(trace.limits.nearest_allowed(np.array([0.5, 0.5])), [0.5, 0.5])
-
-
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
 
     def failing(problem, stage, values, gait_of):
@@ -349,165 +306,6 @@ def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
     found = optimise(WALKER, {"slope": (0.008, 0.009)}, "speed", grid=FEW, starts=1)
     assert bool(found.found) and not found.converged
     assert float(found.exact_optimum) == pytest.approx(measure("speed", 0.009), rel=1e-9)
-
-
-def problem_of(walker, bounds, **limits):
-    low, high = np.array(list(bounds.values())).T
-    return problem.Problem(
-        walker, tuple(bounds), low, high, {"speed": 1.0}, 1.0, limits, None, 0, 200, 0, None
-    )
-
-
-def test_places_between_the_bounds():
-    problem = problem_of(WALKER, {"slope": (0.1 + 0.2, 0.7)})
-    assert problem.values(np.array([0.0])) == [0.1 + 0.2] and problem.values(np.array([1.0])) == 0.7
-    assert problem.place_of(np.array([0.5])) == pytest.approx([0.5])
-    problem = problem_of(wj.SpringWalker(0.004, 0.25), {**SLOPES, "hip_stiffness": (0.0, 1.0)})
-    places = starting_places(problem, 4)
-    np.testing.assert_allclose(places[0], [0.003 / 0.014, 0.25])
-    assert len({tuple(place) for place in places}) == 4
-    thirds = np.sort(np.floor(3 * np.array(places[1:])), axis=0)  # one in each, along each
-    np.testing.assert_array_equal(thirds, [[0, 0], [1, 1], [2, 2]])
-    outside = problem_of(wj.SpringWalker(0.05, 0.25), {**SLOPES, "hip_stiffness": (0.0, 1.0)})
-    assert len(starting_places(outside, 3)) == 3
-    assert all(np.all((place > 0) & (place < 1)) for place in starting_places(outside, 3))
-
-
-def test_steps_keep_to_bounds_and_limits(monkeypatch):
-    problem = problem_of(WALKER, SLOPES, speed=(0.06, np.inf))
-    trace = Trace(problem, None, None, False, 1)
-    edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
-    back = trace.limits.nearest_allowed(np.array([0.0]))
-    assert back is not None
-    assert problem.values(back)[0] == pytest.approx(edge, rel=1e-8)
-    np.testing.assert_array_equal(trace.limits.nearest_allowed(np.array([0.5])), [0.5])
-    np.testing.assert_allclose(
-        trace.limits.feasible_direction(back, np.array([-1.0])), [0.0], atol=1e-12
-    )
-    assert trace.limits.feasible_direction(back, np.array([1.0])).tolist() == [1.0]
-    bounds = {**SLOPES, "hip_stiffness": (0.0, 1.0)}
-    both = Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False, 1)
-    slant = Slack("speed", 0.0, np.array([1.0, 2.0]))
-    monkeypatch.setattr(both.limits, "slacks", lambda *_: [slant])
-    # against a limit, and then against a bound as well: no way is left
-    np.testing.assert_allclose(
-        both.limits.feasible_direction(np.array([0.5, 0.5]), np.array([-1.0, 0.0])), [-0.8, 0.4]
-    )
-    np.testing.assert_allclose(
-        both.limits.feasible_direction(np.array([0.5, 1.0]), np.array([-1.0, 0.0])),
-        [0.0, 0.0],
-        atol=1e-12,
-    )
-    monkeypatch.undo()
-    free = Trace(problem_of(WALKER, SLOPES), None, None, False, 1)
-    assert free.limits.feasible_direction(np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
-    assert free.limits.feasible_direction(np.array([0.0]), np.array([1.0])).tolist() == [1.0]
-
-
-@pytest.mark.slow
-def test_measures_are_those_of_the_gait_with_the_largest_basin():
-    """A search for the most stable gait ends in another one."""
-    walker, values = wj.SpringWalker(0.004, 11.24), np.array([11.24])
-    grid = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
-    springs = problem_of(walker, {"hip_stiffness": (11.0, 11.5)})._replace(grid=grid)
-    trace = Trace(springs, None, None, False, 1)
-    owner = wj.find_gait(walker, [0.0908, -0.2074])
-    expected = wj.gait_measures(walker, ("hip_stiffness",), owner)["speed"]
-    row = trace.measure(0, 0, springs.place_of(values))
-    assert float(row.value) == pytest.approx(expected.value, rel=1e-12)
-    assert row.gradient == pytest.approx(expected.gradient, rel=1e-8)
-
-
-def test_the_gait_has_the_largest_basin_or_is_the_most_stable_one_where_nothing_walks():
-    doubled = problem_of(WALKER, SLOPES)._replace(grid=FEW)
-    trace = Trace(doubled, None, None, False, 1)
-    assert [len(trace.gait(np.array([slope])).states) for slope in (0.0165, 0.03)] == [2, 1]
-    assert "an unstable gait" in trace.note(np.array([0.0165]))
-    assert trace.note(np.array([0.03])) == trace.note(np.array([0.009])) == ""
-    of_area = doubled._replace(weights={"area": 1.0})
-    assert Trace(of_area, None, None, False, 1).note(np.array([0.0165])) == ""
-
-
-def test_within_their_errors_values_are_not_believed():
-    def row(place, value, gradient, error=0.1):
-        numbers = (np.array([place]), value, error, np.array([gradient]), np.zeros(1))
-        return Evaluation(0, 0, *numbers, np.zeros(1), 0)
-
-    problem = problem_of(WALKER, SLOPES)
-    here = row(0.010, 1.0, 1.0)
-    assert climbs.is_better(problem, here, row(0.012, 1.5, -1.0))
-    assert not climbs.is_better(problem, here, row(0.012, 0.5, 1.0))
-    assert climbs.is_better(problem, here, row(0.012, 0.9, 1.0))
-    assert not climbs.is_better(problem, here, row(0.012, 1.1, -1.0))  # beyond the top
-    assert not climbs.is_better(problem, here, row(0.008, 1.1, 1.0))
-    small = problem._replace(sign=-1.0)
-    assert climbs.is_better(small, here, row(0.012, 0.5, 1.0))
-    assert climbs.is_better(small, here, row(0.008, 1.1, 1.0))
-    exact = row(0.010, 1.0, 1.0, 0.0)
-    assert climbs.is_better(problem, exact, row(0.012, 1.0 + 1e-12, -1.0, 0.0))
-
-
-def made_up(problem, stage, values, value, area=0.0):
-    """A row of the trace."""
-    none = np.zeros(len(values))
-    return Evaluation(
-        -1, stage, values, value, 0.0, none, none, np.full(len(problem.measures), area), 0
-    )
-
-
-@pytest.mark.parametrize(("walking_below", "steps"), [(0.012, 4), (0.0, 8)])
-def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
-    monkeypatch, walking_below, steps
-):
-    """By a tenth of the bounds along the parameter that matters most, and others in proportion."""
-    bounds = {"slope": (0.001, 0.021), "hip_stiffness": (0.0, 2.0)}
-    problem = problem_of(wj.SpringWalker(0.019, 0.4), bounds)._replace(weights={"area": 1.0})
-    radius = Measure(1.5, np.array([2 / 0.02, -1 / 2]))
-    monkeypatch.setattr(
-        "walker_jax.design.climbs.gait_measures", lambda *_, **__: {"spectral-radius": radius}
-    )
-    monkeypatch.setattr(Trace, "gait", lambda *_: None)
-    asked = []
-
-    def evaluate_objective(problem, stage, values, gait_of):
-        asked.append(values)
-        return made_up(problem, stage, values, 1.0, area=float(values[0] < walking_below))
-
-    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
-    begin = np.array([0.019, 0.4])
-    trace = Trace(problem, None, None, False, 1)
-    found = climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0))
-    way = np.arange(1, 9)[:, None] * [-0.002, 0.1]
-    np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)
-    assert (found is not None) == (steps == 4)
-    flat = {"spectral-radius": Measure(1.5, np.zeros(2))}
-    monkeypatch.setattr("walker_jax.design.climbs.gait_measures", lambda *_, **__: flat)
-    assert climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0)) is None
-
-
-@pytest.mark.parametrize(("objective", "best"), [("speed", 1), ("spectral-radius", 2)])
-def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective, best):
-    """The climbs are made up; one of them leads nowhere, and the third stage cannot begin."""
-    heights, asked = [0.5, 0.75, 0.25, None], []
-
-    def climb(trace, run, stage, place):
-        asked.append((run, stage))
-        if stage == 2 or heights[run] is None:
-            return climbs.Climb(None, None, False, "nothing there")
-        high = heights[run] + stage / 100
-        start = made_up(trace.problem, stage, trace.problem.values(place), high)
-        return climbs.Climb(start, start._replace(value=high + 0.005), True)
-
-    evaluate_objective = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
-    monkeypatch.setattr("walker_jax.design.optimisation.climb", climb)
-    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
-    found = optimise(WALKER, SLOPES, objective, starts=4)
-    assert sorted(asked[:4]) == [(run, 0) for run in range(4)]  # side by side, in any order
-    assert asked[4:] == [(best, stage) for stage in (1, 2, 3)]
-    assert values(found, "note") == ["", "", "", "nothing there"]
-    assert float(found.objective_start) == heights[best]
-    assert float(found.objective_optimum) == heights[best] + 0.03 + 0.005
-    assert float(found.exact_start) == float(found.exact_optimum) == 0.125 and found.converged
 
 
 def test_objectives_have_their_senses():

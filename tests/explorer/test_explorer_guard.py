@@ -21,12 +21,6 @@ from walker_jax.systems.outcomes import Outcome
 TILES = {"walker": "simplest", "parameters": {"slope": 0.004}, "tiles": [[0, 0, 0]]}
 
 
-@pytest.fixture(scope="module")
-def running():
-    with explorer_server.running() as found:
-        yield found
-
-
 def guarded(names=("localhost",)):
     return Guard(PlainTextResponse("in"), token="token", names=names, port=80)
 

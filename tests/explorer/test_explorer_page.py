@@ -4,225 +4,34 @@ Without a browser these tests are skipped, with the reason; where `WALKER_JAX_RE
 set, as `.ci/run` does, they fail.
 """
 
-import os
-import shutil
-import time
-from contextlib import suppress
 from functools import partial
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from itertools import combinations
-from threading import Thread
 
 import explorer_server
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from explorer_page import (
+    AREA,
+    CELLS,
+    GAIT,
+    NARROW,
+    NO_STORAGE,
+    SECONDS,
+    WIDE,
+    Held,
+    area_of,
+    fulfil_as,
+)
 from PIL import Image
-from playwright.sync_api import Error, sync_playwright
 from zarr.storage import ZipStore
 
 import walker_jax as wj
-from walker_jax.explorer import measures, pictures
-from walker_jax.explorer.offers import FAMILY, OTHERS, offer
-from walker_jax.explorer.subjects import read_subject
+from walker_jax.explorer import pictures
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-REQUIRED = "WALKER_JAX_REQUIRE_BROWSER"
-WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 400, "height": 860}
-SECONDS = 90
-"""For which a page may take, on a machine that others use."""
-AREA = 0.0012073
-"""Of the basin at slope 0.004 in the home window, by `refine` on 4 levels."""
-GAIT = {
-    "period": 1,
-    "states": [[0.153389560, -0.156080151]],
-    "multipliers": [[0.6339, 0.0], [0.0, 0.0]],
-    "times": [3.88],
-    "stable": True,
-}
-NO_STORAGE = """Object.defineProperty(window, "localStorage", {
-  get() { throw new DOMException("storage is refused", "SecurityError"); }
-})"""
 LEAST_CONTRAST = 6.0
 """In lightness between the colours of two fates, as in the figures."""
-MEASURED = {
-    "gaits": [GAIT],
-    "area": {"area": AREA, "error": 1e-6},
-    "disturbance": {
-        "size": 0.002256,
-        "gait": [0.15338956, -0.15608015],
-        "failure": 1,
-        "strides": 18,
-    }
-    | {"state": [0.15496238, -0.15446256]},
-}
-"""What workers would compute in the time that a page is open: some seconds of two processors."""
-
-
-class Own(wj.SimplestWalker):
-    """The simplest walker, of a user's own."""
-
-
-OWN = offer(Own(0.004))
-
-
-@pytest.fixture(scope="module")
-def running():
-    with explorer_server.running(offers=FAMILY | {"Own": OWN}) as server:
-        yield server
-
-
-class Spiral(wj.System):
-    """Three numbers, of which two turn about the third, and escape where that is large."""
-
-    turn: float = 0.5
-
-    section = "east", "north", "up"
-    failures = ("flies_off",)
-
-    def advance(self, x):
-        cos, sin = 0.9 * jnp.cos(self.turn), 0.9 * jnp.sin(self.turn)
-        flies = jnp.where(x[2] > 1, self.failure("flies_off"), wj.Outcome.STRIDE)
-        up = jnp.where(x[2] > 0.5, 1.5, 0.5) * x[2]
-        return jnp.stack([cos * x[0] - sin * x[1], sin * x[0] + cos * x[1], up]), flies, 1.0
-
-    def feasible(self, x):
-        return x[0] > -1.5
-
-    def gait_region(self):
-        return wj.Grid.plain(east=(-2, 2, 4), north=(-2, 2, 4), up=(-2, 2, 4))
-
-
-@pytest.fixture(scope="module")
-def machines():
-    with explorer_server.running(offers=OTHERS | {"Spiral": offer(Spiral())}) as server:
-        yield server
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        reason = "the page is tested in Chromium, which is not installed: apt-get install chromium"
-        if os.environ.get(REQUIRED):
-            pytest.fail(reason)
-        pytest.skip(reason)
-    with sync_playwright() as playwright:
-        # --no-sandbox: Chromium refuses to run as root, as in a container, with it
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield found
-        found.close()
-
-
-def fulfil(found, route):
-    """Answer a request in the server's place."""
-    route.fulfill(json=found)
-
-
-def fulfil_as(answer, route):
-    route.fulfill(**answer)
-
-
-class Page:
-    """The page, and all that it has said and asked for."""
-
-    def __init__(self, browser, port, state="", *, measured=MEASURED, before="", **options):
-        self.context = browser.new_context(**{"viewport": WIDE, "accept_downloads": True} | options)
-        self.context.add_init_script(before)
-        self.context.grant_permissions(["clipboard-read", "clipboard-write"])
-        self.page = self.context.new_page()
-        self.said, self.addresses = [], []
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.on("request", lambda request: self.addresses.append(request.url))
-        self.port = port
-        for kind, found in measured.items():
-            self.page.route(f"**/api/measure/{kind}", partial(fulfil, found))
-        self.page.goto(f"http://127.0.0.1:{port}/?token={explorer_server.TOKEN}#{state}")
-        self.finished()
-
-    def value(self, expression):
-        return self.page.evaluate(expression)
-
-    def wait(self, expression, seconds=SECONDS):
-        """Wait until an expression holds; the page's policy lets Playwright's own wait not run."""
-        stop = time.monotonic() + seconds
-        while time.monotonic() < stop:
-            if self.value(expression):
-                return
-            self.page.wait_for_timeout(20)
-        raise AssertionError(f"not within {seconds} s: {expression}; {self.said}")
-
-    def finished(self):
-        """Wait for the whole picture."""
-        self.wait("Boolean(window.explorer?.picture.layer) && explorer.picture.progress === 1")
-
-    def shown(self, selector):
-        return self.page.locator(selector).inner_text()
-
-    def box(self, selector="#map"):
-        return self.page.locator(selector).bounding_box()
-
-    def screen(self, theta, total):
-        """Where a point of the sheared section is on the screen."""
-        at = self.value(f"explorer.map.toScreen(...explorer.map.places([{theta}, {total}]))")
-        box = self.box()
-        return box["x"] + at[0], box["y"] + at[1]
-
-    def set_slope(self, slope):
-        self.page.fill("#parameters .typed", str(slope))
-        self.wait(f"JSON.parse(explorer.picture.layer.key).parameters.slope === {slope}")
-        self.finished()
-
-    def close(self):
-        assert not self.said
-        own = (f"http://127.0.0.1:{self.port}/", "blob:", "data:")
-        assert all(address.startswith(own) for address in self.addresses)
-        self.context.close()
-
-
-@pytest.fixture
-def opened(browser, running):
-    pages = []
-
-    def open_page(state="", **options):
-        pages.append(Page(browser, running.port, state, **options))
-        return pages[-1]
-
-    yield open_page
-    for one in pages:
-        one.close()
-
-
-@pytest.fixture
-def opened_system(browser, machines):
-    pages = []
-
-    def open_page(state, **options):
-        pages.append(Page(browser, machines.port, state, **options))
-        return pages[-1]
-
-    yield open_page
-    for one in pages:
-        one.close()
-
-
-CELLS = """(() => {
-  const {picture, map} = explorer, found = picture.cells(map.view);
-  return {level: found.level, all: found.all, area: explorer.lattice.cellArea(found.level)};
-})()"""
-WALKING = f"""(() => {{
-  const {{picture, map, lattice}} = explorer, found = picture.cells(map.view);
-  const walking = found.all.filter(([, , label]) => label >= {pictures.FIRST_ATTRACTOR}).length;
-  return [walking * lattice.cellArea(found.level), found.all.length];
-}})()"""
-"""The area of cells that walk, and how many cells are shown: they themselves take long to tell."""
-
-
-def area_of(page):
-    return page.value(WALKING)
 
 
 @pytest.mark.slow
@@ -474,26 +283,6 @@ def lightness(rgb):
     return 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
 
 
-class Held:
-    """Requests of a kind that are held, and let go at will."""
-
-    def __init__(self, page, pattern):
-        self.page, self.routes = page, []
-        page.page.route(pattern, lambda route: self.routes.append(route))
-
-    def wait(self, count):
-        stop = time.monotonic() + SECONDS
-        while len(self.routes) < count and time.monotonic() < stop:
-            self.page.page.wait_for_timeout(20)
-        self.page.page.wait_for_timeout(50)
-        assert len(self.routes) == count, [one.request.post_data_json for one in self.routes]
-
-    def let_go(self):
-        for route in self.routes:
-            route.continue_()  # one that the page has given up goes nowhere
-        self.routes.clear()
-
-
 @pytest.mark.slow
 def test_nothing_of_a_walker_stands_under_the_name_of_the_next(opened):
     page = opened("walker=simplest&slope=0.004")
@@ -726,192 +515,3 @@ def test_fingers_zoom_and_pan(opened):
     page.finished()
     page.page.touchscreen.tap(x, y)
     page.wait("explorer.walk.strides.length > 0")
-
-
-@pytest.mark.slow
-def test_a_server_that_goes_and_comes_back(browser):
-    with explorer_server.running() as first:
-        page = Page(browser, first.port, "walker=simplest&slope=0.004")
-    page.page.fill("#parameters .typed", "0.005")
-    page.page.click("#tab-bifurcation")
-    page.wait("!document.querySelector('#gone').hidden")
-    assert page.shown("#gone").startswith("The server does not answer.")
-    assert page.shown("#diagram-note").strip() in (
-        "",
-        "The gaits are followed over the slope: some ten seconds…",
-    )
-    page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
-    with explorer_server.running(first.port):
-        page.wait("document.querySelector('#gone').hidden")
-        page.wait("JSON.parse(explorer.picture.layer.key).parameters.slope === 0.005")
-        page.finished()
-        page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
-        page.said.clear()  # Chromium's own words on refused connections
-        page.close()
-
-
-SHOWN = """[...document.querySelectorAll(
-  "label, legend, dt, dd, button, .stage, select"
-)].filter((one) => one.checkVisibility()).map((one) => one.innerText + one.title).join()"""
-
-
-def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
-    page = opened_system("walker=henon&a=0.7")
-    assert page.value("explorer.map.axes") == ["x", "y"]
-    shown = page.value(SHOWN)
-    assert "System" in shown and "Cycle" in shown and "One iterate" in shown
-    for of_walkers in ("Walker", "Gait", "stride", "push", "real time", "rad", "Section"):
-        assert of_walkers not in shown
-    assert not page.page.locator("#stage").is_visible()
-    assert page.page.locator("#parameters .name").all_inner_texts() == ["a", "b"]
-    grid = wj.Grid.plain(x=(-2, 2, 200), y=(-2, 2, 250))
-    basin = wj.basin(wj.HenonMap(0.7), grid, "direct")
-    assert area_of(page)[0] == pytest.approx(float(basin["area"].sum()), rel=1e-12)
-    page.page.mouse.move(*page.screen(0.1, 0.1))
-    page.wait("document.querySelector('#hover').textContent.includes('the cycle of period 2')")
-    assert page.shown("#hover").startswith("x 0.1")
-    # iterates come in their order, by keys too
-    page.page.mouse.click(*page.screen(0.1, 0.1))
-    page.wait("explorer.walk.playing && explorer.map.path.length > 3")
-    page.page.keyboard.press(" ")
-    page.wait("!explorer.walk.playing")
-    count = page.value("explorer.map.path.length")
-    page.page.keyboard.press(".")
-    page.wait(f"explorer.map.path.length === {count + 1}")
-    path = page.value("explorer.map.path")
-    made = wj.walk(wj.HenonMap(0.7), jnp.array(path[0]), len(path) - 1)
-    np.testing.assert_allclose(path, made.states, rtol=1e-9)
-    assert page.shown("#walk-note").lower() == f"iterate {len(path)}"
-    # one that escapes says so, and a parameter that changes begins anew
-    page.page.mouse.click(*page.screen(-1.9, -1.9))
-    page.wait("explorer.walk.over && !explorer.walk.playing && explorer.walk.start[0] < -1")
-    assert page.shown("#walk-note").lower().startswith("infeasible after ")
-    assert "infeasible" in page.shown("#legend")
-    page.page.locator("#parameters .typed").first.fill("0.3")
-    page.wait("JSON.parse(explorer.picture.layer.key).parameters.a === 0.3")
-    page.finished()
-    assert "basin of the cycle of period 1" in page.shown("#legend")
-    # the bifurcation diagram is over a parameter of one's choice
-    page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
-    page.page.click("#tab-bifurcation")
-    page.wait("document.querySelector('#diagram-note').textContent.includes('cycle first doubles')")
-    with page.page.expect_request("**/api/measure/bifurcation") as asked:
-        page.page.select_option("#over", "b")
-    assert asked.value.post_data_json["over"] == "b"
-    page.wait("location.hash.includes('over=b')")
-
-
-def test_a_system_of_three_coordinates_is_shown_along_any_two(opened_system):
-    page = opened_system("walker=Spiral&section=east-up&at_north=0.5")
-    assert page.value("explorer.map.axes") == ["east", "up"]
-    assert page.page.locator("#section option").all_inner_texts() == [
-        *("east, north", "east, up", "north, up")
-    ]
-    assert page.page.locator("#slice .typed").input_value() == "0.5"
-    page.page.mouse.click(*page.screen(0.5, 0.7))
-    page.wait("explorer.walk.over && explorer.walk.strides.length === 2")
-    start = page.value("explorer.walk.start")
-    assert start[1] == 0.5 and start == pytest.approx([0.5, 0.5, 0.7], abs=0.02)
-    page.wait("!explorer.walk.playing")
-    assert page.shown("#walk-note").lower() == "flies off after 1 iterate"
-    page.page.mouse.click(*page.screen(-1.8, 0.7))
-    page.wait("document.querySelector('#walk-note').textContent === 'not a feasible start'")
-    page.page.select_option("#section select", "north-up")
-    page.wait("JSON.parse(explorer.picture.layer?.key ?? '{}').section === 'north-up'")
-    page.finished()
-    assert page.value("explorer.state.at") == {}
-    assert page.shown("#slice .name") == "slice at east"
-    assert page.shown(".at-gait") == "at the cycle"
-    legend = page.shown("#legend")
-    assert "flies off" in legend and "basin of the cycle of period 1" in legend
-    page.wait("location.hash.includes('section=north-up')")
-
-
-def test_a_link_of_another_server_is_told_apart(browser, running):
-    context = browser.new_context()
-    page = context.new_page()
-    page.goto(f"http://127.0.0.1:{running.port}/?token=another")
-    page.wait_for_selector("#gone:not([hidden])")
-    assert "the token is not that of this server" in page.locator("#gone").inner_text()
-    context.close()
-
-
-class Empty(BaseHTTPRequestHandler):
-    """An empty page."""
-
-    def do_GET(self):
-        self.send_response(200)
-        self.send_header("content-type", "text/html")
-        self.send_header("content-length", "0")
-        self.end_headers()
-
-    def log_message(self, *_):
-        pass
-
-
-FRAMED = """(frame) => new Promise((loaded) => {
-  document.body.innerHTML = frame;
-  document.body.firstChild.addEventListener("load", () => loaded(null));
-})"""
-
-
-def test_a_notebook_frames_the_page_and_others_do_not(browser, running):
-    """A frame in a page of another site on this machine, with the token and without."""
-    context = browser.new_context(viewport=WIDE)
-    page = context.new_page()
-    notebook = HTTPServer(("127.0.0.1", 0), Empty)
-    thread = Thread(target=notebook.serve_forever, daemon=True)
-    thread.start()
-    page.goto(f"http://localhost:{notebook.server_port}/")
-    for token, shown in ((explorer_server.TOKEN, True), ("another", False)):
-        link = f"http://127.0.0.1:{running.port}/?token={token}#walker=simplest&slope=0.004"
-        frame = f'<iframe src="{link}"></iframe>'
-        page.evaluate(FRAMED, frame)  # until it has loaded, or is refused
-        stop, there = time.monotonic() + (SECONDS if shown else 0.3), False
-        while time.monotonic() < stop and not there:
-            page.wait_for_timeout(50)
-            with suppress(Error):  # of a frame that goes on to its page
-                there = any(one.evaluate("Boolean(window.explorer)") for one in page.frames[1:])
-        assert there == shown
-    assert not any(one.evaluate("document.querySelector('#map') !== null") for one in page.frames)
-    context.close()
-    notebook.shutdown()
-    thread.join()
-    notebook.server_close()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("computed", [False, True])
-def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
-    """A diagram of the form of the server's, or its own of few slopes; those a hand chooses."""
-    page = opened("walker=simplest&slope=0.004")
-    few = {"period_max": 1, "strides": 60, "scan": 8}
-    monkeypatch.setattr(measures, "DIAGRAM", few)
-    found = (
-        measures.bifurcation(read_subject({"walker": "simplest"}), "slope")
-        if computed
-        else explorer_server.DIAGRAM
-    )
-    page.page.route("**/api/measure/bifurcation", partial(fulfil, found))
-    page.page.click("#tab-bifurcation")
-    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.019')")
-    assert "doubles its period at 0.015088;" in page.shown("#diagram-note")
-    assert page.value("document.querySelector('#diagram').getAttribute('aria-valuemax')") == "0.022"
-    box = page.box("#diagram")
-    page.page.mouse.click(box["x"] + 70 + 0.5 * (box["width"] - 84), box["y"] + 100)
-    slope = page.value("explorer.state.parameters.slope")
-    assert slope == pytest.approx(0.0115, abs=1e-4)
-    page.wait("location.hash.includes('tab=bifurcation')")
-    # where some walk at the highest slope, walking is not lost
-    never = explorer_server.DIAGRAM | {"lost": [0.022, None]}
-    page.page.unroute("**/api/measure/bifurcation")
-    page.page.route("**/api/measure/bifurcation", partial(fulfil, never))
-    page.value("location.hash = 'walker=Own&tab=bifurcation'")
-    page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
-    assert "lost" not in page.shown("#diagram-note")
-    page.value(f"location.hash = 'walker=simplest&slope={slope}&tab=bifurcation'")
-    page.wait("explorer.state.walker === 'simplest'")
-    page.page.click("#tab-basin")
-    key = "JSON.parse(explorer.picture.layer?.key ?? '{}')"
-    page.wait(f"{key}.parameters?.slope === {slope}")
-    page.finished()

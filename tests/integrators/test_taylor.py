@@ -1,4 +1,4 @@
-"""Taylor series of solutions against known ones, and the sines against mpmath."""
+"""Taylor series of solutions, and of functions of these, against known ones."""
 
 import inspect
 from fractions import Fraction
@@ -14,15 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
 
-import walker_jax as wj
-from walker_jax import multibody
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.power_balance import VirtualPower
-from walker_jax.integrators.series import evaluate_polynomial, sincos
+from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import function_series, solution_series
 from walker_jax.kernels import kernel
-from walker_jax.kernels.scalars import unroll
-from walker_jax.multibody.single_support import SingleSupport
 
 ORDER = 7
 
@@ -42,70 +37,6 @@ def assert_series(series, expected, rtol=1e-13):
 def solved_series(vector_field, start, order=ORDER):
     """By a kernel, which takes less to compile."""
     return kernel(lambda y: solution_series(vector_field, y, order))(start)
-
-
-# Sine and cosine
-
-
-def angles(dtype):
-    """Angles up to 1e5: at random, of every size, and next to multiples of pi/4."""
-    rng = np.random.default_rng(0)
-    anywhere = rng.uniform(-1e5, 1e5, 3000)
-    sizes = 10 ** rng.uniform(-12, 5, 3000) * rng.choice([-1, 1], 3000)
-    multiples = np.arange(-127_000, 127_000, 113) * (np.pi / 4)
-    return np.concatenate([anywhere, sizes, multiples, [0.0, 1e5, -1e5]]).astype(dtype)
-
-
-def sincos_errors(x):
-    """Error of each result, and the result, of the compiled `sincos` at x."""
-    results = jax.jit(sincos)(jnp.asarray(x))
-    for function, result in zip((mpmath.sin, mpmath.cos), results, strict=True):
-        assert result.dtype == x.dtype
-        with mpmath.workdps(40):
-            pairs = zip(x.tolist(), np.asarray(result).tolist(), strict=True)
-            yield np.array([abs(float(function(a) - r)) for a, r in pairs]), np.asarray(result)
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_sincos_is_right_to_the_last_place_of_one(dtype):
-    x = angles(dtype)
-    for error, _ in sincos_errors(x):
-        assert np.max(error) < np.finfo(dtype).eps, x[np.argmax(error)]
-
-
-@pytest.mark.parametrize(("dtype", "largest"), [(np.float64, 1e5), (np.float32, 4.0)])
-def test_sincos_is_right_to_few_units_also_where_it_is_nearly_zero(dtype, largest):
-    x = angles(dtype)
-    x = x[np.abs(x) <= largest]
-    for error, result in sincos_errors(x):
-        units = error / np.spacing(np.abs(result)).astype(float)
-        assert np.max(units) < 3, x[np.argmax(units)]
-
-
-def test_sincos_of_other_dtypes_is_that_of_jax():
-    x = jnp.asarray([0.5, -3.0], jnp.bfloat16)
-    sine, cosine = sincos(x)
-    assert sine.dtype == cosine.dtype == jnp.bfloat16
-    np.testing.assert_array_equal(sine, jnp.sin(x))
-    np.testing.assert_array_equal(cosine, jnp.cos(x))
-
-
-def test_derivatives_of_sincos_are_one_another_up_to_sign():
-    x = jnp.linspace(-20.0, 20.0, 401)
-
-    def derivatives(x):
-        first = jax.jacfwd(sincos)
-        return first(x), jax.jacfwd(first)(x), jax.grad(lambda x: sincos(x)[0] * sincos(x)[1])(x)
-
-    first, second, of_product = jax.jit(jax.vmap(derivatives))(x)
-    s, c = np.sin(x), np.cos(x)
-    np.testing.assert_allclose(first, (c, -s), atol=1e-15)
-    np.testing.assert_allclose(second, (-s, -c), atol=1e-15)
-    np.testing.assert_allclose(of_product, np.cos(2 * x), atol=1e-15)
-
-
-def test_sincos_of_what_is_not_finite_is_not_a_number():
-    assert np.isnan(sincos(jnp.array([np.nan, np.inf, -np.inf]))).all()
 
 
 # Series of solutions: y' = f(y), y(0), y(t)
@@ -411,8 +342,12 @@ SECOND = (1.5, -0.7, 0.3, 0.2)
 LARGE = (1.1, 1.7, 4.0)
 SMALL = (-0.6, 0.1, 0.5)
 BOTH = (-1.3, 0.4, 2.0)
+
+
 # A primitive from jax 0.12 on.
 polynomial = getattr(lax, "polynomial", lambda x, c: c[0] + c[1] * x + c[2] * x**2)
+
+
 # Of one operand: the function, the same of mpmath, and where it is expanded.
 ELEMENTARY = {
     "acos": (jnp.arccos, mpmath.acos, SMALL),
@@ -454,14 +389,14 @@ ELEMENTARY = {
     "exponent": (lambda x: jnp.power(1.7, x), lambda x: mpmath.mpf(1.7) ** x, BOTH),
     "products": (lambda x: jnp.cumprod(x) / jnp.prod(x) * jnp.cumsum(x), None, (1.1, -2.0, 0.8)),
 }
+
+
 # Of two operands x(t) and y(t), the second from y(0) = 1.2 on.
 OF_TWO = {
     "atan2": (jnp.arctan2, lambda x, y: mpmath.atan2(x, y), BOTH),
     "atan2 behind": (lambda x, y: jnp.arctan2(x, -y), lambda x, y: mpmath.atan2(x, -y), LARGE),
     "power": (jnp.power, lambda x, y: x**y, LARGE),
 }
-
-
 LONG = 9
 
 
@@ -543,171 +478,7 @@ def test_evaluate_is_the_polynomial():
 # Sines
 
 
-@jax.jit
-def with_sines(x, y):
-    inner = jax.jit(lambda z: jnp.cos(z) ** 2 + jnp.sin(z) * jnp.cos(2 * z))
-    slope = jax.jvp(jnp.sin, (x,), (y,))[1]
-    return {"value": jnp.where(x > 0, inner(x), jnp.sin(y)), "slope": slope, "sign": jnp.sign(x)}
-
-
-def test_fast_sines_equal_the_plain_function_and_its_derivatives():
-    x = jnp.linspace(-5.0, 5.0, 51)
-    y = x[::-1] + 0.3
-    faster = with_fast_sincos(with_sines)
-    assert "sin " not in str(jax.make_jaxpr(faster)(x, y)) + " "
-    along = lambda function: jax.jvp(function, (x, y), (y, x))
-    (plain, slopes), (fast, fast_slopes) = jax.jit(lambda: (along(with_sines), along(faster)))()
-    assert plain.keys() == fast.keys()
-    for key in plain:
-        np.testing.assert_allclose(fast[key], plain[key], rtol=0, atol=3e-15)
-        np.testing.assert_allclose(fast_slopes[key], slopes[key], rtol=0, atol=3e-14)
-
-
-def test_fast_sines_keep_whole_numbers_and_loops():
-    def function(n, x):
-        return n + 1, lax.fori_loop(0, 3, lambda i, v: jnp.sin(v), x)
-
-    n, x = map(jnp.asarray, with_fast_sincos(function)(jnp.array(3), jnp.array(0.5)))
-    assert n == 4 and n.dtype == jnp.int64
-    assert x == pytest.approx(np.sin(np.sin(np.sin(0.5))), rel=1e-15)
-
-
 def test_series_go_through_stop_gradient():
     series = solution_series(lambda y: jax.lax.stop_gradient(y), jnp.array(1.0), 4)
     np.testing.assert_allclose(np.array(series), [1, 1, 1 / 2, 1 / 6, 1 / 24], rtol=1e-15)
     assert with_fast_sincos(lambda x: jnp.array(True))(jnp.array(1.0)).dtype == bool
-
-
-# Series of motions by their virtual power
-
-
-class Chain(VirtualPower):
-    """Point masses on rods, each hung from the one before; damped, all angles from the vertical."""
-
-    masses: jax.Array
-
-    def system(self):
-        def transfer(q):
-            steps = jnp.stack([jnp.sin(q), -jnp.cos(q)], 1)
-            return jnp.cumsum(steps, axis=0).ravel()
-
-        masses = jnp.repeat(self.masses, 2)
-        down = jnp.tile(jnp.array([0.0, -1.0], masses.dtype), len(self.masses))
-        return multibody.System(transfer, masses, masses * down, lambda q, qdot: -0.1 * qdot)
-
-    def transfer(self, q):
-        return unroll(lambda chain, q: list(chain.system().transfer(jnp.stack(q))))(self, q)
-
-    def virtual_power(self, q, qdot, acceleration):
-        def flat(chain, *vectors):
-            return list(multibody.virtual_power(chain.system(), *map(jnp.stack, vectors)))
-
-        return unroll(flat)(self, q, qdot, acceleration)
-
-    def factorise(self, q):
-        def flat(chain, q):
-            matrix = multibody.mass_matrix(chain.system(), jnp.stack(q))
-            return multibody.factorise(multibody.block(matrix, range(len(q))))
-
-        return unroll(flat)(self, q)
-
-    def solve(self, factors, right):
-        return multibody.solve_factored(factors, right)
-
-    def explicit(self, state):
-        """The time derivative of a state by the accelerations, as any vector field."""
-
-        def flat(chain, q, qdot):
-            system, q, qdot = chain.system(), jnp.stack(q), jnp.stack(qdot)
-            return list(multibody.solve_motion(system, q, qdot).accelerations)
-
-        q, qdot = state
-        return qdot, unroll(flat)(self, q, qdot)
-
-
-def chain(n, dtype=jnp.float64):
-    """Masses, and a state far from equilibrium."""
-    masses = jnp.asarray(1 / np.arange(1, n + 1), dtype)
-    q, qdot = np.random.default_rng(n).uniform(-1, 1, (2, n))
-    return Chain(masses), tuple([jnp.asarray(x, dtype) for x in part] for part in (q, 2 * qdot))
-
-
-LOW = 6
-
-
-def series_and_slopes(equations, state, by_series):
-    """Coefficients, and their derivatives by all parameters and coordinates at once.
-
-    Not compiled: XLA takes minutes over the accelerations, as it has no loops to make of them.
-    """
-    expand = inspect.unwrap(solution_series)
-
-    def series(equations, state):
-        field = equations if by_series else equations.explicit
-        return [jnp.stack(c) for c in all_series(expand(field, state, LOW))]
-
-    ones = jax.tree.map(jnp.ones_like, (equations, state))
-    return [jnp.stack(part) for part in jax.jvp(series, (equations, state), ones)]
-
-
-def all_series(tree):
-    """The lists of coefficients, which are the innermost ones."""
-    innermost = lambda x: isinstance(x, list) and not isinstance(x[0], list)
-    return jax.tree.leaves(tree, is_leaf=innermost)
-
-
-def test_series_by_virtual_power_is_that_of_the_accelerations():
-    """Of a double pendulum; its derivative by masses and start too."""
-    results = [series_and_slopes(*chain(2), by_series) for by_series in (True, False)]
-    for found, expected in zip(*results, strict=True):
-        assert found.shape == (4, LOW + 1) and np.ptp(expected[:, -1]) > 0.1
-        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
-
-
-class OfMotion(SingleSupport):
-    def explicit(self, state):
-        def flat(walker, state):
-            zero = jnp.zeros_like(state.theta)
-            q = jnp.stack([zero, zero, state.theta, state.phi])
-            qdot = jnp.stack([zero, zero, state.thetadot, state.phidot])
-            accelerations = multibody.solve_motion(
-                walker.system(), q, qdot, held=(0, 1)
-            ).accelerations
-            return wj.State(state.thetadot, state.phidot, accelerations[2], accelerations[3])
-
-        return unroll(flat)(self.walker, state)
-
-
-@pytest.mark.slow
-def test_series_by_virtual_power_of_a_walker_is_that_of_its_accelerations():
-    equations = OfMotion(wj.PointFootWalker(0.01, 0.2))
-    state = wj.State(*map(jnp.asarray, (0.3, 0.5, -0.4, 0.2)))
-    results = [series_and_slopes(equations, state, by_series) for by_series in (True, False)]
-    for found, expected in zip(*results, strict=True):
-        assert found.shape == (4, LOW + 1) and np.ptp(expected[:, -1]) > 1e-3
-        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
-
-
-def test_virtual_power_called_is_the_time_derivative():
-    for equations, state in (chain(1), chain(2)):
-        found, expected = equations(state), equations.explicit(state)
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
-
-
-def test_series_by_virtual_power_of_all_orders_begin_alike():
-    equations, state = chain(2)
-    long = all_series(equations.series(state, LOW))
-    for order in range(3):
-        short = all_series(equations.series(state, order))
-        assert [len(coefficients) for coefficients in short] == [order + 1] * 4
-        np.testing.assert_allclose(short, [c[: order + 1] for c in long], rtol=1e-13)
-
-
-def test_series_by_virtual_power_in_float32():
-    """Compiled."""
-    expand = kernel(lambda equations, state: solution_series(equations, state, LOW))
-    low = jax.tree.leaves(expand(*chain(1, jnp.float32)))
-    assert {c.dtype for c in low} == {jnp.dtype("float32")}
-    equations, state = chain(1)
-    high = jax.tree.leaves(equations.series(state, LOW))
-    np.testing.assert_allclose(low, high, rtol=1e-4, atol=1e-5 * np.max(np.abs(high)))

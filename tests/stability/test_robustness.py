@@ -15,7 +15,6 @@ from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability import summary
-from walker_jax.stability.descents import descend_to_failure
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
@@ -24,9 +23,6 @@ from walker_jax.stability.rays import (
     FINE,
     bisect,
     bisect_nearest,
-    nearest_failure,
-    spacing,
-    spread_directions,
 )
 from walker_jax.stability.sampling import (
     BasinStability,
@@ -37,116 +33,6 @@ from walker_jax.stability.sampling import (
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
 from walker_jax.stability.summary import common_attributes, join_rows, robustness_table
 from walker_jax.walking.stride import follow_step
-
-
-@pytest.mark.parametrize("size", [2, 3])
-def test_the_nearest_point_of_a_half_plane(size):
-    normal = np.arange(1.0, size + 1)
-    normal /= np.linalg.norm(normal)
-    for distance in (0.003, 0.3, 7.0):
-        found = nearest_failure(
-            lambda y, d=distance: y @ normal > d, np.eye(size), lambda y: 0 * y + normal
-        )
-        np.testing.assert_allclose(found, distance * normal, rtol=0, atol=1e-6 * distance)
-        assert np.linalg.norm(found) == pytest.approx(distance, rel=1e-11)
-
-
-CENTRES = np.array([[-1.0, 0.2], [0.3, 0.8], [0.6, -0.3]])
-RADII = np.array([0.3, 0.3, 0.12])
-
-
-def gaps(y):
-    return np.linalg.norm(y[:, None] - CENTRES, axis=2) - RADII
-
-
-def towards(y):
-    """The direction to the disc that is nearest."""
-    away = CENTRES[gaps(y).argmin(axis=1)] - y
-    return away / np.linalg.norm(away, axis=1, keepdims=True)
-
-
-@pytest.mark.parametrize("gradient", [towards, lambda y: np.full_like(y, np.nan)])
-def test_the_nearest_of_several_discs(gradient):
-    """One that is far off and large, one nearer, and a small one nearer still."""
-    found = nearest_failure(lambda y: (gaps(y) < 0).any(axis=1), np.eye(2), gradient)
-    nearest = np.linalg.norm(CENTRES, axis=1) - RADII
-    assert np.linalg.norm(found) == pytest.approx(nearest.min(), rel=1e-8)
-    accuracy = 1e-6 if gradient is towards else 1e-4
-    np.testing.assert_allclose(
-        found / np.linalg.norm(found), CENTRES[2] / np.linalg.norm(CENTRES[2]), atol=accuracy
-    )
-
-
-def test_a_finger_of_failure_that_is_thinner_than_the_first_rays_are_apart():
-    """A wedge with its tip at 0.5, between two of them, before a circle of radius 0.9."""
-    angle = 2 * np.pi * 100.5 / 720
-    along = np.array([np.cos(angle), np.sin(angle)])
-
-    def fails(y):
-        on, off = y @ along, np.abs(y @ [-along[1], along[0]])
-        return (np.linalg.norm(y, axis=1) > 0.9) | ((on > 0.5) & (off < 0.01 * (on - 0.5)))
-
-    found = nearest_failure(fails, np.eye(2), lambda y: np.full_like(y, np.nan))
-    assert fails(found[None]) and not fails(0.999999 * found[None])
-    assert 0.5 < np.linalg.norm(found) < 0.53  # the tip, where it is as wide as rays are apart
-
-
-@pytest.mark.parametrize(("size", "count"), [(2, 720), (3, 180), (3, 720)])
-def test_directions_are_as_far_apart_as_is_said(size, count):
-    rays = spread_directions(size, count)
-    cosines = rays @ rays.T - 2 * np.eye(len(rays))
-    nearest = np.arccos(cosines.max(axis=1))
-    np.testing.assert_allclose(nearest, spacing(size, count), rtol=0.15)
-
-
-def test_a_descent_begins_where_a_rough_test_of_failure_is_half_a_per_cent_off():
-    """The ray along an axis alone meets the ball that fails; it is tried at 0.25, just before."""
-    centre = 0.351 * np.eye(5)[0]
-
-    def gap(y):
-        return np.linalg.norm(y - centre, axis=1) - 0.1
-
-    found = descend_to_failure(
-        lambda y: gap(y) < 0,
-        np.eye(5),
-        lambda y: (centre - y) / np.linalg.norm(centre - y, axis=1, keepdims=True),
-        count=16,
-        roughly_fails=lambda y: gap(y / 0.995) < 0,
-    )
-    np.testing.assert_allclose(found, 0.251 * np.eye(5)[0], rtol=0, atol=1e-9)
-
-
-def test_in_one_direction_only():
-    fails = lambda y: (y[:, 1] > 0.2) | (y[:, 1] < -0.05)
-    found = nearest_failure(fails, np.array([[0.0, 1.0]]), np.zeros_like)
-    np.testing.assert_allclose(found, [0, -0.05], rtol=0, atol=1e-12)
-    with pytest.raises(wj.ComputationFailed, match="returns to its gait from all disturbances"):
-        nearest_failure(fails, np.array([[1.0, 0.0]]), np.zeros_like)
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_thin_shell_of_failures_is_met_on_the_last_search_along_the_ray(axis):
-    """Nothing else does that: of 128 and 64 distances, none is in it; of the last 512, one is."""
-    shell = 257 / 512
-
-    def fails(y):
-        size = np.linalg.norm(y, axis=1)
-        return (size > 1) | (np.abs(size - shell) < 1e-4)
-
-    found = nearest_failure(fails, np.eye(2)[[axis]], np.zeros_like)
-    assert np.linalg.norm(found) == pytest.approx(shell - 1e-4, abs=1e-9)
-
-
-def test_dust_of_failures_is_met_by_chance_and_never_lost():
-    """Some points fail that are farther than a half, as if at random."""
-
-    def fails(y):
-        dust = np.sin(1e7 * y[:, 0]) * np.cos(3e7 * y[:, 1]) > 0.98
-        return (np.linalg.norm(y, axis=1) > 0.5) & dust
-
-    found = nearest_failure(fails, np.eye(2), lambda y: np.full_like(y, np.nan))
-    assert fails(found[None])[0] and 0.5 < np.linalg.norm(found) < 0.51
-
 
 WALKER = wj.SimplestWalker(0.004)
 

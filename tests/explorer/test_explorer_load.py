@@ -1,0 +1,266 @@
+"""The explorer's workers, and its server among strangers and many clients."""
+
+import asyncio
+import json
+import math
+import os
+import random
+import re
+import threading
+import time
+from pathlib import Path
+
+import explorer_server
+import numpy as np
+import pytest
+from explorer_subjects import FIRST, GRID, WHOLE, joined
+
+import walker_jax as wj
+from walker_jax.explorer import measures, service, workers
+from walker_jax.explorer.guard import MAX_BODY, Bucket
+
+# ---------------------------------------------------------------------------- measures, copies
+
+
+async def until(condition, seconds=60.0):
+    """Wait for something that another thread or task brings about."""
+    async with asyncio.timeout(seconds):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+def test_a_worker_is_interrupted_and_stays():
+    async def use():
+        crew = workers.Workers(1)
+        try:
+            assert await crew.ask(math.sqrt, 4.0) == 2.0
+            assert await crew.ask(math.exp, 4.0) == math.exp(4.0)
+            pid = crew.all[0].process.pid
+            first, second = (asyncio.create_task(crew.ask(time.sleep, 60.0)) for _ in range(2))
+            third = asyncio.create_task(crew.ask(time.sleep, 61.0))
+            await until(lambda: crew.all[0].at_work and crew.waiting)
+            for task in (first, third):
+                task.cancel()
+                await asyncio.wait([task])
+            assert crew.waiting == []  # the third one has not begun
+            assert len(crew.jobs) == 1 and crew.idle == []  # the second one waits for the first
+            second.cancel()
+            start = time.monotonic()
+            assert await crew.ask(math.sqrt, 9.0) == 3.0
+            assert time.monotonic() - start < 30 and crew.all[0].process.pid == pid
+            with pytest.raises(workers.Failure, match="math domain error"):
+                await crew.ask(math.sqrt, -1.0)
+            with pytest.raises(workers.Failure, match="has died"):
+                await crew.ask(os._exit, 1)
+            assert await crew.ask(math.sqrt, 16.0) == 4.0
+        finally:
+            crew.stop()
+
+    asyncio.run(use())
+
+
+# ---------------------------------------------------------------------------- strangers
+
+
+def test_strangers_are_refused(running, client):
+    host = f"127.0.0.1:{running.port}"
+    refused = lambda **headers: client.ask("/api/about", **headers).status
+    assert refused() == 200
+    assert refused(x_walker_token="wrong") == refused(x_walker_token="") == 403
+    assert refused(host="evil.example") == refused(host=f"evil.example:{running.port}") == 403
+    assert refused(host="127.0.0.1:1") == refused(host="") == 403
+    assert refused(origin="http://evil.example") == refused(origin="null") == 403
+    assert refused(origin=f"https://{host}") == 403
+    assert refused(origin=f"http://{host}") == refused(host=f"localhost:{running.port}") == 200
+    assert client.ask("/", host="evil.example").status == 403
+    assert client.ask("/", x_walker_token="").status == 200  # the page itself holds no secret
+    long = json.dumps({"walker": "x" * MAX_BODY}).encode()
+    assert client.send("/api/home", long).status == 413
+    assert running.client().send("/api/home", b"{}", content_type="text/plain").status == 400
+    for path in ("/page/../service.py", "/page/%2e%2e%2fservice.py", "/etc/passwd", "/api/x"):
+        assert client.send(path).status == 404
+    answer = client.ask("/api/home", {"walker": "simplest", "parameters": {"slope": -1.0}})
+    assert answer.status == 400 and answer.json()["parameter"] == "slope"
+    assert answer.json()["error"] == "slope must be above 0 and below 1.5708, not -1.0"
+    crossed = {"walker": "round-foot", "parameters": {"foot_radius": 1.2}}
+    assert client.ask("/api/home", crossed).json()["parameter"] == "foot_radius"
+    for asked, named in (
+        ({"parameters": {"slope": 1e7}}, "slope"),
+        ({"parameters": {"foot_radius": "wide"}}, "foot_radius"),
+        ({"at": {"phidot": 1e7}}, "at_phidot"),
+    ):
+        answer = client.ask("/api/home", {"walker": "round-foot"} | asked).json()
+        assert answer["parameter"] == named and answer["error"].startswith(f"{named} must be ")
+    assert "parameter" not in client.ask("/api/home", {"walker": "x"}).json()
+
+
+def test_a_body_that_does_not_tell_its_length_is_bounded_too(running):
+    client = running.client()
+    chunks = iter([b" " * 40_000] * 3)
+    headers = {
+        "content-type": "application/json",
+        explorer_server.TOKEN_HEADER: explorer_server.TOKEN,
+    }
+    client.connection.request("POST", "/api/home", chunks, headers, encode_chunked=True)
+    assert client.connection.getresponse().status == 413
+
+
+def test_the_rate_of_requests_is_bounded():
+    now = [0.0]
+    bucket = Bucket(10.0, 3.0, lambda: now[0])
+    assert [bucket.take() for _ in range(4)] == [True, True, True, False]
+    now[0] += 0.1
+    assert [bucket.take() for _ in range(2)] == [True, False]
+    now[0] += 1e9
+    assert sum(bucket.take() for _ in range(10)) == 3
+
+
+def test_every_file_of_the_page_is_served_and_names_no_other_host(client):
+    files = service.page_files()
+    assert {"index.html", "style.css", "main.js", "icon.svg"} <= set(files)
+    for name, (content, _) in files.items():
+        assert client.send(f"/page/{name}").body == content
+        addresses = re.findall(rb"https?://[^\s\"'`)]+", content)
+        assert set(addresses) <= {b"http://www.w3.org/2000/svg"}, name
+        imported = re.findall(rb'(?:from|import) "\./([\w.]+)"', content)
+        assert {one.decode() for one in imported} <= set(files)
+
+
+# ---------------------------------------------------------------------------- fuzz and load
+
+SENSELESS = [
+    *(None, True, -1, 0, 1.5, 1e308, 2**70, float("nan"), float("inf")),
+    *("", "simplest", "\ud800", "../x", "__import__('os')"),
+    *([], [[]], {}, {"slope": "x"}, [1] * 50, [[0, 0, 0]], [[99, 0, 0]], [[0, 2**60, 0]]),
+]
+PATHS = [
+    "home",
+    "picture",
+    "walk",
+    "words",
+    "data",
+    "measure/area",
+    "measure/gaits",
+    "measure/disturbance",
+    "measure/bifurcation",
+    "measure/x",
+    "about",
+    "nothing",
+]
+ALLOWED = {200, 400, 403, 404, 405, 413, 422}
+
+
+def malformed(rng):
+    """A request that is wrong in some way, or in none by chance."""
+    asked = {
+        "walker": "simplest",
+        "parameters": {"slope": 0.004},
+        "tiles": [[-3, 0, 0]],
+        "start": [0.2, -0.21],
+        "cells": [0, 0, 0, 3, 3],
+    }
+    for _ in range(rng.randint(1, 3)):
+        name = rng.choice([*asked, "section", "method", "at", "push", "strides", "rectangles"])
+        asked[name] = rng.choice(SENSELESS)
+    body = json.dumps(asked).encode()
+    kind = rng.random()
+    if kind < 0.1:
+        return body[: rng.randint(0, len(body))]
+    if kind < 0.2:
+        return bytes(rng.randrange(256) for _ in range(rng.randint(0, 200)))
+    if kind < 0.25:
+        return b"[" * 30_000
+    return json.dumps(rng.choice(SENSELESS)).encode() if kind < 0.35 else body
+
+
+HEADERS = ["origin", "host", "content_type", "sec_fetch_site", "x_walker_token", "accept", "range"]
+VALUES = ["", "null", "x", "cross-site", "text/html", "http://[", "\xff", "a" * 9000, "bytes=-1"]
+
+
+def fuzz(running, monkeypatch, count, seed):
+    async def ask(function, *arguments, **options):  # right by chance: a worker would compute it
+        return b"" if function is measures.data else {}
+
+    crew = running.server.config.app.app.state.service.workers
+    monkeypatch.setattr(crew, "ask", ask)
+    client, rng = running.client(), random.Random(seed)
+    statuses = {}
+    for _ in range(count):
+        path, body = rng.choice(PATHS), malformed(rng)
+        headers = {rng.choice(HEADERS): rng.choice(VALUES)} if rng.random() < 0.2 else {}
+        method = rng.choice(["POST", "POST", "POST", "PUT", "GET"])
+        answer = client.send(f"/api/{path}", body, method, **headers)
+        assert answer.status in ALLOWED, (path, body, answer)
+        if answer.status != 200 and answer.status != 405:
+            reason = answer.json()["error"]
+            assert reason and "Traceback" not in reason and "\n" not in reason
+        statuses[answer.status] = statuses.get(answer.status, 0) + 1
+    assert client.ask("/api/alive").json() == {"alive": True}
+    assert statuses[400] > count / 4
+    return statuses
+
+
+def test_malformed_requests_are_refused_in_one_sentence(running, caplog, monkeypatch):
+    fuzz(running, monkeypatch, 500, 0)
+    assert not caplog.records
+
+
+@pytest.mark.slow
+def test_thousands_of_malformed_requests(running, caplog, monkeypatch):
+    fuzz(running, monkeypatch, 20_000, 1)
+    assert not caplog.records
+
+
+def drag(running, seconds, clients=8):
+    """Clients that drag at once, walk and give up, each with a picture of its own at the end."""
+    ends, failures, pictures_made = {}, [], []
+
+    def hand(number):
+        rng, client = random.Random(number), running.client()
+        stop = time.monotonic() + seconds
+        try:
+            while time.monotonic() < stop:
+                slope = round(rng.uniform(0.003, 0.012), 5)
+                asked = {"walker": "simplest", "parameters": {"slope": slope}}
+                client.tiles(asked | {"tiles": WHOLE[:4]})
+                pictures_made.append(1)
+                client.give_up("/api/picture", asked | {"tiles": WHOLE})
+                answer = client.ask("/api/walk", asked | {"start": [0.2, -0.21], "strides": 20})
+                assert answer.status == 200, answer
+            slope = 0.004 + 0.0005 * number
+            asked = {"walker": "simplest", "parameters": {"slope": slope}, "tiles": WHOLE}
+            ends[slope] = client.tiles(asked)[1]
+        except Exception as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=hand, args=(i,)) for i in range(clients)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert not failures and len(ends) == clients
+    for slope, tiles in ends.items():
+        fate = wj.basin(wj.SimplestWalker(slope), GRID, "direct")["fate"].values
+        label, _ = joined(tiles)
+        walks = label >= FIRST
+        np.testing.assert_array_equal(np.where(walks, 0, label), fate)
+    return len(pictures_made)
+
+
+@pytest.mark.slow  # one thread computes all pictures, as other tests show
+def test_clients_that_drag_at_once_all_get_their_pictures(running):
+    assert drag(running, 0.5, clients=3) >= 3
+
+
+def resident() -> int:
+    """Bytes of memory of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the memory is read from /proc")
+def test_eight_clients_drag_for_a_minute_in_flat_memory(running):
+    drag(running, 10)
+    before = resident()
+    drag(running, 60)
+    assert resident() - before < 60e6
