@@ -4,9 +4,7 @@ import sys
 
 import pytest
 
-from walker_jax.cli import (
-    main,
-)
+from walker_jax.cli import main
 
 
 @pytest.fixture

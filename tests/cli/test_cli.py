@@ -14,10 +14,7 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli import (
-    app,
-    startup,
-)
+from walker_jax.cli import app, startup
 from walker_jax.cli.answers import Stopwatch
 from walker_jax.cli.app import COMMANDS
 from walker_jax.cli.examples import DURATIONS, EXAMPLES

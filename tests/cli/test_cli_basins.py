@@ -16,12 +16,7 @@ from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.cli import (
-    answers,
-    basin_command,
-    optimise_command,
-    sweep_command,
-)
+from walker_jax.cli import answers, basin_command, optimise_command, sweep_command
 from walker_jax.paper import numbers
 
 

@@ -8,9 +8,7 @@ import xarray as xr
 from command_lines import RESUME
 
 import walker_jax as wj
-from walker_jax.cli import (
-    optimise_command,
-)
+from walker_jax.cli import optimise_command
 from walker_jax.design import evaluation
 from walker_jax.design.measures import Measure
 from walker_jax.design.summary import summarise_optimum

@@ -3,9 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from walker_jax import (
-    UpperBodyWalker,
-)
+from walker_jax import UpperBodyWalker
 from walker_jax.walkers.parameters import parameters
 
 

@@ -13,10 +13,7 @@ from scipy.integrate import solve_ivp
 from walker_jax.hybrid.crossings import Crossing, begins_below, rise_of
 from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.integrators.method import Method
-from walker_jax.integrators.roots import (
-    bracketed_newton,
-    polynomial_jet,
-)
+from walker_jax.integrators.roots import bracketed_newton, polynomial_jet
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import solution_series
 from walker_jax.integrators.taylor_solver import SeriesSteps, Taylor, TaylorInterpolation

@@ -5,11 +5,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.stability.descents import descend_to_failure
-from walker_jax.stability.rays import (
-    nearest_failure,
-    spacing,
-    spread_directions,
-)
+from walker_jax.stability.rays import nearest_failure, spacing, spread_directions
 
 
 @pytest.mark.parametrize("size", [2, 3])

@@ -19,11 +19,7 @@ from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.stability.rays import (
-    FINE,
-    bisect,
-    bisect_nearest,
-)
+from walker_jax.stability.rays import FINE, bisect, bisect_nearest
 from walker_jax.stability.sampling import (
     BasinStability,
     basin_stability,

@@ -13,11 +13,7 @@ from walker_jax.gaits import reasons, selection
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.summary import find_stable_intervals, summarise_bifurcations, summarise_gait
 from walker_jax.stability import summary
-from walker_jax.stability.robustness_fields import (
-    FIELDS,
-    summarise_robustness,
-    without_gait,
-)
+from walker_jax.stability.robustness_fields import FIELDS, summarise_robustness, without_gait
 from walker_jax.walkers.parameters import describe_in_words, describe_walker, space_decimals
 
 WALKER = wj.SimplestWalker(0.004)

@@ -13,13 +13,7 @@ from planar_walkers import GAITS, SLOW, name
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax import (
-    Outcome,
-    RoundFootWalker,
-    SimplestWalker,
-    State,
-    UpperBodyWalker,
-)
+from walker_jax import Outcome, RoundFootWalker, SimplestWalker, State, UpperBodyWalker
 
 # An independent solution: each leg and the upper body a free body, held by forces at its joints
 

@@ -10,13 +10,7 @@ from by_differences import composite, newton, strides
 from planar_walkers import FINITE, PUBLISHED
 
 import walker_jax as wj
-from walker_jax import (
-    Outcome,
-    PointFootWalker,
-    RoundFootWalker,
-    State,
-    multibody,
-)
+from walker_jax import Outcome, PointFootWalker, RoundFootWalker, State, multibody
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.multibody.single_support import stance_coordinates

@@ -271,7 +271,8 @@ def collision(cls):
 
 
 OTHERWISE = RoundFootWalker, UpperBodyWalker, KneedWalker
-"""Compared with other equations in test_free_bodies.py and in test_knee_mechanics.py: by default laws are left to these."""
+"""Compared with other equations in test_free_bodies.py and test_knee_mechanics.py: by default laws
+are left to these."""
 OF_LAWS = [pytest.param(cls, marks=[SLOW] * (cls in OTHERWISE)) for cls in CLASSES]
 
 
