@@ -35,7 +35,7 @@ def mapped():
     return wj.basin(wj.SimplestWalker(0.004), wj.Grid.sheared(**PAPER))
 
 
-def test_a_point_within_reach_of_several_attractors_is_the_nearests():
+def test_within_reach_of_several_attractors_the_nearest_counts():
     places = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
     cycles = [Attractor(1, place[None]) for place in places]
     points = np.array([[0.11, 0.01], [0.16, 0], [0.24, 0], [0.9, 0]])
@@ -70,7 +70,7 @@ def test_strides_count_until_the_gait_is_reached(direct):
     assert len(cells) > 20 and first.min() > 0
 
 
-def test_cell_mapping_agrees_with_direct_iteration_but_for_cells(direct, mapped):
+def test_cell_mapping_agrees_with_iteration_but_for_cells(direct, mapped):
     agree = (mapped.fate == wj.Outcome.STRIDE) == (direct.fate == wj.Outcome.STRIDE)
     assert float(agree.mean()) >= 0.995
     gait = direct.states.values[0, 0]
@@ -215,7 +215,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
 
-def test_a_slice_is_followed_directly_and_a_grid_has_the_dimensions_of_the_section():
+def test_a_slice_is_followed_directly_on_a_grid_of_the_section():
     walker = wj.RoundFootWalker(0.01)
     layer = wj.Grid.sheared(theta=(0, 0.4, 4), sum=(-0.1, 0, 4), phidot=0.0)
     with pytest.raises(ValueError, match="direct for a slice, phidot fixed"):
@@ -252,7 +252,7 @@ def test_a_basin_of_three_dimensions_and_a_slice_of_it():
 
 
 @pytest.mark.slow
-def test_cells_of_three_dimensions_show_one_attractor_where_there_is_one():
+def test_cells_of_three_dimensions_show_the_one_attractor():
     walker = wj.RoundFootWalker(0.01)
     axes = {"theta": (0, 0.5, 20), "sum": (-0.17, -0.01, 20), "phidot": (-0.15, 0.05, 20)}
     data = wj.basin(walker, wj.Grid.sheared(**axes))
@@ -281,9 +281,7 @@ def test_where_cell_mapping_differs_and_what_it_makes_up():
     assert lost.mapped.any() and lost.artefact.values.all()
 
 
-def test_the_gait_is_the_attractor_of_the_map_and_a_cell_that_seems_to_stand_still_is_none(
-    direct, mapped
-):
+def test_a_cell_that_seems_to_stand_still_is_no_attractor(direct, mapped):
     """The unstable gait is in that cell; a walker from its centre falls."""
     assert mapped.period.values.tolist() == [1, 1]
     assert mapped.artefact.values.tolist() == [False, True]
@@ -296,7 +294,7 @@ def test_the_gait_is_the_attractor_of_the_map_and_a_cell_that_seems_to_stand_sti
 
 
 @pytest.mark.parametrize(("slope", "joined"), [(0.0114, 1), (0.0124, 3), (0.0178, 3)])
-def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres(slope, joined):
+def test_a_cycle_of_cells_belongs_to_where_most_centres_lead(slope, joined):
     """Every cycle, and the cells that lead to it, against walks from the centres one by one."""
     walker, grid = wj.SimplestWalker(slope), wj.Grid.sheared(**PAPER)
     data = wj.basin(walker, grid)
@@ -330,7 +328,7 @@ def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres
     np.testing.assert_array_equal(label >= 0, data.fate.values.ravel() == wj.Outcome.STRIDE)
 
 
-def test_a_cycle_of_cells_on_an_attractor_without_a_period_belongs_to_that(monkeypatch):
+def test_a_cycle_of_cells_may_belong_to_one_without_a_period(monkeypatch):
     """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
     monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
     monkeypatch.setattr("walker_jax.basins.attractor_search.ATTEMPTS", 1)
@@ -477,7 +475,7 @@ print("ended", flush=True)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
-def test_killed_at_twenty_moments_it_is_the_same_to_the_last_bit(tmp_path, method):
+def test_killed_at_twenty_moments_it_is_the_same_to_the_bit(tmp_path, method):
     """Killed, so that nothing is tidied up; no piece is computed twice but those in flight."""
     path, begun = tmp_path / "a.zarr", []
     # before so many files are written, none of them so many that twenty runs could come to the end

@@ -69,7 +69,7 @@ def test_cells_are_in_c_order_along_the_box_axes(grid):
 
 
 @THE_SEVERAL
-def test_a_point_is_within_half_a_spacing_of_its_cell_or_off_the_grid(grid):
+def test_a_point_is_within_half_a_cell_or_off_the_grid(grid):
     width, random = grid.upper - grid.lower, np.random.default_rng(0)
     points = random.uniform(grid.lower - 0.2 * width, grid.upper + 0.2 * width, (1000, len(width)))
     cells = cells_of(grid, points @ grid.shear.T)

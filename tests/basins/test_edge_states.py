@@ -37,7 +37,7 @@ def short():
     return wj.find_gait(WALKER, [0.1488, -0.1588])
 
 
-def test_the_derivatives_of_an_image_are_nan_where_a_stride_fails():
+def test_derivatives_of_an_image_are_nan_where_a_stride_fails():
     for strides in (1, 2):
         image, jacobian = Image(WALKER, strides, Integrator(1e-12))(np.array([0.3, -0.05]))
         assert np.isnan(image).all() and np.isnan(jacobian).all()
@@ -72,7 +72,7 @@ def test_the_edge_of_a_map_with_a_known_saddle_leads_to_it():
     np.testing.assert_allclose(track.path[-1], 0, atol=3e-6)
 
 
-def test_the_edge_of_a_saddle_of_period_two_repeats_itself_after_two_points():
+def test_the_edge_of_a_saddle_of_period_two_repeats_itself():
     """The same map, but its boundary point alternates between two that attract along it."""
 
     def flip(x):
@@ -89,7 +89,7 @@ def test_the_edge_of_a_saddle_of_period_two_repeats_itself_after_two_points():
     np.testing.assert_allclose(np.abs(track.path[-2:, 1]), 1, atol=1e-6)
 
 
-def test_an_edge_goes_on_to_a_cycle_that_attracts_slowly_along_it():
+def test_an_edge_goes_on_to_a_cycle_that_attracts_slowly():
     """y -> 0.995 y: two points are 1e-6 apart at 2e-4 from the cycle, and 1e-7 at 2e-5."""
     image = lambda x: np.stack([2 * x[:, 0], 0.995 * x[:, 1]], axis=1)
     ends = np.array([0.9, 0.001]), np.array([-0.8, 0.001])
@@ -123,7 +123,7 @@ def test_a_third_label_is_told_and_a_direct_change_preferred():
 
 
 @pytest.mark.parametrize(("push", "fall"), [(-0.02, Outcome.FORWARD), (0.02, Outcome.BACKWARD)])
-def test_the_boundary_of_walking_leads_to_the_short_gait_on_a_gentle_slope(push, fall, gait, short):
+def test_on_a_gentle_slope_the_boundary_leads_to_the_short_gait(push, fall, gait, short):
     """From a push that lets it fall backward, too: there is a layer of falls forward between."""
     state = np.asarray(gait.states[0])
     assert fall in wj.walk(WALKER, state + np.array([0, push]), 30).outcomes
@@ -137,7 +137,7 @@ def test_the_boundary_of_walking_leads_to_the_short_gait_on_a_gentle_slope(push,
     np.testing.assert_allclose(ends, found.path[1:], rtol=0, atol=1e-10)
 
 
-def test_the_boundary_between_the_falls_is_that_of_a_stride_that_stops_upright():
+def test_between_the_falls_is_a_stride_that_stops_upright():
     """On it the energy is that of the stance leg at rest at the top."""
     found = wj.edge_state(WALKER, np.array([0.09, -0.14]), np.array([0.09, -0.04]))
     assert found.kind == "backward" and found.saddle is None and found.margin < 1e-12
@@ -169,7 +169,7 @@ def test_of_all_margins_that_nearest_to_zero_is_named(monkeypatch):
     assert nearest == ("landing", 1e-12)
 
 
-def test_the_manifold_of_a_known_saddle_is_followed_through_the_folds_of_its_map():
+def test_the_manifold_of_a_saddle_is_followed_through_folds():
     """y -> (y - 0.3 y^3) / 2 folds at y = 1 / sqrt(0.9): u = 0 goes on beyond."""
 
     def image(x):
@@ -188,7 +188,7 @@ def test_the_manifold_of_a_known_saddle_is_followed_through_the_folds_of_its_map
     assert np.linalg.norm(np.diff(curve, axis=0), axis=1).max() <= 2.01e-3
 
 
-def test_the_stable_manifold_of_the_short_gait_is_the_boundary_of_walking(short, mapper):
+def test_the_manifold_of_the_short_gait_is_the_boundary(short, mapper):
     curves = wj.stable_manifold(WALKER, short, spacing=1e-3, points=120)
     assert len(curves) == 2
     for curve in curves:
@@ -249,7 +249,7 @@ CENTRE = np.array([0.20093538234311084, -0.21084184410879986])
 """Of the fractal boundary, to the last digit."""
 
 
-def test_a_window_followed_by_its_centre_has_the_fates_of_its_starts():
+def test_a_window_by_its_centre_has_the_fates_of_its_starts():
     """Where float64 still tells starts apart: 5e-10 wide, on the fractal boundary at 0.009."""
     window = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.03, 0.02, 60)).zoom(CENTRE, 8e8)
     steep = with_capture_boxes(mapper_of_grid(STEEP, GRID, Integrator(1e-12), 300))
@@ -267,7 +267,7 @@ def test_a_window_followed_by_its_centre_has_the_fates_of_its_starts():
     assert wide is GRID and none == 0
 
 
-def test_a_window_within_the_basin_has_the_strides_of_walkers_that_converge():
+def test_a_window_in_the_basin_has_strides_that_converge():
     """It never becomes wide: the gait attracts all of it."""
     inside = np.add(wj.find_gait(WALKER).states[0], 1e-4)
     coarse = wj.Grid.sheared(theta=(0, 0.4, 3), sum=(-0.03, 0.02, 3))
@@ -277,7 +277,7 @@ def test_a_window_within_the_basin_has_the_strides_of_walkers_that_converge():
     np.testing.assert_array_equal(narrow["attractor"], wide["attractor"])
 
 
-def test_a_window_of_1e_12_of_the_section_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch):
+def test_a_window_of_1e_12_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch):
     window = wj.Grid.sheared(theta=(0, 0.4, 24), sum=(-0.03, 0.02, 24)).zoom(CENTRE, 1e12)
     whole = wj.basin(STEEP, window, "direct")
     monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 100)
@@ -324,7 +324,7 @@ def test_a_zoom_has_every_window_and_makes_a_film(tmp_path):
         assert len(list(ImageSequence.Iterator(film))) == 2
 
 
-def test_starts_of_a_zoom_make_no_more_strides_than_they_are_given():
+def test_starts_of_a_zoom_make_no_more_strides_than_given():
     """Where float64 still tells starts apart a quarter of them fall in the stride after the last
     that is made, and those that their centre made for them count."""
     grid, strides = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.03, 0.02, 20)), 29

@@ -68,7 +68,7 @@ def test_each_start_may_have_a_walker_of_its_own(starts):
 
 
 @pytest.mark.parametrize("far", [0, 1, 40])
-def test_a_walk_ends_at_the_nearest_target_that_it_reaches_first(starts, far):
+def test_a_walk_ends_at_the_target_that_it_reaches_first(starts, far):
     """Among others that none reaches, few enough for a kernel, or so many that the host looks."""
     states, _ = walks_of(starts, 40)
     near = GAIT + np.array([[0.0, 0.0], [4e-3, 0.0]])
@@ -94,7 +94,7 @@ def test_a_walk_ends_at_the_nearest_target_that_it_reaches_first(starts, far):
     assert set(nearest.tolist()) == {0, 1}
 
 
-def test_the_mapper_labels_starts_by_the_attractor_that_they_converge_to(starts):
+def test_the_mapper_labels_starts_by_their_attractors(starts):
     cycle = Attractor(1, GAIT)
     wandering = Attractor(None, np.array([[0.2, -0.3]]))
     labels = Mapper(WALKER, [wandering, cycle], Integrator(1e-12), 200)(starts)
@@ -106,7 +106,7 @@ def test_the_mapper_labels_starts_by_the_attractor_that_they_converge_to(starts)
     assert len(labels.remaining) == 0
 
 
-def test_walkers_that_remain_are_given_attractors_that_are_found_from_them(starts):
+def test_walkers_that_remain_get_attractors_found_from_them(starts):
     mapper = Mapper(WALKER, [], Integrator(1e-12), 20)
     labels = mapper(starts)
     assert len(labels.remaining) > 5 and not labels.converged.any()
@@ -149,7 +149,7 @@ def test_a_slow_approach_is_one():
         assert on_lasting_motion(walker, start, [found], Integrator(1e-12)).tolist() == []
 
 
-def test_an_unstable_gait_attracts_nothing_though_it_repeats_itself():
+def test_an_unstable_gait_that_repeats_attracts_nothing():
     walker = wj.SimplestWalker(0.0152)
     gait = wj.find_gait(walker)
     assert gait.found and not gait.stable
@@ -186,7 +186,7 @@ def test_a_transient_that_ends_at_a_gait_is_no_attractor(slope, periods):
     np.testing.assert_array_equal(data.attractor.values.ravel()[left], len(periods) - 1)
 
 
-def test_a_motion_without_a_period_is_listed_where_walkers_are_left_on_it():
+def test_a_motion_without_a_period_is_listed_if_walkers_stay():
     wandering = Attractor(None, np.array([[0.2, -0.3]]))
     mapper = Mapper(WALKER, [Attractor(1, GAIT), wandering], Integrator(1e-12), 5)
     few = direct_iteration(mapper, REGION)
@@ -195,7 +195,7 @@ def test_a_motion_without_a_period_is_listed_where_walkers_are_left_on_it():
     assert (many.attractor == 0).any() and [one.period for one in many.attractors] == [1]
 
 
-def test_an_attractor_to_which_no_cycle_of_cells_belongs_is_not_listed():
+def test_an_attractor_without_a_cycle_of_cells_is_not_listed():
     """Of a cycle of three cells, one centre leads to the gait: the cycle is an artefact."""
     labels = Mapper(WALKER, [Attractor(1, GAIT)], Integrator(1e-12), 300)(
         REGION.centres(np.arange(REGION.size))

@@ -33,7 +33,7 @@ def test_each_known_cycle_is_matched_once_and_by_the_nearest():
     assert match_cycles([at(0.2)], [at(0.0)], 0.1) == [-1]
 
 
-def test_two_attractors_that_cross_and_one_that_doubles_keep_their_numbers():
+def test_crossing_and_doubling_attractors_keep_their_numbers():
     """A made-up family: one rises and the other falls.
 
     They are never in the same order twice, and the one ends where a cycle of two is born.
@@ -63,7 +63,7 @@ def test_a_cycle_is_matched_with_that_of_the_nearest_walker():
     np.testing.assert_array_equal(number_alike(periods, states), 0)
 
 
-def test_motions_without_a_period_have_one_number_on_a_grid_of_walkers():
+def test_motions_without_a_period_have_one_number():
     periods = np.array([[[1], [0]], [[-1], [0]]])
     states = np.zeros((2, 2, 1, 1, 2))
     np.testing.assert_array_equal(number_alike(periods, states)[..., 0], [[0, 1], [-1, 1]])
@@ -88,7 +88,7 @@ def test_fractions_are_those_of_refined_areas():
         assert abs(share - area / window) < 3.5 * error
 
 
-def test_attractors_are_born_and_end_at_the_bifurcations_of_their_branches(followed):
+def test_attractors_begin_and_end_at_bifurcations(followed):
     check_dataset(followed, "basin fractions")
     period, first, last = (followed[name].values for name in ("period", "first", "last"))
     long, three, two = (int(np.flatnonzero(period == k)[0]) for k in (1, 3, 2))
@@ -150,7 +150,7 @@ def test_values_that_are_not_in_order_are_refused(values, words):
         wj.continue_basins(wj.SimplestWalker(0.004), "slope", values, REGION)
 
 
-def test_a_sweep_keeps_the_states_of_its_attractors_and_numbers_them_alike():
+def test_a_sweep_keeps_states_of_attractors_and_their_numbers():
     slopes = [0.0122, 0.0125]
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.01, 40))
     swept = wj.sweep(wj.SimplestWalker(0.004), {"slope": slopes}, grid, levels=0, check=0)
@@ -166,7 +166,7 @@ def test_a_sweep_keeps_the_states_of_its_attractors_and_numbers_them_alike():
     np.testing.assert_array_equal((swept["attractor_number"] >= 0).sum("own"), count)
 
 
-def test_two_stable_gaits_of_a_branch_that_turns_back_have_the_sum_of_their_shares():
+def test_two_gaits_of_a_turning_branch_have_the_sum_of_shares():
     gaits = [Attractor(1, np.array([[theta, -0.2]])) for theta in (0.2, 0.3)]
     labels = Labels(
         np.zeros(100, np.int8),

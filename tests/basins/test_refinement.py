@@ -28,7 +28,7 @@ def uniform():
     return wj.basin(WALKER, finer(GRID, 3), "direct")
 
 
-def test_cells_that_inherited_have_the_fates_of_the_uniform_grid(refined, uniform):
+def test_cells_that_inherited_have_fates_of_the_uniform_grid(refined, uniform):
     assert refined.fate.shape == uniform.fate.shape == (800, 480)
     np.testing.assert_allclose(refined.theta, uniform.theta)
     inner = ~edge(np.where(uniform.attractor >= 0, 99, uniform.fate))
@@ -61,7 +61,7 @@ def test_strides_are_spent_on_the_boundary(refined, uniform):
 
 
 @pytest.mark.slow
-def test_areas_of_a_hundred_seeds_are_that_of_fine_grids_within_their_errors():
+def test_areas_of_a_hundred_seeds_are_right_within_their_errors():
     """On the 800 x 800 cells of a sweep, against 6400 x 6400 and 12,800 x 12,800."""
     exact, check = 0.00167448, 100_000  # +- 2e-7, as in benchmarks/refinement_seeds.py
     grid = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
@@ -166,7 +166,7 @@ def cells_of(x):
     return 40 * row + column
 
 
-def test_an_island_that_no_centre_shows_is_found_and_followed_to_its_end(monkeypatch):
+def test_an_island_that_no_centre_shows_is_found_whole(monkeypatch):
     """Of 3 x 3 of the finest cells, between the centres of coarse ones."""
     island = lambda x: np.where(((x > [0.475, 0.675]) & (x < [0.55, 0.75])).all(axis=1), 0, -1)
     found, asked = refined_by(island, monkeypatch)
@@ -183,7 +183,7 @@ def test_an_island_that_no_centre_shows_is_found_and_followed_to_its_end(monkeyp
     assert found.followed == [100, 0, 0] and found.boundary == [0, 0, 0]  # before the check
 
 
-def test_mistakes_count_by_how_many_cells_inherited_from_each_level(monkeypatch):
+def test_mistakes_count_by_the_cells_that_inherited(monkeypatch):
     """On one side of a line walkers walk, but from dust, which is denser near the line."""
 
     def number_of(x):
@@ -239,9 +239,7 @@ def test_mistakes_count_by_how_many_cells_inherited_from_each_level(monkeypatch)
 @pytest.mark.parametrize(
     ("side", "check"), [(0.25, 400), pytest.param(0, 4000, marks=pytest.mark.slow)]
 )
-def test_areas_of_many_seeds_are_neither_high_nor_low_and_scatter_as_is_said(
-    side, check, monkeypatch
-):
+def test_areas_of_many_seeds_scatter_as_is_said(side, check, monkeypatch):
     """Of what is beside a slanting line, with or without dust, of which checks find a part."""
 
     def number_of(x):
@@ -258,7 +256,7 @@ def test_areas_of_many_seeds_are_neither_high_nor_low_and_scatter_as_is_said(
     assert 0.75 < np.sqrt(np.mean(away**2)) / error < 1.2
 
 
-def test_the_error_of_cells_on_the_boundary_is_that_of_the_shares_that_walk(monkeypatch):
+def test_the_error_of_boundary_cells_is_of_shares_that_walk(monkeypatch):
     """Of a line along the middle of cells, f (1 - f) is 1/4 in these, and 0 in those beside."""
     line = lambda x: np.where(x[:, 0] < 0.5125, 0, -1)
     found, _ = refined_by(line, monkeypatch, check=20_000)
@@ -269,7 +267,7 @@ def test_the_error_of_cells_on_the_boundary_is_that_of_the_shares_that_walk(monk
     assert variance == pytest.approx(mixed[20].sum() / 4, rel=0.05)
 
 
-def test_the_line_between_two_attractors_is_a_boundary_but_no_edge_of_the_area(monkeypatch):
+def test_between_attractors_is_a_boundary_but_no_edge(monkeypatch):
     above = lambda x: (x[:, 1] > 0.5).astype(int)
     found, _ = refined_by(above, monkeypatch, check=100)
     assert found.followed == [100, 80, 160] and found.boundary == [20, 40, 80]
@@ -286,7 +284,7 @@ def test_the_line_between_two_attractors_is_a_boundary_but_no_edge_of_the_area(m
 
 
 @pytest.mark.parametrize("levels", [0, 2])
-def test_without_a_check_the_error_is_that_of_the_edge_or_unknown(levels, monkeypatch):
+def test_without_a_check_the_error_is_the_edges_or_unknown(levels, monkeypatch):
     left = lambda x: np.where(x[:, 0] < 0.5, 0, -1)
     found, _ = refined_by(left, monkeypatch, levels=levels, check=0)
     assert found.area == pytest.approx(0.5, rel=1e-12) and found.checked == 0

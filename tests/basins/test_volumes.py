@@ -110,7 +110,7 @@ def test_neighbours_are_those_that_an_edge_has():
 
 
 @pytest.mark.parametrize("inside", [ellipsoid, torus])
-def test_cells_are_those_of_the_whole_grid_at_the_cost_of_its_boundary(walks_in, inside):
+def test_cells_are_the_whole_grids_at_the_cost_of_its_boundary(walks_in, inside):
     asked = walks_in(inside)
     options = {"strides": 10, "check": 0, "seed": 0, "tolerance": None, "by_centres": True}
     found = refinement.refine_cells(WALKER, cube(12), 3, **options)
@@ -126,7 +126,7 @@ def test_cells_are_those_of_the_whole_grid_at_the_cost_of_its_boundary(walks_in,
 
 
 @pytest.mark.parametrize("inside", VOLUMES)
-def test_volumes_are_right_within_errors_that_are_as_large_as_is_said(walks_in, inside):
+def test_volumes_are_right_within_errors_as_large_as_said(walks_in, inside):
     walks_in(inside)
     options = {"strides": 10, "check": 5000, "tolerance": None}
     found = [
@@ -139,9 +139,7 @@ def test_volumes_are_right_within_errors_that_are_as_large_as_is_said(walks_in, 
     assert np.all(error < 0.04 * VOLUMES[inside])
 
 
-def test_a_volume_that_needs_too_much_memory_is_refused_before_its_cells_are_followed(
-    walks_in, monkeypatch
-):
+def test_a_volume_of_too_much_memory_is_refused_at_once(walks_in, monkeypatch):
     asked = walks_in(ellipsoid)
     monkeypatch.setattr("walker_jax.basins.memory.memory_of_machine", lambda: 1e6)
     with pytest.raises(TooLarge, match=r"levels=3: level 2 follows \d+ cells, which need .* GiB"):
@@ -245,9 +243,7 @@ def test_the_volume_of_a_ball_grows_by_its_surface(monkeypatch, walks_in, shear)
     assert found.lost == 0 and not found.averaged.any()
 
 
-def test_the_volume_of_a_blade_thinner_than_a_cell_grows_within_the_error_stated(
-    monkeypatch, walks_in
-):
+def test_a_blade_thinner_than_a_cell_grows_within_its_error(monkeypatch, walks_in):
     """Half a ball between planes that are p u apart, at u from their edge.
 
     dV/dp = 2/3 R^3 / (1 + p^2 / 4).
@@ -319,7 +315,7 @@ def test_the_volume_is_optimised(monkeypatch):
     assert "volume of the basin" in figures.optimum(found).axes[0].get_ylabel()
 
 
-def test_an_optimum_that_rounding_leaves_beside_a_bound_is_at_it(monkeypatch):
+def test_an_optimum_beside_a_bound_by_rounding_is_at_it(monkeypatch):
     """The first step, a tenth of the bounds, ends there; beyond, rounding makes the size less."""
 
     def gradient(walker, grid, parameters, **options):
@@ -422,7 +418,7 @@ BOX = wj.Grid.sheared(theta=(0, 1.4, 42), sum=(-1.0, 0.4, 42), phidot=(-2.5, 1.5
 
 
 @pytest.mark.slow
-def test_slices_of_the_volume_of_a_walker_with_knees_are_those_refined_alone():
+def test_slices_of_a_kneed_volume_are_those_refined_alone():
     """Each within the errors of both, and so is the sum of the latter, the volume."""
     found = wj.refine(KNEED, BOX, 2)
     assert found.period.values.tolist() == [1] and int(found.at_border) == 0
@@ -447,7 +443,7 @@ def test_slices_of_the_volume_of_a_walker_with_knees_are_those_refined_alone():
 
 
 @pytest.mark.slow
-def test_the_volume_of_a_walker_with_knees_changes_by_its_gradient():
+def test_the_volume_of_a_kneed_walker_changes_by_its_gradient():
     steps = {"slope": 0.008, "foot_radius": 0.04}
     rate = area_gradient(KNEED, BOX, tuple(steps), levels=1)
     for k, (name, step) in enumerate(steps.items()):

@@ -136,7 +136,7 @@ def test_the_help_loads_no_jax_and_no_command(option):
     )
 
 
-def test_the_help_of_a_command_flows_and_begins_as_the_list_of_commands_says(run):
+def test_the_help_of_a_command_begins_as_the_list_of_commands(run):
     for name, first_line in COMMANDS.items():
         long, short = run(name, "--help"), run(name, "-h")
         assert long == short and long[0] == 0
@@ -263,7 +263,7 @@ def test_importing_sets_no_flag_and_loads_no_drawing():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_public_names_are_what_they_name_whatever_is_loaded_first():
+def test_public_names_are_the_same_whatever_is_loaded_first():
     """A module of that name would take its place."""
     program = (
         "import types, walker_jax.design.sweeps, walker_jax\n"  # which loads most of the others
@@ -287,7 +287,7 @@ def test_compile_time_counts_once():
     assert clock.seconds()["compile"] == pytest.approx(4)
 
 
-def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
+def test_walkers_are_listed_with_parameters_units_and_defaults(run):
     for arguments in (["--list-walkers"], ["basin", "--list-walkers"]):
         code, out, err = run(*arguments)
         assert (code, err) == (0, "")
@@ -338,7 +338,7 @@ def test_another_walker_walks_and_is_named(run):
 
 
 @pytest.mark.slow
-def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_path):
+def test_three_dimensions_have_a_gait_a_slice_and_a_basin(run, tmp_path):
     walker = ["--walker", "round-foot", "--slope", "0.01"]
     code, out, err = run("gait", *walker, "--json")
     assert (code, err) == (0, "")

@@ -100,7 +100,7 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
     assert (said in out) == (at_border > 0)
 
 
-def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_path, monkeypatch):
+def test_a_cycle_of_cells_that_is_no_gait_is_an_artefact(run, tmp_path, monkeypatch):
     """On the paper's own grid; a store that does not tell is read as it is."""
     code, text, _ = run("basin", "--out", "b.zarr")
     assert code == 0
@@ -234,7 +234,7 @@ def test_the_same_command_goes_on_with_what_was_interrupted(run, tmp_path, monke
     assert "computed before" in run("basin", *SMALL)[1]
 
 
-def test_the_same_command_takes_what_is_there_and_another_is_refused(run, tmp_path, monkeypatch):
+def test_the_same_command_takes_what_is_there_another_may_not(run, tmp_path, monkeypatch):
     command = ["basin", *SMALL, "--out", "b.zarr"]
     code, first, _ = run(*command)
     assert code == 0 and " strides; " in first and "%  walks, " in first
@@ -270,7 +270,7 @@ def test_a_picture_of_something_else_is_not_replaced(run, tmp_path):
         "optimise --over slope --bound slope=0.01:0.02",
     ],
 )
-def test_a_refusal_says_what_is_other_about_the_data_and_not_that_the_picture_is(run, command):
+def test_a_refusal_says_what_is_other_about_the_data(run, command):
     """A data set and its picture lie where those of this command go by default."""
     name, *options = command.split()
     place = {"optimise": "optimum"}.get(name, name)
@@ -336,7 +336,7 @@ def test_a_termination_is_one_line(run, monkeypatch):
         (signal.SIGTERM, (143, f"walker-jax: terminated: {RESUME} basin.zarr\n")),
     ],
 )
-def test_a_signal_ends_a_command_in_one_line_and_leaves_no_draft(tmp_path, number, end):
+def test_a_signal_ends_a_command_in_one_line_without_a_draft(tmp_path, number, end):
     command = [str(Path(sys.executable).with_name("walker-jax")), "basin", "--method", "direct"]
     window = ["--theta", "0", "0.4", "4000", "--sum", "-0.04", "0.01", "4000"]
     start = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": tmp_path}
@@ -359,7 +359,7 @@ def test_a_grid_that_is_refused_leaves_what_it_was_to_replace(run, tmp_path):
     assert before == {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
 
 
-def test_an_interrupted_drawing_leaves_the_picture_that_was_there(run, tmp_path, monkeypatch):
+def test_an_interrupted_drawing_leaves_the_picture_before(run, tmp_path, monkeypatch):
     assert run("basin", *SMALL)[0] == 0
     before = (tmp_path / "basin.png").read_bytes()
 
@@ -393,7 +393,7 @@ def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
     assert run("basin", "--seed", "1") == (2, "", said)
 
 
-def test_a_place_that_is_taken_is_refused_before_a_gait_is_searched_for(run, tmp_path, monkeypatch):
+def test_a_place_that_is_taken_is_refused_before_a_search(run, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "walker_jax.basins.windows.require_gait", lambda *_: pytest.fail("a search")
     )
@@ -422,7 +422,7 @@ def test_viable_tells_the_kernel_and_what_is_caught(run):
     assert "caught within 1 stride: " in again[1]
 
 
-def test_viable_narrows_its_bounds_and_goes_on_with_what_was_interrupted(run, monkeypatch):
+def test_viable_narrows_its_bounds_and_goes_on_if_interrupted(run, monkeypatch):
     window = ("--theta", "0.05", "0.45", "20", "--sum", "-0.05", "0.01", "24")
     command = ("viable", "--walker", "powered", "--action", "push-off=0:0.08:5", *window)
     command += ("--levels", "1")

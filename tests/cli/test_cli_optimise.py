@@ -100,7 +100,7 @@ def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     assert 0 not in stages and {1, 2, 3} < set(stages)
 
 
-def test_an_optimum_is_told_with_both_ends_as_they_were_measured():
+def test_an_optimum_is_told_with_both_ends_as_measured():
     found = xr.Dataset(
         {
             "start": ("parameter", [0.004, 0.5]),
@@ -152,7 +152,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told():
     assert "a change of +0.002\n" in told and "at a bound of slope; not converged" in told
 
 
-def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_path):
+def test_an_optimisation_that_leads_nowhere_ends_with_1(run, tmp_path):
     arguments = ["optimise", "--slope", "0.45", "--over", "slope", "--bound", "slope=0.4:0.5"]
     code, out, err = run(*arguments, "--objective", "spectral-radius", "--starts", "1", "--json")
     assert (code, out) == (1, "")
@@ -207,7 +207,7 @@ def test_wrong_optimisations(run, tmp_path, arguments, named):
         (wj.ComputationFailed("no failure found"), "no failure found"),
     ],
 )
-def test_a_value_error_from_within_a_computation_is_no_wrong_use(run, monkeypatch, error, said):
+def test_a_value_error_within_a_computation_is_no_wrong_use(run, monkeypatch, error, said):
     def fail(*_, **__):
         raise error
 

@@ -71,7 +71,7 @@ def own(a: float = 1.02) -> wj.Map:
     return wj.Map(henon, ("x", "y"), parameters={"a": a, "b": 0.3}, feasible=stays)
 
 
-def test_a_basin_is_that_of_the_library_and_is_kept_for_its_code_alone(run, tmp_path):
+def test_a_basin_is_that_of_the_library_and_kept_for_its_code(run, tmp_path):
     command = ("basin", "--system", "my_maps.py:system", *DIRECT, "--a", "0.95", "--json")
     code, out, err = run(*command)
     assert code == 0, err
@@ -92,7 +92,7 @@ def test_a_basin_is_that_of_the_library_and_is_kept_for_its_code_alone(run, tmp_
     assert (code, out) == (2, "") and "basin.zarr holds another result (code" in err
 
 
-def test_without_axes_the_window_is_where_gaits_are_searched_for(run):
+def test_without_axes_the_window_is_that_of_gaits(run):
     code, _, err = run(
         "basin", "--system", "my_maps.py:system", "--method", "direct", "--levels", "0"
     )

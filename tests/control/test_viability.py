@@ -40,7 +40,7 @@ def test_a_published_map_has_the_published_kernel():
     np.testing.assert_allclose(share, PUBLISHED["S_M"], rtol=0, atol=1e-15)
 
 
-def test_the_runner_fails_where_the_published_one_does_and_its_kernel_is_the_same():
+def test_the_runner_has_the_failures_and_kernel_published():
     """Cells of the published map stand for their lower ends, those here for their centres: that
     moves the boundaries of safe actions by half a cell."""
     apex, angle = PUBLISHED["s_grid"] * ENERGY, np.pi / 2 - PUBLISHED["a_grid"]
@@ -78,7 +78,7 @@ LEAST = np.sqrt(2 - 2 * np.cos(0.3))
 """The rate with which the wheel comes to rest upright."""
 
 
-def test_the_kernel_and_capturable_sets_of_a_wheel_are_those_of_closed_forms():
+def test_kernel_and_capturable_sets_of_a_wheel_are_closed_forms():
     grid = wj.Grid.plain(rate=(0.0, 1.5, 1_500_000))
     rate = grid.axes["rate"]
     target = (rate >= 0.5) & (rate < 0.6)
@@ -96,7 +96,7 @@ def test_the_kernel_and_capturable_sets_of_a_wheel_are_those_of_closed_forms():
     assert np.array_equal(data["capture"] >= 0, data["viable"])
 
 
-def test_pushes_that_are_too_weak_leave_no_kernel_and_so_many_strides():
+def test_too_weak_pushes_leave_no_kernel_and_so_many_strides():
     """The wheel slows down with its largest push too, w -> c w + s p."""
     grid = wj.Grid.plain(rate=(0.0, 1.5, 3001))
     data = wj.viable(PushedWheel(), grid, {"push": [0.0, 0.05]}, bounds=False)
@@ -230,7 +230,7 @@ def test_the_policy_is_a_system_whose_basin_is_about_the_kernel(pushed):
     assert (followed & inner).sum() > 0.9 * inner.sum()
 
 
-def test_the_policy_takes_the_actions_of_cells_and_means_between_their_centres(pushed):
+def test_the_policy_takes_actions_of_cells_and_means_between(pushed):
     steered = wj.Policy(WALKER, pushed)
     action = pushed["action"].values
     value = np.where(action >= 0, pushed["push_off"].values[action], 0.0)

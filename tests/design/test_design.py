@@ -174,7 +174,7 @@ def test_the_area_is_largest_on_the_gentlest_slope(no_basins, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_start_where_nothing_walks_is_led_to_where_something_does():
+def test_from_where_nothing_walks_it_leads_to_a_walk():
     bounds = {"slope": (0.001, 0.05)}
     walker = wj.SimplestWalker(0.03)
     found = optimise(walker, bounds, grid=GRID, starts=1, levels=1)
@@ -262,7 +262,7 @@ def test_measurements_of_something_else_are_refused(no_basins):
         optimise(WALKER, {"slope": (0.008, 0.009)}, "speed", known=with_option)
 
 
-def test_a_problem_is_described_by_its_density_and_by_the_plane_of_its_grid():
+def test_a_problem_is_described_by_density_and_plane():
     plane = wj.Grid.sheared(theta=(0, 0.4, 8), sum=(-0.04, 0.01, 5))
     weighted = Problem(
         *(WALKER, ("slope",), np.array([0.004]), np.array([0.02]), {"basin-stability": 1.0}, 1.0),
@@ -381,7 +381,7 @@ def test_the_least_disturbance_is_largest_within_the_bounds():
 
 
 @pytest.mark.slow
-def test_a_spring_between_the_legs_makes_the_basin_many_times_as_large():
+def test_a_spring_makes_the_basin_many_times_as_large():
     walker = wj.SpringWalker(0.004, 0.0)
     found = optimise(walker, {"hip_stiffness": (0.0, 2.0)}, starts=1, levels=3)
     assert values(found, "optimum") == [2.0] and values(found, "at_bound") == [1]
@@ -431,7 +431,7 @@ def test_the_fastest_walk_on_level_ground_at_a_cost(no_basins):
 
 
 @pytest.mark.slow
-def test_basin_stability_is_optimised_and_confirmed_by_other_starts(no_basins, monkeypatch):
+def test_an_optimal_basin_stability_is_that_of_other_starts(no_basins, monkeypatch):
     """Under a density about one place, the best slope is one whose basin is there."""
     for module in ("climbs", "optimisation"):
         monkeypatch.setattr(f"walker_jax.design.{module}.STEP_LENGTHS", (0.2, 0.05))

@@ -22,7 +22,7 @@ def test_random_places_are_one_in_each_layer_along_every_axis():
     assert not np.array_equal(places, latin_hypercube(7, 3, seed=3))
 
 
-def test_parameters_that_the_walker_refuses_together_are_not_tried():
+def test_parameters_that_a_walker_refuses_are_not_tried():
     walker = wj.RoundFootWalker(0.01, leg_length=0.6, foot_radius=0.3)
     bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
     trace = Trace(problem_of(walker, bounds), None, None, False, 1)
@@ -100,7 +100,7 @@ def test_measures_are_those_of_the_gait_with_the_largest_basin():
     assert row.gradient == pytest.approx(expected.gradient, rel=1e-8)
 
 
-def test_the_gait_has_the_largest_basin_or_is_the_most_stable_one_where_nothing_walks():
+def test_the_gait_has_the_largest_basin_or_is_the_most_stable():
     doubled = problem_of(WALKER, SLOPES)._replace(grid=FEW)
     trace = Trace(doubled, None, None, False, 1)
     assert [len(trace.gait(np.array([slope])).states) for slope in (0.0165, 0.03)] == [2, 1]
@@ -138,9 +138,7 @@ def made_up(problem, stage, values, value, area=0.0):
 
 
 @pytest.mark.parametrize(("walking_below", "steps"), [(0.012, 4), (0.0, 8)])
-def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
-    monkeypatch, walking_below, steps
-):
+def test_where_nothing_walks_steps_lead_to_more_stable_gaits(monkeypatch, walking_below, steps):
     """By a tenth of the bounds along the parameter that matters most, and others in proportion."""
     bounds = {"slope": (0.001, 0.021), "hip_stiffness": (0.0, 2.0)}
     problem = problem_of(wj.SpringWalker(0.019, 0.4), bounds)._replace(weights={"area": 1.0})

@@ -53,9 +53,7 @@ def test_the_area_falls_with_the_slope(slope, expected):
     ("slope", "half", "smooth"),
     [(0.003, 2e-4, True), (0.006, 4e-4, True), (0.010, 5e-4, False), (0.013, 5e-4, False)],
 )
-def test_the_derivative_of_the_area_where_the_edge_is_smooth_and_where_it_is_fractal(
-    slope, half, smooth
-):
+def test_the_derivative_of_the_area_by_smooth_and_fractal_edges(slope, half, smooth):
     """Within 5 % of a central difference on a finer grid, of which that has the error stated."""
     levels = 3 if smooth else 4
     found = area_gradient(wj.SimplestWalker(slope), SECTION, levels=levels, bands=(half,))
@@ -66,7 +64,7 @@ def test_the_derivative_of_the_area_where_the_edge_is_smooth_and_where_it_is_fra
 
 
 @pytest.mark.slow
-def test_where_the_edge_is_fractal_the_derivative_is_an_average_over_the_band():
+def test_where_the_edge_is_fractal_it_is_a_bands_average():
     walker, band = wj.SimplestWalker(0.013), 1e-3
     assert not area_gradient(walker, SECTION, levels=1).averaged[0]
     found = area_gradient(walker, SECTION, levels=1, bands=(band,))
@@ -92,7 +90,7 @@ def test_a_band_that_ends_where_the_slope_does():
     assert np.isfinite(found.gradient).all()
 
 
-def test_the_chance_of_starts_of_a_density_to_walk_and_its_derivative():
+def test_the_chance_of_a_density_to_walk_and_its_derivative():
     """Against random starts of the same distribution, and a central difference."""
     mean, covariance = [0.2, -0.2], np.array([[4e-4, -3e-4], [-3e-4, 2.6e-4]])
     distribution: Any = multivariate_normal
@@ -179,7 +177,7 @@ NONE = np.zeros(0, int)
 """No mistakes of a check."""
 
 
-def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, monkeypatch):
+def test_the_error_of_an_integral_is_of_independent_parts(disc, monkeypatch):
     """A straight edge that moves by a rate of each line's own, but one of which none is known.
 
     That one counts as one that moves as the others do, in the mean square.
@@ -222,7 +220,7 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
     assert (integral.crossings, integral.lost) == (9, 1)
 
 
-def test_the_error_of_an_integral_has_a_part_for_what_is_thinner_than_a_cell(disc, monkeypatch):
+def test_the_error_has_a_part_for_what_is_thinner_than_a_cell(disc, monkeypatch):
     """A strip of 5/8 of a cell, whose sides move by one cell: a centre is in 5 of 8 such strips."""
     strip = lambda mapper, x, **_: labels_where(np.abs(x[:, 0] - 0.375) < 5 / 64, x)
     monkeypatch.setattr(Mapper, "follow", strip)
@@ -240,7 +238,7 @@ SIZE = lambda slope: 0.002 + 3 * (slope - 0.004) + 50 * (slope - 0.004) ** 2
 
 
 @pytest.mark.parametrize("direction", [[0.6, 0.8], [0.0, -1.0]])
-def test_the_least_disturbance_changes_as_its_boundary_and_its_gait_do(monkeypatch, direction):
+def test_the_least_disturbance_changes_with_boundary_and_gait(monkeypatch, direction):
     """With a margin SIZE(p) - (x - g(p)) . u, times 7, of which the size is known."""
     walker, gait, u = wj.SimplestWalker(0.004), wj.find_gait(wj.SimplestWalker(0.004)), direction
     state = np.asarray(gait.states[0]) + SIZE(0.004) * np.array(u)
@@ -262,7 +260,7 @@ def test_the_least_disturbance_changes_as_its_boundary_and_its_gait_do(monkeypat
     assert gradient.gradient == pytest.approx([3.0], rel=1e-9)
 
 
-def test_the_least_disturbance_without_a_margin_changes_by_its_average_over_a_band(monkeypatch):
+def test_without_a_margin_the_least_changes_by_a_bands_average(monkeypatch):
     """Up to the ends that have the gait stable: at a slope of 0.016 it is not."""
 
     def least(walker, gait, **_):
@@ -307,7 +305,7 @@ def test_the_least_disturbance_changes_with_the_slope():
 
 
 @pytest.mark.slow
-def test_where_another_motion_is_nearest_the_derivative_is_an_average():
+def test_where_another_motion_is_nearest_it_is_an_average():
     """At 0.0125 the basin of a gait of period three comes closest."""
     walker = wj.SimplestWalker(0.0125)
     assert wj.least_disturbance(walker).failure == wj.Outcome.STRIDE
@@ -444,7 +442,7 @@ class OwnSpringWalker(wj.SimplestWalker):
         self.slope = jnp.asarray(slope)
 
 
-def test_derivatives_are_by_the_parameters_of_their_names_whatever_order_they_are_set_in(
+def test_derivatives_are_by_names_of_parameters_in_any_order(
     monkeypatch,
 ):
     """Of a margin that is made up: slope x_0 + stiffness^2 x_1."""

@@ -71,7 +71,7 @@ STIFF = wj.SpringWalker(0.004, 11.24)
 AROUND_STIFF = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
 
 
-def test_the_gait_is_that_of_the_basin_where_a_search_ends_in_another(monkeypatch):
+def test_the_gait_is_that_of_the_basin_not_of_the_search(monkeypatch):
     """Its multiplier by differences of strides, its speed by their length and time."""
     other = wj.find_gait(STIFF, [0.1446, -0.1614])
     monkeypatch.setattr("walker_jax.design.sweeps.search_gait", lambda *_, **__: other)
@@ -107,7 +107,7 @@ def test_a_gait_of_two_strides_is_that_of_its_basin_too():
 
 
 @pytest.mark.slow
-def test_a_robust_sweep_has_what_robustness_gives_each_combination():
+def test_a_robust_sweep_has_the_robustness_of_each_combination():
     walker, small = (
         wj.SimplestWalker(0.004),
         wj.Grid.sheared(theta=(0.1, 0.2, 8), sum=(-0.02, 0.01, 6)),
@@ -176,7 +176,7 @@ def test_what_the_machine_lacks_is_tried_again(tmp_path, monkeypatch):
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_what_the_machine_lacks_is_raised_and_what_a_walker_lacks_is_told(monkeypatch, lacking):
+def test_what_the_machine_lacks_is_raised_not_told(monkeypatch, lacking):
     broken = [lacking, JaxRuntimeError("INTERNAL"), ValueError("gait"), RuntimeError("no step")]
 
     def failing(*_):
@@ -344,7 +344,7 @@ def dying(thing: tuple[str, int]):
     return name.upper()
 
 
-def test_a_piece_over_which_workers_died_is_computed_by_others_but_not_for_ever(client):
+def test_a_piece_over_which_workers_died_is_tried_some_times(client):
     from distributed import KilledWorker
 
     TRIED.clear()

@@ -14,7 +14,7 @@ from walker_jax.stability import boundaries, summary
 from walker_jax.systems.outcomes import Outcome
 
 
-def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
+def test_a_bar_begins_with_what_was_done_and_ends_with_all(monkeypatch):
     shown = io.StringIO()
     terminal = Console(file=shown, force_terminal=True, width=80)
     monkeypatch.setattr("walker_jax.execution.progress.progress_console", lambda wanted: terminal)
@@ -54,7 +54,7 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     assert seen == [(4, 3)]
 
 
-def test_a_computation_within_another_adds_a_line_and_leaves_the_rest(monkeypatch):
+def test_a_computation_within_another_adds_a_line_alone(monkeypatch):
     shown = io.StringIO()
     terminal = Console(file=shown, force_terminal=True, width=100)
     monkeypatch.setattr("walker_jax.execution.progress.progress_console", lambda wanted: terminal)

@@ -21,7 +21,7 @@ def two_cores(monkeypatch):
     monkeypatch.setattr(threads, "cores", lambda: 2)
 
 
-def test_results_come_in_order_and_under_the_settings_of_the_caller():
+def test_results_come_in_order_and_under_the_callers_settings():
     met = Event(), Event()
 
     def work(k):
@@ -36,7 +36,7 @@ def test_results_come_in_order_and_under_the_settings_of_the_caller():
     assert list(side_by_side(work, [])) == []
 
 
-def test_an_error_stops_the_others_before_their_next_kernel_however_deep():
+def test_an_error_stops_the_others_before_their_next_kernel():
     begun, made = Event(), []
 
     def endless(_):

@@ -40,7 +40,7 @@ def test_any_number_of_cells(function, n):
     np.testing.assert_array_equal(result["scaled"], cells["i"][:, None] * cells["x"])
 
 
-def test_cells_that_are_parts_or_transposes_of_arrays_are_taken_as_they_are():
+def test_parts_and_transposes_of_arrays_are_taken_as_they_are():
     x = np.random.default_rng(0).normal(size=(3, 60))
     cells = {"x": x.T[::2], "i": x[0, ::2]}
     result = map_cells(sum_and_norm, ({"offset": 0}, cells))

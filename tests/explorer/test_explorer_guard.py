@@ -61,7 +61,7 @@ def test_what_other_sites_send_takes_nothing_from_the_page():
     assert [send(guard, "/api/about")[0] for _ in range(3)] == [200, 200, 429]
 
 
-def test_requests_without_the_token_take_nothing_from_a_page_with_it(running):
+def test_requests_without_the_token_take_nothing_from_others(running):
     """Also of the files of the page, which it finds by the token."""
     guard = running.server.config.app
     client = running.client()
@@ -106,7 +106,7 @@ def test_only_who_has_the_token_frames_the_page():
         assert not framed(query)
 
 
-def test_this_machine_goes_by_the_address_at_which_a_request_comes():
+def test_this_machine_goes_by_the_address_of_a_request():
     guard = guarded(("LocalHost", "vm"))
     for host in ("localhost", "vm", "VM:80", "10.0.0.7", "10.0.0.7:80"):
         assert send(guard, host=host, address="::ffff:10.0.0.7")[0] == 200
@@ -116,7 +116,7 @@ def test_this_machine_goes_by_the_address_at_which_a_request_comes():
     assert in_link("::1") == "[::1]" and in_link("127.0.0.2") == "127.0.0.2"
 
 
-def test_a_link_on_the_browsers_command_line_leads_to_the_page_once():
+def test_a_link_of_the_command_line_leads_to_the_page_once():
     guard = guarded()
     guard.links["/open/x"] = "http://localhost/?token=token#walker=simplest&slope=0.004"
     status, headers = send(guard, "/open/x", x_walker_token="")

@@ -115,7 +115,7 @@ def test_the_rate_of_requests_is_bounded():
     assert sum(bucket.take() for _ in range(10)) == 3
 
 
-def test_every_file_of_the_page_is_served_and_names_no_other_host(client):
+def test_every_file_of_the_page_names_no_other_host(client):
     files = service.page_files()
     assert {"index.html", "style.css", "main.js", "icon.svg"} <= set(files)
     for name, (content, _) in files.items():

@@ -97,7 +97,7 @@ def test_the_page_offers_it_beside_the_family_and_nothing_else(client, file, wal
 
 
 @pytest.mark.slow
-def test_its_picture_its_walk_and_what_is_copied_are_those_of_the_library(
+def test_picture_walk_and_copies_are_those_of_the_library(
     client, file, walker, tmp_path, monkeypatch, capsys
 ):
     asked = {"walker": "Damped", "parameters": {"slope": 0.007, "damping": 0.02, "unused": 0.5}}
@@ -168,9 +168,7 @@ def test_what_is_not_known_of_a_walker_is_said_in_a_sentence(file):
         offer(viewed)
 
 
-def test_commands_and_notebooks_name_it_so_that_other_processes_find_it(
-    file, walker, monkeypatch, capsys
-):
+def test_commands_and_notebooks_name_it_for_other_processes(file, walker, monkeypatch, capsys):
     assert reference_of(type(walker)) == f"{file}:Damped"
     assert reference_of(wj.SpringWalker) == "spring"
     assert reference_of(LockedWalker) == "walker_jax.walkers.kneed:LockedWalker"

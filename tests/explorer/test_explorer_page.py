@@ -196,7 +196,7 @@ def test_the_link_and_what_is_taken_away(opened, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_walker_of_ones_own_walks_and_one_of_another_server_is_told(opened):
+def test_an_own_walker_walks_and_one_of_another_server_is_told(opened):
     page = opened("walker=Own&slope=0.0045")
     assert page.shown("#about-walker") == "The simplest walker, of a user's own."
     assert page.value("explorer.state.parameters") == {"slope": 0.0045}

@@ -129,7 +129,7 @@ def test_each_has_its_own_words_for_its_own_failures():
     assert own["Drift"][12]["colour"] == own["Thrown"][12]["colour"]
 
 
-def test_the_window_is_the_region_of_gaits_or_that_of_the_command():
+def test_the_window_is_that_of_gaits_or_of_the_command():
     assert home_of(OTHERS["henon"], "x-y")[:2] == ((-2.0, -2.0), (2.0, 2.0))
     drift = offer(Drift())  # whose region is sheared
     assert window_of(drift) == {"here": (-2, 2), "there": (-2, 2), "rest": (-1, 1)}

@@ -74,7 +74,7 @@ def test_labels_stand_out_from_their_regions():
         assert (high + 0.05) / (low + 0.05) > 4.5, words
 
 
-def test_a_label_keeps_away_from_other_regions_and_from_the_dots():
+def test_a_label_keeps_away_from_other_regions_and_dots():
     fate = np.full(SHEARED.shape, Outcome.FORWARD)
     fate[20:60, 15:45] = Outcome.STRIDE
     state = np.array([0.2, -0.215])  # in the middle of the basin
@@ -88,7 +88,7 @@ def test_a_label_keeps_away_from_other_regions_and_from_the_dots():
     assert not box.padded(4).contains(*dot)
 
 
-def test_what_is_too_small_for_a_label_is_in_the_legend_with_its_cells():
+def test_what_is_too_small_for_a_label_is_in_the_legend():
     fate = np.full(SHEARED.shape, Outcome.FORWARD)
     fate[40, 30] = Outcome.STOPPED
     fate[50:52, 40] = Outcome.UNDECIDED
@@ -121,7 +121,7 @@ def test_an_attractor_beyond_the_grid_is_said_to_be():
     assert ax.get_xlim() == pytest.approx((0, 0.4))
 
 
-def test_large_basins_have_their_own_colours_and_small_ones_share_one():
+def test_large_basins_have_own_colours_and_small_ones_share_one():
     fate = np.full(SHEARED.shape, Outcome.STRIDE)
     attractor = np.zeros(SHEARED.shape, int)
     attractor[:, 25:] = 1

@@ -29,7 +29,7 @@ from walker_jax import Grid, Outcome, figures
 # Robustness
 
 
-def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
+def test_the_least_disturbance_is_drawn_up_to_the_boundary():
     ax = figures.disturbance(robust())
     curve, gait, nearest = (np.asarray(line.get_xydata()) for line in ax.lines)
     away = curve - [0.2, -0.015]
@@ -45,7 +45,7 @@ def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
     assert "nearest start that converges to another attractor" in legend(other)
 
 
-def test_the_nearest_fall_is_drawn_too_where_another_motion_is_nearer():
+def test_the_nearest_fall_is_drawn_beside_a_nearer_motion():
     falls = {
         "least_fall": 0.08,
         "fall_direction": ("coordinate", np.array([0.0, 1.0])),
@@ -69,7 +69,7 @@ def test_the_nearest_fall_is_drawn_too_where_another_motion_is_nearer():
     assert len(figures.disturbance(robust(**falls)).lines) == 3  # one point: it falls there
 
 
-def test_the_table_marks_falls_that_are_farther_than_another_motion():
+def test_the_table_marks_falls_beyond_another_motion():
     data = table(least_fall=[1e-3, 3e-3, np.nan])
     ax = figures.robustness_measures(data)
     (marks,) = (line for line in ax.lines if "falls" in str(line.get_label()))
@@ -79,7 +79,7 @@ def test_the_table_marks_falls_that_are_farther_than_another_motion():
     assert len(same.lines) == 3
 
 
-def test_the_least_disturbance_is_drawn_over_cells_that_are_larger_than_it():
+def test_the_least_disturbance_is_drawn_over_larger_cells():
     coarse = robust(Grid.sheared(theta=(0, 0.4, 4), sum=(-0.04, 0.01, 2)), least_disturbance=1e-4)
     ax = figures.disturbance(coarse)
     low, high = ax.get_xlim()
@@ -87,7 +87,7 @@ def test_the_least_disturbance_is_drawn_over_cells_that_are_larger_than_it():
     figure_of(ax).canvas.draw()
 
 
-def test_a_basin_stands_alone_where_there_is_no_disturbance_to_draw():
+def test_without_a_disturbance_a_basin_stands_alone():
     assert len(figures.robustness(robust()).axes) == 2
     lost = robust(least_disturbance=np.nan, gait_period=0)
     assert len(figures.robustness(lost).axes) == 1
@@ -98,7 +98,7 @@ def test_a_basin_stands_alone_where_there_is_no_disturbance_to_draw():
         figures.disturbance(every_fate())
 
 
-def test_measures_of_robustness_are_parts_of_their_largest_on_one_axis():
+def test_measures_of_robustness_are_parts_of_their_largest():
     ax = figures.robustness_measures(table())
     area, least, multiplier = (np.asarray(line.get_xydata()) for line in ax.lines)
     np.testing.assert_array_equal(area, [[0.004, 1], [0.008, 0.5], [0.012, 0]])
@@ -122,7 +122,7 @@ def test_nothing_walks_anywhere():
     assert len(figure.axes) == 2
 
 
-def test_the_dimension_is_drawn_with_its_interval_over_that_of_a_smooth_boundary():
+def test_the_dimension_is_drawn_with_its_interval():
     ax = figures.boundary_dimension(table())
     (band,) = ax.collections
     corners = np.asarray(band.get_paths()[0].vertices)
@@ -147,7 +147,7 @@ def test_the_area_over_one_parameter_has_its_error():
     assert "3 basins" in (note := ax.texts[0].get_text()) and "1 failed" in note
 
 
-def test_the_area_over_two_parameters_is_the_colour_of_its_place():
+def test_the_area_over_two_parameters_is_a_colour():
     ax = figures.sweep(swept(3, 2))
     collections: Any = ax.collections
     (mesh,) = collections
@@ -169,7 +169,7 @@ def test_the_area_over_two_parameters_is_the_colour_of_its_place():
     assert bar is not ax and "area of the basin" in bar.get_ylabel()
 
 
-def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
+def test_more_parameters_are_at_their_first_values_and_named():
     data = swept(3, 2, 2)
     ax = figures.sweep(data)
     collections: Any = ax.collections
@@ -182,7 +182,7 @@ def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
     assert line.containers
 
 
-def test_cells_of_metastable_walking_are_drawn_over_all_of_their_area():
+def test_cells_of_metastable_walking_are_drawn_whole():
     ax = figures.metastability(metastable())
     (mesh,) = [one for one in ax.collections if isinstance(one, QuadMesh)]
     drawn = np.ma.filled(np.ma.asarray(mesh.get_array()), 0)

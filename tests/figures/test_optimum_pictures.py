@@ -24,7 +24,7 @@ def shaded(ax):
     return np.sort(np.array(ends).reshape(-1, 2), axis=0)
 
 
-def test_the_scan_is_dashed_on_shaded_ground_where_limits_do_not_allow_it():
+def test_the_scan_is_dashed_where_limits_do_not_allow_it():
     data = optimum()
     ax = figures.optimisation(data)
     # The optimum, at 0.003, is a point of it.
@@ -59,7 +59,7 @@ def test_limits_are_told_in_words(limits, words):
     assert words in legend(figures.optimisation(optimum(limits=limits)))
 
 
-def test_start_and_optimum_are_marked_with_the_exact_objective_even_at_bounds():
+def test_start_and_optimum_are_marked_even_at_bounds():
     ax = figures.optimisation(optimum())
     np.testing.assert_array_equal(line(ax, markersize=12), [[0.010, 2.02]])
     np.testing.assert_array_equal(line(ax, marker="*"), [[0.003, 4.04]])
@@ -72,7 +72,7 @@ def test_start_and_optimum_are_marked_with_the_exact_objective_even_at_bounds():
     assert not star.get_clip_on()
 
 
-def test_the_run_to_the_optimum_is_joined_in_its_order_and_others_are_fainter():
+def test_the_run_to_the_optimum_is_joined_others_are_faint():
     data = optimum()
     ax = figures.optimisation(data)
     way = [[0.010, 2], [0.006, 3], [0.0035, 3.8], [0.003, 4]]
@@ -108,7 +108,7 @@ def test_the_run_to_the_optimum_is_joined_in_its_order_and_others_are_fainter():
     ],
     ids=["one", "small", "sum", "negative"],
 )
-def test_the_title_tells_the_objective_what_was_reached_and_where_it_ended(changes, subject, note):
+def test_the_title_tells_the_objective_and_what_was_reached(changes, subject, note):
     data = optimum(**changes)
     ax = figures.optimisation(data)
     above = ax.get_title(loc="left").replace("\n", " ")
@@ -126,7 +126,7 @@ def test_from_nothing_there_is_no_factor():
     assert note == "0 to 4.04, held by a limit of speed"
 
 
-def test_an_optimisation_without_a_scan_and_of_one_evaluation_is_drawn():
+def test_an_optimisation_without_scan_or_of_one_place_is_drawn():
     bare = optimum(basins=False).drop_vars(["scan_parameters", "scan_value", "scan_allowed"])
     one = bare.isel(evaluation=[2, -2, -1])
     for data in (bare, one):
@@ -136,7 +136,7 @@ def test_an_optimisation_without_a_scan_and_of_one_evaluation_is_drawn():
         assert not any("scan" in text for text in legend(figure.axes[0]))
 
 
-def test_the_basins_before_and_after_have_the_colours_of_a_basin():
+def test_basins_before_and_after_have_the_colours_of_a_basin():
     data = optimum()
     figure = figures.basins_before_and_after(data)
     start, best = figure.axes
@@ -156,7 +156,7 @@ def test_the_basins_before_and_after_have_the_colours_of_a_basin():
     assert len(told) == 8
 
 
-def test_the_area_of_the_basins_is_told_where_it_alone_was_optimised():
+def test_the_area_of_basins_is_told_where_it_was_optimised():
     first, second = figures.basins_before_and_after(optimum(objective='{"area": 2.0}')).axes
     assert "1.01 × 10$^{0}$" in words(first)[0] and "2.02 × 10$^{0}$" in words(second)[0]
     for objective in ('{"area": 1.0, "speed": 1.0}', '{"speed": 1.0}'):
@@ -166,7 +166,7 @@ def test_the_area_of_the_basins_is_told_where_it_alone_was_optimised():
     assert note.endswith("; in the slice at $\\dot{\\varphi}$ = −0.1")
 
 
-def test_an_optimisation_is_one_picture_in_which_nothing_overlaps(tmp_path):
+def test_an_optimisation_is_one_picture_without_overlaps(tmp_path):
     figure = figures.optimum(optimum())
     slope, stiffness, start, best = figure.axes
     assert slope.get_title(loc="left") == "Slope"

@@ -19,7 +19,7 @@ from walker_jax.figures import style, text
 PICTURES = [figures.gait_branches, figures.largest_multiplier, figures.bifurcation_diagram]
 
 
-def test_each_branch_is_solid_where_it_is_stable_and_dashed_where_it_is_not():
+def test_branches_are_solid_where_stable_and_dashed_elsewhere():
     ax = figures.gait_branches(diagram())
     solid, dashed = lines(ax, dashed=False), lines(ax, dashed=True)
     assert [len(line) for line in solid] == [3, 3, 3, 3, 3, 3]  # of periods 1, 2, 2, 3, 3, 3
@@ -32,7 +32,7 @@ def test_each_branch_is_solid_where_it_is_stable_and_dashed_where_it_is_not():
     np.testing.assert_allclose(dashed[4][:, 0], [0.020, 0.012, 0.0115])
 
 
-def test_a_stable_part_without_points_between_two_bifurcations_is_solid():
+def test_a_stable_part_between_two_bifurcations_is_solid():
     branches = {"one": [(0.01, [0.1], 2.0, False), (0.02, [0.2], -2.0, False)]}
     events = [(True, 0, 0.012, [0.12], 1.0, False), (False, 0, 0.013, [0.13], -1.0, False)]
     ax = figures.gait_branches(diagram(branches, events))
@@ -51,7 +51,7 @@ def test_folds_and_period_doublings_are_marked_at_each_phase():
     assert "4 branches, 1 fold, 2 period doublings" in words(ax)
 
 
-def test_step_times_of_the_gaits_of_period_one_stand_beside_their_ends():
+def test_step_times_of_period_one_stand_beside_branches():
     ax = figures.gait_branches(diagram())
     (low,), (high,) = annotations(ax, "4.04"), annotations(ax, "4.06")
     assert low.xy == pytest.approx((1, 0.27))
@@ -71,7 +71,7 @@ def test_periods_are_told_apart_even_in_grey():
     assert colour == {style.PERIODS[0][0], style.PERIODS[1][0]}
 
 
-def test_the_largest_multiplier_is_drawn_along_the_cascade_and_no_other_branch():
+def test_the_largest_multiplier_is_drawn_along_the_cascade_only():
     ax = figures.largest_multiplier(diagram())
     solid, dashed = lines(ax, dashed=False), lines(ax, dashed=True)
     assert len(solid) == len(dashed) == 2
@@ -87,7 +87,7 @@ def test_the_largest_multiplier_is_drawn_along_the_cascade_and_no_other_branch()
     assert legend(ax) == ["period 1, doubles at 0.01500", "period 2, doubles at 0.01900"]
 
 
-def test_between_points_of_a_branch_the_largest_multiplier_has_its_kink():
+def test_between_points_the_largest_multiplier_has_its_kink():
     branches = {"one": [(0.0, [0.2], 0.0, True), (1.0, [0.2], 0.0, True)]}
     data = diagram(branches, [])
     data["multipliers"].values[:] = [[[0, 0.5], [0, -0.5]], [[-0.8, 0], [-0.3125, 0]]]
@@ -158,7 +158,7 @@ def test_other_data_is_refused_by_pictures_of_a_parameter(draw):
         assert "\n" not in str(e.value)
 
 
-def test_all_of_a_parameter_is_one_picture_with_the_cascade_enlarged(tmp_path):
+def test_all_of_a_parameter_is_one_picture_with_a_cascade(tmp_path):
     figure = figures.bifurcations(diagram())
     gaits, attractors, multiplier, cascade = figure.axes
     assert multiplier.get_xlim() == gaits.get_xlim() == attractors.get_xlim()
@@ -205,7 +205,7 @@ def test_multipliers_are_filled_inside_the_unit_circle_only():
         (-3e7, "−3.00e+07"),
     ],
 )
-def test_a_multiplier_beyond_the_frame_is_at_the_rim_with_its_value(value, text):
+def test_a_multiplier_beyond_the_frame_is_told_at_the_rim(value, text):
     ax = figures.multipliers([gait(1, value, 0.1)])
     assert ax.get_xlim() == ax.get_ylim() == (-2.5, 2.5)
     assert signs(ax, "o") == pytest.approx(np.array([(0.1, 0)]))
@@ -217,7 +217,7 @@ def test_a_multiplier_beyond_the_frame_is_at_the_rim_with_its_value(value, text)
     assert ax.bbox.contains(*box(label).p0) and ax.bbox.contains(*box(label).p1)
 
 
-def test_many_multipliers_at_one_place_of_the_rim_do_not_overlap():
+def test_many_multipliers_at_one_place_do_not_overlap():
     ax = figures.multipliers([gait(1 + k % 9, 3.0 * 2**k, -3.0 - k) for k in range(12)])
     figure_of(ax).draw_without_rendering()
     rows = [text for text in ax.texts if text.get_text()]
@@ -227,7 +227,7 @@ def test_many_multipliers_at_one_place_of_the_rim_do_not_overlap():
     assert {"and 5 more, up to 6,144", "and 5 more, up to −14.0"} < set(words(ax))
 
 
-def test_multipliers_of_no_gait_and_of_failed_searches_are_left_out():
+def test_multipliers_of_failed_searches_are_left_out():
     for gaits in ([], [gait(1, np.nan, np.nan, found=False)]):
         ax = figures.multipliers(gaits)
         figure_of(ax).draw_without_rendering()

@@ -22,7 +22,7 @@ def data():
     return wj.basin(wj.SimplestWalker(SLOPE), grid, "direct")
 
 
-def test_a_step_is_drawn_in_six_poses_with_hip_and_feet_where_they_are(walk):
+def test_a_step_is_six_poses_with_hip_and_feet_where_they_are(walk):
     figure = figures.step(walk)
     assert len(figure.axes) == 6
     first = walk.isel(frame=0)
@@ -71,7 +71,7 @@ def test_the_ground_goes_down_to_the_right(walk):
     assert x1 > x0 and (y1 - y0) / (x1 - x0) == pytest.approx(-np.tan(SLOPE))
 
 
-def test_leg_angles_have_a_line_for_each_leg_and_stride_and_mark_the_strikes(walk):
+def test_leg_angles_have_a_line_for_each_leg_and_mark_strikes(walk):
     ax = figures.leg_angles(walk)
     curves = [line for line in ax.lines if len(np.asarray(line.get_xdata())) > 2]
     assert len(curves) == 2 * 9

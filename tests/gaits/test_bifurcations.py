@@ -53,7 +53,7 @@ def test_what_attracts_beside_the_long_gait_is_seen():
 
 
 @pytest.mark.slow
-def test_a_cascade_that_began_below_the_interval_is_known_as_one():
+def test_a_cascade_that_began_below_the_interval_is_known():
     data = wj.bifurcation_diagram(
         walker(), "slope", (0.0165, 0.0182), period_max=4, strides=100, scan=2
     )
@@ -74,7 +74,7 @@ def test_walking_is_lost_between_two_slopes():
     assert np.isnan(nowhere.below) and nowhere.above == 0.02
 
 
-def test_walking_is_lost_above_the_last_value_at_which_a_walker_walks(monkeypatch):
+def test_walking_is_lost_above_the_last_value_that_walks(monkeypatch):
     """Of walkers that fall over a range of slopes below it, too."""
 
     def walk(walkers, starts, strides, *_):
@@ -195,7 +195,7 @@ def test_wrong_requests_are_refused(call, message):
         call()
 
 
-def test_an_interval_that_begins_at_a_bound_of_its_parameter_is_not_widened():
+def test_an_interval_from_a_bound_on_is_not_widened():
     widen = diagrams.widen_downwards
     assert widen(walker(), "slope", 0.004, 0.02) == (0.002, 0.02)
     spring = wj.SpringWalker(0.0165, 0.0)

@@ -195,7 +195,7 @@ def test_a_branch_is_followed_the_way_that_is_wanted(sign, lean, of_tangent, mon
     np.testing.assert_allclose(states, lean * values, rtol=0, atol=1e-13)
 
 
-def test_crossings_are_where_a_line_between_points_has_the_value():
+def test_crossings_are_where_a_line_of_points_has_the_value():
     """Once on the way up, and once on the way down."""
     values, x = np.array([0.0, 1.0, 0.5]), np.array([[[2.0, 0.0]], [[4.0, 1.0]], [[0.0, 3.0]]])
     one = np.ones((3, 1))
@@ -207,7 +207,7 @@ def test_crossings_are_where_a_line_between_points_has_the_value():
     assert [4.0, 1.0] in at(1.0) and [0.0, 3.0] in at(0.5) and at(0.0) == [[2.0, 0.0]]
 
 
-def test_a_branch_that_passes_at_some_distance_from_its_start_does_not_close():
+def test_a_branch_that_passes_by_its_start_does_not_close():
     none = Linearisation(*4 * [np.zeros(0)])
     point = lambda value, x: arclength.Point(value, np.array([[x]]), none)
     one, other = point(0.0, 0.1), point(0.04, 0.1)

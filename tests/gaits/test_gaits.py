@@ -75,7 +75,7 @@ def test_without_a_guess_the_gait_of_a_spring_is_the_stable_one():
     np.testing.assert_allclose(data["states"].values, gait.states[None], rtol=0, atol=1e-12)
 
 
-def test_where_no_gait_is_stable_one_is_looked_for_in_the_further_region(monkeypatch):
+def test_without_a_stable_gait_the_further_region_is_searched(monkeypatch):
     one = wj.SpringWalker(0.012, 3.0)
     stable, unstable = wj.find_gait(one, [0.1777, -0.2482]), wj.find_gait(one, [0.1688, -0.2558])
     assert stable.stable and not unstable.stable
@@ -246,7 +246,7 @@ def test_derivatives_grow_towards_a_fold():
 
 
 @pytest.mark.slow
-def test_under_transformations_a_gait_is_the_same_and_differentiable():
+def test_a_transformed_gait_is_the_same_and_differentiable():
     gait, rates = jax.jvp(lambda s: wj.find_gait(wj.SimplestWalker(s)), (0.009,), (1.0,))
     eager = wj.find_gait(walker())
     derivatives = wj.gait_derivatives(walker(), eager, "slope")
@@ -388,7 +388,7 @@ def test_a_traced_search_invents_no_gait_next_to_a_bifurcation(monkeypatch):
             np.testing.assert_allclose(gait.multipliers, [1 - 2e-2, 0.5], rtol=0, atol=1e-12)
 
 
-def test_multipliers_of_a_traced_search_are_those_of_the_strides_in_their_order(monkeypatch):
+def test_multipliers_of_a_traced_search_are_in_their_order(monkeypatch):
     """Of a cycle of three, whose Jacobians do not commute."""
 
     def bend(x):
@@ -452,7 +452,7 @@ def test_each_search_may_have_its_own_walker():
     np.testing.assert_allclose(ends.state, states, rtol=0, atol=1e-11)
 
 
-def test_uncertainty_is_what_residual_and_rounding_move_a_solution():
+def test_uncertainty_is_how_residual_and_rounding_move_it():
     """By the smallest of the factors by which a matrix stretches; here a diagonal one, turned."""
     turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
     matrices = np.stack([turn @ np.diag([3.0, small]) for small in (0.5, 1e-7)])

@@ -72,12 +72,12 @@ def test_a_pair_that_leaves_the_unit_circle_is_located(stride, states, angle):
     assert before and after
 
 
-def test_real_multipliers_whose_product_passes_one_are_no_such_point():
+def test_real_multipliers_whose_product_is_one_are_none():
     path = path_of(saddle, [[0.0, 0.0]], 1.1, (1.1, 1.6))
     assert path.end == "the end of the range" and path.neimark_sackers == ()
 
 
-def test_they_are_in_the_data_set_of_a_diagram_and_in_its_picture():
+def test_they_are_in_the_data_of_a_diagram_and_its_picture():
     """Of a branch with two points, beside what its folds and doublings are told by."""
     walker = wj.SimplestWalker(0.01)
     states, multipliers = np.array([[[0.2, -0.2]], [[0.3, -0.3]]]), np.array([[0.9 + 0.3j] * 2] * 2)
@@ -113,7 +113,7 @@ def test_they_are_in_the_data_set_of_a_diagram_and_in_its_picture():
 
 
 @pytest.mark.slow
-def test_the_walker_in_space_loses_its_gait_to_a_motion_on_a_closed_curve():
+def test_the_walker_in_space_loses_its_gait_to_a_closed_curve():
     """Disturbances decay on one side of the point and grow on the other, as the multipliers say."""
     branch = wj.continue_gait(wj.SpatialWalker(), "hip_width", (0.3, 0.37))
     (point,) = branch.neimark_sackers

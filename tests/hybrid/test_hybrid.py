@@ -256,7 +256,7 @@ def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch):
     assert found.guard == 0 and found.time == pytest.approx(np.pi, abs=1e-5)
 
 
-def test_the_earliest_guard_counts_whatever_their_order_and_not_before_it_is_admitted():
+def test_the_earliest_admitted_guard_counts_in_any_order():
     """q falls through levels at known times; one only counts while p > 0, that is, never here."""
     level = lambda c, *admits: Guard(lambda state: c - state[0], 0, admits)
     orders = [(0.5, 0.1, -0.3), (-0.3, 0.1, 0.5)]
@@ -276,7 +276,7 @@ def test_a_guard_that_rises_and_falls_within_one_step_is_seen():
     assert found.guard == 0 and found.time == pytest.approx(np.pi / 2 - 1e-4, abs=1e-9)
 
 
-def test_conditions_are_noted_where_they_are_violated_and_do_not_end_a_mode():
+def test_violated_conditions_are_noted_and_do_not_end_a_mode():
     """On the way from q = 0, p = 1 to q = 0 again, q is zero at both ends and one in between."""
     least = {0: 0.999, 1: 1.001, 2: 0.0, 3: -1e-9}
     conditions = [Condition(lambda s: least[0] - s[0], 0), Condition(lambda s: least[1] - s[0], 1)]
@@ -293,7 +293,7 @@ def test_conditions_are_noted_where_they_are_violated_and_do_not_end_a_mode():
     }
 
 
-def test_what_is_foregone_is_not_followed_and_what_is_not_going_stays():
+def test_what_is_foregone_or_not_going_is_not_followed():
     mode = mode_of(DOWN, foregone=Foregone(lambda state: state[1] < -0.2, 7))
 
     @kernel
@@ -306,7 +306,7 @@ def test_what_is_foregone_is_not_followed_and_what_is_not_going_stays():
     assert stayed.time == 0 and stayed.state[0] == 1 and stayed.guard not in (0, 1, NO_GUARD)
 
 
-def test_what_never_ends_nears_a_pole_or_rests_ends_after_so_many_steps(monkeypatch):
+def test_what_never_ends_is_given_up_after_so_many_steps(monkeypatch):
     monkeypatch.setattr("walker_jax.hybrid.following.MAX_STEPS", 30)
     square = lambda state: (state[0] ** 2,)
     mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),))

@@ -49,7 +49,7 @@ def errors(times, states):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("order", "steps"), [(3, 48), (6, 14)])
-def test_error_falls_with_the_order_of_the_series_also_between_steps(order, steps):
+def test_error_falls_with_the_order_also_between_steps(order, steps):
     times = jnp.linspace(0.0, 1.0, 37)
 
     @jax.jit
@@ -92,7 +92,7 @@ def test_adaptive_steps_keep_the_tolerance_at_all_times(adaptive):
     assert 4 <= adaptive.stats["num_accepted_steps"] < 40
 
 
-def test_dense_output_is_the_solution_and_its_derivative_the_right_hand_side(adaptive):
+def test_the_derivative_of_dense_output_is_the_right_hand_side(adaptive):
     times = jnp.linspace(0.05, 1.35, 11)
 
     @jax.jit
@@ -107,7 +107,7 @@ def test_dense_output_is_the_solution_and_its_derivative_the_right_hand_side(ada
         np.testing.assert_allclose(slope, right, rtol=1e-9, atol=1e-9)
 
 
-def test_interpolation_is_the_polynomial_from_the_start_of_the_step():
+def test_interpolation_is_the_polynomial_of_the_step():
     """p(s) = 3 - s + 2 s^2, s = t - 5."""
     series = [jnp.array(3.0), jnp.array(-1.0), jnp.array(2.0)]
     interpolation = TaylorInterpolation(t0=jnp.array(5.0), t1=jnp.array(6.0), series=series)
@@ -380,7 +380,7 @@ def test_a_double_root_is_no_rise_but_two_near_ones_are(rise):
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([1.0, 1e-8, 1e8]))
-def test_first_rise_ends_for_every_polynomial_and_is_right_for_those_it_is_for(rise, seed, size):
+def test_first_rise_ends_always_and_is_right_where_meant(rise, seed, size):
     rng = np.random.default_rng(seed)
     polynomials = rng.normal(size=(1000, 7)) * 10 ** rng.uniform(-3, 1, (1000, 7)) * size
     polynomials *= rng.random((1000, 7)) < rng.uniform(0.2, 1)

@@ -162,7 +162,7 @@ class ShortPushWalker(wj.SimplestWalker):
         return free._replace(phidot=free.phidot - 100 * jax.nn.relu(state.phi - self.angle))
 
 
-def test_a_torque_that_acts_for_a_moment_within_a_step_is_not_missed():
+def test_a_torque_for_a_moment_within_a_step_is_not_missed():
     """The legs swing apart at first, and pass the angle for some 0.01."""
     times = np.linspace(0, 0.5, 2001)
     start = jnp.array([0.2, 0.4, -0.22, 0.05])  # a full state, the swing leg still going back
@@ -240,7 +240,7 @@ def test_the_equations_of_several_masses_are_those_of_the_class():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [AcceleratedWalker, LimitedTorqueWalker])
-def test_walkers_of_several_masses_may_have_kinks_and_a_field_of_their_own(kind):
+def test_walkers_of_masses_may_have_kinks_and_own_fields(kind):
     walker, start = kind(0.01), np.array([0.2, -0.21])
     end = wj.stride(walker, start)
     assert end.outcome == Outcome.STRIDE

@@ -116,7 +116,7 @@ class OfMotion(SingleSupport):
 
 
 @pytest.mark.slow
-def test_series_by_virtual_power_of_a_walker_is_that_of_its_accelerations():
+def test_series_of_a_walker_by_virtual_power_is_that_of_rates():
     equations = OfMotion(wj.PointFootWalker(0.01, 0.2))
     state = wj.State(*map(jnp.asarray, (0.3, 0.5, -0.4, 0.2)))
     results = [series_and_slopes(equations, state, by_series) for by_series in (True, False)]

@@ -40,7 +40,7 @@ def test_sincos_is_right_to_the_last_place_of_one(dtype):
 
 
 @pytest.mark.parametrize(("dtype", "largest"), [(np.float64, 1e5), (np.float32, 4.0)])
-def test_sincos_is_right_to_few_units_also_where_it_is_nearly_zero(dtype, largest):
+def test_sincos_is_right_to_few_units_also_near_its_zeros(dtype, largest):
     x = angles(dtype)
     x = x[np.abs(x) <= largest]
     for error, result in sincos_errors(x):
@@ -84,7 +84,7 @@ def with_sines(x, y):
     return {"value": jnp.where(x > 0, inner(x), jnp.sin(y)), "slope": slope, "sign": jnp.sign(x)}
 
 
-def test_fast_sines_equal_the_plain_function_and_its_derivatives():
+def test_fast_sines_equal_the_function_and_its_derivatives():
     x = jnp.linspace(-5.0, 5.0, 51)
     y = x[::-1] + 0.3
     faster = with_fast_sincos(with_sines)

@@ -68,7 +68,7 @@ def test_a_walker_of_several_masses_by_another_solver():
 
 
 @pytest.mark.slow
-def test_derivatives_walks_trajectories_and_gaits_by_another_solver():
+def test_walks_and_their_derivatives_by_another_solver():
     by: Any = {"tolerance": 1e-12, "solver": DOPRI}
     one = lambda x, **by: wj.stride(SIMPLEST, x, **by).state
     np.testing.assert_allclose(one(START, **by), one(START), rtol=1e-11)

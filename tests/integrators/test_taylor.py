@@ -114,7 +114,7 @@ def riccati_series(a, b, c, start):
     return solution_series(lambda y: a + b * y + c * y**2, start, ORDER)
 
 
-def test_series_of_a_pendulum_equals_that_of_its_elliptic_function():
+def test_series_of_a_pendulum_is_that_of_its_elliptic_function():
     """theta'' = -sin theta from rest: sin(theta / 2) = k cd(t), k = sin(theta(0) / 2)."""
     start = {"angle": jnp.array(2.0), "rate": jnp.array(0.0)}
 
@@ -228,7 +228,7 @@ def test_products_of_two_vectors_that_both_vary():
     assert_series(series, np.outer(expected, start))
 
 
-def test_a_product_of_a_matrix_with_itself_whose_coefficients_do_not_commute():
+def test_a_matrix_by_itself_whose_coefficients_do_not_commute():
     """Y' = Y Y + B, by Cauchy products."""
     B = np.array([[0.0, 1.0, 0.0], [0.0, 0.5, 2.0], [1.0, 0.0, 0.0]])
     Y = [A]
@@ -257,7 +257,7 @@ def test_series_at_places_out_of_bounds_are_constants():
     np.testing.assert_allclose(np.stack(found), expected, rtol=1e-13)
 
 
-def test_what_puts_a_function_of_an_entry_in_its_place_has_no_series():
+def test_a_function_put_in_the_place_of_its_entry_has_no_series():
     field = lambda y: y.at[0].apply(jnp.sin)
     with pytest.raises(NotImplementedError, match="scatter with a function"):
         solution_series(field, jnp.array([0.1, 0.7]), 4)
@@ -458,7 +458,7 @@ def test_series_of_elementary_functions_in_float32_are_float32():
     assert {c.dtype for c in jax.tree.leaves(series)} == {jnp.dtype("float32")}
 
 
-def test_derivatives_of_a_series_are_the_series_of_the_derivative():
+def test_derivatives_of_a_series_are_series_of_the_derivative():
     """By x_0: of tan, those of 1 + tan^2."""
     _, known = polynomials(float)
     ones = [jnp.ones(3), *[jnp.zeros(3)] * LONG]

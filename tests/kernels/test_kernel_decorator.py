@@ -69,7 +69,7 @@ def test_methods_are_kernels_too():
 FACTOR = 2.0
 
 
-def test_names_that_a_function_reads_are_looked_at_when_it_is_called(monkeypatch):
+def test_names_that_a_function_reads_are_looked_at_at_a_call(monkeypatch):
     scaled = kernel(lambda x, *, power=1: FACTOR * x**power)
     assert scaled(3.0) == 6 and scaled(3.0, power=2) == 18
     monkeypatch.setitem(globals(), "FACTOR", 5.0)
@@ -96,7 +96,7 @@ def test_wrong_use_names_the_argument(name):
     assert str(error.value).startswith(message)
 
 
-def test_an_argument_that_is_missing_or_too_many_is_told_as_by_the_function():
+def test_missing_or_too_many_arguments_are_told_as_usual():
     for wrong in (lambda f: f(2.0, terms=3, twice=4), lambda f: f(x=2.0)):
         with pytest.raises(TypeError, match="argument"):
             wrong(of_terms)

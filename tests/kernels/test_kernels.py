@@ -297,7 +297,7 @@ def test_no_loop_waits_for_a_cell_that_is_not_at_work_in_it():
     assert chosen == [-2, -1, 0, -99, 10, 9]
 
 
-def test_terms_computed_in_a_loop_are_not_taken_for_known_after_it():
+def test_terms_of_a_loop_are_not_taken_for_known_after_it():
     def function(x):
         total = lax.while_loop(lambda y: y > 3, lambda y: y - jnp.exp(-x) * jnp.exp(-x), x)
         return total + jnp.exp(-x), jnp.exp(-x) * jnp.exp(-x)
@@ -417,7 +417,7 @@ def test_shifts_by_more_bits_than_there_are(dtype):
 
 
 @FLOATS
-def test_what_is_beyond_the_integers_of_a_type_is_the_last_of_them(dtype):
+def test_beyond_the_integers_of_a_type_is_the_last_of_them(dtype):
     """From the first number that is, a power of two; below, all are cut off towards zero."""
     kinds = np.int8, np.uint8, np.int32, np.uint32, np.int64, np.uint64
     powers = np.array([0, 7, 8, 31, 32, 63, 64])
@@ -460,7 +460,7 @@ def test_a_function_may_have_no_results():
     assert run(lambda x: (), np.ones(3)) == ()
 
 
-def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatch):
+def test_the_program_is_the_same_whenever_it_is_written(monkeypatch):
     """Not so if it depended on where objects lie in memory; nor would the last bits be."""
     programs, junk = [], []
     load = compiled.load_program

@@ -66,7 +66,7 @@ def test_nothing_is_taken_of_an_empty_array():
     assert_same(lambda x, i: [x[0, 0], *x[5:]], ARRAYS, INDICES)
 
 
-def test_indices_that_do_not_reach_the_end_of_an_array_have_no_kernel():
+def test_indices_short_of_the_end_of_an_array_have_no_kernel():
     table = np.arange(300.0)
     with pytest.raises(UnsupportedPrimitive, match="int8 indices of an array of 300"):
         run(lambda x, i: jnp.asarray(table)[i] * x, np.ones(3), np.arange(3, dtype=np.int8))

@@ -290,7 +290,7 @@ def test_derivatives_through_complex_numbers(name):
     np.testing.assert_allclose(jax.jvp(kernel(function), (x,), (x,)), expected, rtol=1e-14)
 
 
-def test_a_derivative_is_computed_in_the_modes_in_which_its_function_was_traced():
+def test_a_derivative_is_computed_in_the_modes_of_its_function():
     thirds = lambda x: (x * x * jnp.sin(jnp.arange(1.0, 4.0) / 3.0)).sum()
     function = kernel(thirds)
     value, pull = jax.vjp(function, 1.3)

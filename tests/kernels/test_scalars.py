@@ -153,7 +153,7 @@ def test_derivatives_are_those_of_the_functions_themselves():
 
 
 @pytest.mark.parametrize("name", ["matmul", "at-set", "jax-index", "scan"])
-def test_value_is_that_of_the_function_itself_without_compilation(name):
+def test_value_is_that_of_the_function_without_compilation(name):
     assert_equal(unroll(FUNCTIONS[name])(V, A), FUNCTIONS[name](V, A))
 
 
@@ -242,7 +242,7 @@ def turned(a):
     return jnp.array([[jnp.cos(a), -jnp.sin(a), 0.0], [jnp.sin(a), jnp.cos(a), 0.0], [0, 0, 1.0]])
 
 
-def test_no_arrays_are_left_between_scalars_and_fewer_operations():
+def test_no_arrays_and_fewer_operations_are_left():
     def function(a, x, y):
         point = turned(a) @ jnp.stack([x, y, jnp.ones(())])
         return list(turned(a).T @ point)
@@ -280,7 +280,7 @@ def test_what_is_known_is_computed_while_tracing():
     assert unroll(function)(2.0) == pytest.approx(3.0, rel=1e-15)
 
 
-def test_a_product_with_a_known_zero_is_zero_also_where_the_other_factor_is_not_finite():
+def test_a_product_with_a_known_zero_is_zero_even_of_infinity():
     function = lambda x: (jnp.zeros(2) @ jnp.stack([x, x]), jnp.eye(2) @ jnp.stack([x, 1 + 0 * x]))
     zero, row = jax.jit(unroll(function))(np.inf)
     np.testing.assert_array_equal(zero, 0)
@@ -399,7 +399,7 @@ def test_known_numbers_are_computed_as_jax_does(dtype):
         assert found.dtype == primitive.bind(*map(jnp.asarray, operands)).dtype
 
 
-def test_functions_of_one_code_that_differ_in_anything_else_are_not_taken_for_each_other():
+def test_functions_of_one_code_are_told_apart_by_all_else():
     """Within one program, which keeps what it has traced of equal code."""
 
     def bound(value):

@@ -64,7 +64,7 @@ def test_a_rod_dropped_on_one_end_of_a_smooth_ground(e):
     close(velocities[:, 2], rho * HALF * np.cos(angle) / I_ROD)
 
 
-def test_a_rod_whose_end_sticks_to_the_ground_keeps_its_angular_momentum_about_it():
+def test_a_rod_that_sticks_keeps_its_momentum_about_its_end():
     """It turns about that end: rate = (moment of the momentum) / (I + m l^2)."""
     angle, rates = uniform(30, COUNT, low=-3.0, high=3.0), uniform(31, COUNT, 3)
 

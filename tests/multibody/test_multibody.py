@@ -225,7 +225,7 @@ def wheels(seed):
     return *positive, slopes, *states(seed + 2, 2)[0].T
 
 
-def test_wheel_rolls_down_a_slope_by_its_closed_form_and_friction_holds_it():
+def test_wheel_rolls_by_its_closed_form_and_friction_holds_it():
     m, inertia, r, slope, angle, rate = wheels(7)
     accelerations, forces = each(rolling, m, inertia, r, slope, angle, rate)
     along = GRAVITY * np.sin(slope) / (1 + inertia / (m * r**2))
@@ -310,7 +310,7 @@ def test_tension_of_a_pendulum_on_its_pivot():
     close(forces[:, 1], tension * np.cos(angle))
 
 
-def test_a_locked_hinge_makes_one_body_of_two_and_takes_a_torque():
+def test_a_locked_hinge_makes_one_body_and_takes_a_torque():
     """Bars in line: a compound pendulum, whose hinge carries what the second bar lacks."""
     bars = BARS
     q = jnp.stack([uniform(19, COUNT, low=-3, high=3), jnp.zeros(COUNT)], 1)
@@ -330,7 +330,7 @@ def test_a_locked_hinge_makes_one_body_of_two_and_takes_a_torque():
     close(forces[:, 1], torque)
 
 
-def test_held_coordinates_are_counted_from_either_end_in_any_order_and_once():
+def test_held_coordinates_count_from_either_end_in_any_order():
     bars = two_bars(**BARS)
 
     @kernel
@@ -388,7 +388,7 @@ def test_power_of_a_damper_is_what_the_energy_loses():
     close(change, expected, 1e-11)
 
 
-def test_virtual_power_of_the_motion_is_zero_but_for_what_is_held():
+def test_virtual_power_is_zero_but_for_what_is_held():
     """(2): where it is held, the force that holds it makes up for it."""
     springs = lambda q, qdot: -0.4 * qdot + jnp.sin(q)
     system = two_bars(**BARS, springs=springs)
@@ -412,7 +412,7 @@ def test_virtual_power_of_the_motion_is_zero_but_for_what_is_held():
 # Energies
 
 
-def test_kinetic_energy_is_the_quadratic_form_of_the_mass_matrix():
+def test_kinetic_energy_is_the_form_of_the_mass_matrix():
     system = two_bars(**BARS)
 
     def look(q, qdot):
@@ -422,7 +422,7 @@ def test_kinetic_energy_is_the_quadratic_form_of_the_mass_matrix():
     close(*each(look, *states(33, 2)))
 
 
-def test_force_of_gravity_is_minus_the_slope_of_the_potential_energy():
+def test_gravity_is_minus_the_slope_of_the_potential_energy():
     system = two_bars(**BARS)
 
     def look(q, _):
@@ -446,7 +446,7 @@ def test_results_are_the_same_compiled_and_mapped():
         close(one, many[0])
 
 
-def test_derivatives_by_a_mass_and_a_state_agree_with_central_differences():
+def test_derivatives_by_a_mass_and_a_state_are_differences():
     q, qdot = states(41, 2)
 
     def results(mass, angle):

@@ -47,7 +47,7 @@ def test_masses_that_are_none_give_nan_where_jax_traces(mass):
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_masses_and_forces_not_of_the_shape_of_the_transfer_function_are_refused(count):
+def test_masses_and_forces_of_other_shapes_are_refused(count):
     system = System(plain, jnp.ones(count), jnp.zeros(count))
     for use in (solve_motion, functools.partial(impact, contact=plain)):
         with pytest.raises(ValueError) as error:
@@ -65,7 +65,7 @@ def test_rates_not_of_the_shape_of_the_coordinates_are_refused():
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3,), (2, 1)])
-def test_generalised_forces_not_of_the_shape_of_the_coordinates_are_refused(shape):
+def test_generalised_forces_of_other_shapes_are_refused(shape):
     forces = lambda q, qdot: jnp.zeros(shape)
     system = System(plain, jnp.ones(2), jnp.zeros(2), forces)
     with pytest.raises(ValueError) as error:
@@ -89,7 +89,7 @@ def test_a_contact_that_is_no_vector_is_refused():
 
 
 @pytest.mark.parametrize("e", [-0.1, 1.0000001, np.nan, np.inf, -np.inf])
-def test_restitution_beyond_its_bounds_is_refused_and_nan_where_jax_traces(e):
+def test_restitution_beyond_its_bounds_is_refused_or_nan(e):
     system, q = System(plain, jnp.ones(2), jnp.zeros(2)), jnp.ones(2)
     with pytest.raises(ValueError) as error:
         impact(system, lambda q: q[1:], q, q, restitution=e)
@@ -129,9 +129,7 @@ def tilted(small):
         (lambda q: tilted(1e-6)(q[::-1]), [1.0, 1.0], ["ill-conditioned", "q[1]"]),
     ],
 )
-def test_singular_and_ill_conditioned_mass_matrices_are_refused_by_coordinate(
-    transfer, masses, words
-):
+def test_singular_mass_matrices_are_refused_by_coordinate(transfer, masses, words):
     system, q = System(transfer, jnp.array(masses), jnp.ones(2)), jnp.array([0.5, 0.25])
     for use in (solve_motion, functools.partial(impact, contact=lambda q: q[:1])):
         with pytest.raises(ValueError) as error:

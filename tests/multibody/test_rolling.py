@@ -117,7 +117,7 @@ def constrained(motion, start):
     return jnp.stack(q), qdot
 
 
-def test_multipliers_give_the_same_motion_and_the_force_of_friction():
+def test_multipliers_give_the_same_motion_and_friction():
     motion, starts = rolling(BODY), states(2)
     whole = motion.system()
 
@@ -235,7 +235,7 @@ def test_chaplygins_sleigh_moves_by_its_closed_form():
     assert abs(later[0] - c * np.tanh(k * c * 0.8 + np.arctanh(v / c))) < 1e-13
 
 
-def test_a_disc_dropped_on_a_slope_begins_to_roll_and_keeps_its_momentum_about_the_contact():
+def test_a_dropped_disc_rolls_and_keeps_its_momentum():
     sizes = {name: jnp.asarray(value, float) for name, value in BODY.items()}
     rng = np.random.default_rng(3)
 
@@ -275,7 +275,7 @@ def test_a_disc_dropped_on_a_slope_begins_to_roll_and_keeps_its_momentum_about_t
         assert lost > 0
 
 
-def test_angular_velocity_and_momentum_of_a_body_are_those_of_its_rotation():
+def test_angular_velocity_and_momentum_are_of_the_rotation():
     body, q = rolling(BODY), jnp.array([0.1, 0.2, 0.3, 0.4, 0.5])
     qdot = jnp.array([0.0, 0.0, 0.7, -0.2, 1.1])
 

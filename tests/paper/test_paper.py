@@ -342,7 +342,7 @@ def test_another_request_is_refused_and_changes_nothing(report):
 
 
 @pytest.mark.slow
-def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
+def test_what_is_overwritten_begins_anew_and_may_go_on(
     report, data, numbers, monkeypatch, tmp_path
 ):
     """What is there goes first, so that the same command without --overwrite completes it."""

@@ -15,7 +15,7 @@ import walker_jax as wj
 
 PACKAGE = ROOT / "walker_jax"
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
-MOST = 400
+MOST, MOST_OF_TESTS = 400, 600
 """Lines that a file has at most."""
 
 OUTSIDE = PACKAGE / "__init__.py", PACKAGE / "__main__.py"
@@ -124,6 +124,14 @@ def test_docstrings_begin_with_their_subject():
     assert len(described) > 1000
     unclear = r"(What|Which|Whose|Of|That|Those)\b"
     assert [one for one in described if re.match(unclear, one[1])] == []
+
+
+def test_files_of_tests_and_names_of_tests_are_short():
+    texts = {path: path.read_text() for path in (ROOT / "tests").rglob("*.py")}
+    assert {path for path, text in texts.items() if text.count("\n") > MOST_OF_TESTS} == set()
+    names = re.findall(r"^(?:async )?def (test_\w+)", "\n".join(texts.values()), re.M)
+    assert len(names) > 1000
+    assert {name for name in names if len(name) >= 60} == set()
 
 
 def test_signatures_are_checked_in_every_room_with_shapes(pytestconfig):

@@ -34,7 +34,7 @@ def program(title):
     return found
 
 
-def test_the_programs_of_the_quickstart_give_a_basin_and_a_derivative():
+def test_the_quickstart_gives_a_basin_and_a_derivative():
     sources = programs(ROOT / "docs" / "quickstart.md")
     basin, derivative = sources
     assert len(basin.splitlines()) <= 6
@@ -52,7 +52,7 @@ def test_the_programs_of_the_quickstart_give_a_basin_and_a_derivative():
 
 
 @pytest.mark.slow
-def test_the_programs_for_several_devices_and_other_processes_give_strides():
+def test_programs_for_devices_and_processes_give_strides():
     """Those that are exported call no kernel, and have derivatives."""
     names: dict[str, Any] = {}
     for source in programs(ROOT / "docs" / "large-runs.md")[-2:]:
@@ -73,9 +73,7 @@ class Begun(BaseException):
 
 
 @pytest.mark.parametrize("first", ["the first command", "the table"])
-def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
-    first, monkeypatch, tmp_path
-):
+def test_commands_of_the_pages_run_after_each_other_in_a_folder(first, monkeypatch, tmp_path):
     """No two of them want one place for different results, and none what is not there."""
     beginning = (ROOT / "README.md").read_text() + (ROOT / "docs" / "quickstart.md").read_text()
     page = (ROOT / "docs" / "cli.md").read_text()
@@ -175,7 +173,7 @@ def test_the_pages_name_no_function_that_is_not_public():
         assert names <= set(wj.__all__), page.name
 
 
-def test_every_public_function_is_in_the_table_of_functions_or_the_glossary():
+def test_every_public_function_is_in_a_table_or_the_glossary():
     text = "".join((ROOT / "docs" / name).read_text() for name in ("quickstart.md", "glossary.md"))
     functions = {name for name in wj.__all__ if name[0].islower()}
     assert {name for name in functions if f"wj.{name}" not in text} == set()
@@ -198,7 +196,7 @@ SLOW = pytest.mark.slow
     ],
     ids=lambda one: one.stem if isinstance(one, Path) else str(one),
 )
-def test_programs_of_the_pages_give_the_numbers_that_they_assert(page, number):
+def test_programs_of_the_pages_give_the_numbers_they_assert(page, number):
     source = programs(page)[number]
     assert "\nassert " in source
     with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
@@ -247,7 +245,7 @@ def test_a_walker_of_your_own_has_a_gait_and_a_picture(tmp_path, monkeypatch):
     assert (tmp_path / "shank.png").stat().st_size > 20_000
 
 
-def test_the_page_of_the_command_line_lists_the_options_of_every_command():
+def test_the_page_of_the_command_line_lists_every_option():
     """It is made by the site's own hook, from the program."""
     hooks = ROOT / "docs" / "hooks" / "command_line.py"
     place: dict[str, Any] = {"__name__": "hooks"}
@@ -270,7 +268,7 @@ def measured(text):
         return np.nan, np.nan
 
 
-def test_what_is_said_of_knees_and_round_feet_follows_from_the_table():
+def test_what_is_said_of_knees_and_feet_follows_from_the_table():
     page = (ROOT / "docs" / "results.md").read_text()
     plain = " ".join(page.split())
     lines = re.findall(r"^\| ((?:default|human-like) \|.*?) \|$", page, re.M)

@@ -537,7 +537,7 @@ def spoil(good: dict[str, dict], count: int, *, repeatable: bool) -> Counter:
     return tried
 
 
-def test_a_bad_argument_of_a_public_function_is_refused_before_its_work_begins():
+def test_bad_arguments_of_functions_are_refused_before_any_work():
     """Or is not bad there. All arguments of all functions.
 
     But for the explorer, which starts a server, and for a map that takes seconds; they have tests.
@@ -571,7 +571,7 @@ def test_what_jax_cannot_trace_says_so():
 
 
 @pytest.mark.slow
-def test_thousands_of_bad_arguments_are_refused_in_one_line_or_answered():
+def test_thousands_of_bad_arguments_are_refused_or_answered():
     good = calls()
     with unchecked(), jax.numpy_dtype_promotion("standard"):
         tried = spoil(good, 3000, repeatable=settings().derandomize)

@@ -40,7 +40,7 @@ def test_a_whole_result_of_an_earlier_version_is_read(earlier):
         storage.find(earlier, request | {"version": "0.2.0", "method": "direct"})
 
 
-def test_an_unfinished_result_of_an_earlier_version_is_not_resumed(earlier):
+def test_unfinished_results_of_earlier_versions_are_not_resumed(earlier):
     data = storage.load(earlier)
     assert data is not None
     attributes = data.attrs | {"unfinished": "basin"}

@@ -33,7 +33,7 @@ def newton(n, side=4.0):
     return np.abs(z[..., None] - roots).argmin(axis=-1)
 
 
-def test_the_entropy_of_a_cantor_set_of_three_gaps_is_log_3_in_every_box_on_it():
+def test_the_entropy_of_a_cantor_set_is_log_3_in_its_boxes():
     """Of 7^k boxes 4^k hold the whole again, with a third of each label but for what is not told.
 
     That is by arithmetic: gaps of all generations up to m make (1 - (4/7)^m) / 3 of each label.
@@ -70,7 +70,7 @@ def test_the_entropy_of_a_straight_boundary(side):
     assert found.crowded == 0
 
 
-def test_the_entropy_is_that_of_a_loop_over_boxes_and_skips_cells_without_a_label():
+def test_the_entropy_is_that_of_a_loop_over_labelled_boxes():
     labels = np.random.default_rng(0).integers(0, 4, (17, 13))
     labels[3, 4] = -1
     values, crowded = [], 0
@@ -96,7 +96,7 @@ def test_smooth_stripes_wider_than_a_cell_are_not_fractal():
         assert (found.crowded > 0) == (width < 4)
 
 
-def test_newton_s_method_is_fractal_by_log_2_and_its_entropy_goes_with_its_dimension():
+def test_the_entropy_of_newtons_method_goes_with_its_dimension():
     """Sb goes like the box's side to the power 2 - D (Daza and others 2016), with D = 1.4445 by
     inverse iteration, as in test_boundaries."""
     coarse, fine = (wj.basin_entropy(newton(n)) for n in (400, 800))
@@ -117,7 +117,7 @@ def test_newton_s_basins_are_wada():
     assert (found.mean_distances <= found.distances).all()
 
 
-def test_a_cantor_set_of_three_gaps_is_wada_and_with_a_fourth_region_aside_is_not():
+def test_a_cantor_set_is_wada_but_not_with_a_region_aside():
     labels = cantor(5)
     assert wj.merge_regions(labels, 21, halvings=1).wada
     found = wj.merge_regions(labels, 21, halvings=0)
@@ -166,7 +166,7 @@ def test_regions_without_a_boundary_are_not_wada():
     assert np.isnan(found.distances[1:, 2]).all() and np.isnan(found.distances[1:, :, 2]).all()
 
 
-def test_a_boundary_is_between_regions_and_not_at_points_of_none():
+def test_a_boundary_is_between_regions_not_at_points_of_none():
     inside, outside = np.zeros((6, 6), bool), np.zeros((6, 6), bool)
     inside[:2], outside[3:] = True, True  # a row of none is between
     assert boundary_of(inside, outside)[2].all() and boundary_of(inside, outside).sum() == 6

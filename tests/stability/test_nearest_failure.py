@@ -46,7 +46,7 @@ def test_the_nearest_of_several_discs(gradient):
     )
 
 
-def test_a_finger_of_failure_that_is_thinner_than_the_first_rays_are_apart():
+def test_a_finger_thinner_than_the_first_rays_are_apart():
     """A wedge with its tip at 0.5, between two of them, before a circle of radius 0.9."""
     angle = 2 * np.pi * 100.5 / 720
     along = np.array([np.cos(angle), np.sin(angle)])
@@ -68,7 +68,7 @@ def test_directions_are_as_far_apart_as_is_said(size, count):
     np.testing.assert_allclose(nearest, spacing(size, count), rtol=0.15)
 
 
-def test_a_descent_begins_where_a_rough_test_of_failure_is_half_a_per_cent_off():
+def test_a_descent_begins_where_a_rough_test_is_a_little_off():
     """The ray along an axis alone meets the ball that fails; it is tried at 0.25, just before."""
     centre = 0.351 * np.eye(5)[0]
 
@@ -94,7 +94,7 @@ def test_in_one_direction_only():
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_thin_shell_of_failures_is_met_on_the_last_search_along_the_ray(axis):
+def test_a_thin_shell_is_met_on_the_last_search_along_the_ray(axis):
     """Nothing else does that: of 128 and 64 distances, none is in it; of the last 512, one is."""
     shell = 257 / 512
 

@@ -92,7 +92,7 @@ def test_gradients_are_pulled_back_as_differences_say(metric):
         np.testing.assert_allclose(found[:, i], (high - low) / 2e-7, rtol=1e-6)
 
 
-def test_a_matrix_along_some_directions_and_metrics_that_are_refused():
+def test_a_matrix_along_directions_and_refused_metrics():
     sizes = metric_of(WALKER, None, [[0.0, 1.0]], MATRIX)
     d = sizes.disturbance(STATE, sizes.basis)
     assert abs(d[0, 0]) < 1e-15 and d[0] @ MATRIX @ d[0] == pytest.approx(1)
@@ -163,7 +163,7 @@ def test_the_way_back_is_that_of_walks_one_by_one(gait):
         wj.basin_stability(WALKER, 0.01, gait, metric=quadratic)
 
 
-def test_the_characteristic_return_time_is_that_of_a_decay_and_has_a_derivative(gait):
+def test_the_return_time_is_that_of_a_decay_with_a_derivative(gait):
     made_up = lambda value: Gait(
         jnp.zeros((3, 2)),
         jnp.stack([value, value / 2]).astype(complex),
@@ -293,7 +293,7 @@ def test_the_data_set_of_a_boundary_its_picture_and_its_answer(monkeypatch):
         figures.boundary(wj.basin(WALKER, grid))
 
 
-def test_a_boundary_is_refused_or_drawn_without_a_manifold_where_there_is_none(gait):
+def test_without_a_manifold_a_boundary_is_refused_or_drawn(gait):
     region = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.08, 0.04, 2))
     with pytest.raises(WrongUse, match=r"3 cells or more along each axis, not \(60, 2\)"):
         wj.boundary(WALKER, region, side=2)

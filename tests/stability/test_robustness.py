@@ -62,7 +62,7 @@ def test_a_push_that_changes_the_speed_alone(gait, least):
     assert scaled.size == pytest.approx(found.size / abs(state[1]))
 
 
-def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
+def test_the_boundary_is_normal_to_the_least_disturbance(gait, least):
     """By the derivatives of the margin of the failure, that the search for it ends with."""
     point = np.asarray(gait.states[0]) + (1 + 1e-8) * least.size * least.direction
     count = np.array([least.strides], np.int32)
@@ -88,7 +88,7 @@ def test_walkers_come_to_their_gait_from_the_whole_of_its_box(gait):
     np.testing.assert_allclose(x, np.broadcast_to(cycle.states, x.shape), rtol=0, atol=1e-9)
 
 
-def test_all_disturbances_below_the_least_are_survived_and_not_all_above(gait, least):
+def test_disturbances_below_the_least_are_survived(gait, least):
     below = basin_stability(WALKER, 0.999 * least.size, gait, samples=4000)
     assert below.value == 1 and below.high == 1 and 0.999 < below.low < 1
     assert below.fates[Outcome.STRIDE] == 4000 and below.elsewhere == 0
@@ -107,7 +107,7 @@ def test_basin_stability_in_a_region_is_the_share_of_the_basin():
     assert found.low < share < found.high and found.high - found.low < 0.01
 
 
-def test_strides_to_come_back_are_those_of_walks_that_are_counted(gait):
+def test_strides_to_come_back_are_those_that_are_counted(gait):
     """One by one, of the starts that the seed gives."""
     region = wj.Grid.sheared(theta=(0.1, 0.3, 2), sum=(-0.02, 0.01, 3))
     found = basin_stability(WALKER, region, gait, samples=2001, seed=5, within=1e-5)
@@ -175,7 +175,7 @@ def test_points_of_a_ball_and_wilsons_interval():
     np.testing.assert_allclose(wilson_interval(0, 20, 0.95), (0, 0.1611), atol=5e-5)
 
 
-def test_a_smooth_boundary_has_dimension_one_and_a_fractal_one_more():
+def test_a_smooth_boundary_has_dimension_one_a_fractal_more():
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 60), sum=(-0.02, 0.01, 60))
     options = {"pairs": 4000, "distances": np.geomspace(1e-5, 3e-3, 6), "strides": 150}
     smooth = boundary_dimension(WALKER, grid, **options)
@@ -186,7 +186,7 @@ def test_a_smooth_boundary_has_dimension_one_and_a_fractal_one_more():
     assert np.isnan(nowhere.value) and nowhere.distances.size == 0
 
 
-def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
+def test_a_step_down_that_is_survived_and_one_that_is_not(gait):
     found = least_step_down(WALKER, gait)
     state = np.asarray(gait.states[0])
     for share, ends in ((0.999, Outcome.STRIDE), (1 + 1e-7, found.failure)):
@@ -248,7 +248,7 @@ def ends_of(x, gait):
     return ~fallen & (np.abs(x - np.asarray(gait.states[0])).max(axis=1) < 1e-4), fallen
 
 
-def test_the_nearest_fall_is_farther_where_another_motion_is_nearer(steep, boxed, monkeypatch):
+def test_the_nearest_fall_is_beyond_a_nearer_motion(steep, boxed, monkeypatch):
     """Along one direction, against walks from points 2e-6 apart."""
     options = {"along": [[0.68, 0.73]], "strides": 150}
     first, fall = (least_disturbance(STEEP, steep, **options, fall=f) for f in (False, True))
@@ -289,7 +289,7 @@ def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
     assert first.size < 0.7 * fall.size
 
 
-def test_the_two_are_one_where_the_nearest_start_that_is_lost_falls(gait, boxed):
+def test_the_two_are_one_where_the_nearest_lost_start_falls(gait, boxed):
     options = {"along": [0, 1], "strides": 150}
     first, fall = (least_disturbance(WALKER, gait, **options, fall=f) for f in (False, True))
     assert first.failure == Outcome.FORWARD and first.size == fall.size
@@ -299,9 +299,7 @@ def test_the_two_are_one_where_the_nearest_start_that_is_lost_falls(gait, boxed)
 
 
 @pytest.mark.parametrize("failure", [Outcome.STRIDE, Outcome.BACKWARD])
-def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_not(
-    monkeypatch, gait, failure
-):
+def test_a_fall_is_searched_for_only_where_the_nearest_is_none(monkeypatch, gait, failure):
     asked = []
 
     def disturbed(walker, gait, *, fall=False, **options):
@@ -335,7 +333,7 @@ def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_n
     assert found.fall_state.values.tolist() == [0.1, -0.02 if twice else -0.01]
 
 
-def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weakest(monkeypatch):
+def test_the_numbers_are_the_largest_basins_at_its_weakest(monkeypatch):
     """Of a motion that does not repeat itself there are none. All of this is made up."""
     cycle = np.array([[0.1, -0.1], [0.2, -0.25], [0.3, -0.35]])
     states = np.full((3, 3, 2), np.nan)
@@ -418,7 +416,7 @@ def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_nearest_fall_beyond_the_basin_of_another_gait_against_a_polar_grid(steep):
+def test_the_nearest_fall_beyond_another_basin_is_a_polar_grids(steep):
     first, fall = (least_disturbance(STEEP, steep, fall=f) for f in (False, True))
     assert first.failure == Outcome.STRIDE and fall.failure == Outcome.FORWARD
     assert first.size == pytest.approx(0.001333, abs=1e-6)
@@ -552,7 +550,7 @@ def test_wrong_arguments_are_refused():
         robustness_table(walker, np.array([0.1]), "mass")
 
 
-def test_the_nearest_of_several_rays_is_found_as_if_all_were_followed():
+def test_the_nearest_of_rays_is_found_as_if_all_were_followed():
     rng = np.random.default_rng(0)
     rays = rng.normal(size=(40, 9, 2))
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)

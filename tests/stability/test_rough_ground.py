@@ -77,7 +77,7 @@ def test_a_step_up_ends_where_the_foot_comes_down_to_its_height():
 
 
 @pytest.mark.slow
-def test_a_step_of_no_height_is_a_stride_with_the_derivative_of_both_sides():
+def test_a_step_of_no_height_has_the_derivative_of_both_sides():
     """The strike's place does not jump: differences agree from above, below, and across."""
     state = lambda step: wj.stride(WALKER, FULL[[0, 2]], step=step).state
     even = wj.stride(WALKER, FULL[[0, 2]])
@@ -88,7 +88,7 @@ def test_a_step_of_no_height_is_a_stride_with_the_derivative_of_both_sides():
         np.testing.assert_allclose(2 * one - two, rate, rtol=0, atol=2e-6)
 
 
-def test_a_foot_that_comes_down_to_lower_ground_and_up_again_strikes():
+def test_a_foot_down_to_lower_ground_and_up_again_strikes():
     """Within one step of integration, as the legs pass each other."""
     walker = wj.PoweredWalker(SLOPE, 3.0, 0.1, -0.2)
     start, step = [0.1969, 1.1292, -0.1877, 0.4361], -0.000227
@@ -128,7 +128,7 @@ def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
 
 
 @pytest.mark.slow
-def test_a_walk_on_rough_ground_changes_with_heights_as_derivatives_say(gait):
+def test_a_walk_changes_with_heights_as_derivatives_say(gait):
     end = jax.jit(lambda ground: wj.walk(WALKER, gait.states[0], 4, ground=ground).states[-1])
     uneven, h = jnp.array([1.3e-4, -2.7e-4, 3e-5, 2.3e-4]), 5e-6  # no step of no height is near
     for column, one in zip(jax.jit(jax.jacfwd(end))(uneven).T, h * np.eye(4), strict=True):
@@ -170,7 +170,7 @@ def test_disturbed_walks_are_strides_one_after_the_other(gait, monkeypatch):
             np.testing.assert_allclose(ends.state[number], state, rtol=0, atol=1e-9)
 
 
-def test_the_mean_life_of_geometric_walks_lies_within_its_interval():
+def test_the_mean_life_of_geometric_walks_is_in_its_interval():
     """Nineteen times of twenty, censored or not; 400 experiments of 50 walks."""
     rng = np.random.default_rng(0)
     for chance, limit in ((0.02, 10**9), (0.02, 60), (0.001, 100)):
@@ -247,7 +247,7 @@ def test_a_walk_without_an_answer_is_no_fall(gait, monkeypatch):
     assert found.outcomes.tolist() == outcomes.tolist()
 
 
-def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch):
+def test_a_stride_without_an_answer_is_no_fall_in_the_map(monkeypatch):
     """Of ten strides one falls and three have no answer: the chance to survive is 6 / 7."""
 
     def made(_, arguments, __):
@@ -344,7 +344,7 @@ def test_few_walks_have_an_interval_that_holds():
     assert (mean, low) == (0, 0) and high == pytest.approx(39)  # P(fall) = 0.025 or more
 
 
-def test_the_scatter_of_a_few_repetitions_is_widened_as_by_student():
+def test_the_scatter_of_few_repetitions_is_widened_by_student():
     """For means of four normally distributed numbers."""
     drawn = np.random.default_rng(0).normal(size=(20_000, 4))
     error = widening(4) * drawn.std(axis=1, ddof=1) / 2
@@ -421,7 +421,7 @@ RESPONSE = ("push", "step", both), ("time", "length", "speed", own)
 """Disturbances and indicators."""
 
 
-def test_speed_is_length_over_time_and_indicators_and_disturbances_may_be_ones_own(gait):
+def test_indicators_and_disturbances_may_be_ones_own(gait):
     found = wj.gait_sensitivity(WALKER, gait, *RESPONSE)
     for matrix in (found.B, found.D):
         push, step, together = matrix.T

@@ -45,7 +45,7 @@ def test_the_long_gait_comes_first_then_the_others_each_once():
     np.testing.assert_array_equal(values, every[0].multipliers)
 
 
-def test_of_a_longer_period_the_gait_with_the_smallest_multiplier_is_taken(monkeypatch):
+def test_of_long_periods_the_smallest_multiplier_is_taken(monkeypatch):
     gait = wj.find_gait(WALKER)
     made_up = [gait._replace(multipliers=np.array([m, 0j])) for m in (-1.5, 0.5j, 0.75)]
     monkeypatch.setattr(selection, "find_gaits", lambda *_: list(made_up))
@@ -108,7 +108,7 @@ def test_windows_lie_around_the_gait_or_are_those_of_the_paper():
     assert windows.film_window(walker, gait).contains(np.asarray(gait)[None]).all()
 
 
-def test_a_walker_that_moves_by_equations_of_its_own_has_not_the_window_of_the_paper():
+def test_a_walker_of_own_equations_has_not_the_papers_window():
     class Unchanged(wj.SimplestWalker):
         """The simplest walker by another name."""
 
@@ -190,7 +190,7 @@ def gaits_of(branches):
     return {name: ("gait", column) for name, column in columns.items()}
 
 
-def test_stable_intervals_end_in_bifurcations_or_with_their_branch():
+def test_stable_intervals_end_in_bifurcations_or_branches():
     """Of branches from folds beyond 0.019, which are made up."""
     between_folds = [0.025, 0.021, 0.022, 0.024, 0.028, 0.025], [False, *4 * [True], False]
     beyond_the_range = [0.03, 0.021, 0.025, 0.03], [False, False, True, True]
@@ -237,7 +237,7 @@ def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
     return wj.robustness(walker, grid, levels=0, check=0, strides=200)
 
 
-def test_robustness_says_where_a_search_ends_in_another_gait_than_that_of_the_basin(monkeypatch):
+def test_robustness_says_where_a_search_ends_in_another_gait(monkeypatch):
     owner, other = wj.find_gait(WALKER), wj.find_gait(WALKER, [0.1453, -0.1553])
     assert owner.stable and not other.stable and not is_same_cycle(owner, other)
     monkeypatch.setattr(summary, "search_gait", lambda *_, **__: other)
@@ -248,7 +248,7 @@ def test_robustness_says_where_a_search_ends_in_another_gait_than_that_of_the_ba
     assert "an unstable gait, multiplier 3.21277, at (0.148778, -0.158807), not that" in words
 
 
-def test_a_search_agrees_with_a_basin_by_the_cycle_from_whichever_state():
+def test_a_search_agrees_with_a_basin_from_whichever_state():
     walker = wj.SimplestWalker(0.0165)
     two = wj.find_gait(walker, [0.2379, -0.2338], 2)
     one, none = wj.find_gait(walker), search_gait(walker, [0.7, -0.01])
@@ -261,7 +261,7 @@ def test_a_search_agrees_with_a_basin_by_the_cycle_from_whichever_state():
     assert compare_with_search(None, two).endswith("to which no cell converges")
 
 
-def test_the_schema_of_robustness_has_all_that_it_adds_to_the_basin(monkeypatch):
+def test_the_schema_of_robustness_has_all_that_it_adds(monkeypatch):
     data = made_up_robustness(monkeypatch)
     basin = wj.refine(WALKER, GRID, 0, check=0)
     names = {field.name for field in FIELDS}

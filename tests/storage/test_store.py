@@ -353,7 +353,7 @@ def between_the_old_and_the_new(monkeypatch, happens):
         yield
 
 
-def test_what_comes_in_the_way_is_left_and_so_is_what_was_to_go_there(tmp_path, data, monkeypatch):
+def test_what_comes_in_the_way_is_left_and_so_is_the_new(tmp_path, data, monkeypatch):
     path = tmp_path / "a.zarr"
     storage.save(data, path, REQUEST)
 
@@ -426,7 +426,7 @@ def test_a_place_that_one_run_rewrites_is_refused_to_others(tmp_path, data):
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
 
 
-def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data):
+def test_what_a_killed_run_left_beside_goes_with_the_next(tmp_path, data):
     path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.walker-jax"
     (left / "new" / "x").mkdir(parents=True)
     (left / "lock").touch()
@@ -485,7 +485,7 @@ def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
     assert not (path / "half").exists() and not (path / "written").exists()
 
 
-def test_places_that_are_read_only_even_to_root_and_names_too_long(tmp_path):
+def test_places_read_only_even_to_root_and_names_too_long(tmp_path):
     for path in (Path("/proc/a.zarr"), tmp_path / ("n" * 300), tmp_path / ("n" * 250)):
         with pytest.raises(ValueError, match="cannot be written: ") as refusal:
             storage.find(path, REQUEST)
@@ -493,7 +493,7 @@ def test_places_that_are_read_only_even_to_root_and_names_too_long(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interruption_between_the_old_and_the_new_loses_neither(tmp_path, data, monkeypatch):
+def test_an_interruption_between_old_and_new_loses_neither(tmp_path, data, monkeypatch):
     path = tmp_path / "a.zarr"
     storage.save(data, path, REQUEST)
 

@@ -96,7 +96,7 @@ def fingerprint(tmp_path, monkeypatch):
         ("pack.inner.walker:W", {"pack/unused.py", *(one for one in OWN if one.startswith("own"))}),
     ],
 )
-def test_a_fingerprint_covers_every_file_that_is_imported_from_the_folder(
+def test_a_fingerprint_covers_every_file_of_the_folder_imported(
     fingerprint, name, without, tmp_path
 ):
     found = fingerprint(name)
@@ -120,9 +120,7 @@ def test_a_fingerprint_is_of_the_code_that_was_loaded(fingerprint, tmp_path):
     assert code_fingerprint(kind) not in ("", before)
 
 
-def test_a_package_that_is_installed_is_covered_without_what_is_installed_beside_it(
-    fingerprint, tmp_path
-):
+def test_an_installed_package_is_covered_without_its_neighbours(fingerprint, tmp_path):
     (tmp_path / "pack-1.0.dist-info").mkdir()
     found = fingerprint("pack.inner.walker:W")
     for name, changes in (("beside_the_package.py", False), ("pack/mixins.py", True)):
@@ -286,7 +284,7 @@ class Shifted(wj.SimplestWalker):
 """
 
 
-def test_what_a_function_reads_of_modules_is_what_it_is_at_that_moment():
+def test_a_function_reads_modules_as_they_are_at_that_moment():
     module: Any = ModuleType("constants_of_a_notebook")
     inner: Any = ModuleType("inner_of_a_notebook")
     module.SIZE, module.other, module.inner = 1.0, 0.0, inner
@@ -314,7 +312,7 @@ def test_a_function_is_the_same_wherever_it_stands():
 
 
 @pytest.mark.parametrize("kernels", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_what_a_walker_reads_around_it_is_what_it_is_at_that_moment(kernels, monkeypatch):
+def test_a_walker_reads_what_is_there_at_that_moment(kernels, monkeypatch):
     """As in a notebook, where a cell is run again, and the class is not."""
     if not kernels:
         monkeypatch.setattr("walker_jax.kernels.program.Program.compiled", None)
@@ -345,7 +343,7 @@ class Laden(wj.RoundFootWalker):
 """
 
 
-def test_equations_of_motion_read_what_is_around_them_at_that_moment():
+def test_equations_of_motion_read_what_is_there_at_that_moment():
     """They are traced once for all programs, but not where the code of a user's own has changed."""
     names = {"__name__": "cells_of_a_notebook", "wj": wj, "jnp": jnp, "System": System}
     exec(WITH_MASSES, names)
@@ -378,7 +376,7 @@ class Steps:
         return self.size * key
 
 
-def test_functions_are_alike_that_do_the_same_with_the_same_values():
+def test_functions_that_do_the_same_with_the_same_are_alike():
     make = lambda size, values: lambda key: size * np.sum(values) + key
     ones = np.ones(3)
     assert AsItIs(make(1.0, ones)) == AsItIs(make(1.0, np.ones(3)))
@@ -407,7 +405,7 @@ def test_functions_are_alike_that_do_the_same_with_the_same_values():
 @pytest.mark.parametrize(
     "of", ["ground", "metric", pytest.param("indicator", marks=pytest.mark.slow)]
 )
-def test_functions_that_are_passed_in_are_what_they_are_at_that_moment(of):
+def test_functions_passed_in_are_what_they_are_at_that_moment(of):
     walker, gait, size = wj.SimplestWalker(0.009), wj.find_gait(wj.SimplestWalker(0.009)), 4e-4
     state = np.asarray(gait.states[0])
 

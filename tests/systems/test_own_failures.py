@@ -182,7 +182,7 @@ def test_the_basin_names_them(tmp_path):
     assert set(np.unique(mapped["fate"].values)) <= {0, 12, 13}
 
 
-def test_the_area_has_derivatives_by_what_moves_their_boundaries():
+def test_the_area_changes_with_what_moves_their_boundaries():
     found = wj.area_gradient(Juggler(), GRID, ["ceiling", "slowest"])
     assert found.area == pytest.approx(3.0, rel=1e-9)
     np.testing.assert_allclose(found.gradient, [1.0, -2.0], rtol=1e-4)

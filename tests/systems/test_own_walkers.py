@@ -102,7 +102,7 @@ def test_a_walker_of_a_file_walks_as_the_same_class_elsewhere(run):
     assert run("walk", *GIVEN, *start, "--strides", "4", "--json", "--target", "0.3")[1] != out
 
 
-def test_its_parameters_are_options_with_meaning_unit_and_default(run):
+def test_parameters_are_options_with_meaning_unit_and_default(run):
     code, out, _ = run("basin", "--help", *GIVEN[:2])
     words = " ".join(out.replace("│", " ").split())
     assert code == 0

@@ -134,7 +134,7 @@ def test_gaits_are_those_of_the_reference(wheel):
     np.testing.assert_allclose(gait.multipliers, multipliers[order], rtol=0, atol=1e-9)
 
 
-def test_the_gait_on_level_ground_is_the_only_one_and_has_these_numbers():
+def test_the_gait_on_level_ground_is_one_with_these_numbers():
     (gait,) = wj.find_gaits(LEVEL)
     known = [[-0.444569120151, 0.608648375889, 0.336953860588]]
     np.testing.assert_allclose(gait.states, known, rtol=0, atol=1e-11)
@@ -224,7 +224,7 @@ def angular_momenta(wheel, state, rates, foot):
     )
 
 
-def test_a_strike_keeps_angular_momentum_about_the_foot_and_the_hub():
+def test_a_strike_keeps_angular_momentum_about_foot_and_hub():
     rng = np.random.default_rng(2)
     wheel = DOWNHILL
     for psi, thetadot, psidot in rng.uniform((-1, -1, -1), (1, 0, 1), (5, 3)):
@@ -295,7 +295,7 @@ def test_a_branch_ends_where_the_wheel_begins_to_fly():
 
 
 @pytest.mark.slow
-def test_beside_the_least_disturbance_the_wheel_returns_or_fails():
+def test_beside_the_least_disturbance_it_returns_or_fails():
     gait = gait_of(LEVEL)
     least = wj.least_disturbance(LEVEL, gait, along=[[1, 0, 0], [0, 1, 0]], directions=64)
     assert least.failure == Outcome.RUNNING
@@ -365,7 +365,7 @@ class IntegratingWheel(wj.TorsoWheel):
         return jnp.isfinite(x[3]) & super().feasible(x[:3])
 
 
-def test_a_controller_that_integrates_holds_the_torso_on_average():
+def test_an_integrating_controller_holds_the_torso_on_average():
     wheel = IntegratingWheel(lean=0.65)
     gait = wj.find_gait(wheel, [*gait_of(LEVEL).states[0], -1.5])
     assert gait.stable

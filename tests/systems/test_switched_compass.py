@@ -174,7 +174,7 @@ def test_the_stable_gait_has_these_numbers():
 
 
 @pytest.mark.slow
-def test_without_a_torque_it_is_the_walker_with_masses_at_its_feet():
+def test_without_a_torque_it_is_the_walker_with_point_feet():
     """Whose section leaves out phidot, as the foot that lifts moves along its leg only."""
     known, walker = wj.PointFootWalker(0.01, 0.01), wj.SwitchedCompass(0.01, 0.01, 1.0, 0.0)
     rng = np.random.default_rng(3)
@@ -287,7 +287,7 @@ def test_energy_changes_by_the_work_of_the_torque_alone():
             assert change == pytest.approx(-float(torque) * numbers[3], abs=1e-12)
 
 
-def test_a_strike_keeps_angular_momentum_about_the_foot_and_the_hip():
+def test_a_strike_keeps_angular_momentum_about_foot_and_hip():
     p = {name: float(vars(DRIVEN)[name]) for name in NAMES}
     for theta, thetadot, phidot in np.random.default_rng(2).uniform(-1, 0, (5, 3)):
         numbers = [jnp.asarray(value) for value in (theta, 2 * theta, thetadot, phidot)]
@@ -336,7 +336,7 @@ def test_cells_of_the_basin_end_as_walks_do():
 
 
 @pytest.mark.slow
-def test_a_branch_has_a_fold_and_a_doubling_where_the_reference_has_them():
+def test_a_branch_folds_and_doubles_where_the_reference_does():
     branch = wj.continue_gait(DRIVEN, "torque", (-0.1, 0.1), gaits()[1])
     (fold,), (doubling,) = branch.folds, branch.doublings
     assert fold.value < 0 < DRIVEN.torque < doubling.value
@@ -350,7 +350,7 @@ def test_a_branch_has_a_fold_and_a_doubling_where_the_reference_has_them():
 
 
 @pytest.mark.slow
-def test_the_unstable_gait_is_the_edge_state_and_ends_the_least_disturbance():
+def test_the_unstable_gait_is_the_edge_state():
     unstable, stable = gaits()
     edge = wj.edge_state(DRIVEN, stable.states[0], np.array([0.2, -0.15, -0.1]))
     assert edge.kind == "saddle" and edge.saddle is not None

@@ -86,7 +86,7 @@ def test_areas_of_basins_of_maps_have_derivatives():
     assert change < -3
 
 
-def test_derivatives_of_ten_strides_of_a_map_are_those_of_differences():
+def test_derivatives_of_ten_strides_of_a_map_are_differences():
     def last(a):
         return wj.walk(as_map(a), jnp.array([0.1, 0.2]), 10).states[-1, 0]
 

@@ -21,7 +21,7 @@ INDEPENDENT = [RoundFootWalker, pytest.param(UpperBodyWalker, marks=SLOW)]
 
 
 @pytest.mark.parametrize("cls", [RoundFootWalker, UpperBodyWalker], ids=name)
-def test_equations_are_those_of_free_bodies_held_at_their_joints(cls):
+def test_equations_are_those_of_free_bodies_held_at_joints(cls):
     """Accelerations, force of the ground, and what heel strike leads to."""
     look = jax.jit(lambda walker, state: (walker.vector_field(state), walker.contact_force(state)))
     hit = jax.jit(lambda walker, state: walker.impact(state))
@@ -101,7 +101,7 @@ def fast_starts(seed, count):
     return walkers, np.stack([theta, -speed, rng.uniform(-2, 2, count) * speed], axis=1)
 
 
-def test_running_is_a_force_that_pulls_at_any_time_before_heel_strike():
+def test_running_is_a_force_that_pulls_before_heel_strike():
     """By the free bodies' force of the ground, along the stride."""
     walkers, xs = fast_starts(7, 1000)
     found = strides(walkers, xs)
@@ -136,7 +136,7 @@ DIPS = (
 """Walkers and starts from which the ground would have to pull in mid-stride alone."""
 
 
-def test_running_is_found_where_the_ground_pulls_in_mid_stride_alone():
+def test_running_is_found_where_mid_stride_alone_pulls():
     walkers = [RoundFootWalker(*values) for values, _ in DIPS]
     xs = np.array([x for _, x in DIPS])
     assert (strides(walkers, xs).outcome == Outcome.RUNNING).all()
@@ -209,7 +209,7 @@ class PatientWalker(RoundFootWalker):
 
 
 @pytest.mark.slow
-def test_a_force_least_at_its_ends_is_as_well_looked_at_all_along():
+def test_a_force_least_at_its_ends_is_the_same_all_along():
     theta, thetadot = np.meshgrid(np.linspace(0.005, 0.78, 40), np.linspace(-1.19, -0.01, 50))
     xs = np.stack([theta.ravel(), thetadot.ravel()], axis=1)
     plain, watched = (wj.strides(cls(0.0165), xs) for cls in (SimplestWalker, WatchedWalker))
@@ -252,7 +252,7 @@ SINKING = [
 ]
 
 
-def test_a_leg_that_rocks_on_its_foot_may_stop_after_the_other_foot_has_sunk():
+def test_a_leg_that_rocks_may_stop_after_the_other_foot_sank():
     walkers = [RoundFootWalker(*values) for values in zip(*ROCKING.values(), strict=True)]
     # By steps of 0.0004 that share no code with the package's events (benchmarks/small_steps.py).
     assert strides(walkers, SINKING).outcome.tolist() == [Outcome.BACKWARD] * 3

@@ -88,7 +88,7 @@ def test_published_gaits(entry):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slope, radius, size", [(0.07, 0.25, 0.547), (0.09, 0.4, 0.534)])
-def test_gaits_on_large_feet_and_steep_slopes_are_found_without_a_guess(slope, radius, size):
+def test_gaits_on_large_feet_are_found_without_a_guess(slope, radius, size):
     """Legs like those of the default walker with knees: its largest multiplier follows from a
     branch over the radius (docs/results.md)."""
     legs = {"leg_mass": 1.1, "leg_inertia": 0.09 / 11, "com_from_hip": 0.3875 / 1.1}

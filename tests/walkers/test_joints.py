@@ -58,7 +58,7 @@ def extrapolated(values: list) -> np.ndarray:
     return values[0]
 
 
-def test_a_body_on_a_joint_that_stiffens_becomes_one_that_a_mechanism_holds():
+def test_a_body_on_a_stiffening_joint_becomes_one_that_is_held():
     """Behind a heel strike the joint closes at once, as if by a second impact. That leads to the
     same rates as one impact in which both feet and the mechanism take part."""
     held = wj.find_gait(wj.UpperBodyWalker(0.004, body_inertia=0.05))
@@ -84,7 +84,7 @@ def test_coordinates_of_joints_come_behind_those_of_the_legs():
     np.testing.assert_allclose(again.state, wj.stride(walker, x).state, rtol=0, atol=1e-13)
 
 
-def test_derivatives_through_ten_strides_are_those_by_differences():
+def test_derivatives_of_ten_strides_are_differences():
     walker, gait = walker_and_gait()
     x = jnp.asarray(gait.states[0]) + jnp.array([1e-3, 0, 0, 2e-3, 0])
     last = jax.jit(lambda x: wj.walk(walker, x, 10).states[-1])
@@ -106,7 +106,7 @@ def test_energy_is_constant_without_a_damper_but_for_the_spring():
     assert np.ptp(spring) > 1e-3
 
 
-def test_rough_ground_films_and_basins_take_any_number_of_joints():
+def test_rough_ground_films_and_basins_take_many_joints():
     walker, gait = walker_and_gait()
     even = wj.walk(walker, gait.states[0], 2, ground=np.zeros(2))
     assert even.states.shape == (3, 6)

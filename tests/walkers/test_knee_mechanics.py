@@ -49,7 +49,7 @@ def momentum(
     return (m * cross)[points].sum() + (inertia * turn)[bodies].sum()
 
 
-def test_energy_is_constant_in_each_phase_and_falls_at_each_impact(path):
+def test_energy_is_constant_in_phases_and_falls_at_impacts(path):
     times, states, knee, _ = path
     every = np.array([energy(WALKER, s[:3], s[3:]) for s in np.stack(states, axis=1)])
     free, locked = every[times < knee], every[times >= knee]
@@ -385,7 +385,7 @@ def test_landing_margins_vanish_where_a_foot_only_just_lands():
     assert np.mean(np.abs(found.landing[landed]) < 1e-9) > 0.8
 
 
-def test_tension_as_the_knee_strikes_does_not_end_a_stride_that_falls(path):
+def test_tension_at_the_knee_strike_does_not_end_a_fall(path):
     """The ground would have to pull, but the foot does not come down before the leg does."""
     xs = np.array(
         [[0.1045, -1.1336, 0.3335], [0.1768, -1.0133, -0.6038], [0.0309, -1.1068, 0.8472]]
@@ -421,7 +421,7 @@ def test_a_start_in_mid_stride_goes_on_with_the_same_stride(path):
 
 
 @pytest.mark.slow  # test_phases.py has a walker that is sooner compiled
-def test_a_step_down_takes_longer_and_comes_from_the_same_phases():
+def test_a_step_down_takes_longer_through_the_same_phases():
     level, down = wj.stride(WALKER, START), wj.step_down(WALKER, START, 0.0)
     np.testing.assert_allclose(WALKER.project(State(*down.state)), level.state, rtol=0, atol=1e-12)
     lower = wj.step_down(WALKER, START, 0.005)

@@ -132,7 +132,7 @@ def euler_stride(walker, x, dt):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("k", [0, 1])
-def test_printed_fixed_points_of_eulers_method_are_those_of_our_equations(k):
+def test_printed_fixed_points_are_those_of_eulers_method(k):
     entry = PUBLISHED["hsu_chen_by_euler"]
     unit = np.sqrt(entry["gravity"])
     walker = changed(
@@ -205,7 +205,7 @@ def test_jacobians_are_differences():
 # What may be checked
 
 
-def test_a_stance_knee_bends_if_freed_where_its_moment_is_negative():
+def test_a_freed_stance_knee_bends_by_a_negative_moment():
     """The moment that holds it straight, against the acceleration of a walker that is not held."""
     from walker_jax import multibody
 
@@ -313,7 +313,7 @@ def test_walkers_with_impossible_shanks_are_refused():
 
 
 @pytest.mark.slow
-def test_a_kneed_walk_on_rough_ground_is_strides_of_given_heights():
+def test_a_kneed_walk_on_rough_ground_is_strides_of_heights():
     heights = np.array([1e-4, 0.0])
     made = wj.walk(WALKER, START, 2, ground=heights)
     state = START

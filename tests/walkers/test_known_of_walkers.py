@@ -96,7 +96,7 @@ AHEAD = tuple(name for name in KNOWN if name != "foot_stays_down")
         (ModesWalker, ()),
     ],
 )
-def test_what_is_known_of_a_walker_does_not_pass_to_one_that_changes_it(kind, kept):
+def test_what_is_known_does_not_pass_to_a_changed_walker(kind, kept):
     for name in (*KNOWN, "gait_region"):
         is_default = inspect.getattr_static(kind, name) is inspect.getattr_static(wj.Walker, name)
         assert is_default == (name not in kept), name
@@ -146,7 +146,7 @@ def test_a_torque_may_bring_the_foot_down_again():
         assert rises.any()
 
 
-def test_margins_of_a_walker_that_is_no_inverted_pendulum_are_not_those_of_one():
+def test_margins_of_no_inverted_pendulum_are_not_those_of_one():
     class Braked(wj.SimplestWalker):
         def vector_field(self, state):
             free = super().vector_field(state)
@@ -170,13 +170,13 @@ def test_margins_of_a_walker_that_is_no_inverted_pendulum_are_not_those_of_one()
 @pytest.mark.parametrize(
     ("kind", "guess"), [(TorqueWalker, [0.205, -0.207]), (PushedWalker, [0.2, -0.2])]
 )
-def test_cost_of_transport_is_unknown_where_gravity_is_not_all_that_drives(kind, guess):
+def test_cost_of_transport_is_known_by_gravity_alone(kind, guess):
     walker = kind(*[jnp.array(value) for value in (0.01, 0.5, -0.3)[: len(fields(kind))]])
     found = wj.gait_measures(walker, [], wj.find_gait(walker, guess))
     assert np.isfinite(found["speed"].value) and np.isnan(found["cost-of-transport"].value)
 
 
-def test_walkers_of_several_masses_are_driven_by_gravity_unless_they_have_motors():
+def test_walkers_of_masses_without_motors_are_driven_by_gravity():
     class Motor(wj.PointFootWalker):
         def system(self):
             free = super().system()
@@ -205,7 +205,7 @@ def test_an_impact_that_turns_the_leg_back_has_a_margin_of_that():
     assert float(found.backward) == pytest.approx(-(0.9**2) / 2, rel=1e-12)
 
 
-def test_a_walker_of_another_motion_is_searched_for_gaits_where_these_may_be():
+def test_gaits_of_another_motion_are_searched_where_they_may_be():
     walker = TorqueWalker(0.01, *jnp.array([0.0, 0.0]))  # no torque: the simplest walker's gaits
     assert moves_like(walker, wj.SimplestWalker) is False
     found = wj.find_gaits(walker)

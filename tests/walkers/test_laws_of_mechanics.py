@@ -84,7 +84,7 @@ def test_impact_and_impulse_have_the_limit_of_the_paper():
 
 
 @pytest.mark.slow
-def test_gaits_and_multipliers_have_those_of_the_simplest_walker_as_limit():
+def test_gaits_and_multipliers_have_the_simplest_ones_as_limit():
     betas = BETAS[1:]
     gaits = [wj.find_gait(PointFootWalker(GAIT["slope"], beta), GAIT["state"]) for beta in betas]
     assert all(gait.found and gait.stable for gait in gaits)
@@ -101,7 +101,7 @@ def test_gaits_and_multipliers_have_those_of_the_simplest_walker_as_limit():
     assert np.all(errors[-1] < 2e-5)
 
 
-def test_a_spring_is_the_limit_of_one_that_weakens_with_the_feet():
+def test_a_spring_is_the_limit_of_one_that_weakens_with_feet():
     """K = beta hip_stiffness, in (4); the ground and the impact do not feel it in the limit."""
     stiffness = 3.0
 
@@ -137,7 +137,7 @@ def test_without_stiffness_the_spring_is_not_there():
 
 
 @pytest.mark.slow
-def test_without_stiffness_strides_are_those_of_the_simplest_walker():
+def test_without_stiffness_strides_are_the_simplest_walkers():
     rng = np.random.default_rng(0)
     theta = rng.uniform(0.01, 0.75, 500)
     xs = np.stack([theta, rng.uniform(-0.2, 0.05, 500) - theta], axis=1)

@@ -37,7 +37,7 @@ def level_gait():
         (wj.SpringWalker(0.009, 1.5), wj.PoweredWalker(0.009, 1.5)),
     ],
 )
-def test_without_motors_a_powered_walker_is_the_plain_one_bit_for_bit(plain, powered):
+def test_without_motors_it_is_the_plain_walker_to_the_bit(plain, powered):
     for one, other in zip(wj.strides(plain, STARTS), wj.strides(powered, STARTS), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -46,7 +46,7 @@ def test_without_motors_a_powered_walker_is_the_plain_one_bit_for_bit(plain, pow
     "push_off",
     [0.05, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.01, 0.1))],
 )
-def test_on_level_ground_push_off_makes_up_for_the_loss_at_heel_strike(push_off):
+def test_on_level_ground_push_off_makes_up_for_heel_strike(push_off):
     gaits = wj.find_gaits(wj.PoweredWalker(0.0, push_off=push_off))
     assert len(gaits) == 2 and sum(gait.stable for gait in gaits) == 1
     for gait in gaits:
@@ -87,7 +87,7 @@ def test_cost_of_transport_is_the_energy_lost_at_heel_strike(slope, names):
 
 
 @pytest.mark.slow
-def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
+def test_cost_of_transport_has_the_work_of_hip_and_push_off():
     """By a quadrature of the hip's power, and the way of the pushed foot during the impulse."""
     spring, damper, slack, push_off = 0.05, 0.005, -0.3, 0.06
     walker = wj.PoweredPointFootWalker(0.002, 0.05, spring, damper, slack, push_off)
@@ -114,7 +114,7 @@ def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
     assert cost.gradient[0] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
 
 
-def test_the_work_of_motors_is_what_energy_gains_in_units_of_the_weight():
+def test_the_work_of_motors_is_what_energy_gains():
     """Of a hip of mass 1 and feet of 0.05, from a stride's start to its end, and in push-off."""
     slope, mass, push_off = 0.1, 0.05, 0.06
     ends = (0.2, 0.4, -0.25, -0.1), (-0.21, -0.42, -0.22, 0.05)
@@ -256,7 +256,7 @@ def test_trained_feedback_is_what_scipy_says_it_is():
     assert sum(fates) > sum(without) + 3 and sum(fates) < 25
 
 
-def test_motors_of_walkers_with_masses_have_the_limit_of_the_massless_foot():
+def test_motors_with_masses_have_the_limit_of_massless_feet():
     x = np.array([0.25, -0.27])
     limit = wj.stride(wj.PoweredWalker(0.004, 1.5, 0.2, -0.3, 0.03), x)
     assert limit.outcome == wj.Outcome.STRIDE
@@ -387,7 +387,7 @@ class SlackWalker(wj.PoweredWalker):
     slack: Scalar = eqx.field(converter=SLACK.convert, default=0.0)
 
 
-def test_feedback_on_what_may_not_reach_its_upper_bound_needs_bounds(level_gait):
+def test_feedback_on_what_is_below_its_bound_needs_bounds(level_gait):
     walker, gains = SlackWalker(0.0, push_off=0.05), {"slack": [0.1, 0.0]}
     with pytest.raises(WrongUse, match=r"slack must be finite and below 0\.5, not 0\.5"):
         SlackWalker(0.0, slack=0.5)

@@ -133,7 +133,7 @@ def strike(walker, state):
 
 
 @BOTH
-def test_heel_strike_keeps_the_momenta_about_the_new_contact_and_the_axle(walker):
+def test_heel_strike_keeps_the_momenta_about_contact_and_axle(walker):
     """Of Kane's model, before and, in a mirror, after."""
     toy = Toy(sizes_of(walker))
     for state in states(2):
@@ -221,7 +221,7 @@ def test_its_gait_is_found_without_a_guess(gait):
 
 
 @pytest.mark.slow
-def test_its_multipliers_are_those_of_an_independent_integration(gait):
+def test_multipliers_are_those_of_an_independent_integration(gait):
     """By Kane's equations and scipy, with differences extrapolated."""
     toy = Toy(sizes_of(WALKER))
     end, time = toy.step(MIRROR * gait.states[0])
@@ -257,7 +257,7 @@ def test_a_push_from_the_side_topples_it(gait):
 
 
 @pytest.mark.slow
-def test_one_that_can_neither_lean_nor_yaw_walks_as_in_the_plane():
+def test_one_that_cannot_lean_nor_yaw_walks_as_in_the_plane():
     """The limit of large inertia J about the axes in the plane of a leg, extrapolated from three.
 
     Lean and yaw are like 1 / J; rounding errors of impacts are like J.

@@ -212,7 +212,7 @@ def test_legs_that_cannot_be_are_refused(cls):
 
 
 @pytest.mark.parametrize("cls", CLASSES, ids=name)
-def test_parameters_are_leaves_and_another_value_compiles_nothing(cls):
+def test_parameters_are_leaves_and_other_values_compile_nothing(cls):
     traces = []
 
     @jax.jit

@@ -244,7 +244,7 @@ def test_strides_of_many_walkers_and_starts_are_those_of_each(cls):
 @pytest.mark.parametrize(
     "quantity", ["walk", "margins", "trajectory", pytest.param("gait", marks=SLOW)]
 )
-def test_quantities_of_many_walkers_and_starts_are_those_of_each(quantity):
+def test_quantities_of_many_walkers_are_those_of_each(quantity):
     """Of the simplest walker, to the bit where XLA's part does not depend on how many there are."""
     function = QUANTITIES[quantity]
     walkers, xs = jax.vmap(SimplestWalker)(SLOPES[1:]), starts(SimplestWalker, 3)

@@ -389,7 +389,7 @@ def test_a_stance_leg_hardly_moves_where_it_nearly_stops():
 
 
 @pytest.mark.parametrize("slope", [-0.1, -0.05])
-def test_uphill_margins_are_zero_where_the_stance_leg_stops_as_the_foot_strikes(slope):
+def test_uphill_margins_vanish_where_leg_stops_as_foot_strikes(slope):
     """Or as the foot comes too late."""
     walker = lambda slope: wj.PoweredWalker(slope, push_off=0.25, hip_stiffness=6.0)
     theta = np.array([0.2])

@@ -152,7 +152,7 @@ def test_margins_are_zero_where_outcomes_change(outcome_of, far, pairs):
 
 
 @pytest.mark.slow
-def test_derivatives_of_failing_margins_agree_with_extrapolated_differences():
+def test_derivatives_of_failing_margins_are_differences():
     """By all seven coordinates and three parameters, of each kind of failure."""
     names = ["slope", "hip_width", "inertia_zz"]
     xs = starts(3, near=3000)
@@ -181,7 +181,7 @@ def test_derivatives_of_failing_margins_agree_with_extrapolated_differences():
 
 
 @pytest.mark.slow
-def test_the_least_disturbance_in_seven_dimensions_is_a_point_of_the_boundary():
+def test_in_seven_dimensions_the_least_is_on_the_boundary():
     """A minimum of the distance: the boundary's normal there, by differences of fates, is its
     direction; and along one coordinate it is no nearer than in all."""
     gait = wj.find_gait(WALKER, GAIT)

@@ -69,7 +69,7 @@ def torqued(request):
 
 
 @pytest.mark.parametrize("tolerance", [None, 1e-15])
-def test_a_foot_that_comes_down_and_up_again_within_a_step_has_struck(torqued, tolerance):
+def test_a_foot_down_and_up_again_within_a_step_has_struck(torqued, tolerance):
     walker, xs, expected = torqued
     assert_same(wj.strides(walker, xs, tolerance=tolerance), expected)
     found = margins_of_many(walker, xs, tolerance=tolerance)
@@ -226,7 +226,7 @@ def test_strides_and_margins_keep_to_the_rules_of_a_walker(ruled):
 
 
 @pytest.mark.parametrize("name", ["limit", "least speed", "far"])
-def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
+def test_margins_of_own_rules_vanish_where_failing_begins(name):
     """Between a start that strides and one that fails; there also the derivatives are right."""
     walker, _ = RULES[name]
     xs = starts(200)
@@ -374,7 +374,7 @@ def test_falls_of_ones_own_end_phases_too(by_margins):
 
 
 @pytest.mark.slow
-def test_boundaries_move_with_the_limit_of_a_fall_as_margins_say():
+def test_boundaries_move_with_limits_of_falls_as_margins_say():
     """Points of the basin's boundary, by bisection at two limits, and by derivatives of margins."""
     at = lambda limit: LimitedWalker(*jnp.array([0.004, limit, 0.0]))
     walks = lambda limit, x: iterate(at(limit), x, 60, Integrator(1e-12))

@@ -19,7 +19,7 @@ def walker(dtype):
     return wj.SimplestWalker(jnp.asarray(SLOPE, dtype))
 
 
-def test_a_heel_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
+def test_a_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
     single, double = (np.array([AT_A_STEPS_END], dtype) for dtype in (np.float32, np.float64))
     expected = wj.strides(walker(np.float64), double)
     for found in (
@@ -40,7 +40,7 @@ def upcrossing(start, sides):
 
 
 @pytest.mark.parametrize("end", [-1e-17, 0.0, 1e-17])
-def test_the_side_that_was_seen_decides_whether_a_polynomial_has_risen(end):
+def test_the_side_that_was_seen_decides_about_a_rise(end):
     """The end of a step is above zero, or below: once said, rounding has no say in it."""
     for ends_below in (True, False):
         found, time = upcrossing(-1.0 + end, (True, ends_below))
@@ -99,7 +99,7 @@ def test_the_least_disturbance_in_float32(slope):
     assert found == pytest.approx(expected, rel=2e-3)
 
 
-def test_what_rests_on_many_strides_says_once_that_float64_is_off():
+def test_many_strides_say_once_that_float64_is_off():
     grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
     warn_of_float32.cache_clear()
     with jax.enable_x64(False):

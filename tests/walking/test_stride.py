@@ -115,7 +115,7 @@ def test_starts_in_tension_are_running():
 
 
 @pytest.mark.parametrize("theta", [0.01, 0.1, 0.2, 0.4, 0.7])
-def test_energy_at_the_dead_point_divides_backward_from_the_rest(theta):
+def test_energy_at_the_dead_point_divides_falls_backward(theta):
     limit = dead_point_rate(0.004, theta)
     slower, faster = outcomes(0.004, [[theta, limit * (1 - 1e-9)], [theta, limit * (1 + 1e-9)]])
     assert slower == Outcome.BACKWARD
@@ -175,7 +175,7 @@ def plain_cells(outcome):
     return starts[outcomes == outcome]
 
 
-def test_tension_at_the_strike_is_running_and_no_lift_is_stopped():
+def test_tension_at_the_strike_is_running_no_lift_is_stopped():
     runs = plain_cells(Outcome.RUNNING)
     runs = runs[runs[:, 1] ** 2 < np.cos(runs[:, 0] - 0.0165)]  # in compression at the start
     stops = plain_cells(Outcome.STOPPED)
@@ -279,7 +279,7 @@ def test_tension_is_seen_however_short_it_is(tolerance):
     assert lasts[1] < lasts[0] - 0.02
 
 
-def test_tension_that_comes_and_goes_at_once_is_seen_at_the_ends_of_steps():
+def test_tension_that_comes_and_goes_is_seen_at_ends_of_steps():
     """Of steps of the integration, and where the foot is level with the ground it stood on."""
     for drop in (0.0, 0.02):
         assert steps_down([LAUNCH], drop, [-0.04], 0.15, jumps=1.0).outcome == Outcome.RUNNING
@@ -299,7 +299,7 @@ def test_a_leg_that_turns_right_round_strikes_no_lower_ground():
 # Full states
 
 
-def test_full_states_of_all_kinds_equal_the_independent_solution():
+def test_full_states_equal_the_independent_solution():
     """Launches and pushes, gentle and wild; among them scuffing, and every outcome."""
     rng = np.random.default_rng(0)
     signs = np.array([1.0, 1.0, -1.0, 1.0])
@@ -322,7 +322,7 @@ def test_scuffing_behind_and_beside_the_stance_foot_is_ignored():
         assert each.arrival[0] < 0
 
 
-def test_a_foot_below_the_floor_ahead_at_the_start_strikes_where_it_comes_up():
+def test_a_foot_below_the_floor_at_the_start_strikes_coming_up():
     """A launch from h > 0: the leg must rise from below first."""
     starts = [[-0.1, -0.19, -0.2, -0.8], [-0.1, -0.19, -0.2, 0.5], [-0.1, -0.21, -0.2, 0.0]]
     fates = [each.outcome for each in assert_equal_strides(0.004, starts)]

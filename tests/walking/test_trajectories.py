@@ -136,7 +136,7 @@ def test_a_walk_is_stride_after_stride(walking):
 # Precision, wrong use, transformations
 
 
-def test_float32_strides_are_those_of_float64_away_from_boundaries():
+def test_float32_strides_are_float64s_away_from_boundaries():
     starts, outcome, following = reference_map("strides_slope_0.004.npz")
     inner = minimum_filter(outcome, 7) == maximum_filter(outcome, 7)  # at least 3 cells, 6e-4
     starts, outcome, following = (a[inner][::7] for a in (starts, outcome, following))
@@ -185,7 +185,7 @@ for shape in ((2,), (2, 2, 2)):
 
 
 @pytest.mark.slow
-def test_starts_of_other_dimensions_are_refused_without_checks_of_types():
+def test_starts_of_other_dimensions_are_refused_unchecked_too():
     """In a process of its own, where nothing checks signatures."""
     done = subprocess.run([sys.executable, "-c", WRONG_USE], capture_output=True, text=True)
     assert done.stdout.split() == ["True"] * 11, done.stderr
