@@ -7,6 +7,7 @@ tried on the same inputs in every run; `pytest --hypothesis-profile=explore` dra
 
 import gc
 import os
+import sys
 from collections.abc import Iterator
 
 import jax
@@ -50,6 +51,23 @@ def few_dots() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", fewer)
         yield
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path, few_dots):
+    """Run a command in an empty folder; returns exit code, standard output and error."""
+    from walker_jax.cli import main  # not before its signatures are made to be checked
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main.main()
+        return (stop.value.code, *capsys.readouterr())
+
+    return run
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -15,7 +15,6 @@ from walker_jax.basins.memory import TooLarge
 from walker_jax.basins.runs import Runs, neighbours
 from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.basins.windows import WHOLE_SECTION, grid_along, whole_section
-from walker_jax.cli import main
 from walker_jax.design.area_gradients import AreaGradient, area_gradient
 from walker_jax.grids import edge
 
@@ -341,21 +340,6 @@ def test_areas_and_volumes_take_the_grids_that_they_are_of():
         wj.optimise(wj.SimplestWalker(0.01), {"slope": (0.001, 0.01)}, "volume")
     with pytest.raises(ValueError, match="not several"):
         wj.optimise(WALKER, bounds, {"area": 1.0, "volume": 1.0})
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path, few_dots):
-    """Run a command in an empty folder; returns exit code, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["walker-jax", *arguments])
-        with pytest.raises(SystemExit) as stop:
-            main.main()
-        return (stop.value.code, *capsys.readouterr())
-
-    return run
 
 
 def test_the_command_says_volume_with_its_unit(walks_in, run, tmp_path):

@@ -30,64 +30,6 @@ def test_no_command_is_wrong_usage_in_one_line(run):
     assert err == "walker-jax: name a command, one of those above\n"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--slope", "0"], "slope"),
-        (["--slope", "-0.01"], "slope"),
-        (["--slope", "nan"], "slope"),
-        (["--slope", "inf"], "slope"),
-        (["--slope", "steep"], "slope"),
-        (["--theta", "0.4", "0", "10"], "theta"),
-        (["--theta", "0.2", "0.2", "10"], "theta"),
-        (["--theta", "0", "0.4", "0"], "theta"),
-        (["--theta", "0", "0.4", "1.5"], "theta"),
-        (["--theta", "nan", "0.4", "10"], "theta"),
-        (["--sum", "0", "-1", "10"], "sum"),
-        (["--theta", "0", "0.4", "1000000", "--sum", "0", "1", "1000000"], "cells"),
-        (["--theta", "0", "0.4", "100000", "--sum", "0", "1", "20000"], "cells"),
-        (["--sum", "0", "1", "10", "--thetadot", "-1", "0", "10"], "--thetadot"),
-        (["--method", "guess"], "method"),
-        (["--method", "direct", "--strides", "0"], "strides"),
-        (["--out", "no/such/folder/b.zarr"], "no/such/folder"),
-        (["--out", "/"], "/"),
-        (["--figure", "b.xyz"], "b.xyz"),
-        (["--figure", "b.jpg"], "b.jpg"),
-        (["--out", "b.png"], "b.png"),
-        (["--out", "."], "--out"),
-        (["--strides", "50"], "--strides"),
-        (["--colour", "red"], "--colour"),
-        (["extra"], "extra"),
-    ],
-)
-def test_wrong_usage_gets_one_line_and_changes_nothing(
-    run, tmp_path, arguments, named, monkeypatch
-):
-    monkeypatch.setattr("walker_jax.basins.memory.memory_of_machine", lambda: 8 * 2**30)
-    code, out, err = run("basin", *arguments)
-    assert (code, out) == (2, "")
-    assert err.startswith("walker-jax: ") and err.count("\n") == 1 and named in err
-    assert "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--theta", "nan"],
-        ["--thetadot", "inf"],
-        ["--strides", "-1"],
-        ["--strides", "1000001"],
-        ["--theta", "0.9", "--animate", "walk.gif"],
-        ["--animate", "walk.png"],
-    ],
-)
-def test_wrong_walks(run, arguments):
-    code, out, err = run("walk", *arguments)
-    assert (code, out) == (2, "") and err.count("\n") == 1
-    assert arguments[0].strip("-") in err or arguments[1] in err
-
-
 def test_a_failed_computation_ends_with_1_and_a_reason(run, monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("no more memory\non the device")
@@ -369,42 +311,3 @@ def test_three_dimensions_have_a_gait_a_slice_and_a_basin(run, tmp_path):
     answer = json.loads(out)
     assert answer["method"] == "cell-map" and answer["cells"] == 20 * 16 * 7
     assert (tmp_path / "w.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["walk", "--walker", "giraffe"], ["--walker", "giraffe", "--list-walkers"]),
-        (["walk", "--foot-mass", "0.1"], ["--foot-mass", "simplest", "--slope"]),
-        (["gait", "--walker", "point-foot", "--foot-mass", "-1"], ["--foot-mass", "-1"]),
-        (["gait", "--walker", "point-foot", "--foot-mass", "nan"], ["--foot-mass", "nan"]),
-        (
-            ["basin", "--walker", "round-foot", "--foot-radius", "1"],
-            ["--foot-radius", "--leg-length", "1"],
-        ),
-        (["basin", "--walker", "round-foot", "--leg-length", "0"], ["--leg-length", "0"]),
-        (["basin", "--walker", "round-foot", "--leg-mass", "inf"], ["--leg-mass", "inf"]),
-        (["basin", "--phidot", "0", "1", "5"], ["--phidot", "theta, thetadot"]),
-        (["basin", "--at-phidot", "0"], ["--at-phidot", "theta, thetadot"]),
-        (
-            ["basin", "--walker", "round-foot", "--phidot", "0", "1", "5", "--at-phidot", "0"],
-            ["--phidot", "--at-phidot"],
-        ),
-        (["basin", "--walker", "round-foot", "--at-phidot", "nan"], ["at-phidot", "nan"]),
-        (
-            ["basin", "--walker", "round-foot", "--at-phidot", "0", "--method", "cell-map"],
-            ["method", "slice"],
-        ),
-        (["walk", "--walker", "round-foot", "--theta", "0.2"], ["--thetadot"]),
-        (["walk", "--phidot", "0.2"], ["--phidot", "theta, thetadot"]),
-        (["gait", "--phidot", "0.2"], ["--phidot", "--guess"]),
-        (["gait", "--walker", "round-foot", "--guess", "0.2", "-0.2"], ["--phidot"]),
-        (["bifurcation", "--walker", "spring", "--hip-stiffness", "-1"], ["--hip-stiffness", "-1"]),
-    ],
-)
-def test_wrong_walkers(run, tmp_path, arguments, named):
-    code, out, err = run(*arguments)
-    assert code == 2 and out == "" and err.count("\n") == 1
-    for word in named:
-        assert word in err
-    assert list(tmp_path.iterdir()) == []

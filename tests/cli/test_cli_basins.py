@@ -160,20 +160,6 @@ def test_names_of_parameters_have_hyphens_or_underscores():
             optimise_command.bounds_of(walker, names, [])
 
 
-@pytest.mark.parametrize(
-    ("over", "named"),
-    [
-        (["slope=0.001:0.02:30000000"], "N of at most 1048576"),
-        (["slope=0.001:0.02:2000", "foot-mass=0.1:0.2:1000"], "at most 1048576 combinations"),
-    ],
-)
-def test_a_sweep_of_too_much_is_refused_at_once(run, tmp_path, over, named):
-    options = [word for one in over for word in ("--over", one)]
-    code, out, err = run("sweep", "--walker", "point-foot", *options)
-    assert (code, out) == (2, "") and named in err and err.count("\n") == 1
-    assert not [*tmp_path.iterdir()]
-
-
 def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypatch):
     """The numbers are made up, by the walker's parameters."""
 

@@ -72,25 +72,6 @@ def test_a_gait_that_is_not_found_ends_with_1_and_a_reason(run, arguments, reaso
     assert (code, out) == (1, "") and err.count("\n") == 1 and reason in err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--slope", "0"], "slope"),
-        (["--period", "0"], "period"),
-        (["--guess", "nan", "0"], "--guess must be finite, not nan"),
-        (["--guess", "0.2", "inf"], "--guess must be finite, not inf"),
-        (["--guess", "0.2"], "guess"),
-        (["--all", "--guess", "0.2", "-0.2"], "--all"),
-        (["--figure", "m.jpg"], "m.jpg"),
-        (["--figure", "no/such/folder/m.png"], "no/such/folder"),
-    ],
-)
-def test_wrong_searches(run, tmp_path, arguments, named):
-    code, out, err = run("gait", *arguments)
-    assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     diagram = functools.partial(wj.bifurcation_diagram, scan=10)
@@ -118,25 +99,6 @@ def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "bifurcation.zarr").rglob("*")}
     assert run(*arguments, "--to", "0.02")[0] == 2
     assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "bifurcation.zarr").rglob("*")}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--from", "0.02", "--to", "0.01"], "--from"),
-        (["--from", "0"], "slope"),
-        (["--slope", "0.01"], "--slope is not for this command: give --from and --to"),
-        (["--to", "nan"], "slope"),
-        (["--period-max", "0"], "period-max"),
-        (["--strides", "0"], "strides"),
-        (["--out", "b.png"], "b.png"),
-        (["--figure", "b.gif"], "b.gif"),
-    ],
-)
-def test_wrong_bifurcations(run, tmp_path, arguments, named):
-    code, out, err = run("bifurcation", *arguments)
-    assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
@@ -259,30 +221,3 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
         in text
     )
     assert "step down 0.03125000: leads to another motion; falls from 0.06250000" in text
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--from", "0.01"], "--to"),
-        (["--count", "5"], "--from"),
-        (["--from", "0.02", "--to", "0.01"], "--from"),
-        (["--from", "0", "--to", "0.01"], "slope"),
-        (["--from", "0.01", "--to", "0.02", "--count", "1"], "count"),
-        (["--levels", "-1"], "levels"),
-        (["--levels", "9"], "levels"),
-        (["--disturbances", "0"], "--disturbances"),
-        (["--disturbances", "nan"], "disturbances"),
-        (["--strides", "0"], "strides"),
-        (["--theta", "0", "0.4", "10"], "--sum"),
-        (["--theta", "0", "0.4", "1", "--sum", "0", "0.4", "5"], "2 cells"),
-        (["--at-phidot", "0.1"], "--at-phidot"),
-        (["--walker", "round-foot", "--at-phidot", "0.1"], "--theta"),
-        (["--out", "r.png"], "r.png"),
-        (["--figure", "r.gif"], "r.gif"),
-    ],
-)
-def test_wrong_robustness(run, tmp_path, arguments, named):
-    code, out, err = run("robustness", *arguments)
-    assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
-    assert list(tmp_path.iterdir()) == []

@@ -160,46 +160,6 @@ def test_an_optimisation_that_leads_nowhere_ends_with_1(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ([], "--over is required"),
-        (["--over", "slope"], "--bound is required for slope: slope=LO:HI"),
-        (["--over", "mass", "--bound", "mass=1:2"], "not 'mass'"),
-        (["--over", "slope", "--bound", "slope=0.1"], "--bound must be NAME=LO:HI, not slope=0.1"),
-        (["--over", "slope", "--bound", "slope=0.2:0.1"], "--bound of slope must be finite"),
-        (
-            ["--over", "slope", "--bound", "slope=0:0.1"],
-            "slope must be above 0 and below 1.5708, not 0",
-        ),
-        (
-            ["--over", "slope", "--bound", "slope=0.1:0.2", "--bound", "foot_mass=1:2"],
-            "--bound is of foot-mass, which is not free: add --over foot-mass",
-        ),
-        ([*FASTEST[1:5], "--objective", "beauty"], "--objective must be one of area"),
-        ([*FASTEST[1:5], *["--objective", "speed"] * 2], "--objective must be one NAME, or NAME="),
-        ([*FASTEST[1:5], *["--objective", "speed=1"] * 2], "--objective is given twice for speed"),
-        ([*FASTEST[1:5], "--bound", "slope=0.1:0.2"], "--bound is given twice for slope"),
-        (
-            [*FASTEST[1:5], "--objective", "area=much"],
-            "--objective must be one NAME, or NAME=WEIGHT",
-        ),
-        ([*FASTEST[1:5], "--at-least", "area", "1"], "'area'"),
-        (
-            [*FASTEST[1:5], "--at-least", "speed", "nan"],
-            "--at-least and --at-most of speed must be finite",
-        ),
-        ([*FASTEST[1:5], "--starts", "0"], "--starts"),
-        ([*FASTEST[1:5], "--theta", "0", "1", "10"], "give --theta and --sum, or none of them"),
-        ([*FASTEST[1:5], "--at-phidot", "0.1"], "--at-phidot must be left out"),
-    ],
-)
-def test_wrong_optimisations(run, tmp_path, arguments, named):
-    code, out, err = run("optimise", *arguments)
-    assert (code, out) == (2, "") and named in err and err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
     ("error", "said"),
     [
         (np.linalg.LinAlgError("SVD did not converge"), "LinAlgError: SVD did not converge"),

@@ -10,7 +10,6 @@ import pytest
 import xarray as xr
 
 import walker_jax as wj
-from walker_jax.cli import main
 from walker_jax.stability.robustness_fields import summarise_robustness
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.walkers.parameters import parameters
@@ -41,21 +40,16 @@ DIRECT = (*SQUARE, "--method", "direct", "--strides", "500")
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path, few_dots):
+def run(run, monkeypatch, tmp_path):
     """Run a command beside the file `my_maps.py`; returns exit code, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
     monkeypatch.setattr(sys, "path", [*sys.path])
     tmp_path.joinpath("my_maps.py").write_text(HENON)
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
+    def run_anew(*arguments):
         sys.modules.pop("my_maps", None)
-        with pytest.raises(SystemExit) as stop:
-            main.main()
-        return (stop.value.code, *capsys.readouterr())
+        return run(*arguments)
 
-    yield run
+    yield run_anew
     sys.modules.pop("my_maps", None)
 
 

@@ -12,8 +12,6 @@ from mechanisms import close, states
 from walker_jax import multibody
 from walker_jax.multibody import System, impact, solve_motion
 
-# Refusals
-
 
 def plain(q):
     return q

@@ -10,7 +10,6 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli import main
 from walker_jax.cli.walker_options import names_that_begin
 from walker_jax.walkers import references
 from walker_jax.walkers.parameters import describe_walker, parameters
@@ -77,19 +76,15 @@ def place(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def run(place, monkeypatch, capsys, few_dots):
+def run(place, run):
     """Run a command there; returns exit code, standard output and error."""
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
 
-    def run(*arguments):
+    def run_anew(*arguments):
         for name in ("torque_walker", "torque_helper"):  # as in a process of its own
             sys.modules.pop(name, None)
-        monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main.main()
-        return (stop.value.code, *capsys.readouterr())
+        return run(*arguments)
 
-    return run
+    return run_anew
 
 
 def test_a_walker_of_a_file_walks_as_the_same_class_elsewhere(run):
