@@ -5,12 +5,11 @@ import json
 
 import numpy as np
 import pytest
+from cells_of_basins import let_grow, let_walk
 
 import walker_jax as wj
 from walker_jax import Outcome, figures
 from walker_jax.basins import refinement
-from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.memory import TooLarge
 from walker_jax.basins.runs import Runs, neighbours
 from walker_jax.basins.summary import summarise_basin, tally
@@ -50,24 +49,7 @@ VOLUMES = {
 @pytest.fixture
 def walks_in(monkeypatch):
     """Let walkers walk from a set alone; gives all points that were asked for."""
-
-    def use(inside):
-        asked = []
-
-        def labels_of(mapper, x, *, progress=None):
-            asked.append(x)
-            number = np.where(inside(x), 0, -1).astype(np.int32)
-            fate = np.where(number >= 0, Outcome.STRIDE, Outcome.FORWARD).astype(np.int8)
-            return Labels(fate, number, np.ones(len(x), np.int32), x)
-
-        cycle = Attractor(1, CENTRE[None])
-        monkeypatch.setattr(Mapper, "follow", labels_of)
-        mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
-        monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
-        monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
-        return asked
-
-    return use
+    return lambda inside: let_walk(monkeypatch, lambda _, x: inside(x), CENTRE)
 
 
 @pytest.mark.parametrize("shape", [(7,), (3, 5), (4, 3, 5)])
@@ -227,12 +209,7 @@ def test_a_volume_without_a_basin_is_drawn_too(walks_in):
 def test_the_volume_of_a_ball_grows_by_its_surface(monkeypatch, walks_in, shear):
     """In any coordinates: 4 pi r^2 dr/dp, with dr/dp = 10."""
 
-    def changes(walker, x, made, directions, parameters, tolerance):
-        away = x - CENTRE
-        along = -(away @ directions.T) / np.linalg.norm(away, axis=1, keepdims=True)
-        return 7 * np.concatenate([along, np.full((len(x), len(parameters)), 10.0)], axis=1)
-
-    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    let_grow(monkeypatch, CENTRE)
     walks_in(lambda x: np.linalg.norm(x - CENTRE, axis=1) < 0.23)
     axes = {name: (-1.01, 1.02, 25) for name in "uvw"}
     found = area_gradient(WALKER, wj.Grid(axes, np.array(shear), CENTRE), levels=2, check=500_000)

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cells_of_basins import labels_where, let_grow, let_walk
 from scipy.stats import multivariate_normal
 
 import walker_jax as wj
 from walker_jax.basins import refinement
-from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.refinement import refine_cells
 from walker_jax.basins.runs import Runs, label_of
 from walker_jax.design.area_gradients import area_gradient, boundary_pairs, integrate_along_boundary
@@ -118,32 +118,13 @@ def radius(slope):
     return 0.2 + 10 * (slope - 0.004)
 
 
-def labels_where(walks, x):
-    """Those of starts x, from some of which walkers walk; the others fall in the first stride."""
-    number = np.where(walks, 0, -1).astype(np.int32)
-    fate = np.where(walks, 0, 1).astype(np.int8)
-    return Labels(fate, number, np.ones(len(x), np.int32), x)
-
-
 @pytest.fixture
 def disc(monkeypatch):
     """Walkers walk from within a disc; beyond it the margin is a multiple of the distance."""
 
-    def labels_of(mapper, x, *, progress=None):
-        r = radius(float(mapper.walker.slope))
-        return labels_where(np.linalg.norm(x - CENTRE, axis=1) < r, x)
-
-    def changes(walker, x, made, directions, parameters, tolerance):
-        away = x - CENTRE
-        along = -(away @ directions.T) / np.linalg.norm(away, axis=1, keepdims=True)
-        return 7 * np.concatenate([along, np.full((len(x), len(parameters)), 10.0)], axis=1)
-
-    cycle = Attractor(1, np.zeros((1, 2)))
-    mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
-    monkeypatch.setattr(Mapper, "follow", labels_of)
-    monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
-    monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
-    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    inside = lambda walker, x: np.linalg.norm(x - CENTRE, axis=1) < radius(float(walker.slope))
+    let_walk(monkeypatch, inside, np.zeros(2))
+    let_grow(monkeypatch, CENTRE)
 
 
 @pytest.mark.parametrize("shear", [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.3, 2.0]]])

@@ -37,30 +37,27 @@ def browser():
         found.close()
 
 
-@pytest.fixture
-def opened(browser, page_server):
+def open_pages(browser, server):
+    """Opens pages of a server, and closes them in the end."""
     pages = []
 
     def open_page(state="", **options):
-        pages.append(Page(browser, page_server.port, state, **options))
+        pages.append(Page(browser, server.port, state, **options))
         return pages[-1]
 
     yield open_page
     for one in pages:
         one.close()
+
+
+@pytest.fixture
+def opened(browser, page_server):
+    yield from open_pages(browser, page_server)
 
 
 @pytest.fixture
 def opened_system(browser, machines):
-    pages = []
-
-    def open_page(state, **options):
-        pages.append(Page(browser, machines.port, state, **options))
-        return pages[-1]
-
-    yield open_page
-    for one in pages:
-        one.close()
+    yield from open_pages(browser, machines)
 
 
 @pytest.fixture(scope="module")

@@ -362,9 +362,7 @@ def test_a_diagram_is_of_the_walkers_own_slopes(monkeypatch, name, slopes):
 
 
 @pytest.mark.parametrize("method", [pytest.param("direct", marks=pytest.mark.slow), "cell-map"])
-def test_the_copied_words_give_the_data_of_the_picture(
-    client, method, tmp_path, monkeypatch, capsys
-):
+def test_the_copied_words_give_the_data_of_the_picture(client, method, tmp_path, monkeypatch, run):
     """The command, the program and the download, of a window off the home one."""
     cells = [1, 130, 300, 60, 40]
     asked = SIMPLEST | {"method": method, "cells": cells}
@@ -373,7 +371,7 @@ def test_the_copied_words_give_the_data_of_the_picture(
     exec(compile(words["python"], "copied", "exec"), names)
     basin = names["basin"]
     assert basin["fate"].shape == (60, 40)
-    explorer_server.run_copied(words["command"], basin, tmp_path, monkeypatch, capsys)
+    explorer_server.run_copied(run, words["command"], basin, monkeypatch)
     packed = measures.data(subject(), Rectangle(1, (130, 300), (60, 40)), method)
     (tmp_path / "data.zip").write_bytes(packed)
     with ZipStore(tmp_path / "data.zip", mode="r") as place:

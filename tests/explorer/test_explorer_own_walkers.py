@@ -11,7 +11,6 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli import main
 from walker_jax.explorer import notebook, pictures, walks, workers
 from walker_jax.explorer.family import describe_offer
 from walker_jax.explorer.lattice import TILE
@@ -97,9 +96,7 @@ def test_the_page_offers_it_beside_the_family_and_nothing_else(client, file, wal
 
 
 @pytest.mark.slow
-def test_picture_walk_and_copies_are_those_of_the_library(
-    client, file, walker, tmp_path, monkeypatch, capsys
-):
+def test_picture_walk_and_copies_are_those_of_the_library(client, file, walker, monkeypatch, run):
     asked = {"walker": "Damped", "parameters": {"slope": 0.007, "damping": 0.02, "unused": 0.5}}
     _, tiles = client.tiles(asked | {"tiles": TILES})
     label = np.stack([np.frombuffer(one, np.uint8).reshape(2, TILE, TILE)[0] for one in tiles])
@@ -124,7 +121,7 @@ def test_picture_walk_and_copies_are_those_of_the_library(
 
     monkeypatch.setitem(sys.modules, "damped_walkers", sys.modules["damped_walkers"])  # as it is
     # in a folder where the file is not
-    stored = explorer_server.run_copied(words["command"], basin, tmp_path, monkeypatch, capsys)
+    stored = explorer_server.run_copied(run, words["command"], basin, monkeypatch)
     assert stored["code"] == basin.attrs["code"]
 
 
@@ -168,7 +165,7 @@ def test_what_is_not_known_of_a_walker_is_said_in_a_sentence(file):
         offer(viewed)
 
 
-def test_commands_and_notebooks_name_it_for_other_processes(file, walker, monkeypatch, capsys):
+def test_commands_and_notebooks_name_it_for_other_processes(file, walker, monkeypatch, run):
     assert reference_of(type(walker)) == f"{file}:Damped"
     assert reference_of(wj.SpringWalker) == "spring"
     assert reference_of(LockedWalker) == "walker_jax.walkers.kneed:LockedWalker"
@@ -176,20 +173,15 @@ def test_commands_and_notebooks_name_it_for_other_processes(file, walker, monkey
 
     monkeypatch.setitem(sys.modules, "damped_walkers", sys.modules["damped_walkers"])  # as it is
     served = []
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
     monkeypatch.setattr(
         "walker_jax.explorer.server.run_server", lambda *given, **_: served.append(given)
     )
     given = ["--slope", "0.007", "--damping", "0.02", "--no-browser"]
-    for name, code in (("Damped", 0), ("Hidden", 2)):
-        words = ["walker-jax", "explore", "--walker", f"{file}:{name}", *given]
-        monkeypatch.setattr(sys, "argv", words)
-        with pytest.raises(SystemExit) as stop:
-            main.main()
-        assert stop.value.code == code
+    assert run("explore", "--walker", f"{file}:Damped", *given)[0] == 0
+    code, _, err = run("explore", "--walker", f"{file}:Hidden", *given)
+    assert code == 2 and "--walker must be of a class that other processes can import" in err
     ((_, _, offered, values),) = served
     assert (offered.name, values) == ("Damped", {"slope": 0.007, "damping": 0.02, "unused": 0.5})
-    assert "--walker must be of a class that other processes can import" in capsys.readouterr().err
 
     class Server(notebook.PageServer):
         link, closed = "http://127.0.0.1:1/?token=x", False

@@ -24,6 +24,7 @@ from explorer_page import (
     area_of,
     fulfil_as,
 )
+from parts_of_pictures import lightness
 from PIL import Image
 from zarr.storage import ZipStore
 
@@ -274,13 +275,6 @@ def test_every_width_and_theme(opened, theme, tmp_path):
         assert len(shades) == wj.Outcome.OWN_1
         for one, other in combinations(shades, 2):
             assert abs(one - other) > LEAST_CONTRAST
-
-
-def lightness(rgb):
-    """CIE L*, 0 for black to 100 for white, of 8-bit sRGB."""
-    rgb = np.asarray(rgb) / 255
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    return 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli import main
 from walker_jax.explorer import measures, notebook, pictures
 from walker_jax.explorer.copies import describe
 from walker_jax.explorer.family import describe_family
@@ -194,7 +193,7 @@ def test_a_start_has_iterates_and_no_film(client):
     assert pushed.json()["error"].startswith("Drift cannot be pushed")
 
 
-def test_what_is_copied_gives_the_data_of_the_picture(own, tmp_path, monkeypatch, capsys):
+def test_what_is_copied_gives_the_data_of_the_picture(own, monkeypatch, run):
     """Of a map in a file, and of a slice along coordinates that are not the first."""
     monkeypatch.setitem(sys.modules, "own_henon", sys.modules["own_henon"])  # as it is
     about = subject(own, parameters={"a": 0.5})
@@ -203,7 +202,7 @@ def test_what_is_copied_gives_the_data_of_the_picture(own, tmp_path, monkeypatch
     exec(compile(words["python"], "copied", "exec"), names)
     assert float(names["system"].a) == 0.5
     assert names["basin"].attrs["code"] == own.code
-    explorer_server.run_copied(words["command"], names["basin"], tmp_path, monkeypatch, capsys)
+    explorer_server.run_copied(run, words["command"], names["basin"], monkeypatch)
 
     drift = offer(Drift())
     about = subject(drift, section="here-rest", at={"there": 0.25})
@@ -239,20 +238,17 @@ def test_a_map_goes_to_other_processes_by_its_name(own):
     assert again == own and again.kind.f is own.kind.f  # though a function of it has no name
 
 
-def test_commands_and_notebooks_name_it(file, own, monkeypatch, capsys):
+def test_commands_and_notebooks_name_it(file, own, monkeypatch, run):
     assert reference_of(own.kind) == f"{file}:system"
     assert reference_of(wj.HenonMap) == "henon"
     monkeypatch.setitem(sys.modules, "own_henon", sys.modules["own_henon"])  # as it is
     served = []
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
     monkeypatch.setattr(
         "walker_jax.explorer.server.run_server", lambda *given, **_: served.append(given)
     )
     words = ["--system", f"{file}:system", "--b", "0.2", "--axis", "x=-1:1:9", "--axis", "y=0:1:9"]
-    monkeypatch.setattr(sys, "argv", ["walker-jax", "explore", *words, "--no-browser"])
-    with pytest.raises(SystemExit) as stop:
-        main.main()
-    assert stop.value.code == 0, capsys.readouterr()
+    code, _, err = run("explore", *words, "--no-browser")
+    assert code == 0, err
     ((_, _, offered, values),) = served
     assert values == {"a": 1.02, "b": 0.2} and offered.defaults == (1.02, 0.2)
     assert offered.name == "own_henon" and window_of(offered) == {"x": (-1, 1), "y": (0, 1)}

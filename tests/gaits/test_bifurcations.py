@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from maps import done_with
 from reference import read_values
+from simplest_gaits import REGION, walker
 
 import walker_jax as wj
 from walker_jax.gaits import crises, diagrams, long_runs
@@ -11,12 +12,7 @@ from walker_jax.gaits.continuation import Start
 from walker_jax.walking.iteration import WalkEnd
 
 VALUES = read_values("values")
-REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
 DOUBLINGS = np.array([one["slope"] for one in VALUES["period_doublings"]])
-
-
-def walker(slope=0.009):
-    return wj.SimplestWalker(slope)
 
 
 def test_what_walkers_come_to():

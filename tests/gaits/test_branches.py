@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from maps import done_with
 from reference import read_values
+from simplest_gaits import REGION, assert_repeats, walker
 
 import walker_jax as wj
 from walker_jax.gaits import arclength, branches, continuation, events
@@ -10,12 +11,7 @@ from walker_jax.gaits.derivatives import Linearisation
 from walker_jax.gaits.search import search_gait
 
 VALUES = read_values("values")
-REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
 FEIGENBAUM = 4.669201609
-
-
-def walker(slope=0.009):
-    return wj.SimplestWalker(slope)
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +43,7 @@ def born_in_folds():
 def assert_walks(branch, every=1):
     """Every gait of a branch repeats itself when it is walked."""
     for value, states in list(zip(branch.values, branch.states, strict=True))[::every]:
-        walked = wj.walk(walker(value), states[0], branch.period).states
-        np.testing.assert_allclose(walked[:-1], states, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(walked[-1], states[0], rtol=0, atol=1e-10)
+        assert_repeats(value, states)
 
 
 def test_a_branch_is_made_of_gaits(long):

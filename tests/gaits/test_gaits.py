@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from reference import read_values
+from simplest_gaits import REGION, assert_repeats, walker
 
 import walker_jax as wj
 from walker_jax.gaits import cycles, derivatives, search
@@ -16,20 +17,10 @@ from walker_jax.walkers import parameters
 VALUES = read_values("values")
 
 
-REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
-
-
-def walker(slope=0.009):
-    return wj.SimplestWalker(slope)
-
-
 def assert_walks(slope, gait):
     """The gait repeats itself when it is walked."""
-    period = len(gait.states)
-    walked = wj.walk(walker(slope), gait.states[0], period)
-    np.testing.assert_allclose(walked.states[:-1], gait.states, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(walked.states[-1], gait.states[0], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(walked.times, gait.step_times, rtol=0, atol=1e-9)
+    times = assert_repeats(slope, gait.states)
+    np.testing.assert_allclose(times, gait.step_times, rtol=0, atol=1e-9)
 
 
 def walk_on(slope, x, count):

@@ -35,7 +35,7 @@ def differences(function, z, steps):
         for scale in scales
         for sign in (1, -1)
     ]
-    values = function(np.array(points)).reshape(n, 4, 2, -1)
+    values = np.asarray(function(np.array(points))).reshape(n, 4, 2, -1)
     table = (values[:, :, 0] - values[:, :, 1]) / (2 * scales[:, None] * steps[:, None, None])
     for factor in (4, 16, 64):
         table = (factor * table[:, 1:] - table[:, :-1]) / (factor - 1)

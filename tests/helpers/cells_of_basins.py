@@ -1,9 +1,15 @@
-"""The cells of a basin against walks that are made stride by stride."""
+"""The cells of a basin against walks made stride by stride, and basins that are any set."""
+
+from collections.abc import Callable
 
 import numpy as np
+import pytest
 import xarray as xr
 
 import walker_jax as wj
+from walker_jax.basins import refinement
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Labels, Mapper
 
 
 def check_cells(
@@ -24,3 +30,38 @@ def check_cells(
     assert walked.sum() > 20
     np.testing.assert_allclose(xs[walked], np.tile(gait, (walked.sum(), 1)), atol=1e-8)
     return data
+
+
+def labels_where(walks: np.ndarray, x: np.ndarray) -> Labels:
+    """Those of starts x, from some of which walkers walk; the others fall in the first stride."""
+    number = np.where(walks, 0, -1).astype(np.int32)
+    fate = np.where(walks, wj.Outcome.STRIDE, wj.Outcome.FORWARD).astype(np.int8)
+    return Labels(fate, number, np.ones(len(x), np.int32), x)
+
+
+def let_walk(
+    monkeypatch: pytest.MonkeyPatch, inside: Callable, gait: np.ndarray
+) -> list[np.ndarray]:
+    """Let walkers walk from a set alone, `inside(walker, x)`; gives all points asked for."""
+    asked, cycle = [], Attractor(1, gait[None])
+
+    def labels_of(mapper, x, *, progress=None):
+        asked.append(x)
+        return labels_where(inside(mapper.walker, x), x)
+
+    mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
+    monkeypatch.setattr(Mapper, "follow", labels_of)
+    monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
+    monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
+    return asked
+
+
+def let_grow(monkeypatch: pytest.MonkeyPatch, centre: np.ndarray) -> None:
+    """Margins grow by 7 with the distance from a centre, and by 70 with every parameter."""
+
+    def changes(walker, x, made, directions, parameters, tolerance):
+        away = x - centre
+        along = -(away @ directions.T) / np.linalg.norm(away, axis=1, keepdims=True)
+        return 7 * np.concatenate([along, np.full((len(x), len(parameters)), 10.0)], axis=1)
+
+    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)

@@ -16,7 +16,6 @@ import pytest
 import xarray as xr
 
 import walker_jax as wj
-from walker_jax.cli import main
 from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
 from walker_jax.explorer.offers import FAMILY, Offers
 from walker_jax.explorer.server import Server, listen, make_server, names_of
@@ -128,21 +127,14 @@ def follow(walker: wj.Walker, states: np.ndarray, strides: int) -> tuple[np.ndar
 
 
 def run_copied(
-    command: str,
-    basin: xr.Dataset,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    run: Callable, command: str, basin: xr.Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> dict[str, Any]:
-    """Run a copied command in a folder: it gives that basin. Returns the attributes of its own."""
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+    """Run a copied command: it gives that basin. Returns the attributes of its own."""
     monkeypatch.setattr("walker_jax.cli.answers.draw", lambda *_: None)
-    monkeypatch.setattr(sys, "argv", command.split())
-    with pytest.raises(SystemExit) as stop:
-        main.main()
-    assert stop.value.code == 0, capsys.readouterr()
-    (store,) = folder.glob("basin-*.zarr")
+    program, *arguments = command.split()
+    code, _, err = run(*arguments)
+    assert (program, code) == ("walker-jax", 0), err
+    (store,) = Path().glob("basin-*.zarr")
     with xr.open_zarr(store, consolidated=False) as data:
         for name in ("fate", "attractor", "strides"):
             np.testing.assert_array_equal(data[name], basin[name])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from polynomials import ascending
 
 from walker_jax.hybrid.crossings import HOP, Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.following import NO_GUARD, follow_mode
@@ -52,11 +53,6 @@ def rise():
         return [np.asarray(x)[: len(values)] for x in run(*arrays, times)]
 
     return padded
-
-
-def ascending(*roots, factor=(1.0,)):
-    """Coefficients of factor(t) (t - r_1) (t - r_2) ..., constant term first."""
-    return np.polymul(np.poly(roots), factor)[::-1]
 
 
 ALWAYS = [1.0]

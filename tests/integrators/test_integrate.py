@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
+from polynomials import ascending
 from scipy.integrate import solve_ivp
 
 from walker_jax.hybrid.crossings import Crossing, begins_below, rise_of
@@ -318,11 +319,6 @@ def rise():
         return np.asarray(rises)[:count], np.asarray(roots)[:count]
 
     return padded
-
-
-def ascending(*roots, factor=(1.0,)):
-    """Coefficients of factor(t) (t - r_1) (t - r_2) ..., constant term first."""
-    return np.polymul(np.poly(roots), factor)[::-1]
 
 
 RISES = {  # polynomial, length of the step, root

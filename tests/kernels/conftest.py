@@ -2,10 +2,17 @@
 
 import pytest
 
-from walker_jax.kernels import primitive
+from walker_jax.kernels import object_cache, primitive
 
 
 @pytest.fixture
 def few_together(monkeypatch):
     """Machine code of few directions at once compiles in no time; more are cells of their own."""
     monkeypatch.setattr(primitive, "MAX_OPERATIONS", (100, 100))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where kernels are kept: a folder that is not there yet."""
+    monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path))
+    return tmp_path / "kernels"

@@ -31,12 +31,6 @@ def compute():
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path))
-    return tmp_path / "kernels"
-
-
-@pytest.fixture
 def compilations(monkeypatch):
     """Counts what is compiled."""
     made, compile = [], machine.object_code

@@ -27,12 +27,6 @@ START = np.array([0.2, -0.2])
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path))
-    return tmp_path / "kernels"
-
-
-@pytest.fixture
 def traces(monkeypatch):
     """What is traced."""
     made, trace = [], jax.make_jaxpr

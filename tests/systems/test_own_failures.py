@@ -14,7 +14,6 @@ from matplotlib.text import Text
 import walker_jax as wj
 from walker_jax import figures
 from walker_jax.basins.summary import summarise_basin, tally
-from walker_jax.cli import main
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.offers import Offer
 from walker_jax.systems.outcomes import failures_of
@@ -198,18 +197,14 @@ def test_an_explanation_names_them():
     assert high.outcome == wj.Outcome.OWN_1
 
 
-def test_the_command_line_names_them(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+def test_the_command_line_names_them(run, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     source = Path(__file__).read_text().partition("BASIN =")[0].replace("import pytest\n", "")
     (tmp_path / "juggling.py").write_text(source)
     words = "basin --axis speed=0:3:30 --axis place=-1:1:2 --method direct --json".split()
-    where = ["--system", f"{tmp_path / 'juggling.py'}:Juggler", "--out", str(tmp_path / "b.zarr")]
-    monkeypatch.setattr(sys, "argv", ["walker-jax", *words, *where])
-    with pytest.raises(SystemExit) as ended:
-        main.main()
-    assert ended.value.code == 0
-    fates = json.loads(capsys.readouterr().out)["fates"]
+    code, out, _ = run(*words, "--system", f"{tmp_path / 'juggling.py'}:Juggler", "--out", "b.zarr")
+    assert code == 0
+    fates = json.loads(out)["fates"]
     assert fates["hits_the_ceiling"] == 20 and fates["sticks"] == 10
 
 

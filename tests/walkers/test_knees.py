@@ -1,13 +1,12 @@
 """The walker with knees: published gaits, motions, and what may be checked."""
 
 import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from by_differences import newton
+from by_differences import differences, newton, stacked
 from kneed_walkers import (
     HSU_CHEN,
     HUMAN_LIKE,
@@ -170,36 +169,21 @@ def test_jacobians_are_differences():
     """By the start and by every parameter, through both impacts, with the time of heel strike."""
     names = [one.name for one in parameters(KneedWalker)]
     cycle, tolerance = START[None, None], np.float64(1e-14)
-    steps = {name: 1e-3 * max(float(getattr(WALKER, name)), 0.05) for name in names}
-    columns: Any = [("start", i, 1e-4) for i in range(3)] + [
-        ("walker", n, h) for n, h in steps.items()
-    ]
-    walkers, xs = [], []
-    for kind, which, step in columns:
-        for scale in (1, 0.5, 0.25):
-            for sign in (1, -1):
-                move = sign * scale * step
-                there = (
-                    WALKER
-                    if kind == "start"
-                    else changed(WALKER, **{which: getattr(WALKER, which) + move})
-                )
-                walkers.append(there)
-                xs.append(START + move * np.eye(3)[which] if kind == "start" else START)
-    many = jax.tree.map(lambda *leaves: np.stack(leaves), *walkers)
-    ends = wj.strides(many, np.array(xs), tolerance=tolerance)
-    assert (ends.outcome == Outcome.STRIDE).all()
-    values = ends.state.reshape(len(columns), 3, 2, 3)
-    table = (values[:, :, 0] - values[:, :, 1]) / 2
-    table /= np.array([[step, step / 2, step / 4] for *_, step in columns])[:, :, None]
-    for factor in (4, 16):
-        table = (factor * table[:, 1:] - table[:, :-1]) / (factor - 1)
-    differences = table[:, 0]
-    scale = np.abs(differences).max()
-    for name, expected in zip(names, differences[3:], strict=True):
+    values = np.array([float(getattr(WALKER, name)) for name in names])
+
+    def following(zs):
+        walkers = stacked([KneedWalker(**dict(zip(names, z[3:], strict=True))) for z in zs])
+        ends = wj.strides(walkers, zs[:, :3], tolerance=tolerance)
+        assert (ends.outcome == Outcome.STRIDE).all()
+        return ends.state
+
+    steps = np.concatenate([np.full(3, 1e-4), 1e-3 * np.maximum(values, 0.05)])
+    expected = differences(following, np.concatenate([START, values]), steps).T
+    scale = np.abs(expected).max()
+    for name, column in zip(names, expected[3:], strict=True):
         found = linearise(WALKER, cycle, Integrator(tolerance), name)
-        np.testing.assert_allclose(found.jacobian[0, 0].T, differences[:3], atol=1e-7 * scale)
-        np.testing.assert_allclose(found.by_parameter[0, 0], expected, atol=1e-7 * scale)
+        np.testing.assert_allclose(found.jacobian[0, 0].T, expected[:3], atol=1e-7 * scale)
+        np.testing.assert_allclose(found.by_parameter[0, 0], column, atol=1e-7 * scale)
 
 
 # What may be checked

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.cli import main
 from walker_jax.walking.explanation import rises_of
 
 WALKER = wj.SimplestWalker(0.009)
@@ -159,18 +157,13 @@ def test_rises_are_all_of_them():
     np.testing.assert_allclose(rises_of(series, 0.4, below=False), [0.35], atol=1e-12)
 
 
-def test_the_command_says_the_same(capsys, monkeypatch):
+def test_the_command_says_the_same(run):
     words = "explain --slope 0.009 --theta 0.3 --thetadot -0.1".split()
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    for more in [], ["--json"]:
-        monkeypatch.setattr(sys, "argv", ["walker-jax", *words, *more])
-        with pytest.raises(SystemExit) as ended:
-            main.main()
-        assert ended.value.code == 0
-    told, answer = capsys.readouterr().out.split("{", 1)
+    (code, told, _), (again, answer, _) = run(*words), run(*words, "--json")
+    assert code == again == 0
     expected = wj.explain(WALKER, jnp.array([0.3, -0.1]))
     assert told.rstrip() == str(expected)
-    data = json.loads("{" + answer)
+    data = json.loads(answer)
     assert data["outcome"] == "BACKWARD" and data["state"] is None
     assert data["modes"][0]["rises"][0]["time"] == expected.modes[0].rises[0].time
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_differences import differences
 from independent_strides import GAIT, VALUES, dead_point_rate, following, strides
 from scipy.integrate import solve_ivp
 
@@ -40,17 +41,6 @@ def test_single_strides_equal_those_in_tiles_and_mapped(tangents):
 def jacobian(tangents, z):
     """d following / d z, (3, 3)."""
     return tangents(np.tile(z, (3, 1)), np.eye(3))[1].T
-
-
-def differences(function, z, scale):
-    """d function / d z by central differences, extrapolated to step 0 thrice (Richardson)."""
-    steps = scale * 0.5 ** np.arange(4)
-    points = [z + sign * h * e for e in np.eye(3) for h in steps for sign in (1, -1)]
-    values = function(np.array(points)).reshape(3, 4, 2, -1)
-    table = (values[:, :, 0] - values[:, :, 1]) / (2 * steps[:, None])
-    for power in (4, 16, 64):
-        table = (power * table[:, 1:] - table[:, :-1]) / (power - 1)
-    return table[:, 0].T
 
 
 def test_jacobian_of_the_gait_is_the_reference(tangents):
@@ -92,7 +82,7 @@ def test_derivatives_equal_extrapolated_differences(name, tangents):
     """Of next state and time, by slope and start, relative to the largest of a row."""
     z, scale = POINTS[name]
     found = jacobian(tangents, np.array(z))
-    expected = differences(lambda zs: tangents(zs, zs)[0], np.array(z), scale)
+    expected = differences(lambda zs: tangents(zs, zs)[0], np.array(z), np.full(3, scale))
     assert np.isfinite(found).all()
     errors = np.abs(found - expected) / np.max(np.abs(expected), axis=1, keepdims=True)
     assert np.max(errors) < 1e-7, (found, expected)
@@ -127,7 +117,7 @@ def test_second_derivatives_equal_differences_of_the_first(tangents):
 
     for v in np.eye(3):
         first = lambda zs, v=v: tangents(zs, np.tile(v, (len(zs), 1)))[1]
-        expected = differences(first, z, 4e-4)
+        expected = differences(first, z, np.full(3, 4e-4))
         found = np.stack([second(z, v, w) for w in np.eye(3)], axis=1)
         np.testing.assert_allclose(found, expected, rtol=1e-6)
 
