@@ -201,10 +201,7 @@ def test_a_volume_without_a_basin_is_drawn_too(walks_in):
 
 @pytest.mark.parametrize(
     "shear",
-    [
-        pytest.param(np.eye(3), marks=pytest.mark.slow),
-        [[1, 0, 0], [-1, 1, 0], [0, 0.3, 2.0]],
-    ],
+    [pytest.param(np.eye(3), marks=pytest.mark.slow), [[1, 0, 0], [-1, 1, 0], [0, 0.3, 2.0]]],
 )
 def test_the_volume_of_a_ball_grows_by_its_surface(monkeypatch, walks_in, shear):
     """In any coordinates: 4 pi r^2 dr/dp, with dr/dp = 10."""

@@ -35,11 +35,8 @@ def test_a_failed_computation_ends_with_1_and_a_reason(run, monkeypatch):
         raise RuntimeError("no more memory\non the device")
 
     monkeypatch.setattr("walker_jax.walk", fail)
-    code, out, err = run("walk")
-    assert (code, out) == (
-        1,
-        "",
-    ) and err == "walker-jax: RuntimeError: no more memory on the device\n"
+    said = "walker-jax: RuntimeError: no more memory on the device\n"
+    assert run("walk") == (1, "", said)
 
 
 def test_the_installed_command_starts(tmp_path):

@@ -135,10 +135,7 @@ def test_what_is_said_of_cycles_of_cells():
 
 @pytest.mark.parametrize(
     ("over", "values"),
-    [
-        ("slope=1e-14:2e-14:2", [1e-14, 2e-14]),
-        ("hip-stiffness=0:0.3:4", [0.0, 0.1, 0.2, 0.3]),
-    ],
+    [("slope=1e-14:2e-14:2", [1e-14, 2e-14]), ("hip-stiffness=0:0.3:4", [0.0, 0.1, 0.2, 0.3])],
 )
 def test_values_are_as_written(over, values):
     (found,) = sweep_command.values_of([over]).values()

@@ -28,10 +28,7 @@ def proportional(walker, parameters=(), *_, **__):
 
 @pytest.mark.parametrize(
     ("made_up", "slope", "speed"),
-    [
-        (True, 0.012, 0.032),
-        pytest.param(False, 0.0146558225, 0.0793169483, marks=pytest.mark.slow),
-    ],
+    [(True, 0.012, 0.032), pytest.param(False, 0.0146558225, 0.0793169483, marks=pytest.mark.slow)],
 )
 def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, slope, speed):
     monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)  # of the picture
@@ -71,11 +68,8 @@ def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
     monkeypatch.setattr("walker_jax.optimise", optimise)
     assert run(*FASTEST)[0] == 130
     ((code, _, err),) = refused
-    way_out = "wait, or give another --out"
-    assert (code, err) == (
-        2,
-        f"walker-jax: optimum.zarr is being written by another run: {way_out}\n",
-    )
+    what, way_out = "optimum.zarr is being written by another run", "wait, or give another --out"
+    assert (code, err) == (2, f"walker-jax: {what}: {way_out}\n")
 
 
 @pytest.mark.slow

@@ -237,7 +237,5 @@ def test_systems_are_listed_and_their_parameters_have_bounds(run):
         for one in parameters(kind):
             assert any(line.startswith(f"  --{one.name.replace('_', '-')} ") for line in own)
     code, _, err = run("gait", "--system", "torso-wheel", "--torso-mass", "-1")
-    assert (code, err) == (
-        2,
-        "walker-jax: --torso-mass must be finite and not negative, not -1.0\n",
-    )
+    said = "walker-jax: --torso-mass must be finite and not negative, not -1.0\n"
+    assert (code, err) == (2, said)

@@ -96,8 +96,7 @@ def test_a_cell_map_is_that_of_the_library(client):
 
 
 @pytest.mark.parametrize(
-    ("slope", "periods"),
-    [(0.017, [2]), pytest.param(0.0189, [None], marks=pytest.mark.slow)],
+    ("slope", "periods"), [(0.017, [2]), pytest.param(0.0189, [None], marks=pytest.mark.slow)]
 )
 def test_attractors_without_a_gait_of_period_one(slope, periods):
     """Past the first doubling, and past the cascade, where one takes all that remain."""

@@ -202,11 +202,7 @@ def test_a_data_set_read_from_a_file_gives_the_same_picture(tmp_path):
 
 @pytest.mark.parametrize(
     "data",
-    [
-        every_fate().isel(theta=0),
-        every_fate().isel(theta=[0]),
-        deep(every_fate()),
-    ],
+    [every_fate().isel(theta=0), every_fate().isel(theta=[0]), deep(every_fate())],
     ids=["one", "one-cell", "three"],
 )
 def test_two_dimensions_are_drawn_and_nothing_else(data):

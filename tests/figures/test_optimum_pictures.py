@@ -14,8 +14,6 @@ from parts_of_pictures import colours, legend, lightness, line, words
 from walker_jax import figures
 from walker_jax.figures import optimum_plots, style
 
-# Optimisations
-
 
 def shaded(ax):
     """Where the ground is shaded, from left to right."""

@@ -14,8 +14,6 @@ from parts_of_pictures import annotations, box, figure_of, legend, lightness, li
 from walker_jax import figures
 from walker_jax.figures import style, text
 
-# Gaits and bifurcations.
-
 PICTURES = [figures.gait_branches, figures.largest_multiplier, figures.bifurcation_diagram]
 
 

@@ -124,10 +124,7 @@ def test_all_gaits_of_a_region_each_once():
 
 @pytest.mark.parametrize(
     ("period", "bifurcation", "before", "after"),
-    [
-        (2, 0.01508843794111946, 0, 1),
-        pytest.param(3, 0.012280821626094882, 0, 2, marks=SLOW),
-    ],
+    [(2, 0.01508843794111946, 0, 1), pytest.param(3, 0.012280821626094882, 0, 2, marks=SLOW)],
 )
 def test_next_to_a_bifurcation_no_gait_is_invented(period, bifurcation, before, after):
     """Where cycles that are none miss themselves by no more than rounding."""

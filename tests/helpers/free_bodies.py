@@ -17,11 +17,7 @@ class Bodies:
     def __init__(self, walker):
         self.walker = walker
         get = lambda name, otherwise=0.0: float(getattr(walker, name, otherwise))
-        self.slope, self.radius, self.length = (
-            get("slope"),
-            get("foot_radius"),
-            get("leg_length"),
-        )
+        self.slope, self.radius, self.length = get("slope"), get("foot_radius"), get("leg_length")
         self.down, self.offset, self.body_com = (
             get("com_from_hip"),
             get("com_offset"),

@@ -47,10 +47,7 @@ def data_set(grid, fate, attractor=None, cycles=()):
             "area": ("number", cells * grid.cell_area),
             "at_border": 0,
         },
-        coords={
-            **grid.axes,
-            "number": np.arange(len(cycles)),
-        },
+        coords={**grid.axes, "number": np.arange(len(cycles))},
         attrs={
             "walker": "SimplestWalker",
             "walker_slope": 0.0165,
@@ -150,11 +147,7 @@ def diagram(branches=BRANCHES, events=EVENTS, walks=True, lost=(0.0180, 0.0182))
             "orbit": (("sample", "start", "recent", "coordinate"), orbit),
             "lost": ("side", np.array(lost, float)),
         },
-        attrs={
-            "walker": "SimplestWalker",
-            "parameter": "slope",
-            "section": ["theta", "thetadot"],
-        },
+        attrs={"walker": "SimplestWalker", "parameter": "slope", "section": ["theta", "thetadot"]},
     )
 
 

@@ -231,9 +231,7 @@ def test_runge_kutta_steps_land_too(solver):
         )
         return found.time, found.state[0]
 
-    (time, place), (rate, _) = jax.jit(
-        lambda phase: jax.jvp(run, (phase,), (jnp.ones(()),)),
-    )(0.4)
+    (time, place), (rate, _) = jax.jit(lambda phase: jax.jvp(run, (phase,), (jnp.ones(()),)))(0.4)
     assert abs(time - (0.4 + np.pi / 2)) < 1e-6 and abs(place) < 1e-15 and abs(rate - 1) < 1e-6
 
 

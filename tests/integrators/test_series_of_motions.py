@@ -15,8 +15,6 @@ from walker_jax.kernels import kernel
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import SingleSupport
 
-# Series of motions by their virtual power
-
 
 class Chain(VirtualPower):
     """Point masses on rods, each hung from the one before; damped, all angles from the vertical."""

@@ -335,10 +335,7 @@ BY_XLA = {
         ),
         X,
     ),
-    "a primitive in a primitive": (
-        lambda x: jaxpr_as_fun(jax.make_jaxpr(nested)(X))(x)[0],
-        X,
-    ),
+    "a primitive in a primitive": (lambda x: jaxpr_as_fun(jax.make_jaxpr(nested)(X))(x)[0], X),
     "many results": (lambda x: x[0] * jnp.arange(2000.0), X),
 }
 

@@ -12,8 +12,6 @@ from walker_jax import multibody
 from walker_jax.kernels import kernel
 from walker_jax.multibody import System, impact, kinetic_energy
 
-# Impact
-
 RESTITUTIONS = [0.0, 0.3, 1.0]
 
 
@@ -49,11 +47,7 @@ def test_a_rod_dropped_on_one_end_of_a_smooth_ground(e):
     def drop(angle):
         q = jnp.stack([jnp.zeros(()), jnp.zeros(()), angle])
         return impact(
-            rod(M_ROD, I_ROD),
-            lambda q: end(q)[1:],
-            q,
-            jnp.array([0.7, -v, 0.0]),
-            restitution=e,
+            rod(M_ROD, I_ROD), lambda q: end(q)[1:], q, jnp.array([0.7, -v, 0.0]), restitution=e
         )
 
     velocities, impulses = each(drop, angle)

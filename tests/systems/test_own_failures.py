@@ -250,10 +250,7 @@ class Misspelt(Juggler):
     ("make", "said"),
     [
         (Unnamed, "failure of Unnamed must be one of FORWARD, .*, not 'hits_the_ceiling'"),
-        (
-            Elsewhere,
-            "guards of a mode of Elsewhere must lead to an Outcome, not to 99: fail",
-        ),
+        (Elsewhere, "guards of a mode of Elsewhere must lead to an Outcome, not to 99: fail"),
         (Misspelt, "at_end of a mode of Misspelt must lead to a failure, not to 'sticks'"),
         (Unknown, "guards of a mode of Unknown must lead to an Outcome, not to .*OWN_3"),
         (

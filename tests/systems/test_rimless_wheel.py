@@ -218,10 +218,7 @@ def angular_momenta(wheel, state, rates, foot):
     cross = lambda r, v: r[0] * v[1] - r[1] * v[0]
     spin = -wheel.torso_inertia * psidot
     about_hub = wheel.torso_mass * cross(arm, torso) + spin
-    return (
-        cross(-foot, hub) + wheel.torso_mass * cross(arm - foot, torso) + spin,
-        about_hub,
-    )
+    return cross(-foot, hub) + wheel.torso_mass * cross(arm - foot, torso) + spin, about_hub
 
 
 def test_a_strike_keeps_angular_momentum_about_foot_and_hub():

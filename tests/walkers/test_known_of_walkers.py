@@ -14,8 +14,6 @@ import walker_jax as wj
 from walker_jax.multibody import System
 from walker_jax.walkers.model import Scalar, moves_like
 
-# What is known of a walker, and of which others it is not
-
 
 class TorqueWalker(wj.SimplestWalker):
     """A hip torque that brings the swing leg to an angle."""

@@ -43,8 +43,7 @@ def test_without_motors_it_is_the_plain_walker_to_the_bit(plain, powered):
 
 
 @pytest.mark.parametrize(
-    "push_off",
-    [0.05, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.01, 0.1))],
+    "push_off", [0.05, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.01, 0.1))]
 )
 def test_on_level_ground_push_off_makes_up_for_heel_strike(push_off):
     gaits = wj.find_gaits(wj.PoweredWalker(0.0, push_off=push_off))

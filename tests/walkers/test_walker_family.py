@@ -78,10 +78,7 @@ def derivative_cases():
         SpringWalker: (SpringWalker(0.009, 0.5), [0.19, -0.19]),
         PointFootWalker: (PointFootWalker(0.009, 0.01), [0.2, -0.2]),
         RoundFootWalker: (RoundFootWalker(0.01, leg_length=1.2), [0.189, -0.239, -0.0514]),
-        UpperBodyWalker: (
-            UpperBodyWalker(0.01, body_inertia=0.01),
-            [0.196, -0.2434, -0.033],
-        ),
+        UpperBodyWalker: (UpperBodyWalker(0.01, body_inertia=0.01), [0.196, -0.2434, -0.033]),
     }
     fast = {PointFootWalker}
     return [

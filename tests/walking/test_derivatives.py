@@ -173,12 +173,7 @@ def test_derivatives_of_what_fails_are_nan_without_kernels(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("quantity", "modes"),
-    [
-        ("stride", "forward"),
-        ("stride", "reverse"),
-        ("gait", "forward"),
-        ("gait", "reverse"),
-    ],
+    [("stride", "forward"), ("stride", "reverse"), ("gait", "forward"), ("gait", "reverse")],
 )
 def test_hessians_are_differences_of_gradients(quantity, modes, monkeypatch):
     """Of the simplest walker, in three of the four modes: forward of reverse, and two alike."""
@@ -204,8 +199,7 @@ def starts(cls, count=5):
 
 
 @pytest.mark.parametrize(
-    "cls",
-    [cls if cls is SimplestWalker else pytest.param(cls, marks=SLOW) for cls in STARTS],
+    "cls", [cls if cls is SimplestWalker else pytest.param(cls, marks=SLOW) for cls in STARTS]
 )
 def test_strides_of_many_walkers_and_starts_are_those_of_each(cls):
     """To the bit, whichever is mapped first."""

@@ -182,14 +182,8 @@ RULES = {
         LimitedWalker(*jnp.array([0.01, -1.0, -0.05])),
         Legs(0.01, falls=((2, lambda y: y[:, 2] + 0.05), (1, lambda y: -1.0 - y[:, 0]))),
     ),
-    "far": (
-        FarWalker(*jnp.array([0.01, -0.2])),
-        Legs(0.01, ahead=lambda y: y[:, 0] < -0.2),
-    ),
-    "band": (
-        BandWalker(0.01),
-        Legs(0.01, ahead=lambda y: (y[:, 0] < -0.2) & (y[:, 0] > -0.23)),
-    ),
+    "far": (FarWalker(*jnp.array([0.01, -0.2])), Legs(0.01, ahead=lambda y: y[:, 0] < -0.2)),
+    "band": (BandWalker(0.01), Legs(0.01, ahead=lambda y: (y[:, 0] < -0.2) & (y[:, 0] > -0.23))),
     "renamed": (
         RenamedWalker(0.01),
         Legs(0.01, falls=(FALLS[0], (int(Outcome.SIDEWAYS), FALLS[1][1]))),
