@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from henon import as_map
 
 import walker_jax as wj
 from walker_jax.stability.robustness_fields import summarise_robustness
@@ -53,16 +54,12 @@ def run(run, monkeypatch, tmp_path):
     sys.modules.pop("my_maps", None)
 
 
-def henon(x, a, b):
-    return jnp.stack([1 - a * x[0] ** 2 + x[1], b * x[0]])
-
-
 def stays(x, a, b):
     return 100 - jnp.sum(x**2)
 
 
 def own(a: float = 1.02) -> wj.Map:
-    return wj.Map(henon, ("x", "y"), parameters={"a": a, "b": 0.3}, feasible=stays)
+    return as_map(a, feasible=stays)
 
 
 def test_a_basin_is_that_of_the_library_and_kept_for_its_code(run, tmp_path):

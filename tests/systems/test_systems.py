@@ -1,11 +1,10 @@
 """Maps and hybrid systems in place of walkers, against values that were computed independently."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from henon import as_map
 from reference import read_values
 from scipy.integrate import solve_ivp
 from scipy.optimize import root, root_scalar
@@ -13,14 +12,6 @@ from scipy.optimize import root, root_scalar
 import walker_jax as wj
 
 REFERENCE = read_values("systems")
-
-
-def henon(x, a, b):
-    return jnp.stack([1 - a * x[0] ** 2 + x[1], b * x[0]])
-
-
-def as_map(a: float, **more: Any) -> wj.Map:
-    return wj.Map(henon, ("x", "y"), parameters={"a": a, "b": 0.3}, **more)
 
 
 # Maps
