@@ -55,5 +55,23 @@ def newton(walker, x, period=1, step=1e-4):
         x = x + change
         if np.abs(change).max() < 1e-11:
             break
-    multipliers = np.linalg.eigvals(differences(walk, x, np.full(len(x), step)))
-    return x[None], multipliers[np.lexsort((-multipliers.imag, -np.abs(multipliers)))]
+    return x[None], multipliers_of(differences(walk, x, np.full(len(x), step)))
+
+
+def multipliers_of(jacobian):
+    """Its eigenvalues, in the order of those of a gait."""
+    values = np.linalg.eigvals(jacobian)
+    return values[np.lexsort((-values.imag, -np.abs(values)))]
+
+
+def assert_gait(gait, stride, step, tolerance):
+    """The first state and the multipliers of a gait are those of `stride`, an independent one.
+
+    Newton's iteration by `stride` alone would move the state by 1e-11 at most.
+    """
+    x = np.asarray(gait.states[0])
+    jacobian = differences(lambda xs: np.array([stride(x) for x in xs]), x, np.full(len(x), step))
+    change = np.linalg.solve(jacobian - np.eye(len(x)), x - stride(x))
+    np.testing.assert_allclose(change, 0, atol=1e-11)
+    found = gait.multipliers
+    np.testing.assert_allclose(found, multipliers_of(jacobian), rtol=0, atol=tolerance)

@@ -59,28 +59,25 @@ def errors_of(general, simplest, at):
     return np.max(np.abs(np.asarray(found) - np.asarray(expected)), axis=1)
 
 
-def test_motion_and_contact_force_have_the_limit_of_the_paper():
-    """(7) and (8) from (4)."""
+def motion_and_contact_force(walker, state):
+    """(7) and (8) are the limit of (4)."""
+    rates = walker.vector_field(state)
+    return jnp.stack([rates.thetadot, rates.phidot, *walker.contact_force(state)])
 
-    def look(walker, state):
-        rates = walker.vector_field(state)
-        return jnp.stack([rates.thetadot, rates.phidot, *walker.contact_force(state)])
 
+def impact_and_impulse(walker, state):
+    """(18) and (19) are the limit of (17)."""
+    foot, after = walker.impact(state)
+    return jnp.stack([*foot, after.thetadot, after.phidot, *walker.impulse(state)])
+
+
+@pytest.mark.parametrize(
+    ("look", "at"), [(motion_and_contact_force, states), (impact_and_impulse, strikes)]
+)
+def test_motion_and_impact_have_the_limit_of_the_paper(look, at):
     general = lambda beta, state: look(PointFootWalker(0.03, beta), state)
     simplest = lambda state: look(SimplestWalker(0.03), state)
-    assert_in_proportion(errors_of(general, simplest, states()))
-
-
-def test_impact_and_impulse_have_the_limit_of_the_paper():
-    """(18) and (19) from (17)."""
-
-    def look(walker, state):
-        foot, after = walker.impact(state)
-        return jnp.stack([*foot, after.thetadot, after.phidot, *walker.impulse(state)])
-
-    general = lambda beta, state: look(PointFootWalker(0.03, beta), state)
-    simplest = lambda state: look(SimplestWalker(0.03), state)
-    assert_in_proportion(errors_of(general, simplest, strikes()))
+    assert_in_proportion(errors_of(general, simplest, at()))
 
 
 @pytest.mark.slow
