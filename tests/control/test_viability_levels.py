@@ -26,7 +26,7 @@ def oblique_grid(count: int) -> wj.Grid:
     return wj.Grid.plain(x=(-1, 1, count), y=(-1, 1, count))
 
 
-def test_bounds_hold_the_kernel_of_a_closed_form_and_close_in_on_its_area():
+def test_bounds_close_in_on_the_kernel_of_a_closed_form():
     """Images of cells are parallelograms here, which their boxes hold without an error."""
     data = wj.viable(PUSHED, oblique_grid(24), ACTIONS, levels=3)
     grid = oblique_grid(192)
@@ -45,7 +45,7 @@ def test_bounds_hold_the_kernel_of_a_closed_form_and_close_in_on_its_area():
     assert not held[~data["outer"].values.ravel()].any()
 
 
-def test_refined_bounds_are_those_of_a_fine_grid_for_a_fraction_of_its_strides():
+def test_refined_bounds_are_those_of_a_fine_grid_for_less():
     fine = wj.viable(PUSHED, oblique_grid(96), ACTIONS)
     refined = wj.viable(PUSHED, oblique_grid(24), ACTIONS, levels=2)
     assert np.array_equal(refined["inner"], fine["inner"])
@@ -97,7 +97,7 @@ def test_parts_at_the_edges_of_the_grid_stay_within_the_bounds(gain, axes):
     assert kernel.all() if gain < 0 else not kernel.any()
 
 
-def test_a_walkers_bounds_are_within_each_other_and_a_policy_takes_them():
+def test_bounds_lie_within_each_other_and_a_policy_takes_them():
     walker, actions = wj.PoweredWalker(0.004), {"push_off": (0.0, 0.08, 9)}
     coarse = wj.Grid.sheared(theta=(0.05, 0.45, 40), sum=(-0.05, 0.01, 48))
     fine = wj.Grid.sheared(theta=(0.05, 0.45, 80), sum=(-0.05, 0.01, 96))
