@@ -248,7 +248,7 @@ def failing(what, status):
     ],
     ids=["the driver", "a card", "a driver that takes the PTX", "room for a launch"],
 )
-def test_where_a_part_is_missing_the_next_route_is_taken(remove, reason, switched_on, monkeypatch):
+def test_where_a_part_is_missing(remove, reason, switched_on, monkeypatch):
     remove(monkeypatch, switched_on)
     assert gpu.route_in_use() is BY_XLA
     assert gpu.failure_of(BY_HANDLER) == reason
@@ -258,7 +258,7 @@ def test_where_a_part_is_missing_the_next_route_is_taken(remove, reason, switche
     assert len(switched_on.launches) == before + 1
 
 
-def test_where_xlas_interface_is_unknown_the_next_route_is_taken(switched_on, monkeypatch):
+def test_where_xlas_interface_is_unknown(switched_on, monkeypatch):
     monkeypatch.setattr(gpu.ffi, "VERSION", (0, 10**6))
     with pytest.warns(RuntimeWarning, match="more slowly"):
         assert gpu.route_in_use() is BY_XLA
@@ -286,7 +286,7 @@ def test_without_a_gpu_xla_computes(card, monkeypatch):
     assert not card.launches
 
 
-def test_where_no_compiler_for_cards_is_xla_computes(switched_on, monkeypatch):
+def test_without_a_compiler_for_cards(switched_on, monkeypatch):
     def no_target(_):
         raise RuntimeError("No available targets are compatible with triple")
 

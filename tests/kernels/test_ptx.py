@@ -195,7 +195,7 @@ def test_a_program_is_found_on_disk(folder):
 
 
 @pytest.mark.parametrize("what", ["CARD", "PTX_VERSION", "THREADS", "REGISTERS", "libdevice"])
-def test_a_name_on_disk_tells_all_that_a_program_depends_on(what, monkeypatch):
+def test_a_name_on_disk_tells_all_of_a_program(what, monkeypatch):
     monkeypatch.setattr(ptx, "ptx_of", lambda source: "PTX")
     like = [jax.ShapeDtypeStruct((2,), float)]
     closed = closed_of(lambda x: 2 * x, np.ones(2))
@@ -264,7 +264,7 @@ def test_an_exported_program_has_no_call(driver):
     assert "custom_call" not in exported.mlir_module()
 
 
-def test_where_xla_has_no_stream_its_words_are_passed_on(driver, monkeypatch):
+def test_what_xla_says_without_a_stream(driver, monkeypatch):
     """The function that is asked is that for streams, and errors of XLA reach XLA."""
     register = ffi.register
     monkeypatch.setattr(ffi, "registrations", {})
