@@ -1,74 +1,66 @@
 """Policies: actions as a function of the state."""
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int32
 
+from walker_jax.basins.memory import check_grid
 from walker_jax.basins.volumes import grid_of
-from walker_jax.checks import WrongUse, check_kind
+from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.control.actions import Actions
+from walker_jax.control.least_effort import effort_of, find_least_effort
+from walker_jax.control.longest_walks import NODES, find_longest
+from walker_jax.control.steered import SteeredWalker, steer
+from walker_jax.control.viability import map_actions
+from walker_jax.grids import Grid
+from walker_jax.integrators.integrator import integrator_of
+from walker_jax.stability.rough_ground import RandomDisturbance, read_ground
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.maps import Map
 from walker_jax.systems.outcomes import names_in
-from walker_jax.systems.system import System, check_single, code_field, numbers_of
-from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.stride import stride
+from walker_jax.systems.system import System, check_single, numbers_of
+from walker_jax.walkers.model import check_planar
+
+OBJECTIVES = "fewest-strides", "least-effort", "steps-to-fall"
 
 
-class Steered(Map):
-    """A system whose parameters are set anew before each stride."""
-
-    steered: Callable[[dict[str, Any]], System] = code_field()
-    """The system without a policy, with values of its parameters."""
-
-    def __init__(self, advance: Callable, steered: Callable, walker: System):
-        feasible = lambda x, **parameters: steered(parameters).feasible(x)
-        own = numbers_of(walker)
-        super().__init__(advance, walker.section, parameters=own, feasible=feasible)
-        self.steered = steered
-
-    def advance(self, x):
-        return self.f(x, **self.parameters)
-
-    def margin(self, x):
-        return self.steered(self.parameters).margin(x)
-
-    def gait_region(self):
-        return self.steered(self.parameters).gait_region()
-
-    def further_gait_region(self):
-        return self.steered(self.parameters).further_gait_region()
-
-
-@functools.cache
-def steered_with(failures: tuple[str, ...]) -> type[Steered]:
-    """`Steered`, with the failures that a system has of its own."""
-    return type("Steered", (Steered,), {"failures": failures}) if failures else Steered
-
-
-def Policy(walker: System, data: xr.Dataset) -> System:
-    """The system with the actions that `viable` found, chosen anew before each stride.
+def Policy(
+    walker: System,
+    data: xr.Dataset,
+    objective: str = "fewest-strides",
+    *,
+    ground: float | RandomDisturbance | None = None,
+) -> System:
+    """The system with the best of the actions that `viable` was given, chosen before each stride.
 
     In a cell with an action, parameters are interpolated linearly along each axis between the
-    centres of that cell and of neighbours with actions, so they have derivatives. Elsewhere, in the
-    target and off the kernel, they are the system's own: a walker in the target converges to its
-    attractor.
+    centres of that cell and of neighbours with actions, so they have derivatives. Elsewhere they
+    are the system's own.
 
     The result is a system like any other, with the parameters of `walker`: its basin, its
-    robustness and all else are computed as usual.
+    robustness and all else are computed as usual. Of a walker it is a walker, which walks on rough
+    ground too: it acts by the section's coordinates, and does not know the disturbances to come.
 
     **Arguments:**
 
     - `walker`: the one that `viable` was given, or one like it with other parameters.
     - `data`: what `viable` returned.
+    - `objective`: "fewest-strides" into the target, as `data` has them, or "least-effort" on the
+      way there: the squares of how far parameters are from the walker's own values, in parts of the
+      range of actions, summed. In the target and off the kernel no action is taken, so a walker in
+      the target converges to its attractor. Or "steps-to-fall": the most strides, on average, until
+      a fall on rough `ground`; then actions are taken in all of the kernel.
+    - `ground`: as in `steps_to_fall`, which tells how long the policy lasts there.
 
-    Raises `ValueError` for another data set, or one of another section.
+    Raises `ValueError` for another data set, or one of another section, for another objective, and
+    for rough ground without it or the other way round, or of what is no walker in the plane.
     """
     check_kind("walker", walker, System)
+    if isinstance(walker, SteeredWalker):
+        raise WrongUse(f"walker must be one without a policy, not a {walker.label()}")
     check_single(walker)
     check_kind("data", data, xr.Dataset)
     check_dataset(data, "viability")
@@ -79,34 +71,58 @@ def Policy(walker: System, data: xr.Dataset) -> System:
         )
     for name in {*names} - {*numbers_of(walker)}:
         raise WrongUse(f"walker must have the parameter {name}, which the actions set")
-    tolerance = float(data.attrs["tolerance"])
-    table = np.stack([data[name].values[data["action"].values] for name in names], axis=-1)
-    choose = interpolate_actions(data, table)
+    if objective not in OBJECTIVES:
+        raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {short(objective)}")
+    if (ground is None) == (objective == "steps-to-fall"):
+        wrong = "required for" if ground is None else "for the objective steps-to-fall, not for"
+        raise WrongUse(f"ground is {wrong} {objective}")
+    actions = Actions(tuple(names), np.stack([data[name].values for name in names], axis=-1))
+    if objective == "fewest-strides":
+        action = data["action"].values
+    elif objective == "least-effort":
+        action = easiest(walker, data, actions)
+    else:
+        action = longest(walker, data, actions, read_ground(ground))
+    choose = interpolate_actions(grid_of(data), action, actions.values)
+    return steer(walker, tuple(names), choose, float(data.attrs["tolerance"]))
 
-    def steered(parameters):
-        acting = walker
-        for name, value in parameters.items():
-            acting = with_parameter(acting, name, value)
-        return acting
 
-    def advance(x, **parameters):
-        own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
-        chosen = dict(zip(names, choose(x, own), strict=True))
-        return stride(steered(parameters | chosen), x, tolerance=tolerance)[:3]
+def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndarray, "*shape"]:
+    """The actions of least effort; those of `data` where no way leads into the target."""
+    grid, integrator = grid_of(data), integrator_for(data)
+    points, _ = map_actions(walker, grid, actions, integrator, bounds=False, progress=False)
+    known, target = data["action"].values, data["capture"].values == 0
+    action, _ = find_least_effort(points, target.ravel(), effort_of(walker, actions))
+    action = action.reshape(grid.shape)
+    return np.where(action >= 0, action, known)
 
-    advance.__name__ = f"Steered{walker.label()}"
-    return steered_with(tuple(walker.failures))(advance, steered, walker)
+
+def longest(
+    walker: System, data: xr.Dataset, actions: Actions, ground: RandomDisturbance
+) -> Int32[np.ndarray, "*shape"]:
+    """The actions of the longest walks on rough ground."""
+    check_planar(walker)
+    grid, kernel = grid_of(data), data["viable"].values.ravel()
+    each = 4 * len(grid.names) * NODES * len(actions.values) * int(kernel.sum()) // grid.size
+    check_grid(walker, grid, "cell-map", each)
+    action, _ = find_longest(walker, grid, actions, kernel, ground, integrator_for(data))
+    return action.reshape(grid.shape)
+
+
+def integrator_for(data: xr.Dataset) -> Any:
+    """The integrator by which a kernel was made."""
+    return integrator_of(jnp.asarray(0.0).dtype, float(data.attrs["tolerance"]))
 
 
 def interpolate_actions(
-    data: xr.Dataset, table: Float[np.ndarray, "*shape parameters"]
+    grid: Grid,
+    action: Int32[np.ndarray, "*shape"],
+    values: Float[np.ndarray, "m parameters"],
 ) -> Callable[[Array, Array], Array]:
     """A function of a point and of own values of parameters: the values between cells with actions,
     and the own ones elsewhere."""
-    acts = data["action"].values >= 0
-    grid = grid_of(data)
-    counts, d = np.array(acts.shape), acts.ndim
-    flat, has = table.reshape(-1, table.shape[-1]), acts.ravel()
+    counts, d = np.array(action.shape), action.ndim
+    flat, has = values[action.ravel()], action.ravel() >= 0
     steps = np.append(np.cumprod(counts[:0:-1])[::-1], 1).astype(np.int32)
 
     def choose(x: Float[Array, " section"], own: Float[Array, " parameters"]) -> Any:

@@ -136,9 +136,9 @@ def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
     return make_stride(state, outcome, jnp.asarray(time, x.dtype))
 
 
-def code_field() -> Any:
+def code_field(**settings: Any) -> Any:
     """A static field of what is part of a system's code, such as a function that it is made of."""
-    return eqx.field(static=True, metadata={"code": True})
+    return eqx.field(static=True, metadata={"code": True}, **settings)
 
 
 def is_code(field: dataclasses.Field) -> bool:

@@ -80,7 +80,7 @@ def Feedback(
     feedback.
     """
     check_kind("walker", walker, Walker)
-    if isinstance(walker, FeedbackWalker):
+    if type(walker).during_stride is not Walker.during_stride:
         raise WrongUse(f"walker must be one without feedback, not a {type(walker).__name__}")
     check_kind("gains", gains, Mapping)
     bounds = {} if bounds is None else bounds

@@ -1,0 +1,113 @@
+"""Systems whose parameters are set anew before each stride, by a function of the state."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from walker_jax.systems.maps import Map
+from walker_jax.systems.system import System, code_field, numbers_of
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.stride import stride
+
+Choice = Callable[[Float[Array, " section"], Float[Array, " parameters"]], Any]
+"""Values of parameters in a state, given the system's own ones."""
+
+
+def steer(system: System, names: tuple[str, ...], choose: Choice, tolerance: float) -> System:
+    """The system with parameters that are chosen before each stride; of a walker, a walker.
+
+    `tolerance` is that of strides of a system that is no walker: its policy is a map.
+    """
+    if isinstance(system, Walker):
+        return remake(type(system), names, choose, vars(system))
+
+    def steered(parameters: dict[str, Any]) -> System:
+        acting = system
+        for name, value in parameters.items():
+            acting = with_parameter(acting, name, value)
+        return acting
+
+    def advance(x, **parameters):
+        own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
+        chosen = dict(zip(names, choose(x, own), strict=True))
+        return stride(steered(parameters | chosen), x, tolerance=tolerance)[:3]
+
+    advance.__name__ = f"Steered{system.label()}"
+    return steered_map(tuple(system.failures))(advance, steered, system)
+
+
+class SteeredWalker(Walker):
+    """A walker whose parameters are set anew at each heel strike."""
+
+    chosen: eqx.AbstractClassVar[tuple[str, ...]]
+    """Names of these parameters."""
+    steered: eqx.AbstractClassVar[type[Walker]]
+    """The walker without a policy, which may have feedback of its own."""
+    choose: eqx.AbstractVar[Choice]
+
+    def during_stride(self, x):
+        own = jnp.stack([jnp.asarray(getattr(self, name), x.dtype) for name in self.chosen])
+        walker = self
+        for name, value in zip(self.chosen, self.choose(x, own), strict=True):
+            walker = with_parameter(walker, name, value)
+        return self.steered.during_stride(walker, x)
+
+    def __reduce__(self):
+        values = {name: value for name, value in vars(self).items() if name != "choose"}
+        return remake, (self.steered, self.chosen, self.choose, values)
+
+
+def remake(kind: type[Walker], names: tuple[str, ...], choose: Choice, values: dict) -> Walker:
+    """The steered walker of these parameters."""
+    return steered_class(kind, names)(**values, choose=choose)
+
+
+@functools.cache
+def steered_class(kind: type[Walker], names: tuple[str, ...]) -> type[Walker]:
+    """The class of walkers of a kind of which some parameters are chosen."""
+    namespace = {
+        "__annotations__": {"choose": Any},
+        "__module__": __name__,
+        "__doc__": f"A `{kind.__name__}` whose {', '.join(names)} is chosen at each heel strike.",
+        "choose": code_field(kw_only=True),
+        "chosen": names,
+        "steered": kind,
+    }
+    metaclass: Any = type(kind)
+    return metaclass(f"Steered{kind.__name__}", (SteeredWalker, kind), namespace)
+
+
+class Steered(Map):
+    """A system that is no walker, whose parameters are set anew before each stride."""
+
+    steered: Callable[[dict[str, Any]], System] = code_field()
+    """The system without a choice, with values of its parameters."""
+
+    def __init__(self, advance: Callable, steered: Callable, system: System):
+        feasible = lambda x, **parameters: steered(parameters).feasible(x)
+        own = numbers_of(system)
+        super().__init__(advance, system.section, parameters=own, feasible=feasible)
+        self.steered = steered
+
+    def advance(self, x):
+        return self.f(x, **self.parameters)
+
+    def margin(self, x):
+        return self.steered(self.parameters).margin(x)
+
+    def gait_region(self):
+        return self.steered(self.parameters).gait_region()
+
+    def further_gait_region(self):
+        return self.steered(self.parameters).further_gait_region()
+
+
+@functools.cache
+def steered_map(failures: tuple[str, ...]) -> type[Steered]:
+    """`Steered`, with the failures that a system has of its own."""
+    return type("Steered", (Steered,), {"failures": failures}) if failures else Steered
