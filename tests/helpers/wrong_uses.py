@@ -200,6 +200,15 @@ def zeros(kind: str, grid: str = "theta sum", size: int = 3) -> xr.Dataset:
     return data
 
 
+def viability() -> xr.Dataset:
+    """One of the simplest walker with push-off, over 2 x 2 cells."""
+    frame = {"axis": ("axis", ["theta", "sum"]), "upper": ("axis", [1.0, 1.0])}
+    frame |= {"shear": (("coordinate", "axis"), [[1.0, 0.0], [-1.0, 1.0]])}
+    about = {"section": ["theta", "thetadot"], "actions": ["push_off"], "tolerance": 1e-12}
+    data = zeros("viability", size=2).assign(push_off=("action_number", [0.0]))
+    return data.assign(frame).assign_attrs(about)
+
+
 def walks_to(state: list, outcome: int = 0) -> DisturbedWalk:
     """As many walks as the stochastic map begins with, which all end in one state."""
     count = stochastic_map.PILOT_WALKS
@@ -257,6 +266,7 @@ def names() -> dict[str, Any]:
         "MANY": jax.vmap(wj.SimplestWalker)(jnp.array([0.004, 0.005])),
         "NONE": jax.vmap(wj.SimplestWalker)(jnp.zeros(0)),
         "GRID": wj.Grid.sheared(**axes),
+        "ACTED": viability(),
         "SLICE": wj.Grid.sheared(**axes, phidot=-0.05),
         "GAIT": gait([[0.2, -0.2]], 0.5),
         "UNSTABLE": gait([[0.2, -0.2]], -1.25),

@@ -25,7 +25,10 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 
 DRAWS, NODES = 2**16, 13
-"""Disturbances that are drawn, and those that stand for them."""
+"""Disturbances that are drawn; and those that stand for them, if they vary in one way. In two ways
+there are four times as many, in three nine times."""
+SAME = 1e-6
+"""Scatter, relative, up to which draws are the same but for rounding."""
 SEED = 2009
 """Of these draws: walks have other random numbers."""
 STRIDES_PER_ROUND, MAX_ROUNDS = 50, 60
@@ -59,15 +62,15 @@ def find_longest(
     grid: Grid,
     actions: Actions,
     kernel: Bool[np.ndarray, " n"],
-    ground: RandomDisturbance,
+    nodes: Nodes,
     integrator: Integrator,
 ) -> tuple[Int32[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The best action of each cell of a kernel, else -1; and mean strides to a fall, of a horizon.
+    """The best action of each cell of a kernel, else -1; and mean strides to a fall, up to a horizon.
 
-    The horizon grows until the actions no longer change, which they do as soon as walks forget
+    The disturbances are `nodes`. The horizon grows until the actions no longer change, which they do as soon as walks forget
     where they began.
     """
-    spread = disturbed_strides(walker, grid, actions, kernel, choose_nodes(ground), integrator)
+    spread = disturbed_strides(walker, grid, actions, kernel, nodes, integrator)
     value = np.zeros(grid.size)
     action = np.zeros(len(spread.cells), np.int32)
     for number in range(MAX_ROUNDS):
@@ -86,24 +89,27 @@ def choose_nodes(ground: RandomDisturbance) -> Nodes:
     """Disturbances spread over all that are drawn, each with the share of those nearest to it.
 
     The first is nearest to their mean; each next one is farthest from those before, as the rare
-    ones count most for falls.
+    ones count most for falls. Their variance is that of all.
     """
     drawn = np.asarray(draw(ground, jax.random.split(jax.random.key(SEED), DRAWS), 0, 1))[:, 0]
-    scale = drawn.std(axis=0)
-    points = drawn[:, scale > 0] / scale[scale > 0]
-    chosen = [int((points**2).sum(axis=1).argmin())]
-    distance = np.full(DRAWS, np.inf)
-    nearest = np.zeros(DRAWS, int)
-    for number in range(NODES):
-        apart = ((points - points[chosen[-1]]) ** 2).sum(axis=1)
-        nearest = np.where(apart < distance, number, nearest)
+    centre, scale = drawn.mean(axis=0), drawn.std(axis=0)
+    varied = scale > SAME * np.abs(centre)
+    points = (drawn - centre)[:, varied] / scale[varied]
+    farthest = int((points**2).sum(axis=1).argmin())
+    distance, nearest = np.full(DRAWS, np.inf), np.zeros(DRAWS, int)
+    for number in range(NODES * max(1, np.count_nonzero(varied)) ** 2):
+        apart = ((points - points[farthest]) ** 2).sum(axis=1)
+        nearest[apart < distance] = number
         distance = np.minimum(distance, apart)
-        if not distance.max() > 0:
+        farthest = int(distance.argmax())
+        if distance[farthest] == 0:
             break
-        chosen.append(int(distance.argmax()))
-    counts = np.bincount(nearest)
-    means = np.stack([np.bincount(nearest, column) for column in drawn.T], axis=1) / counts[:, None]
-    return Nodes(means, counts / DRAWS)
+    weights = np.bincount(nearest) / DRAWS
+    sums = [np.bincount(nearest, column) for column in points.T]
+    means = np.reshape(sums, (-1, len(weights))).T / (DRAWS * weights[:, None])
+    values = np.tile(centre, (len(weights), 1))
+    values[:, varied] += scale[varied] * means / np.sqrt(weights @ means**2)
+    return Nodes(values.astype(drawn.dtype), weights)
 
 
 def disturbed_strides(

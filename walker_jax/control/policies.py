@@ -13,7 +13,7 @@ from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.control.actions import Actions
 from walker_jax.control.least_effort import effort_of, find_least_effort
-from walker_jax.control.longest_walks import NODES, find_longest
+from walker_jax.control.longest_walks import choose_nodes, find_longest
 from walker_jax.control.steered import SteeredWalker, steer
 from walker_jax.control.viability import map_actions
 from walker_jax.grids import Grid
@@ -102,10 +102,10 @@ def longest(
 ) -> Int32[np.ndarray, "*shape"]:
     """The actions of the longest walks on rough ground."""
     check_planar(walker)
-    grid, kernel = grid_of(data), data["viable"].values.ravel()
-    each = 4 * len(grid.names) * NODES * len(actions.values) * int(kernel.sum()) // grid.size
-    check_grid(walker, grid, "cell-map", each)
-    action, _ = find_longest(walker, grid, actions, kernel, ground, integrator_for(data))
+    grid, kernel, nodes = grid_of(data), data["viable"].values.ravel(), choose_nodes(ground)
+    strides = int(kernel.sum()) * len(actions.values) * len(nodes.weights)
+    check_grid(walker, grid, "cell-map", 4 * len(grid.names) * strides // grid.size)
+    action, _ = find_longest(walker, grid, actions, kernel, nodes, integrator_for(data))
     return action.reshape(grid.shape)
 
 
