@@ -65,10 +65,10 @@ def find_longest(
     nodes: Nodes,
     integrator: Integrator,
 ) -> tuple[Int32[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The best action of each cell of a kernel, else -1; and mean strides to a fall, up to a horizon.
+    """The best action of each cell of a kernel, else -1; and the mean strides of walks from there.
 
-    The disturbances are `nodes`. The horizon grows until the actions no longer change, which they do as soon as walks forget
-    where they began.
+    These are strides up to a horizon, which grows until the actions no longer change. They do not
+    as soon as walks forget where they began.
     """
     spread = disturbed_strides(walker, grid, actions, kernel, nodes, integrator)
     value = np.zeros(grid.size)
