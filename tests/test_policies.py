@@ -208,3 +208,16 @@ def test_a_policy_is_made_anew_of_its_parts_as_it_is_in_another_process(data):
     assert type(sent) is type(steered)
     x = np.array([0.25, -0.27])
     np.testing.assert_array_equal(wj.stride(sent, x).state, wj.stride(steered, x).state)
+
+
+def test_a_policy_of_a_runner_begins_where_its_action_can():
+    """A flatter leg lands from lower apexes: the basin is the kernel, on the cells' own terms."""
+    runner, grid = wj.SpringMassRunner(), wj.Grid.plain(apex=(0.7, 2.2, 300))
+    data = wj.viable(runner, grid, {"angle": (0.8, 1.5, 71)}, bounds=False)
+    steered = wj.Policy(runner, data)
+    kernel = data["viable"].values
+    low = np.flatnonzero(kernel)[:40]
+    assert not jax.vmap(runner.feasible)(grid.centres(low)).any()
+    assert jax.vmap(steered.feasible)(grid.centres(low)).all()
+    followed = wj.basin(steered, grid, "direct")["attractor"].values >= 0
+    assert (followed & kernel).sum() > 0.98 * kernel.sum()

@@ -26,19 +26,21 @@ def steer(system: System, names: tuple[str, ...], choose: Choice, tolerance: flo
     if isinstance(system, Walker):
         return remake(type(system), names, choose, vars(system))
 
-    def steered(parameters: dict[str, Any]) -> System:
-        acting = system
+    def plain(parameters: dict[str, Any]) -> System:
+        made = system
         for name, value in parameters.items():
-            acting = with_parameter(acting, name, value)
-        return acting
+            made = with_parameter(made, name, value)
+        return made
+
+    def acting(x: Float[Array, " section"], parameters: dict[str, Any]) -> System:
+        own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
+        return plain(parameters | dict(zip(names, choose(x, own), strict=True)))
 
     def advance(x, **parameters):
-        own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
-        chosen = dict(zip(names, choose(x, own), strict=True))
-        return stride(steered(parameters | chosen), x, tolerance=tolerance)[:3]
+        return stride(acting(x, parameters), x, tolerance=tolerance)[:3]
 
     advance.__name__ = f"Steered{system.label()}"
-    return steered_map(tuple(system.failures))(advance, steered, system)
+    return steered_map(tuple(system.failures))(advance, plain, acting, system)
 
 
 class SteeredWalker(Walker):
@@ -85,26 +87,28 @@ def steered_class(kind: type[Walker], names: tuple[str, ...]) -> type[Walker]:
 class Steered(Map):
     """A system that is no walker, whose parameters are set anew before each stride."""
 
-    steered: Callable[[dict[str, Any]], System] = code_field()
+    plain: Callable[[dict[str, Any]], System] = code_field()
     """The system without a choice, with values of its parameters."""
+    acting: Callable[[Any, dict[str, Any]], System] = code_field()
+    """The system as it is during the stride from a point, given these values."""
 
-    def __init__(self, advance: Callable, steered: Callable, system: System):
-        feasible = lambda x, **parameters: steered(parameters).feasible(x)
+    def __init__(self, advance: Callable, plain: Callable, acting: Callable, system: System):
+        feasible = lambda x, **parameters: acting(x, parameters).feasible(x)
         own = numbers_of(system)
         super().__init__(advance, system.section, parameters=own, feasible=feasible)
-        self.steered = steered
+        self.plain, self.acting = plain, acting
 
     def advance(self, x):
         return self.f(x, **self.parameters)
 
     def margin(self, x):
-        return self.steered(self.parameters).margin(x)
+        return self.acting(x, self.parameters).margin(x)
 
     def gait_region(self):
-        return self.steered(self.parameters).gait_region()
+        return self.plain(self.parameters).gait_region()
 
     def further_gait_region(self):
-        return self.steered(self.parameters).further_gait_region()
+        return self.plain(self.parameters).further_gait_region()
 
 
 @functools.cache
