@@ -190,7 +190,8 @@ def test_sets_are_within_each_other_cell_by_cell(pushed):
     assert fixed.any() and not (fixed & ~kernel).any()  # 0.02 is one of the actions
 
 
-def test_bounds_close_in_on_the_area_as_cells_become_smaller():
+def test_bounds_close_in_on_the_area_with_the_size_of_cells():
+    """The first power of it, as boundaries are lines: half as large cells have half the gap."""
     gaps = []
     for finer in (1, 2, 4):
         counts = np.array([40, 48]) * finer
@@ -198,7 +199,18 @@ def test_bounds_close_in_on_the_area_as_cells_become_smaller():
         data = wj.viable(WALKER, grid, {"push_off": (0.0, 0.08, 33)})
         assert data.attrs["inner_area"] <= data.attrs["area"] <= data.attrs["outer_area"]
         gaps.append(data.attrs["outer_area"] - data.attrs["inner_area"])
-    assert gaps[2] < 0.75 * gaps[1] < 0.75 * gaps[0]
+    assert 0.9 < np.log2(gaps[0] / gaps[2]) / 2 < 1.3
+
+
+def test_areas_of_a_closed_form_are_off_by_no_more_than_cells_on_every_grid():
+    for count in (100, 210, 430, 870, 1750):
+        grid = wj.Grid.plain(rate=(0.0, 1.5, count))
+        about = wj.viable(PushedWheel(), grid, {"push": (0.0, 0.2, 8)}).attrs
+        inner, area, outer = (
+            (about[name] - (1.5 - LEAST)) / grid.cell_area
+            for name in ("inner_area", "area", "outer_area")
+        )
+        assert -3 <= inner <= 0 <= outer <= 3 and -0.5 <= area <= 0.5
 
 
 def test_actions_lead_where_they_should(pushed):
@@ -279,6 +291,27 @@ def test_the_picture_shades_viable_cells_and_names_the_failures(pushed):
     words = [text.get_text() for text in ax.findobj(Text)]
     assert {"falls backward", "target", "inner bound"} <= {*words}
     assert any(f"viable {pushed.attrs['area']:.4g}" in one.replace("\n", " ") for one in words)
+
+
+def test_the_picture_of_captured_sets_has_their_areas_and_the_basins_around_them(pushed):
+    capture = pushed["capture"].values
+    passive, followed = (
+        wj.basin(one, GRID, "direct") for one in (WALKER, wj.Policy(WALKER, pushed))
+    )
+    ax = figures.capturability(pushed, {"passive": passive, "policy": followed})
+    words = {text.get_text() for text in ax.findobj(Text)}
+    area = lambda cells: f"{cells.sum() * GRID.cell_area:.3g}"
+    assert f"target: {area(capture == 0)}" in words
+    assert f"1 stride: {area((capture == 0) | (capture == 1))}" in words
+    assert f"policy: {sum(followed.attrs['area']):.3g}" in words
+    assert "bound to fail" in words
+    (image,) = ax.get_images()
+    shown = np.asarray(image.get_array()).swapaxes(0, 1)
+    colours = [shown[capture == n][0] for n in range(3)]
+    assert all((shown[capture == n] == colours[n]).all() for n in range(3))
+    grey = [colour @ [0.3, 0.6, 0.1] for colour in colours]
+    assert grey[0] + 40 < grey[1] < grey[2] - 25  # told apart without colour too
+    assert len(ax.collections) == 2
 
 
 # The algorithms, against plain searches over random maps

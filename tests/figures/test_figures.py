@@ -236,6 +236,9 @@ VIABLE = completed(
             ),
             "safe_actions": (FATE == 0) * 2,
             "push_off": ("action_number", [0.0, 0.05, 0.1]),
+            "axis": ("axis", np.array(FATE.dims, object)),
+            "upper": ("axis", [1.0, 1.0]),
+            "shear": (("coordinate", "axis"), [[1.0, 0.0], [-1.0, 1.0]]),
         },
         attrs={"walker": "PoweredWalker", "walker_slope": 0.0165, "actions": ["push_off"]}
         | {"area": 0.01, "inner_area": 0.009, "outer_area": 0.011, "target_area": 0.001},
@@ -258,6 +261,7 @@ GIVEN_AXES: dict[str, Any] = {
     "boundary_dimension": [table()],
     "sweep": [swept(3, 2)],
     "leg_angles": [WALKED],
+    "capturability": [VIABLE],
     "viability": [VIABLE],
 }
 PARTS = ["title", "subtitle", "legend", "labels"]

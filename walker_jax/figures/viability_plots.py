@@ -1,4 +1,6 @@
-"""Pictures of what any control can do."""
+"""The viability kernel as a picture."""
+
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -59,18 +61,8 @@ def viability(
     with two cells or more along the first two.
     """
     check_dataset(data, "viability")
+    data, place = middle_plane(data)
     viable = data["viable"]
-    if viable.ndim not in (2, 3) or min(viable.shape[:2]) < 2:
-        raise WrongUse(
-            f"data must be viable over 2 x 2 cells or more, not over {dict(viable.sizes)}"
-        )
-    note = viability_note(data)
-    if viable.ndim == 3:
-        depth = str(viable.dims[2])
-        middle = viable.shape[2] // 2
-        note = f"{note}; slice at {coordinate_value(depth, float(data[depth][middle]))}"
-        data = data.isel({depth: middle})
-        viable = data["viable"]
     ax = new_axes(7, 5.4) if ax is None else ax
     x, y = map(str, viable.dims)
     extent = extent_of(data, x, y)
@@ -83,7 +75,7 @@ def viability(
     show_image(ax, image, extent)
     drawn = {"target": data["capture"].values == 0}
     drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
-    marks = [draw_boundary(ax, name, cells, extent) for name, cells in drawn.items()]
+    marks = [draw_boundary(ax, LINES[name], cells, extent) for name, cells in drawn.items()]
     bar = figure_of(ax).colorbar(scale, ax=ax)
     if labels:
         bar.set_label("share of safe actions")
@@ -91,7 +83,7 @@ def viability(
         ax,
         Shown(title, subtitle, legend, labels),
         title=walker_title(data),
-        note=note,
+        note=f"{viability_note(data)}{place}",
         x=x,
         y=y,
         legends=[
@@ -103,11 +95,28 @@ def viability(
     return ax
 
 
+def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, str]:
+    """The plane of a data set that is drawn, and where it is: of three axes, that in the middle."""
+    shown = data[name]
+    if shown.ndim not in (2, 3) or min(shown.shape[:2]) < 2:
+        raise WrongUse(
+            f"data must be {name} over 2 x 2 cells or more, not over {dict(shown.sizes)}"
+        )
+    if shown.ndim == 2:
+        return data, ""
+    depth, middle = str(shown.dims[2]), shown.shape[2] // 2
+    place = f"; slice at {coordinate_value(depth, float(data[depth][middle]))}"
+    return data.isel({depth: middle}), place
+
+
 def draw_boundary(
-    ax: Axes, name: str, cells: Bool[np.ndarray, "nx ny"], extent: Extent
+    ax: Axes,
+    line: tuple[str, str, float, Any],
+    cells: Bool[np.ndarray, "nx ny"],
+    extent: Extent,
 ) -> Line2D | None:
     """The line around a set of cells, and its sign in the legend; none if there are no cells."""
-    words, colour, width, kind = LINES[name]
+    words, colour, width, kind = line
     if not cells.any():
         return None
     left, right, low, high = extent
@@ -129,15 +138,19 @@ def draw_boundary(
 
 def viability_note(data: xr.Dataset) -> str:
     """The actions, and the areas."""
-    ranges = [
-        f"{name.replace('_', ' ')} from {data[name].min():g} to {data[name].max():g}"
-        for name in names_in(data, "actions")
-    ]
     area, target = data.attrs["area"], data.attrs["target_area"]
-    count = data.sizes["action_number"]
-    words = f"{count} actions, {' and '.join(ranges)}: viable {area:.4g}"
+    words = f"{actions_in_words(data)}: viable {area:.4g}"
     if "inner_area" in data.attrs:
         cut = data.sizes.get("level", 1) - 1
         words += f" ({data.attrs['inner_area']:.4g} to {data.attrs['outer_area']:.4g}"
         words += f", {cut} level{'s' * (cut > 1)} of finer cells)" if cut else ")"
     return f"{words}, target {target:.4g}"
+
+
+def actions_in_words(data: xr.Dataset) -> str:
+    """How many actions there are, and of which ranges."""
+    ranges = [
+        f"{name.replace('_', ' ')} from {data[name].min():g} to {data[name].max():g}"
+        for name in names_in(data, "actions")
+    ]
+    return f"{data.sizes['action_number']} actions, {' and '.join(ranges)}"
