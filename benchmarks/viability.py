@@ -9,7 +9,7 @@ areas are of one window each:
   with the best of 41 stiffnesses;
 - `constant`: of the largest basin that one of the actions has if it is taken at every stride;
 - `linear`: of the largest basin with linear feedback from the state within the same limits, of
-  parameters c + K x, by differential evolution of c and K;
+  parameters c + K x, by differential evolution of c and K from the best constant action on;
 - `1`, `2`: of states that lead into the passive basin within so many strides (1- and 2-step
   capturable);
 - `kernel`: of the viability kernel, from which some choice of actions goes on for ever, and what it
@@ -183,22 +183,24 @@ def linear_feedback(walker, data, coarse):
     """The system with the linear feedback of the largest basin that is found."""
     names = list(data.attrs["actions"])
     limits = {name: (float(data[name].min()), float(data[name].max())) for name in names}
+    actions = [with_action(walker, data, k) for k in range(data.sizes["action_number"])]
+    best = max(actions, key=lambda one: area(one, coarse))
     if isinstance(walker, wj.SpringMassRunner):
-        free = {"angle": limits["angle"], "angle_per_apex": (-2.0, 2.0)}
-        steered = FeedbackRunner(1.2, 0.0)
+        steered, gains = FeedbackRunner(float(best.angle), 0.0), {"angle_per_apex": (-2.0, 2.0)}
     else:
         gait, zeros = wj.find_gait(walker), np.zeros(len(walker.section))
-        steered = wj.Feedback(walker, gait, dict.fromkeys(names, zeros), limits)
-        width = {name: 40 * (high - low) for name, (low, high) in limits.items()}
+        steered = wj.Feedback(best, gait, dict.fromkeys(names, zeros), limits)
+        width = {name: 20 * (high - low) for name, (low, high) in limits.items()}
         gains = {
             f"{name}_per_{one}": (-width[name], width[name])
             for name in names
             for one in walker.section
         }
-        free = limits | gains
+    free = limits | gains
     loss = lambda place: -area(change(steered, **dict(zip(free, place, strict=True))), coarse)
+    begin = [float(vars(steered)[name]) for name in free]
     found = differential_evolution(
-        loss, [*free.values()], seed=0, maxiter=15, popsize=6, tol=0, polish=False
+        loss, [*free.values()], x0=begin, seed=0, maxiter=12, popsize=6, tol=0, polish=False
     )
     return change(steered, **dict(zip(free, map(float, found.x), strict=True)))
 

@@ -23,7 +23,7 @@ SHADES = [to_hex(one) for one in colormaps["cividis"]([0.0, 0.45, 0.7, 0.88, 1.0
 COLOURS = [*SHADES, "#f4f4f4"]
 """Of the target, of cells so many strides from it, more strides, viable cells that do not lead
 there, and all others: dark to light."""
-LINES = [("white", 1.3, "-"), ("#d55e00", 1.2, (0, (4, 1.5))), (INK, 1.0, (0, (1, 1.2)))]
+LINES = [("#d55e00", 1.3, "-"), (INK, 1.0, (0, (4, 1.5))), ("#56b4e9", 1.2, (0, (1, 1.2)))]
 """Colours, widths and kinds of the lines around basins, in turn."""
 
 
