@@ -7,8 +7,8 @@ else by how much a stride passes the top; the mean of log(1 + exp(-margin / 0.00
 Prints the area of the policy's basin, followed directly, before and after on two grids, and seconds
 beside those of the kernel.
 
-Result: 0.00690 becomes 0.00745 on 160 x 180 cells, and 0.00783 becomes 0.00825 on 320 x 360, in 120
-steps. To halve cells gains more than that, and takes a tenth of the time.
+Result, of 120 steps: 0.00690 becomes 0.00738 on 160 x 180 cells, and 0.00783 becomes 0.00826 on
+320 x 360. Cells half as large gain more than that, and take a seventh of the time: 8 s beside 60.
 """
 
 import time
@@ -86,7 +86,7 @@ def polish(grid, acts, pushes):
         slope = jnp.nan_to_num(slope_of(pushes, jnp.asarray(xs)))
         with jax.numpy_dtype_promotion("standard"):
             update, state = optimiser.update(slope, state)
-            pushes = jnp.clip(pushes + update, 0, LARGEST)
+            pushes = jnp.clip(jnp.asarray(optax.apply_updates(pushes, update)), 0, LARGEST)
     return np.asarray(pushes)
 
 

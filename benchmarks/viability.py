@@ -35,6 +35,7 @@ which are coarser at first.
 import argparse
 import os
 import time
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,6 +43,7 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 import walker_jax as wj
+from walker_jax import figures
 
 PUSH, HIP = {"push_off": (0.0, 0.1, 33)}, {"hip_angle": (-0.8, 0.0, 33)}
 BOTH = {"hip_angle": (-0.8, 0.0, 9), "push_off": (0.0, 0.1, 9)}
@@ -96,10 +98,13 @@ class FeedbackRunner(wj.System):
 def main():
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--only", default="", help="rows whose labels begin with this")
+    parser.add_argument("--picture", help="a file to draw the simplest walker with both motors in")
     parser.add_argument("--without-convergence", action="store_true")
     parser.add_argument("--without-speed", action="store_true")
     args = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
+    if args.picture:
+        return draw(args.picture)
     names = "passive spring constant linear 1 2 kernel at-least at-most policy effort strides"
     print(f"{'':32}{''.join(f'{name:>10}' for name in names.split())}")
     rough = []
@@ -124,6 +129,22 @@ def main():
         measure_levels()
 
 
+def draw(path: str) -> None:
+    """The basins of the fourth row within each other."""
+    walker, actions, axes, *_ = CASES["simplest 0.004, both"]
+    grid, coarse = make_grid(axes), make_grid(axes, 0.25)
+    data = wj.viable(walker, grid, actions)
+    basins = {
+        "best spring alone": wj.basin(
+            max(with_springs(walker), key=lambda one: area(one, coarse)), grid
+        ),
+        "linear feedback": wj.basin(linear_feedback(walker, data, coarse), grid),
+        "policy": wj.basin(wj.Policy(walker, data), grid, "direct"),
+    }
+    ax = figures.capturability(data, basins, title=False)
+    ax.figure.get_figure(root=True).savefig(path, dpi=200)
+
+
 def make_grid(axes: dict, finer: float = 1) -> wj.Grid:
     make = wj.Grid.sheared if "sum" in axes else wj.Grid.plain
     return make(**{name: (low, high, int(n * finer)) for name, (low, high, n) in axes.items()})
@@ -131,13 +152,13 @@ def make_grid(axes: dict, finer: float = 1) -> wj.Grid:
 
 def lives(ground, walks, walker, steered, data) -> str:
     """Strides to a fall of a walker, with feedback, and with a policy from two starts."""
-    policy = wj.Policy(walker, data, "steps-to-fall", ground=ground)
+    policy: Any = wj.Policy(walker, data, "steps-to-fall", ground=ground)
     gait = wj.find_gait(walker)
     settled = gait._replace(states=wj.walk(policy, gait.states[0], 200).states[-1:])
     words = f"{ground:8g}"
     for one, start in ((walker, gait), (steered, gait), (policy, gait), (policy, settled)):
-        known = dict(gait=start, limit=LIMIT)
-        life = wj.steps_to_fall(one, ground, walks, jax.random.key(45), **known)
+        key = jax.random.key(45)
+        life = wj.steps_to_fall(one, ground, walks, key, gait=start, limit=LIMIT)
         words += f"{f'{life.mean:.5g} ({life.low:.5g}, {life.high:.5g})':>24}"
     return words
 
@@ -200,7 +221,7 @@ def linear_feedback(walker, data, coarse):
     loss = lambda place: -area(change(steered, **dict(zip(free, place, strict=True))), coarse)
     begin = [float(vars(steered)[name]) for name in free]
     found = differential_evolution(
-        loss, [*free.values()], x0=begin, seed=0, maxiter=12, popsize=6, tol=0, polish=False
+        loss, [*free.values()], x0=begin, rng=0, maxiter=12, popsize=6, tol=0, polish=False
     )
     return change(steered, **dict(zip(free, map(float, found.x), strict=True)))
 

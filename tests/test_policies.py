@@ -1,7 +1,7 @@
 """Policies for each objective, as walkers like any other, on rough ground too."""
 
 import heapq
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -42,6 +42,11 @@ def steady(data):
     return wj.Policy(WALKER, data, "steps-to-fall", ground=GROUND)
 
 
+def push_of(walker: Any, x):
+    """The push-off that a policy chooses."""
+    return walker.during_stride(x).push_off
+
+
 # Least effort
 
 
@@ -56,7 +61,7 @@ def test_ways_of_least_effort_are_those_of_a_plain_search():
         target = np.arange(n) < 4
         action, total = find_least_effort(Points(image), target, effort)
         expected = np.where(target, 0.0, np.inf)
-        queue = [(0.0, cell) for cell in range(4)]
+        queue: list[Any] = [(0.0, cell) for cell in range(4)]
         while queue:
             least, cell = heapq.heappop(queue)
             for start, number in zip(*np.nonzero(image == cell), strict=True):
@@ -81,14 +86,14 @@ def test_effort_is_counted_from_the_walkers_own_values_in_ranges_of_actions():
 
 
 def test_the_policy_of_least_effort_spends_less_and_reaches_the_gait_too(data):
-    policies = [wj.Policy(WALKER, data), wj.Policy(WALKER, data, "least-effort")]
+    policies: list[Any] = [wj.Policy(WALKER, data), wj.Policy(WALKER, data, "least-effort")]
     captured = np.flatnonzero(data["capture"].values.ravel() > 0)
     starts = GRID.centres(captured)
     spent, reached = np.zeros((2, len(starts))), np.zeros((2, len(starts)), bool)
     for one, walker in enumerate(policies):
         x = starts
         for _ in range(12):
-            push = jax.vmap(lambda x, walker=walker: walker.during_stride(x).push_off)(x)
+            push = jax.vmap(lambda x, walker=walker: push_of(walker, x))(x)
             x = wj.strides(walker, x).state
             spent[one] += np.where(np.isfinite(x[:, 0]), push, 0) ** 2
         reached[one] = np.isfinite(x[:, 0])
@@ -183,7 +188,7 @@ def test_a_policy_of_a_walker_is_a_walker_that_acts_by_where_a_stride_begins(ste
     state: Any = jnp.array([0.31, -0.32])
     made = wj.walk(steady, state, 3, ground=heights)
     for number, height in enumerate(heights):
-        push = steady.during_stride(state if state.shape == (2,) else state[::2]).push_off
+        push = push_of(steady, state if state.shape == (2,) else state[::2])
         assert 0 < push < 0.1
         result = wj.stride(wj.PoweredWalker(0.004, push_off=push), state, step=height)
         np.testing.assert_allclose(made.states[number + 1], result.state, rtol=0, atol=1e-11)
@@ -194,8 +199,7 @@ def test_a_policy_of_a_walker_is_a_walker_that_acts_by_where_a_stride_begins(ste
 def test_a_policy_keeps_the_feedback_of_its_walker(data):
     own = wj.Feedback(WALKER, [0.2, -0.2], {"push_off": [0.1, 0.2]}, {"push_off": (0.0, 0.3)})
     x = jnp.asarray(GRID.centre(int(np.flatnonzero(data["capture"].values.ravel() > 0)[7])))
-    push = wj.Policy(WALKER, data).during_stride(x).push_off
-    both = wj.Policy(own, data).during_stride(x).push_off
+    push, both = (push_of(wj.Policy(one, data), x) for one in (WALKER, own))
     away = x - jnp.array([0.2, -0.2])
     expected = jnp.clip(push + 0.1 * away[0] + 0.2 * away[1], 0, 0.3)
     np.testing.assert_allclose(both, expected, rtol=0, atol=1e-15)
@@ -203,7 +207,7 @@ def test_a_policy_keeps_the_feedback_of_its_walker(data):
 
 def test_a_policy_is_made_anew_of_its_parts_as_it_is_in_another_process(data):
     steered = wj.Policy(WALKER, data)
-    remake, parts = steered.__reduce__()
+    remake, parts = cast(Any, steered.__reduce__())
     sent = remake(*parts)
     assert type(sent) is type(steered)
     x = np.array([0.25, -0.27])
@@ -217,7 +221,8 @@ def test_a_policy_of_a_runner_begins_where_its_action_can():
     steered = wj.Policy(runner, data)
     kernel = data["viable"].values
     low = np.flatnonzero(kernel)[:40]
-    assert not jax.vmap(runner.feasible)(grid.centres(low)).any()
-    assert jax.vmap(steered.feasible)(grid.centres(low)).all()
+    starts = jnp.asarray(grid.centres(low))
+    assert not jax.vmap(runner.feasible)(starts).any()
+    assert jax.vmap(steered.feasible)(starts).all()
     followed = wj.basin(steered, grid, "direct")["attractor"].values >= 0
     assert (followed & kernel).sum() > 0.98 * kernel.sum()

@@ -1,1 +1,1 @@
-"""How much any control can do: viability, and what leads to a gait in the fewest strides."""
+"""How much any control can do: viability, and policies for each of three objectives."""

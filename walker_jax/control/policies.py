@@ -1,7 +1,7 @@
 """Policies: actions as a function of the state."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, overload
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,9 +22,21 @@ from walker_jax.stability.rough_ground import RandomDisturbance, read_ground
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import names_in
 from walker_jax.systems.system import System, check_single, numbers_of
-from walker_jax.walkers.model import check_planar
+from walker_jax.walkers.model import Walker, check_planar
 
 OBJECTIVES = "fewest-strides", "least-effort", "steps-to-fall"
+
+
+@overload
+def Policy(
+    walker: Walker, data: xr.Dataset, objective: str = ..., *, ground: Any = ...
+) -> Walker: ...
+
+
+@overload
+def Policy(
+    walker: System, data: xr.Dataset, objective: str = ..., *, ground: Any = ...
+) -> System: ...
 
 
 def Policy(
@@ -73,16 +85,17 @@ def Policy(
         raise WrongUse(f"walker must have the parameter {name}, which the actions set")
     if objective not in OBJECTIVES:
         raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {short(objective)}")
-    if (ground is None) == (objective == "steps-to-fall"):
-        wrong = "required for" if ground is None else "for the objective steps-to-fall, not for"
-        raise WrongUse(f"ground is {wrong} {objective}")
+    if ground is not None and objective != "steps-to-fall":
+        raise WrongUse(f"ground is for the objective steps-to-fall, not for {objective}")
     actions = Actions(tuple(names), np.stack([data[name].values for name in names], axis=-1))
     if objective == "fewest-strides":
         action = data["action"].values
     elif objective == "least-effort":
         action = easiest(walker, data, actions)
+    elif ground is None:
+        raise WrongUse(f"ground is required for {objective}")
     else:
-        action = longest(walker, data, actions, read_ground(ground))
+        action = longest(check_planar(walker), data, actions, read_ground(ground))
     choose = interpolate_actions(grid_of(data), action, actions.values)
     return steer(walker, tuple(names), choose, float(data.attrs["tolerance"]))
 
@@ -98,10 +111,9 @@ def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndar
 
 
 def longest(
-    walker: System, data: xr.Dataset, actions: Actions, ground: RandomDisturbance
+    walker: Walker, data: xr.Dataset, actions: Actions, ground: RandomDisturbance
 ) -> Int32[np.ndarray, "*shape"]:
     """The actions of the longest walks on rough ground."""
-    check_planar(walker)
     grid, kernel, nodes = grid_of(data), data["viable"].values.ravel(), choose_nodes(ground)
     strides = int(kernel.sum()) * len(actions.values) * len(nodes.weights)
     check_grid(walker, grid, "cell-map", 4 * len(grid.names) * strides // grid.size)

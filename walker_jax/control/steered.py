@@ -66,7 +66,7 @@ class SteeredWalker(Walker):
 
 def remake(kind: type[Walker], names: tuple[str, ...], choose: Choice, values: dict) -> Walker:
     """The steered walker of these parameters."""
-    return steered_class(kind, names)(**values, choose=choose)
+    return steered_class(kind, names)(**values | {"choose": choose})
 
 
 @functools.cache
