@@ -46,7 +46,7 @@ import walker_jax as wj
 from walker_jax import figures
 
 PUSH, HIP = {"push_off": (0.0, 0.1, 33)}, {"hip_angle": (-0.8, 0.0, 33)}
-BOTH = {"hip_angle": (-0.8, 0.0, 9), "push_off": (0.0, 0.1, 9)}
+BOTH = {"hip_angle": (-0.8, 0.0, 33), "push_off": (0.0, 0.1, 4)}
 SPRING = {"hip_stiffness": 2.0}
 WINDOW = {"theta": (0.0, 0.8, 400), "sum": (-0.4, 0.05, 450)}
 CASES = {
@@ -113,7 +113,7 @@ def main():
             continue
         grid, coarse = make_grid(axes), make_grid(axes, 0.25 if len(axes) == 2 else 0.5)
         data = wj.viable(walker, grid, actions)
-        steered = linear_feedback(walker, data, coarse)
+        steered = linear_feedback(walker, data, grid, coarse)
         print_areas(label, walker, data, steered, grid, coarse)
         if ground is not None:
             half = wj.viable(walker, make_grid(axes, 0.5), actions, bounds=False)
@@ -138,7 +138,7 @@ def draw(path: str) -> None:
         "best spring alone": wj.basin(
             max(with_springs(walker), key=lambda one: area(one, coarse)), grid
         ),
-        "linear feedback": wj.basin(linear_feedback(walker, data, coarse), grid),
+        "linear feedback": wj.basin(linear_feedback(walker, data, grid, coarse), grid),
         "policy": wj.basin(wj.Policy(walker, data), grid, "direct"),
     }
     ax = figures.capturability(data, basins, title=False)
@@ -200,7 +200,7 @@ def change(walker, **values):
     return type(walker)(**vars(walker) | values)
 
 
-def linear_feedback(walker, data, coarse):
+def linear_feedback(walker, data, grid, coarse):
     """The system with the linear feedback of the largest basin that is found."""
     names = list(data.attrs["actions"])
     limits = {name: (float(data[name].min()), float(data[name].max())) for name in names}
@@ -223,7 +223,10 @@ def linear_feedback(walker, data, coarse):
     found = differential_evolution(
         loss, [*free.values()], x0=begin, rng=0, maxiter=12, popsize=6, tol=0, polish=False
     )
-    return change(steered, **dict(zip(free, map(float, found.x), strict=True)))
+    order = np.argsort(found.population_energies)[:6]
+    places = [begin, *found.population[order]]  # on coarse cells the best may be an artefact
+    every = [change(steered, **dict(zip(free, map(float, one), strict=True))) for one in places]
+    return max(every, key=lambda one: area(one, grid))
 
 
 def converge() -> None:

@@ -39,8 +39,9 @@ def capturability(
 ) -> Axes:
     """How large the basin could be: n-step capturable states within the viability kernel.
 
-    Cells have the colour of the fewest strides into the target, darker the fewer; the lightest are
-    viable, but no actions lead into the target. Lines are around basins. The legend has the areas.
+    Cells have the colour of the fewest strides into the target, darker the fewer; then come viable
+    ones from which no actions lead there, and the lightest are bound to fail by these actions.
+    Lines are around basins. The legend has areas: each of all cells up to that colour.
 
     **Arguments:**
 
