@@ -26,10 +26,9 @@ of the one with that linear feedback, and of that with the policy of the most st
 on a grid half as fine. These begin in the passive gait; the last column's where the policy leads to
 on even ground.
 
-Then how
-fast areas converge with the grid. Last a kernel of a million cells and 64 actions, and strides
-alone for comparison: on two cores 31.6 s without bounds, 85.4 s with, and 0.4 s; and bounds on grids of the same finest cells,
-which are coarser at first.
+Then how fast areas converge with the grid. Last a kernel of a million cells and 64 actions, and
+strides alone for comparison: on two cores 31.6 s without bounds, 85.4 s with, and 0.4 s; and bounds
+on grids of the same finest cells, which are coarser at first.
 """
 
 import argparse

@@ -12,10 +12,12 @@ from walker_jax.basins.memory import check_grid
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.control.actions import Actions
+from walker_jax.control.images import Task, map_in_tiles
 from walker_jax.control.least_effort import effort_of, find_least_effort
 from walker_jax.control.longest_walks import choose_nodes, find_longest
 from walker_jax.control.steered import SteeredWalker, steer
-from walker_jax.control.viability import map_actions
+from walker_jax.controlled_maps import Points
+from walker_jax.execution.workers import compute_here
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.rough_ground import RandomDisturbance, read_ground
@@ -102,8 +104,9 @@ def Policy(
 
 def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndarray, "*shape"]:
     """The actions of least effort; those of `data` where no way leads into the target."""
-    grid, integrator = grid_of(data), integrator_for(data)
-    points, _ = map_actions(walker, grid, actions, integrator, bounds=False, progress=False)
+    grid = grid_of(data)
+    task = Task(walker, actions, integrator_for(data), grid, grid, bounds=False)
+    points = Points(map_in_tiles(task, None, compute_here, "strides", progress=False).image)
     known, target = data["action"].values, data["capture"].values == 0
     action, _ = find_least_effort(points, target.ravel(), effort_of(walker, actions))
     action = action.reshape(grid.shape)
