@@ -35,7 +35,7 @@ def main():
         grid = wj.Grid.sheared(theta=(0.0, 0.8, nx), sum=(-0.4, 0.05, ny))
         begun = time.perf_counter()
         data = wj.viable(walker, grid, {"push_off": (0.0, LARGEST, 17)}, bounds=False)
-        action = easiest(walker, data, Actions(("push_off",), data["push_off"].values[:, None]))
+        action = easiest(walker, data, Actions(("push_off",), data["push_off"].values[:, None], 0))
         found = time.perf_counter() - begun
         pushes = np.where(action >= 0, data["push_off"].values[action], 0.0).ravel()
         begun = time.perf_counter()

@@ -81,7 +81,9 @@ def test_ways_of_least_effort_are_those_of_a_plain_search():
 
 def test_effort_is_counted_from_the_walkers_own_values_in_ranges_of_actions():
     walker = wj.PoweredWalker(0.004, hip_stiffness=2.0, push_off=0.02)
-    actions = Actions(("push_off", "hip_angle"), np.array([[0.0, -0.4], [0.1, 0.0], [0.02, 0.0]]))
+    actions = Actions(
+        ("push_off", "hip_angle"), np.array([[0.0, -0.4], [0.1, 0.0], [0.02, 0.0]]), 2
+    )
     np.testing.assert_allclose(effort_of(walker, actions), [0.04 + 1, 0.64, 0.0], atol=1e-15)
 
 
@@ -168,7 +170,7 @@ def test_walks_last_a_hundred_times_as_long_as_passive_ones(steady):
 @pytest.mark.slow
 def test_the_value_is_about_how_long_walks_last(data):
     """Where walks are as short that the horizon is beyond them; cells blur it, by a third here."""
-    actions = Actions(("push_off",), data["push_off"].values[:, None])
+    actions = Actions(("push_off",), data["push_off"].values[:, None], 0)
     kernel = data["viable"].values.ravel()
     uneven = 2e-3
     nodes = choose_nodes(NormalSteps(uneven))

@@ -89,7 +89,9 @@ def Policy(
         raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {short(objective)}")
     if ground is not None and objective != "steps-to-fall":
         raise WrongUse(f"ground is for the objective steps-to-fall, not for {objective}")
-    actions = Actions(tuple(names), np.stack([data[name].values for name in names], axis=-1))
+    values = np.stack([data[name].values for name in names], axis=-1)
+    own = np.array([float(numbers_of(walker)[name]) for name in names])
+    actions = Actions(tuple(names), values, int(np.abs(values - own).sum(axis=1).argmin()))
     if objective == "fewest-strides":
         action = data["action"].values
     elif objective == "least-effort":
