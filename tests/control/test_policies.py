@@ -79,7 +79,7 @@ def test_ways_of_least_effort_are_those_of_a_plain_search():
             assert spent == pytest.approx(total[start])
 
 
-def test_effort_is_counted_from_the_walkers_own_values_in_ranges_of_actions():
+def test_effort_is_counted_from_the_walkers_own_values():
     walker = wj.PoweredWalker(0.004, hip_stiffness=2.0, push_off=0.02)
     actions = Actions(
         ("push_off", "hip_angle"), np.array([[0.0, -0.4], [0.1, 0.0], [0.02, 0.0]]), 2
@@ -87,7 +87,7 @@ def test_effort_is_counted_from_the_walkers_own_values_in_ranges_of_actions():
     np.testing.assert_allclose(effort_of(walker, actions), [0.04 + 1, 0.64, 0.0], atol=1e-15)
 
 
-def test_the_policy_of_least_effort_spends_less_and_reaches_the_gait_too(data):
+def test_the_policy_of_least_effort_spends_less(data):
     policies: list[Any] = [wj.Policy(WALKER, data), wj.Policy(WALKER, data, "least-effort")]
     captured = np.flatnonzero(data["capture"].values.ravel() > 0)
     starts = GRID.centres(captured)
@@ -184,7 +184,7 @@ def test_the_value_is_about_how_long_walks_last(data):
     assert value.max() / 1.5 < walks.mean < 1.5 * value.max()
 
 
-def test_a_policy_of_a_walker_is_a_walker_that_acts_by_where_a_stride_begins(steady):
+def test_a_policy_of_a_walker_is_a_walker(steady):
     assert isinstance(steady, type(WALKER)) and steady.label() == "SteeredPoweredWalker"
     heights = np.array([3e-4, -5e-4, 2e-4])
     state: Any = jnp.array([0.31, -0.32])
@@ -207,7 +207,7 @@ def test_a_policy_keeps_the_feedback_of_its_walker(data):
     np.testing.assert_allclose(both, expected, rtol=0, atol=1e-15)
 
 
-def test_a_policy_is_made_anew_of_its_parts_as_it_is_in_another_process(data):
+def test_a_policy_is_made_anew_of_its_parts(data):
     steered = wj.Policy(WALKER, data)
     remake, parts = cast(Any, steered.__reduce__())
     sent = remake(*parts)

@@ -202,7 +202,7 @@ def test_bounds_close_in_on_the_area_with_the_size_of_cells():
     assert 0.9 < np.log2(gaps[0] / gaps[2]) / 2 < 1.3
 
 
-def test_areas_of_a_closed_form_are_off_by_no_more_than_cells_on_every_grid():
+def test_areas_are_off_by_no_more_than_cells_on_every_grid():
     for count in (100, 210, 430, 870, 1750):
         grid = wj.Grid.plain(rate=(0.0, 1.5, count))
         about = wj.viable(PushedWheel(), grid, {"push": (0.0, 0.2, 8)}).attrs
@@ -293,7 +293,7 @@ def test_the_picture_shades_viable_cells_and_names_the_failures(pushed):
     assert any(f"viable {pushed.attrs['area']:.4g}" in one.replace("\n", " ") for one in words)
 
 
-def test_the_picture_of_captured_sets_has_their_areas_and_the_basins_around_them(pushed):
+def test_the_picture_of_captured_sets_has_areas_and_basins(pushed):
     capture = pushed["capture"].values
     passive, followed = (
         wj.basin(one, GRID, "direct") for one in (WALKER, wj.Policy(WALKER, pushed))
