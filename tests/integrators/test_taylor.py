@@ -318,6 +318,40 @@ def test_derivatives_of_a_series_with_sines():
             assert_series(found, exact)
 
 
+@jax.custom_vjp
+def by_own_rule(x):
+    return jnp.sin(x)
+
+
+by_own_rule.defvjp(lambda x: (jnp.sin(x), x), lambda x, ct: (ct * jnp.cos(x),))
+NOT_SMOOTH = {
+    "a real power at zero": (lambda y: y**2.0 + 1, lambda y: y * y + 1, 0.0),
+    "a rule for reverse mode": (by_own_rule, jnp.sin, 0.7),
+    "a branch": (lambda y: jnp.where(y > 0, y * y, -y), lambda y: y * y, 0.7),
+    "another type": (lambda y: y * (y > 0).astype(y.dtype), lambda y: y, 0.7),
+}
+
+
+@pytest.mark.parametrize("name", NOT_SMOOTH)
+@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev, jax.hessian])
+def test_derivatives_where_operations_are_not_smooth(name, transform):
+    field, same, start = NOT_SMOOTH[name]
+    found, expected = (
+        transform(lambda y, f=f: jnp.stack(solution_series(f, y, ORDER)))(start)
+        for f in (field, same)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-15)
+
+
+def test_derivatives_beside_whole_numbers_and_nothing():
+    def speed(y):
+        state = {"x": y, "clock": y, "none": None}
+        rates = lambda state: {"x": jnp.sin(state["x"]), "clock": 1, "none": None}
+        return solution_series(rates, state, 3)["x"][1]
+
+    assert jax.grad(speed)(0.7) == pytest.approx(np.cos(0.7))
+
+
 # Series of functions of a solution
 
 

@@ -19,11 +19,13 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
 from walker_jax.integrators.power_balance import PowerBalance, coefficients_up_to
 from walker_jax.integrators.series import Series, recording, scale
+from walker_jax.kernels.jaxprs import CALLS, called_function
 
 VectorField = Callable[[PyTree], PyTree]
 
@@ -45,12 +47,12 @@ def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyT
     """
     if isinstance(vector_field, PowerBalance):
         return vector_field.series(state, order)
+    state = jax.tree.map(jnp.asarray, state)
     # What the function has in its closure becomes an argument, as derivatives go through it.
     return expand_solution(eqx.filter_closure_convert(vector_field, state), state, order=order)
 
 
-@eqx.filter_custom_jvp
-def expand_solution(vector_field, state, *, order):
+def grow_series(vector_field, state, order):
     leaves, structure = jax.tree.flatten(state)
     rates: list[Series] = []
 
@@ -62,13 +64,52 @@ def expand_solution(vector_field, state, *, order):
     return jax.tree.map(lambda series: coefficients_up_to(series, order), solutions)
 
 
+@eqx.filter_custom_jvp
+def expand_solution(vector_field, state, *, order):
+    return grow_series(vector_field, state, order)
+
+
 @expand_solution.def_jvp
 def expand_variation(primals, tangents, *, order):
-    """The series of a solution and of its derivative, as the solution of one system."""
+    """The series of a solution and of its derivative, as the solution of one system.
+
+    Where f is made of other operations than smooth ones, each coefficient is differentiated.
+    """
     (vector_field, state), (change, dstate) = primals, tangents
-    tangent = lambda dx, x: jnp.zeros_like(x) if dx is None else dx
+    if not is_smooth(vector_field, state):
+        grow = lambda vector_field, state: grow_series(vector_field, state, order)
+        return eqx.filter_jvp(grow, primals, tangents)
+    tangent = lambda dx, x: jnp.zeros_like(x) if dx is None and x is not None else dx
     dstate = jax.tree.map(tangent, dstate, state, is_leaf=is_absent)
     return expand_solution(VariedField(vector_field, change), (state, dstate), order=order)
+
+
+SMOOTH = frozenset("add add_any cos div exp integer_pow log mul neg sin sqrt square sub".split())
+"""Primitives whose derivatives are made of one another."""
+
+
+def is_smooth(function: Callable, state: PyTree) -> bool:
+    """Whether a function is made of smooth primitives alone, of real numbers of one type."""
+    closed = jax.make_jaxpr(function)(state)
+    known = [*closed.jaxpr.constvars, *closed.jaxpr.invars, *closed.jaxpr.outvars]
+    types = {variable.aval.dtype for variable in known}
+    return (
+        len(types) == 1
+        and jnp.issubdtype(types.pop(), jnp.floating)
+        and has_smooth_equations(closed)
+    )
+
+
+def has_smooth_equations(closed: ClosedJaxpr) -> bool:
+    """Whether all equations are of smooth primitives, on numbers of the type of the result."""
+    for equation in closed.jaxpr.eqns:
+        types = {variable.aval.dtype for variable in (*equation.invars, *equation.outvars)}
+        if equation.primitive.name in CALLS:
+            if not has_smooth_equations(called_function(equation)):
+                return False
+        elif equation.primitive.name not in SMOOTH or len(types) > 1:
+            return False
+    return True
 
 
 class VariedField(eqx.Module):
