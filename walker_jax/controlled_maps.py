@@ -40,9 +40,9 @@ class Points(NamedTuple):
 class Boxes(NamedTuple):
     """Images that are boxes of cells, for bounds on what cells do as a whole.
 
-    With `every`, a choice holds an image if it holds all of its cells: a viable cell is then viable
-    from each of its points. Otherwise it holds an image if it holds one of its cells: a cell that
-    is not viable is then viable from none of its points.
+    With `every`, a choice holds an image if it holds all of its cells: if boxes hold all that cells
+    do, a viable cell is then viable from each of its points. Otherwise it holds an image if it
+    holds one of its cells: a cell that is not viable is then viable from none of its points.
     """
 
     low: Int[np.ndarray, "n m d"]

@@ -92,7 +92,7 @@ class Options:
     )
     near: tuple[float, float] | None = option(
         None,
-        "Its centre is the boundary's point nearest to this one.",
+        "Zoom to the boundary's point nearest to this one.",
         metavar="X Y",
     )
     animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")

@@ -72,7 +72,7 @@ DURATIONS = {
     "explore": "A few seconds until the page opens.",
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
     "boundary": "Half a minute.",
-    "viable": "Half a minute for the example.",
+    "viable": "Half a minute for the first example.",
     "robustness": "Twenty seconds or more for each slope; minutes for walkers with knees.",
     "continuation": "A minute or two for the example.",
     "optimise": "Half a minute for the area over a slope, an hour for more parameters; fewer "

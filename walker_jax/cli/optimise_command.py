@@ -41,12 +41,12 @@ class Problem:
     theme = "Problem"
     over: list[str] | None = option(None, "A parameter that is free; may be repeated.")
     bound: list[str] | None = option(
-        None, "Its bounds; one for each of them.", metavar="NAME=LO:HI"
+        None, "Bounds of such a parameter; one for each.", metavar="NAME=LO:HI"
     )
     objective: list[str] | None = option(
         None,
         "area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
-        "sensitivity-norm or cost-of-transport; NAME=WEIGHT for a sum.",
+        "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a sum.",
         metavar="NAME",
     )
     at_least: tuple[str, float] | None = option(
@@ -69,7 +69,7 @@ class Problem:
 class OptimumRegion(Volume):
     theta: Axis | None = option(None, "Where the area is measured, as for robustness.", **AXIS)
     phidot: Axis | None = option(
-        None, "The same for a volume (default: the whole section).", **AXIS
+        None, "The rate between the legs, for a volume (default: all).", **AXIS
     )
 
 

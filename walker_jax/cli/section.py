@@ -134,7 +134,7 @@ class Region(Section):
 class Volume(Region):
     """The same, of two dimensions or three."""
 
-    phidot: Axis | None = option(None, "The same for volumes, not areas.", **AXIS)
+    phidot: Axis | None = option(None, "The rate between the legs, for volumes.", **AXIS)
 
 
 @dataclass(frozen=True)

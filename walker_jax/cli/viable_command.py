@@ -19,6 +19,16 @@ from walker_jax.walkers.parameters import check_parameter, describe_in_words
 
 
 @dataclass(frozen=True)
+class WholeWindow(Window):
+    """A window without slices."""
+
+    at_phidot: float | None = option(None, "", hidden=True)
+    axis: list[str] | None = option(
+        None, "An axis by name, for each coordinate of the section.", metavar=RANGE_FORM
+    )
+
+
+@dataclass(frozen=True)
 class Options:
     theme = "Actions"
     action: list[str] | None = option(
@@ -30,7 +40,7 @@ class Options:
     no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
     levels: int = option(
         0,
-        "Halve cells between the bounds so many times, which narrows these.",
+        "Times that cells between the bounds are halved: narrows the bounds.",
         min=0,
         max=8,
     )
@@ -39,7 +49,7 @@ class Options:
 @takes_walker(systems=True)
 def viable(
     walker: System,
-    window: Window,
+    window: WholeWindow,
     options: Options,
     pieces: Pieces,
     output: Output = Output(Path("viable.zarr")),

@@ -4,7 +4,7 @@ import inspect
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import zip_longest
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -30,6 +30,8 @@ DEFAULT = "simplest"
 """The walker of a command that names none."""
 PREFIX = "walker_"
 """Of the arguments for a walker's parameters: those of commands may have the same names."""
+OF_WALKERS = {"theta", "thetadot", "sum", "phidot", "at_phidot", "guess"}
+"""Options of commands for coordinates that walkers alone have."""
 Kinds = Mapping[str, type[System] | System]
 """The walkers, or the system, that a command offers, by their names."""
 Offered = dict[str, dict[str, Any]]
@@ -102,8 +104,19 @@ def with_walker_options(command: Command, args: Sequence[str] | None) -> Command
     own = [argument("walker", WALKER, DEFAULT)]
     own += [argument("system", SYSTEM, None)] if vars(command)["systems"] else []
     own += [option_for(name, owners, len(kinds), told) for name, owners in offered.items()]
-    own += [argument("list_walkers", ListWalkers, False), *arguments_of(command)[1:]]
+    own += [argument("list_walkers", ListWalkers, False)]
+    own += [
+        hidden(one) if told is not None and told not in WALKERS and one.name in OF_WALKERS else one
+        for one in arguments_of(command)[1:]
+    ]
     return with_arguments(own, command, takes)
+
+
+def hidden(one: inspect.Parameter) -> inspect.Parameter:
+    """An option that the help leaves out."""
+    _, flag = get_args(one.annotation)
+    flag.hidden = True
+    return one
 
 
 def lowest_value(over: Parameter, low: float | None, given: Container[str]) -> dict[str, float]:

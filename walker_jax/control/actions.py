@@ -1,6 +1,7 @@
 """Actions: values of parameters that may change from stride to stride."""
 
 import itertools
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -46,18 +47,24 @@ def read_actions(system: System, actions: Any) -> Actions:
     values = [values_of(name, given) for name, given in actions.items()]
     for name in (names_in_use("viability") | {"action_number"}).intersection(actions):
         raise WrongUse(f"actions must not be of {name}, as data sets have an array of that name")
+    check_count(math.prod(len(row) for row in values))
     for name, row in zip(actions, values, strict=True):
         check_parameter(system, name, *row)
-    count = int(np.prod([len(row) for row in values]))
-    if count > MOST_ACTIONS:
-        raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
+        if len(np.unique(row)) < len(row):
+            raise WrongUse(f"actions of {name} must differ from one another")
     every = np.array(list(itertools.product(*values)))
     own = np.array([float(numbers_of(system)[name]) for name in actions])
     among = np.flatnonzero(np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1))
-    number = int(among[0]) if len(among) else count
+    number = int(among[0]) if len(among) else len(every)
     every = every if len(among) else np.vstack([every, own])
     every[number] = own
     return Actions(tuple(actions), every, number)
+
+
+def check_count(count: int) -> None:
+    """Refuse more combinations than actions are numbered."""
+    if count > MOST_ACTIONS:
+        raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
 
 
 def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:
@@ -66,6 +73,7 @@ def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:
         low, high, count = check_axis(name, given)
         if count < 2:
             raise WrongUse(f"{name}={short(given)}: a range needs two values at least")
+        check_count(count)
         return np.linspace(low, high, count)
     values = numbers(name, given)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():

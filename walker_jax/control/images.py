@@ -2,7 +2,8 @@
 
 A stride is made from the centre of each cell, and one from each corner of cells. The box around the
 images of a cell's corners, widened by how far that of its centre is from the mean of theirs, holds
-the image of the whole cell to second order in its size.
+the image of the whole cell to first order in its size. Of the second order it holds what bends to
+one side; curvatures along two axes that are opposite cancel in the centre.
 """
 
 import functools
@@ -186,10 +187,10 @@ def box_around(
     centre: Arrivals,
     corners: tuple[Float[Array, "corners d"], Bool[Array, " corners"]],
 ) -> tuple[Int[Array, " d"], Int[Array, " d"], Bool[Array, ""], Bool[Array, ""]]:
-    """The box that holds the image of a cell, to second order, and whether each bound counts it.
+    """The box that holds the image of a cell, to first order, and whether each bound counts it.
 
-    Returns its first and last places on each axis. The inner bound counts it if no part of the cell
-    fails and all of the box lies on the grid, the outer one if some of it does.
+    Returns its first and last places on each axis. The inner bound counts it if all strides, from
+    corners and centre, are made and all of the box lies on the grid, the outer one if some are.
     """
     grid, finest = shared
     counts, finer = jnp.asarray(grid.counts), jnp.asarray(finest.counts)

@@ -61,7 +61,7 @@ from walker_jax.execution.workers import (
     missing_pieces,
     open_workers,
 )
-from walker_jax.grids import Grid
+from walker_jax.grids import MAX_SIZE, Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System
@@ -99,7 +99,7 @@ def viable(
       an attractor of `walker` as it is, by cell mapping: its passive basin.
     - `bounds`: whether to bound the kernel by what cells do as a whole. A stride is made from the
       corners of each cell too. The box around their images, widened by how far that of the centre
-      is from the mean of theirs, holds the image of the cell to second order in its size. An
+      is from the mean of theirs, holds the image of the cell, to first order in its size. An
       `inner` cell has an action whose box lies in inner cells. An `outer` cell has an action that
       makes a stride from a corner or the centre, with a box that meets an outer cell.
     - `levels`: how many times cells between the bounds are cut in two along each axis, and their
@@ -139,6 +139,8 @@ def viable(
     choice = read_actions(walker, actions)
     check_kind("bounds", bounds, bool)
     levels = check_whole("levels", levels, 0, FINEST)
+    if (size := grid.size << d * levels) > MAX_SIZE:
+        raise WrongUse(f"levels={levels} make {size} cells of {MAX_SIZE} at most: lower levels")
     if levels and not bounds:
         raise WrongUse(f"levels={levels} narrow bounds: leave bounds=False out")
     each = bytes_of_cell(len(choice.values), d, bounds=bounds)
