@@ -1,7 +1,9 @@
 """Policies for each objective, as walkers like any other, on rough ground too."""
 
+import copy
 import heapq
-from typing import Any, cast
+import pickle
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -209,11 +211,25 @@ def test_a_policy_keeps_the_feedback_of_its_walker(data):
 
 def test_a_policy_is_made_anew_of_its_parts(data):
     steered = wj.Policy(WALKER, data)
-    remake, parts = cast(Any, steered.__reduce__())
-    sent = remake(*parts)
+    sent = pickle.loads(pickle.dumps(steered))
     assert type(sent) is type(steered)
     x = np.array([0.25, -0.27])
     np.testing.assert_array_equal(wj.stride(sent, x).state, wj.stride(steered, x).state)
+
+
+def test_policies_of_maps_are_copied_and_axes_in_any_order(data):
+    x = np.array([0.25, -0.27])
+    turned = wj.Policy(WALKER, data.transpose("sum", "theta", ...))
+    np.testing.assert_array_equal(
+        wj.stride(turned, x).state, wj.stride(wj.Policy(WALKER, data), x).state
+    )
+    henon, grid = wj.HenonMap(), wj.Grid.plain(x=(-2, 2, 20), y=(-2, 2, 20))
+    steered = wj.Policy(henon, wj.viable(henon, grid, {"a": [1.3, 1.4]}, bounds=False))
+    again = copy.deepcopy(steered)
+    found, expected = (wj.stride(one, jnp.asarray(x)).state for one in (again, steered))
+    np.testing.assert_array_equal(found, expected)
+    with pytest.raises(ValueError, match="without a policy, not a Steered"):
+        wj.Policy(steered, data)
 
 
 def test_a_policy_of_a_runner_begins_where_its_action_can():

@@ -206,7 +206,8 @@ def viability() -> xr.Dataset:
     frame |= {"shear": (("coordinate", "axis"), [[1.0, 0.0], [-1.0, 1.0]])}
     about = {"section": ["theta", "thetadot"], "actions": ["push_off"], "tolerance": 1e-12}
     data = zeros("viability", size=2).assign(push_off=("action_number", [0.0]))
-    return data.assign(frame).assign_attrs(about)
+    centres = {name: [0.25, 0.75] for name in ("theta", "sum")}
+    return data.assign(frame).assign_coords(centres).assign_attrs(about)
 
 
 def walks_to(state: list, outcome: int = 0) -> DisturbedWalk:

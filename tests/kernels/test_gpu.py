@@ -14,7 +14,7 @@ import pytest
 import typer
 from fake_card import STREAM, a_card
 from jax import lax
-from test_primitive import A_FUNCTION, ON_DEVICES, ON_MESHES
+from test_primitive_calls import A_FUNCTION, ON_DEVICES, ON_MESHES
 
 import walker_jax as wj
 from walker_jax.cli.version import print_version

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int32
 from scipy.sparse import csr_array
 
+from walker_jax.checks import WrongUse
 from walker_jax.control.actions import Actions
 from walker_jax.execution.tiles import map_cells
 from walker_jax.grids import Grid
@@ -92,6 +93,8 @@ def choose_nodes(ground: RandomDisturbance) -> Nodes:
     ones count most for falls. Their variance is that of all.
     """
     drawn = np.asarray(draw(ground, jax.random.split(jax.random.key(SEED), DRAWS), 0, 1))[:, 0]
+    if not np.isfinite(drawn).all():
+        raise WrongUse("ground must be finite whenever it is drawn, and is not always")
     centre, scale = drawn.mean(axis=0), drawn.std(axis=0)
     varied = scale > SAME * np.abs(centre)
     points = (drawn - centre)[:, varied] / scale[varied]

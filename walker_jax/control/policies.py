@@ -1,21 +1,22 @@
 """Policies: actions as a function of the state."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, overload
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Array, Float, Int32
+from jaxtyping import Array, Bool, Float, Int32
 
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.control.actions import Actions
-from walker_jax.control.images import Task, map_in_tiles
+from walker_jax.control.images import Task, bytes_of_cell, map_in_tiles
 from walker_jax.control.least_effort import effort_of, find_least_effort
 from walker_jax.control.longest_walks import choose_nodes, find_longest
-from walker_jax.control.steered import SteeredWalker, steer
+from walker_jax.control.steered import Steered, SteeredWalker, steer
 from walker_jax.controlled_maps import Points
 from walker_jax.execution.workers import compute_here
 from walker_jax.grids import Grid
@@ -60,7 +61,9 @@ def Policy(
 
     **Arguments:**
 
-    - `walker`: the one that `viable` was given, or one like it with other parameters.
+    - `walker`: the one that `viable` was given, or one with other parameters, for which target,
+      kernel and actions stay those of `data`. Strides of a policy of what is no walker have the
+      tolerance of `data`.
     - `data`: what `viable` returned.
     - `objective`: "fewest-strides" into the target, as `data` has them, or "least-effort" on the
       way there: the squares of how far parameters are from the walker's own values, in parts of the
@@ -73,7 +76,7 @@ def Policy(
     for rough ground without it or the other way round, or of what is no walker in the plane.
     """
     check_kind("walker", walker, System)
-    if isinstance(walker, SteeredWalker):
+    if isinstance(walker, SteeredWalker | Steered):
         raise WrongUse(f"walker must be one without a policy, not a {walker.label()}")
     check_single(walker)
     check_kind("data", data, xr.Dataset)
@@ -89,9 +92,9 @@ def Policy(
         raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {short(objective)}")
     if ground is not None and objective != "steps-to-fall":
         raise WrongUse(f"ground is for the objective steps-to-fall, not for {objective}")
+    data = whole_grid(data)
     values = np.stack([data[name].values for name in names], axis=-1)
-    own = np.array([float(numbers_of(walker)[name]) for name in names])
-    actions = Actions(tuple(names), values, int(np.abs(values - own).sum(axis=1).argmin()))
+    actions = Actions(tuple(names), values, -1)  # the walker's own one is not asked for
     if objective == "fewest-strides":
         action = data["action"].values
     elif objective == "least-effort":
@@ -104,9 +107,21 @@ def Policy(
     return steer(walker, tuple(names), choose, float(data.attrs["tolerance"]))
 
 
+def whole_grid(data: xr.Dataset) -> xr.Dataset:
+    """The data set with its axes in the order of the grid, of which it must have all cells."""
+    grid = grid_of(data)
+    for name, low, high, count in zip(grid.names, grid.lower, grid.upper, grid.counts, strict=True):
+        centres = low + (high - low) * (np.arange(count) + 0.5) / count
+        if not np.allclose(data[name].values, centres, rtol=0, atol=1e-6 * (high - low) / count):
+            raise WrongUse(f"data must have all cells along {name}, as viable returns them")
+    return data.transpose(*grid.names, ...)
+
+
 def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndarray, "*shape"]:
     """The actions of least effort; those of `data` where no way leads into the target."""
     grid = grid_of(data)
+    each = bytes_of_cell(len(actions.values), len(grid.names), bounds=False)
+    check_grid(walker, grid, "cell-map", each, kind="viability")
     task = Task(walker, actions, integrator_for(data), grid, grid, bounds=False)
     points = Points(map_in_tiles(task, None, compute_here, "strides", progress=False).image)
     known, target = data["action"].values, data["capture"].values == 0
@@ -120,8 +135,11 @@ def longest(
 ) -> Int32[np.ndarray, "*shape"]:
     """The actions of the longest walks on rough ground."""
     grid, kernel, nodes = grid_of(data), data["viable"].values.ravel(), choose_nodes(ground)
-    strides = int(kernel.sum()) * len(actions.values) * len(nodes.weights)
-    check_grid(walker, grid, "cell-map", 4 * len(grid.names) * strides // grid.size)
+    if not kernel.any():
+        raise WrongUse("data must have viable cells for steps-to-fall: its kernel is empty")
+    d = len(grid.names)
+    each = (4 * d * len(actions.values) + 80 * 2**d) * len(nodes.weights)
+    check_grid(walker, grid, "cell-map", each * int(kernel.sum()) // grid.size)
     action, _ = find_longest(walker, grid, actions, kernel, nodes, integrator_for(data))
     return action.reshape(grid.shape)
 
@@ -138,29 +156,35 @@ def interpolate_actions(
 ) -> Callable[[Array, Array], Array]:
     """A function of a point and of own values of parameters: the values between cells with actions,
     and the own ones elsewhere."""
-    counts, d = np.array(action.shape), action.ndim
-    flat, has = values[action.ravel()], action.ravel() >= 0
+    return partial(values_between, grid, values[action.ravel()], action >= 0)
+
+
+def values_between(
+    grid: Grid,
+    flat: Float[np.ndarray, "n parameters"],
+    has: Bool[np.ndarray, "*shape"],
+    x: Float[Array, " section"],
+    own: Float[Array, " parameters"],
+) -> Any:
+    """The values at a point between cells that have some; elsewhere the own ones."""
+    counts, d = np.array(has.shape), has.ndim
     steps = np.append(np.cumprod(counts[:0:-1])[::-1], 1).astype(np.int32)
-
-    def choose(x: Float[Array, " section"], own: Float[Array, " parameters"]) -> Any:
-        to = lambda values: jnp.asarray(values, x.dtype)
-        values, acting = to(flat), jnp.asarray(has)
-        u = grid.position(x).astype(x.dtype)
-        inside = jnp.all((u >= 0) & (u < to(counts)))  # not so for NaN
-        u = jnp.where(inside, u, 0.5)
-        cell = jnp.clip(jnp.floor(u), 0, to(counts - 1)).astype(jnp.int32)
-        held = inside & acting[(cell * steps).sum()]
-        first = jnp.floor(u - 0.5)
-        share = u - 0.5 - first
-        total, weight = jnp.zeros_like(own), jnp.zeros((), x.dtype)
-        for corner in np.ndindex(*(2,) * d):
-            place = first.astype(jnp.int32) + jnp.asarray(corner, jnp.int32)
-            there = jnp.clip(place, 0, jnp.asarray(counts - 1, jnp.int32))
-            number = (there * steps).sum()
-            near = jnp.prod(jnp.where(jnp.asarray(corner) == 1, share, 1 - share))
-            near = jnp.where(acting[number] & jnp.all(place == there), near, 0)
-            total = total + near * values[number]
-            weight = weight + near
-        return jnp.where(held, total / jnp.where(held, weight, 1), own)
-
-    return choose
+    to = lambda values: jnp.asarray(values, x.dtype)
+    values, acting = to(flat), jnp.asarray(has.ravel())
+    u = grid.position(x).astype(x.dtype)
+    inside = jnp.all((u >= 0) & (u < to(counts)))  # not so for NaN
+    u = jnp.where(inside, u, 0.5)
+    cell = jnp.clip(jnp.floor(u), 0, to(counts - 1)).astype(jnp.int32)
+    held = inside & acting[(cell * steps).sum()]
+    first = jnp.floor(u - 0.5)
+    share = u - 0.5 - first
+    total, weight = jnp.zeros_like(own), jnp.zeros((), x.dtype)
+    for corner in np.ndindex(*(2,) * d):
+        place = first.astype(jnp.int32) + jnp.asarray(corner, jnp.int32)
+        there = jnp.clip(place, 0, jnp.asarray(counts - 1, jnp.int32))
+        number = (there * steps).sum()
+        near = jnp.prod(jnp.where(jnp.asarray(corner) == 1, share, 1 - share))
+        near = jnp.where(acting[number] & jnp.all(place == there), near, 0)
+        total = total + near * values[number]
+        weight = weight + near
+    return jnp.where(held, total / jnp.where(held, weight, 1), own)

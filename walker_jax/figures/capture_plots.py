@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import numpy as np
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -129,4 +130,7 @@ def read_basins(data: xr.Dataset, basins: Mapping[str, xr.Dataset]) -> Mapping[s
             raise WrongUse(
                 f"basins must be on the grid of data, {dict(shape)}, not {short(words)} on {found}"
             )
+        for name in shape:
+            if not np.allclose(basin[name].values, data[name].values, rtol=1e-9, atol=1e-12):
+                raise WrongUse(f"basins must be on the grid of data, unlike {short(words)}")
     return basins

@@ -73,7 +73,8 @@ class Map(System):
         found = vars(self).get("parameters", {})
         if name in found:
             return found[name]
-        raise AttributeError(f"{self.label()} has no parameter {name!r}")
+        whose = self.label() if "f" in vars(self) else type(self).__name__  # while it is unpickled
+        raise AttributeError(f"{whose} has no parameter {name!r}")
 
     def label(self):
         return getattr(self.f, "__name__", type(self).__name__)
