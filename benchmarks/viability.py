@@ -46,6 +46,8 @@ from walker_jax import figures
 
 PUSH, HIP = {"push_off": (0.0, 0.1, 33)}, {"hip_angle": (-0.8, 0.0, 33)}
 BOTH = {"hip_angle": (-0.8, 0.0, 33), "push_off": (0.0, 0.1, 4)}
+EVEN = {"hip_angle": (-0.8, 0.0, 9), "push_off": (0.0, 0.1, 9)}
+"""Of both motors too, for rough ground."""
 SPRING = {"hip_stiffness": 2.0}
 WINDOW = {"theta": (0.0, 0.8, 400), "sum": (-0.4, 0.05, 450)}
 CASES = {
@@ -59,7 +61,7 @@ CASES = {
         10_000,
     ),
     "simplest 0.004, both": (wj.PoweredWalker(0.004, **SPRING), BOTH, WINDOW, 1e-3, 10_000),
-    "simplest 0.009, both": (wj.PoweredWalker(0.009, **SPRING), BOTH, WINDOW, 2e-3, 10_000),
+    "simplest 0.009, both": (wj.PoweredWalker(0.009, **SPRING), BOTH, WINDOW, None, 0),
     "round feet 0.004, push-off": (
         wj.PoweredRoundFootWalker(0.004),
         {"push_off": (0.0, 0.1, 9)},
@@ -115,7 +117,8 @@ def main():
         steered = linear_feedback(walker, data, grid, coarse)
         print_areas(label, walker, data, steered, grid, coarse)
         if ground is not None:
-            half = wj.viable(walker, make_grid(axes, 0.5), actions, bounds=False)
+            chosen = EVEN if actions is BOTH else actions
+            half = wj.viable(walker, make_grid(axes, 0.5), chosen, bounds=False)
             rough.append((label, ground, walks, walker, steered, half))
     titles = f"{'ground':>8}{'passive':>24}{'linear':>24}{'policy':>24}{'policy, settled':>28}"
     print(f"\n{'strides to a fall':32}{titles}")
