@@ -232,6 +232,7 @@ def test_policies_of_maps_are_copied_and_axes_in_any_order(data):
         wj.Policy(steered, data)
 
 
+@pytest.mark.slow
 def test_a_policy_of_a_runner_begins_where_its_action_can():
     """A flatter leg lands from lower apexes: the basin is the kernel, on the cells' own terms."""
     runner, grid = wj.SpringMassRunner(), wj.Grid.plain(apex=(0.7, 2.2, 300))

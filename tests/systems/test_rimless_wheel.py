@@ -355,6 +355,7 @@ class IntegratingWheel(wj.TorsoWheel):
         return jnp.isfinite(x[3]) & super().feasible(x[:3])
 
 
+@pytest.mark.slow
 def test_an_integrating_controller_holds_the_torso_on_average():
     wheel = IntegratingWheel(lean=0.65)
     gait = wj.find_gait(wheel, [*gait_of(LEVEL).states[0], -1.5])

@@ -58,6 +58,7 @@ def extrapolated(values: list) -> np.ndarray:
     return values[0]
 
 
+@pytest.mark.slow
 def test_a_body_on_a_stiffening_joint_becomes_one_that_is_held():
     """Behind a heel strike the joint closes at once, as if by a second impact. That leads to the
     same rates as one impact in which both feet and the mechanism take part."""
@@ -84,6 +85,7 @@ def test_coordinates_of_joints_come_behind_those_of_the_legs():
     np.testing.assert_allclose(again.state, wj.stride(walker, x).state, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_derivatives_of_ten_strides_are_differences():
     walker, gait = walker_and_gait()
     x = jnp.asarray(gait.states[0]) + jnp.array([1e-3, 0, 0, 2e-3, 0])
@@ -106,6 +108,7 @@ def test_energy_is_constant_without_a_damper_but_for_the_spring():
     assert np.ptp(spring) > 1e-3
 
 
+@pytest.mark.slow
 def test_rough_ground_films_and_basins_take_many_joints():
     walker, gait = walker_and_gait()
     even = wj.walk(walker, gait.states[0], 2, ground=np.zeros(2))

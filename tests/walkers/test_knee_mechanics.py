@@ -321,6 +321,7 @@ def test_outcomes_and_states_are_those_of_another_integrator(count):
         assert {0, 1, 2, 8} <= ways
 
 
+@pytest.mark.slow
 def test_margins_have_the_sign_that_the_outcome_says():
     xs = starts(3000)
     found = wj.margins_of_many(WALKER, xs)

@@ -76,12 +76,15 @@ def expand_variation(primals, tangents, *, order):
     Where f is made of other operations than smooth ones, each coefficient is differentiated.
     """
     (vector_field, state), (change, dstate) = primals, tangents
+    # Its terms are those of the series with the derivative. JAX linearises what stands alone.
+    series = expand_solution(vector_field, state, order=order)
     if not is_smooth(vector_field, state):
         grow = lambda vector_field, state: grow_series(vector_field, state, order)
-        return eqx.filter_jvp(grow, primals, tangents)
+        return series, eqx.filter_jvp(grow, primals, tangents)[1]
     tangent = lambda dx, x: jnp.zeros_like(x) if dx is None and x is not None else dx
     dstate = jax.tree.map(tangent, dstate, state, is_leaf=is_absent)
-    return expand_solution(VariedField(vector_field, change), (state, dstate), order=order)
+    varied = VariedField(vector_field, change)
+    return series, expand_solution(varied, (state, dstate), order=order)[1]
 
 
 SMOOTH = frozenset("add add_any cos div exp integer_pow log mul neg sin sqrt square sub".split())
