@@ -84,7 +84,7 @@ def with_failures(
     cells = failing_cells(fate)
     failing = [
         Region(cells[one], colour, letter, failure_words(one, failures), one == Outcome.UNDECIDED)
-        for one, (colour, letter) in FAILURES.items()
+        for one, (colour, letter, _) in FAILURES.items()
     ]
     return [region for region in (*regions, *failing) if region.cells.any()]
 

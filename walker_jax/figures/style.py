@@ -6,10 +6,10 @@ from typing import Any
 from matplotlib import rcParams
 from matplotlib.font_manager import FontProperties
 
-from walker_jax.systems.outcomes import Outcome, name_of_outcome, outcome_in_words
+from walker_jax.systems.outcomes import WORDS, Outcome, name_of_outcome, outcome_in_words
 
 INK = "#1a1a1a"
-FAILURES = {
+SIGNS = {
     Outcome.LEFT_GRID: ("#f7f7f7", ""),
     Outcome.BACKWARD: ("#fae0b5", "B"),
     Outcome.FORWARD: ("#b4d1e9", "F"),
@@ -28,6 +28,8 @@ FAILURES = {
 }
 """Colour and letter (Schwab and Wisse 2001, Figure 2), from light to dark; then those of a system's
 own failures."""
+FAILURES = {outcome: (*signs, WORDS[outcome.name]) for outcome, signs in SIGNS.items()}
+"""The same, and words."""
 
 
 def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
