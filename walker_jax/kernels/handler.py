@@ -112,13 +112,7 @@ run:
 compute:
 {compute}
 refuse:
-  %error_args = alloca [4 x i64]
-  put i64 28, ptr %error_args, i64 0
-  put ptr null, ptr %error_args, i64 8
-  put ptr @wrong, ptr %error_args, i64 16
-  put i64 3, ptr %error_args, i64 24
-  %create = field ptr, ptr %api, i64 48
-  %error = call ptr %create(ptr %error_args)
+  %error = call ptr @refuse(ptr %api, ptr @wrong, i64 3)
   ret ptr %error
 }}
 
@@ -358,6 +352,17 @@ define i64 @divide_up(i64 %number, i64 %by) {{
   %less = sub i64 %sum, 1
   %quotient = sdiv i64 %less, %by
   ret i64 %quotient
+}}
+
+define ptr @refuse(ptr %api, ptr %message, i64 %code) {{
+  %args = alloca [4 x i64]
+  put i64 28, ptr %args, i64 0
+  put ptr null, ptr %args, i64 8
+  put ptr %message, ptr %args, i64 16
+  put i64 %code, ptr %args, i64 24
+  %create = field ptr, ptr %api, i64 48
+  %error = call ptr %create(ptr %args)
+  ret ptr %error
 }}
 
 define void @dismiss(ptr %api, ptr %error) {{

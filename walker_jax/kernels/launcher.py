@@ -123,13 +123,7 @@ start:
   %launched = icmp eq i32 %status, 0
   br i1 %launched, label %good, label %bad
 bad:
-  %error_args = alloca [4 x i64]
-  put i64 28, ptr %error_args, i64 0
-  put ptr null, ptr %error_args, i64 8
-  put ptr @failure, ptr %error_args, i64 16
-  put i64 13, ptr %error_args, i64 24
-  %create = field ptr, ptr %api, i64 48
-  %error = call ptr %create(ptr %error_args)
+  %error = call ptr @refuse(ptr %api, ptr @failure, i64 13)
   ret ptr %error
 good:
   ret ptr null
