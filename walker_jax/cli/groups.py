@@ -29,11 +29,6 @@ def placeholder(kind: Any) -> str | None:
     return PLACEHOLDERS.get(kind) or next(filter(None, inner), None)
 
 
-def theme_of(group: Any) -> str | None:
-    """The heading above a group in the help."""
-    return getattr(group, "theme", None)
-
-
 def argument(name: str, annotation: Any, default: Any) -> inspect.Parameter:
     """An argument of a command, which typer makes an option of."""
     keyword = inspect.Parameter.KEYWORD_ONLY
@@ -57,7 +52,10 @@ def arguments_of(command: Command) -> list[inspect.Parameter]:
         for field in dataclasses.fields(one.annotation):
             flags, text, settings = field.metadata["option"]
             flags = flags or [option_of(field.name)] * (field.default is False)  # no --no-...
-            said = {"metavar": placeholder(field.type), "rich_help_panel": theme_of(one.annotation)}
+            said = {
+                "metavar": placeholder(field.type),
+                "rich_help_panel": getattr(one.annotation, "theme", None),
+            }
             settings = said | settings
             annotation = Annotated[field.type, typer.Option(*flags, help=text, **settings)]
             found.append(argument(field.name, annotation, given.get(field.name, field.default)))

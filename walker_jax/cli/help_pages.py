@@ -17,30 +17,18 @@ class HelpfulCommand(TyperCommand):
     """A command whose help begins with examples and fits on a page or two of a terminal."""
 
     def format_help(self, ctx, formatter) -> None:
-        self.width = formatter.width
+        name, width = str(self.name), formatter.width
         arguments = [one.name.upper() for one in self.params if one.param_type_name != "option"]
-        usage = " ".join([f"walker-jax {self.name}", *arguments, "[OPTIONS]"])
+        usage = " ".join([f"walker-jax {name}", *arguments, "[OPTIONS]"])
         first, *more = (self.help or "").split("\n\n")
-        parts = [f"{usage}\n\n{self.paragraph(first)}", self.examples()]
+        examples = (fill(f"  walker-jax {line}", width, 6) for line in EXAMPLES[name])
+        parts = [f"{usage}\n\n{fill(first, width)}", "\n".join(["Examples:", *examples])]
         for theme, options in self.themes(ctx).items():
-            parts.append("\n".join([f"{theme}:", *map(self.row, options)]))
-        parts += [self.paragraph(text) for text in more]
-        parts.append(self.paragraph(f"Time on two cores: {DURATIONS[str(self.name)]}"))
+            rows = (row(one, width) for one in options)
+            parts.append("\n".join([f"{theme}:", *rows]))
+        parts += [fill(text, width) for text in more]
+        parts.append(fill(f"Time on two cores: {DURATIONS[name]}", width))
         formatter.write("\n\n".join(parts) + "\n")
-
-    def paragraph(self, text: str) -> str:
-        return textwrap.fill(text, self.width, break_on_hyphens=False)
-
-    def examples(self) -> str:
-        lines = (f"walker-jax {line}" for line in EXAMPLES[str(self.name)])
-        fill = textwrap.TextWrapper(
-            self.width,
-            initial_indent="  ",
-            subsequent_indent="      ",
-            break_on_hyphens=False,
-            break_long_words=False,
-        )
-        return "\n".join(["Examples:", *map(fill.fill, lines)])
 
     def themes(self, ctx) -> dict[str, list[Any]]:
         """The arguments and the options that are not hidden, by their theme."""
@@ -51,17 +39,19 @@ class HelpfulCommand(TyperCommand):
                 found.setdefault(theme, []).append(one)
         return found
 
-    def row(self, param: Any) -> str:
-        """An option and what it means, side by side, or below where the option is long."""
-        typed, indent = f"  {as_typed(param)}", " " * (FLAGS + 2)
-        text = textwrap.fill(
-            meaning(param),
-            self.width,
-            initial_indent=indent,
-            subsequent_indent=indent,
-            break_on_hyphens=False,
-        )
-        return f"{typed:{FLAGS + 2}}{text.lstrip()}" if len(typed) <= FLAGS else f"{typed}\n{text}"
+
+def fill(text: str, width: int, indent: int = 0) -> str:
+    """A text in lines, with an indent from the second one on; no word or option is broken."""
+    spaces = " " * indent
+    how: Any = {"break_on_hyphens": False, "break_long_words": False}
+    return textwrap.fill(text, width, subsequent_indent=spaces, **how)
+
+
+def row(param: Any, width: int) -> str:
+    """An option and what it means, side by side, or below where the option is long."""
+    typed, indent = f"  {as_typed(param)}", FLAGS + 2
+    text = fill(" " * indent + meaning(param), width, indent)
+    return f"{typed:{indent}}{text.lstrip()}" if len(typed) <= FLAGS else f"{typed}\n{text}"
 
 
 def as_typed(param: Any) -> str:

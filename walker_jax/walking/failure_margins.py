@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.modes import Guard
@@ -232,13 +232,27 @@ def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> di
     failed = jnp.where(jnp.isfinite(least), least, failed)
 
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
+    return margins_by_name(parts, passed, failed, began, outcome)
+
+
+def margins_by_name(
+    parts: tuple[Part, ...],
+    passed: dict[int, Scalar],
+    failed: Scalar,
+    began: Bool[Array, ""],
+    outcome: Int[Array, ""],
+) -> dict[str, Scalar]:
+    """The margins, given by how much each failure was passed by, and by how much the stride failed.
+
+    NaN for failures that the stride cannot have had, if it `began` at all.
+    """
     margins: dict[str, Scalar] = {}
     led_to = {end for part in parts for end in part.mode.outcomes()}
     for way, name in WAYS.items():
         if way in OWN and way not in led_to:
-            margins.setdefault(name, infinite * jnp.nan)
+            margins.setdefault(name, jnp.full_like(failed, jnp.nan))
             continue
-        value = passed.get(int(way), infinite)
+        value = passed.get(int(way), jnp.full_like(failed, jnp.inf))
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
         value = jnp.where(outcome == way, not_above_zero(failed), value)
         margins[name] = lesser_known(margins[name], value) if name in margins else value
