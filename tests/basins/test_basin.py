@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from interruptions import stop_writes
 from reference import DATA
 
 import walker_jax as wj
@@ -414,25 +415,16 @@ def test_rows_that_are_long_are_cut(tmp_path, small_pieces, method):
 def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch, method):
     grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
     wanted = computed_at_once(method)
-    written, piece = [], []
+    piece, stops, runs = [], {0, 2, 3, 4, 6, 8}, 0
     kind = pieces.MappedPieces if method == "cell-map" else pieces.FollowedPieces
-    write, compute = storage.Pieces.write, kind.piece
-
-    def stopped(place, i, values, done=False):
-        if len(written) in stops:
-            stops.discard(len(written))
-            write(place, i, dict(list(values.items())[:1]))  # a part of a piece
-            raise KeyboardInterrupt
-        written.append(i)
-        write(place, i, values, done=done)
+    compute = kind.piece
 
     def counted(self, notes, part):
         piece.append(part)
         return compute(self, notes, part)
 
-    monkeypatch.setattr(storage.Pieces, "write", stopped)
+    stop_writes(monkeypatch, stops, arrays=1)
     monkeypatch.setattr(kind, "piece", counted)
-    stops, runs = {0, 2, 3, 4, 6, 8}, 0
     while stops:
         with pytest.raises(KeyboardInterrupt):
             wj.basin(STEEP, grid, method, strides=30, out=path)

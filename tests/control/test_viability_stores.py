@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from interruptions import stop_writes
 
 import walker_jax as wj
 from walker_jax import storage
@@ -49,24 +50,15 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_tiles, at_once, bounds):
 
 
 def test_interrupted_at_any_write_it_goes_on(tmp_path, small_tiles, at_once, monkeypatch):
-    write, begun, written = storage.Pieces.write, [], []
-    mapped = images.map_tile
-
-    def stopped(place, piece, values, done=False):
-        if len(written) in stops:
-            stops.discard(len(written))
-            write(place, piece, dict(list(values.items())[:2]))  # a part of a piece
-            raise KeyboardInterrupt
-        written.append(piece)
-        write(place, piece, values, done=done)
+    mapped, begun = images.map_tile, []
 
     def counted(task, cells, tile):
         begun.append(tile)
         return mapped(task, cells, tile)
 
-    monkeypatch.setattr(storage.Pieces, "write", stopped)
     monkeypatch.setattr("walker_jax.control.viability.map_tile", counted)
     path, stops = tmp_path / "a.zarr", {0, 3, 7}
+    written = stop_writes(monkeypatch, stops, arrays=2)
     while stops:
         with pytest.raises(KeyboardInterrupt):
             wj.viable(WALKER, GRID, PUSHES, out=path)
