@@ -1,7 +1,6 @@
 """Arguments that many functions take, checked: one line that names the argument and the value.
 
-It also defines the two exceptions that the package raises: for wrong use, and for a computation
-that failed.
+The errors themselves are in `refusals.py`, which loads without JAX.
 """
 
 import functools
@@ -17,44 +16,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float, Shaped
 
+from walker_jax.refusals import ComputationFailed as ComputationFailed
+from walker_jax.refusals import NotWritten as NotWritten
+from walker_jax.refusals import Refusal as Refusal
+from walker_jax.refusals import WrongPlace as WrongPlace
+from walker_jax.refusals import WrongUse as WrongUse
+
 P = ParamSpec("P")
 T = TypeVar("T")
 MAX_COUNT = 2**31 - 1
 """Strides, starts and cells are counted in 32 bits."""
-
-
-class Refusal(Exception):
-    """An error of one line, in one part or two: what is wrong, and what to do.
-
-    It is `of` arguments, whose names have spaces between them: the last part says each, last as a
-    word of its own. The command line puts its options in their places.
-    """
-
-    def __init__(self, *said: str, of: str = ""):
-        super().__init__(*said)
-        self.arguments = of.split()
-
-    def __str__(self):
-        return ": ".join(map(str, self.args))
-
-
-class WrongUse(Refusal, ValueError):
-    """An argument is refused. The package raises no other `ValueError` of its own.
-
-    So one that is no `WrongUse` comes from within a computation, as NumPy's `LinAlgError` does.
-    """
-
-
-class WrongPlace(WrongUse):
-    """A place on disk is refused: what is wrong there, and perhaps the arguments that help."""
-
-
-class ComputationFailed(Refusal, RuntimeError):
-    """A computation came to no answer, for the reason given, though its arguments are right."""
-
-
-class NotWritten(ComputationFailed):
-    """The system refuses to write a result: where and why, and how it is resumed."""
 
 
 def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) -> int:

@@ -1,6 +1,6 @@
-"""The application: a group of commands, each loaded when it is run or its own help is asked for.
+"""The application: a group of commands, each loaded once its arguments are right.
 
-So the group's help loads neither JAX nor the module of any command.
+So no help loads JAX or the module of a command, and no misspelt option does.
 """
 
 import inspect
@@ -10,12 +10,13 @@ from typing import Annotated
 
 import typer
 from typer.core import TyperCommand, TyperGroup
-from typer.main import get_command
 
 from walker_jax.cli.groups import argument, arguments_of, ungrouped, with_arguments
-from walker_jax.cli.help_pages import HelpfulCommand
+from walker_jax.cli.help_pages import command_of
+from walker_jax.cli.known_options import check_known
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.version import Version
+from walker_jax.refusals import WrongUse
 
 COMMANDS = {
     "walk": "Walk from one start, stride by stride, until a failure.",
@@ -58,6 +59,7 @@ class Commands(TyperGroup):
 
     def resolve_command(self, ctx, args):
         name, _, rest = super().resolve_command(ctx, args)
+        check_known(str(name), rest, ctx)
         from walker_jax.cli.startup import configure_jax  # which loads JAX
 
         configure_jax()
@@ -80,11 +82,8 @@ def load(name: str, args: Sequence[str] | None = None):
         from walker_jax.cli.walker_options import with_walker_options
 
         function = with_walker_options(function, args)
-    single = typer.Typer(add_completion=False)
     text = flowing(inspect.cleandoc(function.__doc__ or ""))
-    single.command(name, cls=HelpfulCommand, help=text)(with_quiet(function))
-    command = get_command(single)
-    assert isinstance(command, TyperCommand)  # as it holds one command
+    command = command_of(name, text, with_quiet(function))
     check_flags(command)
     return command
 
@@ -95,8 +94,6 @@ def check_flags(command: TyperCommand) -> None:
     for one in command.params:
         for flag in (*one.opts, *one.secondary_opts):
             if flag in taken:
-                from walker_jax.checks import WrongUse  # which loads JAX
-
                 name = flag.removeprefix("--").replace("-", "_")
                 raise WrongUse(f"{flag} is an option of the command: rename the parameter {name}")
             taken.add(flag)

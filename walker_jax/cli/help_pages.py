@@ -1,9 +1,12 @@
 """The help of a command: what it does, examples, then its options, theme by theme."""
 
 import textwrap
+from collections.abc import Callable
 from typing import Any
 
+import typer
 from typer.core import TyperCommand
+from typer.main import get_command
 
 from walker_jax.cli.examples import DURATIONS, EXAMPLES
 
@@ -38,6 +41,15 @@ class HelpfulCommand(TyperCommand):
                 theme = getattr(one, "rich_help_panel", None) or OTHERS
                 found.setdefault(theme, []).append(one)
         return found
+
+
+def command_of(name: str, text: str, function: Callable[..., None]) -> TyperCommand:
+    """The command that calls a function, with this text in its help."""
+    single = typer.Typer(add_completion=False)
+    single.command(name, cls=HelpfulCommand, help=text)(function)
+    command = get_command(single)
+    assert isinstance(command, TyperCommand)  # as it holds one command
+    return command
 
 
 def fill(text: str, width: int, indent: int = 0) -> str:

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from walker_jax.cli.rewording import option_of
+from walker_jax.refusals import WrongUse
 
 
 def list_walkers(requested: bool) -> bool:
     """Print all walkers and systems with their parameters, those of other packages too, and end."""
     if not requested:
         return False
-    from walker_jax.checks import WrongUse  # which loads JAX, as what follows
-    from walker_jax.systems.family import SYSTEMS
+    from walker_jax.systems.family import SYSTEMS  # which loads JAX, as what follows
     from walker_jax.walkers.family import WALKERS
     from walker_jax.walkers.references import installed_walkers, load_installed
 

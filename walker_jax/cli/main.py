@@ -14,6 +14,8 @@ from typing import NoReturn
 
 from walker_jax.cli.app import Interrupted, app, resume_notes
 from walker_jax.cli.complaints import complaint
+from walker_jax.cli.rewording import message_of
+from walker_jax.refusals import Refusal, WrongUse
 
 FEW_COLLECTIONS = 50_000
 """New objects after which Python looks for garbage: traces are many objects, of which most live on,
@@ -52,12 +54,9 @@ def verdict(error: Exception) -> tuple[int, str]:
     """The exit code for an error, and the reason that is printed."""
     if hasattr(error, "format_message"):  # an error of typer's own
         return 2, complaint(error)
-    checks = sys.modules.get("walker_jax.checks")  # it loads JAX, and that may be what failed
-    if checks is None or not isinstance(error, checks.Refusal):
+    if not isinstance(error, Refusal):
         return 1, f"{type(error).__name__}: {error}"
-    from walker_jax.cli.rewording import message_of
-
-    return (2 if isinstance(error, checks.WrongUse) else 1), message_of(error)
+    return (2 if isinstance(error, WrongUse) else 1), message_of(error)
 
 
 def terminate(signal_number: int, frame: object) -> NoReturn:

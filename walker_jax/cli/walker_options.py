@@ -3,13 +3,13 @@
 import inspect
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
-from itertools import zip_longest
 from typing import Annotated, Any, get_args
 
 import typer
 
 from walker_jax.checks import WrongUse
 from walker_jax.cli.groups import Command, argument, arguments_of, with_arguments
+from walker_jax.cli.known_options import DEFAULT, PANEL, PREFIX, refuse_foreign, value_of
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of
 from walker_jax.systems.family import SYSTEMS
@@ -24,12 +24,6 @@ from walker_jax.walkers.parameters import (
 )
 from walker_jax.walkers.references import find_system, find_walker, installed_walkers
 
-PANEL: Any = {"rich_help_panel": "Walker"}
-"""The panel of the help that holds these options."""
-DEFAULT = "simplest"
-"""The walker of a command that names none."""
-PREFIX = "walker_"
-"""Of the arguments for a walker's parameters: those of commands may have the same names."""
 OF_WALKERS = {"theta", "thetadot", "sum", "phidot", "at_phidot", "guess"}
 """Options of commands for coordinates that walkers alone have."""
 Kinds = Mapping[str, type[System] | System]
@@ -70,17 +64,6 @@ def offered_kinds(command: Command, args: Sequence[str]) -> Kinds:
         raise WrongUse(f"--{error}") from error
 
 
-def value_of(option: str, args: Sequence[str]) -> str | None:
-    """The last value that arguments give to an option, if any."""
-    value = None
-    for one, following in zip_longest(args, args[1:]):
-        if one == option:
-            value = following
-        elif one.startswith(f"{option}="):
-            value = one.partition("=")[2]
-    return value
-
-
 def with_walker_options(command: Command, args: Sequence[str] | None) -> Command:
     """The command with options for the walkers that it offers, in the place of its walker.
 
@@ -97,7 +80,7 @@ def with_walker_options(command: Command, args: Sequence[str] | None) -> Command
         if ranges_over is not None:
             over, low = given[ranges_over].replace("-", "_"), given["low"]
             if over in offered and (low is not None or not vars(command)["or_one_value"]):
-                values |= lowest_value(next(iter(offered[over].values())), low, values)
+                values |= lowest_value(first(offered[over]), low, values)
         name = system or walker
         return command(walker=build_walker(kinds[name], name, offered, values), **given)
 
@@ -139,6 +122,11 @@ def offered_options(kinds: Kinds) -> Offered:
     return offered
 
 
+def first(owners: Mapping[str, Any]) -> Any:
+    """The parameter or option of the first walker that has it."""
+    return next(iter(owners.values()))
+
+
 def option_for(
     name: str, owners: Mapping[str, Any], count: int, told: str | None
 ) -> inspect.Parameter:
@@ -149,7 +137,7 @@ def option_for(
         owners, count, panel = {told: owners[told]}, 1, PANEL
     else:
         panel = PANEL | {"hidden": True}
-    one = next(iter(owners.values()))
+    one = first(owners)
     whose = "" if len(owners) == count else f"{', '.join(owners)}: "
     if isinstance(one, Option):
         flag = typer.Option(option_of(name), help=f"{whose}{one.meaning}.", **panel)
@@ -194,13 +182,8 @@ def build_walker(
     """The walker of that name, with default values for parameters that are not given."""
     own = {one: owners[name] for one, owners in offered.items() if name in owners}
     numbers = {one: each.default for one, each in own.items() if isinstance(each, Parameter)}
-    for one in values:
-        if one not in own and isinstance(next(iter(offered[one].values())), Option):
-            whose = ", ".join(offered[one])
-            raise WrongUse(f"{option_of(one)} is not an option of {name}, but of {whose}")
-        if one not in own:
-            has = ", ".join(map(option_of, numbers))
-            raise WrongUse(f"{option_of(one)} is not a parameter of {name}, which has {has}")
+    flags = [one for one, whose in offered.items() if isinstance(first(whose), Option)]
+    refuse_foreign(name, values, offered, flags)
     for one, value in numbers.items():
         if one not in values and math.isnan(value):
             raise WrongUse(f"{option_of(one)} is required: {name} has no default for it")

@@ -1,0 +1,140 @@
+"""The options of the package's own commands and walkers as data, which load without JAX.
+
+Help, misspelt options and values of a wrong kind are answered from `options.json` at once; what a
+command computes with is loaded once its arguments are right. `tests/cli/test_known_options.py`
+writes the file and holds it against the commands.
+"""
+
+import functools
+import inspect
+import json
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from itertools import zip_longest
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from typer.core import TyperCommand
+
+from walker_jax.cli.groups import argument, with_arguments
+from walker_jax.cli.help_pages import command_of
+from walker_jax.cli.rewording import option_of
+from walker_jax.refusals import WrongUse
+
+PLACE = "options.json"
+"""The name of the file, which is beside this one."""
+PARAMETERS = "parameters"
+"""It stands in a list of options for those of walkers."""
+DEFAULT = "simplest"
+"""The walker of a command that names none."""
+PREFIX = "walker_"
+"""Of the arguments for a walker's parameters: those of commands may have the same names."""
+PANEL: Any = {"rich_help_panel": "Walker"}
+"""The panel of the help that holds a walker's options."""
+KINDS: dict[str, Any] = {
+    "flag": bool,
+    "flag or none": bool | None,
+    "number": float,
+    "number or none": float | None,
+    "whole": int,
+    "whole or none": int | None,
+    "text": str,
+    "text or none": str | None,
+    "texts": list[str] | None,
+    "place": Path,
+    "place or none": Path | None,
+    "range": tuple[float, float, int] | None,
+    "point": tuple[float, float] | None,
+    "named number": tuple[str, float] | None,
+}
+"""Types of options, by their names in the file; a list there has the choices of a `Literal`."""
+ONE_OF: Any = Literal
+SETTINGS = "help", "metavar", "rich_help_panel", "show_default", "min", "max", "is_eager", "hidden"
+"""What else the file has of an option. Callbacks act when the command itself is loaded."""
+
+
+def read(said: Mapping[str, Any]) -> inspect.Parameter:
+    """An argument of a command, from what the file has of it."""
+    kind, default = said["kind"], said.get("default", inspect.Parameter.empty)
+    settings = {name: said[name] for name in SETTINGS if name in said}
+    flags = said.get("flags")
+    info = typer.Argument(**settings) if flags is None else typer.Option(*flags, **settings)
+    chosen = KINDS[kind] if isinstance(kind, str) else ONE_OF[tuple(kind)] | None
+    if kind == "place" and isinstance(default, str):
+        default = Path(default)
+    return argument(said["name"], Annotated[chosen, info], default)
+
+
+@functools.cache
+def table() -> dict[str, Any]:
+    """The file: options of each command, and what those of walkers are for, walker by walker."""
+    return json.loads(files("walker_jax.cli").joinpath(PLACE).read_text())
+
+
+def check_known(name: str, args: Sequence[str], parent: Any) -> None:
+    """Print the help of a command, or refuse its arguments, as far as the file tells.
+
+    It tells nothing of systems that are no walkers, nor of walkers that are not the package's.
+    """
+    walker = value_of("--walker", args) or DEFAULT
+    if walker not in table()["walkers"] or value_of("--system", args) is not None:
+        return
+    given = read_command(name, walker).make_context(name, [*args], parent=parent).params
+    kinds, walkers = table()["parameters"], table()["walkers"]
+    refuse_foreign(
+        walker,
+        [one for one in kinds if given.get(PREFIX + one) is not None],
+        {one: [each for each in walkers if one in walkers[each]] for one in kinds},
+        [one for one, kind in kinds.items() if kind == "flag or none"],
+    )
+
+
+def read_command(name: str, walker: str) -> TyperCommand:
+    """A command that does nothing; its help has the parameters of this walker."""
+    own: list[inspect.Parameter] = []
+    for said in table()["commands"][name]["options"]:
+        own += parameters_of(walker) if said == PARAMETERS else [read(said)]
+    takes = with_arguments(own, do_nothing, lambda **given: None)
+    return command_of(name, table()["commands"][name]["help"], takes)
+
+
+def do_nothing() -> None: ...
+
+
+def parameters_of(walker: str) -> Iterator[inspect.Parameter]:
+    """Options for the parameters of all walkers, of which the help has those of one."""
+    for name, kind in table()["parameters"].items():
+        meaning = table()["walkers"][walker].get(name)
+        said = {"name": PREFIX + name, "kind": kind, "default": None, "flags": [option_of(name)]}
+        said |= PANEL | {"show_default": False, "help": meaning, "hidden": meaning is None}
+        yield read(said | ({} if kind == "flag or none" else {"metavar": "X"}))
+
+
+def value_of(option: str, args: Sequence[str]) -> str | None:
+    """The last value that arguments give to an option, if any."""
+    value = None
+    for one, following in zip_longest(args, args[1:]):
+        if one == option:
+            value = following
+        elif one.startswith(f"{option}="):
+            value = one.partition("=")[2]
+    return value
+
+
+def refuse_foreign(
+    walker: str,
+    given: Iterable[str],
+    owners: Mapping[str, Collection[str]],
+    flags: Container[str],
+) -> None:
+    """Refuse parameters and options of other walkers than the one that is named."""
+    has = [one for one, whose in owners.items() if walker in whose and one not in flags]
+    for one in given:
+        if walker in owners[one]:
+            continue
+        if one in flags:
+            whose = ", ".join(owners[one])
+            raise WrongUse(f"{option_of(one)} is not an option of {walker}, but of {whose}")
+        own = ", ".join(map(option_of, has))
+        raise WrongUse(f"{option_of(one)} is not a parameter of {walker}, which has {own}")
