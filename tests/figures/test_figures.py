@@ -119,7 +119,25 @@ def test_nothing_walks_anywhere():
     data = table(total_area=[0.0] * 3, **dict.fromkeys(names, nowhere))
     figure = figures.robustness_table(data)
     figure.canvas.draw()
-    assert len(figure.axes) == 2
+    assert len(figure.axes) == 4
+
+
+def test_each_measure_of_robustness_has_a_panel_with_its_unit():
+    figure = figures.robustness_table(table(least_fall=[1e-3, 3e-3, np.nan]))
+    area, least, multiplier, dimension = figure.axes
+    np.testing.assert_array_equal(area.lines[0].get_ydata(), [2e-3, 1e-3, 0])
+    np.testing.assert_array_equal(least.lines[0].get_ydata(), [1e-3, 2e-3, np.nan])
+    np.testing.assert_array_equal(np.asarray(least.lines[1].get_xydata()), [[0.008, 3e-3]])
+    np.testing.assert_array_equal(multiplier.lines[0].get_ydata()[:2], [0.6, 0.9])
+    assert [ax.get_ylabel().partition(" (")[0] for ax in figure.axes] == [
+        "area of the basin",
+        "least disturbance",
+        "modulus of the largest multiplier",
+        "dimension",
+    ]
+    assert "rad²" in area.get_ylabel() and dimension.get_title(loc="left")
+    titles = [text.get_text() for text in figure.texts]
+    assert titles == ["SimplestWalker: robustness"]
 
 
 def test_the_dimension_is_drawn_with_its_interval():

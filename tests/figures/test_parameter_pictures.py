@@ -13,6 +13,8 @@ from parts_of_pictures import annotations, box, figure_of, legend, lightness, li
 
 from walker_jax import figures
 from walker_jax.figures import style, text
+from walker_jax.figures.branch_plots import spread_apart
+from walker_jax.figures.fraction_plots import colours_of
 
 PICTURES = [figures.gait_branches, figures.largest_multiplier, figures.bifurcation_diagram]
 
@@ -190,6 +192,23 @@ def test_multipliers_are_filled_inside_the_unit_circle_only():
         assert (line.get_markerfacecolor() == line.get_color()) == filled
     assert legend(ax) == ["stable", "unstable", "period 1", "period 2"]
     assert "of 2 gaits, 1 of them stable" in words(ax)
+    alike = figures.multipliers([gait(1, *stable, stable=True), gait(1, *unstable)])
+    assert legend(alike) == ["stable", "unstable"]  # no sign stands there twice
+    assert "of 2 gaits of period 1, 1 of them stable" in words(alike)
+
+
+def test_heights_are_spread_below_a_top():
+    heights = np.array([1.0, 1.1, 1.2, 4.0, 4.9])
+    np.testing.assert_allclose(spread_apart(heights, 0.5, 9.0), [1, 1.5, 2, 4, 4.9])
+    np.testing.assert_allclose(spread_apart(heights, 1.0, 5.0), [1, 2, 3, 4, 5])
+    np.testing.assert_allclose(spread_apart(heights, 1.0, 4.5), [0.5, 1.5, 2.5, 3.5, 4.5])
+
+
+def test_attractors_have_the_colours_of_their_periods():
+    colours = colours_of([1, 3, 2, 2, 0])
+    own = [style.period_style(period)[0] for period in (1, 3, 2)]
+    assert colours[:3] == own and len(set(colours)) == 5
+    assert colours_of([0] * 20)[-1] == style.LONGER[0]
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,8 @@ def table(slopes=(0.004, 0.008, 0.012), **changes):
         "dimension_high": [1.1, 1.5, np.nan],
     }
     over = {name: ("slope", np.array(values)) for name, values in (over | changes).items()}
-    data = xr.Dataset(over, {"slope": np.array(slopes)}, {"walker": "SimplestWalker"})
+    about = {"walker": "SimplestWalker", "section": ["theta", "thetadot"]}
+    data = xr.Dataset(over, {"slope": np.array(slopes)}, about)
     return completed(data, "robustness table", "slope")
 
 

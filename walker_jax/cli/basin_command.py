@@ -166,7 +166,7 @@ def basin(
     if data is None:
         data = compute(walker, request, output, cluster)
     seconds = clock.seconds()
-    output.draw(draw_basin(data), request)
+    output.draw(draw_basin(walker, data, request), request)
     if film is not None:
         draw_film(walker, data, shots, film)
     counts = tally(data)
@@ -201,14 +201,27 @@ def compute(
         return wj.basin(walker, grid, request["method"], **how)
 
 
-def draw_basin(data: "xarray.Dataset"):
-    """The picture of a basin, in two dimensions or three."""
+def draw_basin(walker: System, data: "xarray.Dataset", request: dict):
+    """The picture of a basin, in two dimensions or three; of a zoom with what is around it."""
     from walker_jax import figures
 
+    if "zoom" in request and data["fate"].ndim == 2:
+        axes = fill_around_gait(walker, request["axes"])
+        fewer = {name: coarsen(axis) for name, axis in axes.items()}
+        around = wj.basin(walker, grid_along(fewer), "direct", strides=request["strides"])
+        return figures.zoomed_basin(figures.thin(data), around)
     if "run_fate" in data:
         return figures.volume(data)
     draw_cells = figures.basin if data["fate"].ndim == 2 else figures.basin_slices
     return draw_cells(figures.thin(data))
+
+
+def coarsen(axis: Any) -> Any:
+    """A range with half as many cells, for a map of where a window lies; a value as it is."""
+    if is_number(axis):
+        return axis
+    low, high, count = axis
+    return low, high, max(2, count // 2)
 
 
 def draw_film(walker: System, data: "xarray.Dataset", shots: dict, film: Path) -> None:

@@ -15,6 +15,7 @@ from walker_jax.gaits import selection
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.summary import summarise_gait
 from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import describe_briefly
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def gait(walker: System, search: Search, picture: Picture) -> None:
     if picture.figure is not None:
         from walker_jax import figures
 
-        draw(figures.multipliers(found), picture.figure, request)
+        title = f"{describe_briefly(walker)}: Floquet multipliers"
+        draw(figures.multipliers(found, title=title), picture.figure, request)
     about = request["walker"]
     answer = {"gaits": [summarise_gait(one) for one in found], "walker": about}
     lines = [line for one in found for line in gait_in_words(walker, about, one)]

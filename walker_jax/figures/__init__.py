@@ -13,6 +13,7 @@ from walker_jax.figures.basin_maps import basin as basin
 from walker_jax.figures.basin_maps import basin_slices as basin_slices
 from walker_jax.figures.basin_maps import basins_in_a_row as basins_in_a_row
 from walker_jax.figures.basin_maps import thin as thin
+from walker_jax.figures.basin_maps import zoomed_basin as zoomed_basin
 from walker_jax.figures.boundary_plots import boundary as boundary
 from walker_jax.figures.branch_plots import bifurcation_diagram as bifurcation_diagram
 from walker_jax.figures.branch_plots import bifurcations as bifurcations

@@ -1,6 +1,7 @@
 """Pictures of basins of attraction."""
 
 import math
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -25,8 +26,9 @@ from walker_jax.figures.regions import (
     regions_of_one_basin,
     show_image,
 )
-from walker_jax.figures.style import BASINS, MARKERS, SMALL, TITLE
+from walker_jax.figures.style import BASINS, INK, MARKERS, SMALL, TITLE
 from walker_jax.figures.text import (
+    SYMBOLS,
     area_phrase,
     axis_label,
     basin_note,
@@ -102,12 +104,38 @@ def basin(
         ax,
         Shown(title, subtitle, legend, labels),
         title=walker_title(data),
-        note=basin_note(data),
+        note=basin_note(data) + place_note(data, (x, y)),
         x=offset_label(data, x),
         y=offset_label(data, y),
         legends=[(marks, 1), (patches, 2)],
     )
     return ax
+
+
+def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
+    """A narrow window of a basin, and beside it the basin around, with the place of the window.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.basin` returns on `Grid.zoom`, over two dimensions.
+    - `around`: the same on the whole grid.
+
+    **Returns** the figure, of 13 by 5.8 inches. Raises `ValueError` as `basin` does, and for `data`
+    of another grid.
+    """
+    check_dataset(data, "basin")
+    if not len(data.attrs.get("origin", ())):
+        raise WrongUse("data must be of a window, as Grid.zoom makes them, and have its origin")
+    figure = Figure(figsize=(13, 5.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    basin(around, left)
+    x, y = map(str, around["fate"].dims)
+    (place,) = place_states(around, np.asarray(data.attrs["origin"])[None], (x, y))
+    arrow = {"arrowstyle": "->", "color": INK, "lw": 1.4}
+    look: dict[str, Any] = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8}
+    left.annotate("window", place, (24, 34), "data", "offset points", arrow, bbox=look)
+    basin(data, right, title="Window")
+    return figure
 
 
 def basin_slices(data: xr.Dataset) -> Figure:
@@ -210,14 +238,25 @@ def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
 
 
 def offset_label(data: xr.Dataset, axis: str) -> str:
-    """The label of an axis; one of offsets tells all digits of their origin."""
+    """The label of an axis, which may have offsets from the middle of the picture."""
+    return f"offset of {axis_label(axis)}" if middle_of(data, axis) else axis_label(axis)
+
+
+def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
+    """A line on where the middle of the picture is, to all digits, if its axes have offsets."""
+    middle = {axis: middle_of(data, axis) for axis in axes}
+    if not any(middle.values()):
+        return ""
+    values = [f"{SYMBOLS.get(axis, axis)} = {value:.17g}" for axis, value in middle.items()]
+    return f"\naround {', '.join(values)}".replace("-", "−")
+
+
+def middle_of(data: xr.Dataset, axis: str) -> float:
+    """The value from which offsets along an axis are measured; 0 where they are none."""
     if "origin" not in data.attrs:
-        return axis_label(axis)
-    value = float(along_axis(np.asarray(data.attrs["origin"]), data.attrs["section"], axis))
-    if value == 0:
-        return axis_label(axis)
-    sign = "+" if value < 0 else "−"
-    return f"{axis_label(axis)} {sign} {abs(value):.17g}"
+        return 0.0
+    origin = np.asarray(data.attrs["origin"])[None]
+    return float(along_axis(origin, data.attrs["section"], axis).item())
 
 
 def share_drawn(data: xr.Dataset) -> int:

@@ -1,5 +1,6 @@
 """Pictures of gaits over a parameter: branches, multipliers, bifurcation diagrams."""
 
+import math
 from itertools import pairwise
 from typing import Any
 
@@ -205,7 +206,8 @@ def bifurcation_diagram(
     if np.isfinite(lost):
         ax.axvline(lost, color=LOSS, lw=1, zorder=3)
         low, high = data["lost"].values.tolist()
-        note = f"walking is lost between {low:.5f} and {high:.5f}"
+        digits = max(5, 1 - math.floor(math.log10(high - low)))  # which tell the two apart
+        note = f"walking is lost between {low:.{digits}f} and {high:.{digits}f}"
     dress(
         ax,
         Shown(title, subtitle, legend, labels),
@@ -276,9 +278,10 @@ def draw_event(
     period: int,
     sign: dict[str, Any],
 ) -> None:
-    """Draw the signs of a bifurcation."""
+    """Draw the signs of a bifurcation; those of long periods, which are many, are smaller."""
     colour, _ = period_style(period)
-    ax.plot(values, heights, color=colour, zorder=7, **sign)
+    smaller = {} if period < 3 else {"ms": 0.7 * sign["ms"], "mew": 0.7 * sign["mew"]}
+    ax.plot(values, heights, color=colour, zorder=7 - period / 100, **sign | smaller)
 
 
 def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
@@ -301,14 +304,15 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
     heights, times = final_gaits(data)
     _, size = size_between(ax)
     line = 1.4 * points_of(SMALL) / size * np.ptp(ax.get_ylim())
-    at, free = ax.get_yaxis_transform(), -np.inf
-    for height, time in sorted(zip(heights.tolist(), times.tolist(), strict=True)):
-        free = max(height, free + line)
+    at = ax.get_yaxis_transform()
+    order = np.argsort(heights)
+    places = spread_apart(heights[order], line, ax.get_ylim()[1] - line / 2)
+    for i, place in zip(order.tolist(), places.tolist(), strict=True):
         arrow = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 0, "shrinkB": 0}
         ax.annotate(
-            f"{time:.2f}",
-            (1, height),
-            (1.03, free),
+            f"{times[i]:.2f}",
+            (1, heights[i]),
+            (1.03, place),
             at,
             at,
             va="center",
@@ -319,11 +323,20 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
         ax.annotate(
             "step time\n(√(l/g))" if has_known_units(data) else "time",
             (1.03, 1),
-            (0, 3),
+            (0, 6),
             "axes fraction",
             "offset points",
             fontsize=SMALL,
         )
+
+
+def spread_apart(
+    heights: Float[np.ndarray, " n"], gap: float, top: float
+) -> Float[np.ndarray, " n"]:
+    """Ascending heights, moved until all are apart by a gap, up where they stay below a top."""
+    places, steps = heights.copy(), gap * np.arange(len(heights))
+    places = np.maximum.accumulate(places - steps) + steps
+    return np.minimum(places, top - steps[::-1])
 
 
 def set_range(ax: Axes, data: xr.Dataset) -> None:

@@ -1,18 +1,23 @@
 """Attractors over a parameter, and the fractions of a region that converge to them."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.figures.layout import figure_legend, figure_title, name_axes
-from walker_jax.figures.style import LONGER, OTHERS, PERIODS, TITLE
+from walker_jax.figures.style import LONGER, OTHERS, PERIODS, TITLE, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
 
-COLOURS = [colour for colour, _ in (*PERIODS, LONGER)]
-"""Colours of the attractors, in the order of their numbers, and of all further ones."""
+EVENT: dict[str, Any] = {"color": OTHERS, "lw": 0.8, "ls": ":"}
+"""The line of a bifurcation."""
 
 
 def basin_fractions(data: xr.Dataset) -> Figure:
@@ -31,13 +36,15 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     figure = Figure(figsize=(7.4, 6.4), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     value, count = data["value"].values, data.sizes["attractor"]
-    colours = [COLOURS[min(i, len(COLOURS) - 1)] for i in range(count)]
+    periods = data["period"].values.tolist()
+    colours = colours_of(periods)
     states = data["states"].isel(coordinate=0).values
     for i, colour in enumerate(colours):
         above.plot(value, states[:, i], "o", ms=2.5, color=colour)
-    inside = data["event_value"].values
-    for at in inside[(inside >= value[0]) & (inside <= value[-1])].tolist():
-        above.axvline(at, color=OTHERS, lw=0.8, ls=":")
+    events = data["event_value"].values
+    inside = (events >= value[0]) & (events <= value[-1])
+    for at in events[inside].tolist():
+        above.axvline(at, **EVENT)
     name_axes(above, y=str(data.attrs["section"][0]))
     above.set_title("Attractors", **TITLE)
     fractions = np.nan_to_num(data["fraction"].values)
@@ -46,14 +53,28 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     below.set_ylabel("fraction of the region")
     below.set(xlim=(value[0], value[-1]), ylim=(0, 1.1 * fractions.sum(axis=1).max() or None))
     below.set_title("Basins", **TITLE)
-    periods = data["period"].values.tolist()
-    handles = [
+    handles: list[Artist] = [
         Patch(color=colour, label=f"{i}: " + (f"period {n}" if n else "no period"))
         for i, (colour, n) in enumerate(zip(colours, periods, strict=True))
     ]
-    figure_legend(figure, handles, columns=4)
+    if inside.any():
+        handles.append(Line2D([], [], label="bifurcation", **EVENT))
+    figure_legend(figure, handles, columns=3)
     figure_title(figure, f"{walker_title(data)}, {count_noun(count, 'attractor')}", "large")
     return figure
+
+
+def colours_of(periods: Sequence[int]) -> list[str]:
+    """A colour for each attractor: that of its period for the first that has it, as elsewhere.
+
+    The others, and those without a period, have the colours that are left, and then share one.
+    """
+    first = {period: i for i, period in reversed([*enumerate(periods)]) if period}
+    own = {i: period_style(period)[0] for period, i in first.items()}
+    left = [colour for colour, _ in PERIODS[1:] if colour not in own.values()]
+    others = [i for i in range(len(periods)) if i not in own]
+    own |= dict(zip(others, left, strict=False))
+    return [own.get(i, LONGER[0]) for i in range(len(periods))]
 
 
 def draw_steps(ax: Axes, value: np.ndarray, shares: np.ndarray, colours: list[str]) -> None:

@@ -64,18 +64,19 @@ def multipliers(
         for name, stable in (("stable", True), ("unstable", False))
         if any(bool(gait.stable) == stable for gait in gaits)
     ]
-    periods = [
-        Line2D([], [], label=f"period {period}", **gait_marker(period, True))
-        for period in sorted({len(gait.states) for gait in gaits})
+    periods = sorted({len(gait.states) for gait in gaits})
+    signs = [
+        Line2D([], [], label=f"period {period}", **gait_marker(period, True)) for period in periods
     ]
+    of_period = f" of period {periods[0]}" if len(periods) == 1 else ""
     dress(
         ax,
         Shown(title, subtitle, legend, labels),
         title="Floquet multipliers",
-        note=f"of {count_noun(len(gaits), 'gait')}, {stable} of them stable",
+        note=f"of {count_noun(len(gaits), 'gait')}{of_period}, {stable} of them stable",
         x="real part",
         y="imaginary part",
-        legends=[(kinds, 4), (periods, 4)],
+        legends=[(kinds, 4), ([] if of_period else signs, 4)],
     )
     return ax
 

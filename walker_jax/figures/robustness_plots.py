@@ -7,11 +7,12 @@ import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from walker_jax.basins.cell_classes import large_basins
+from walker_jax.basins.cell_classes import has_known_units, large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import Shown, dress, new_axes, padded_limits
+from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, padded_limits
 from walker_jax.figures.regions import (
     attractor_name,
     extent_of,
@@ -22,7 +23,7 @@ from walker_jax.figures.regions import (
     show_image,
 )
 from walker_jax.figures.style import BASINS, INK, failure_words
-from walker_jax.figures.text import RADIUS, count_noun, walker_title
+from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
 from walker_jax.stability.nearest_starts import (
     NearestStart,
     circle,
@@ -178,25 +179,15 @@ def robustness_measures(
     """
     values, parameter = table_axis(data)
     ax = new_axes(7, 4.6) if ax is None else ax
-    area, area_scale = rescale(data["total_area"])
-    disturbances, disturbance_scale = rescale(data["least_disturbance"])
-    colour, style, words = MEASURES["total_area"]
-    label = f"{words} (largest {area_scale:.4g})"
-    handles = ax.plot(values, area, style, color=colour, label=label)
-    band = 2 * data["total_area_error"].values / (area_scale or 1)
-    ax.fill_between(values, area - band, area + band, color=colour, alpha=0.25, lw=0)
-    colour, style, words = MEASURES["least_disturbance"]
-    label = f"{words} (largest {disturbance_scale:.4g})"
-    handles += ax.plot(values, disturbances, style, color=colour, label=label)
-    falls = data["least_fall"].values / (disturbance_scale or 1)
-    farther = falls > disturbances
-    if farther.any():
-        words = "least disturbance after which it falls, where that is larger"
-        look: dict[str, Any] = {"color": colour, "mfc": "white", "label": words}
-        handles += ax.plot(values[farther], falls[farther], "s", **look)
-    colour, style, words = MEASURES["multiplier"]
-    handles += ax.plot(values, data["multiplier"].values, style, color=colour, label=words)
-    ax.set(xlim=padded_limits(values), ylim=(0, 1.05 * np.max(falls[farther], initial=1)))
+    handles: list[Line2D] = []
+    for name in ("total_area", "least_disturbance"):
+        largest = largest_of(data[name])
+        handles += draw_measure(ax, data, name, largest or 1)
+        handles[-1].set_label(f"{handles[-1].get_label()} (largest {largest:.4g})")
+    draw_band(ax, data, largest_of(data["total_area"]) or 1)
+    handles += draw_falls(ax, data, largest_of(data["least_disturbance"]) or 1)
+    handles += draw_measure(ax, data, "multiplier")
+    ax.set(xlim=padded_limits(values), ylim=(0, 1.05 * max(1, np.nanmax(ax.dataLim.y1))))
     dress(
         ax,
         Shown(title, subtitle, legend, labels),
@@ -244,20 +235,88 @@ def boundary_dimension(
 
 
 def robustness_table(data: xr.Dataset) -> Figure:
-    """The pictures `robustness_measures` and `boundary_dimension`, side by side.
+    """Area, least disturbance, largest multiplier and dimension of the boundary, a panel each.
+
+    The last is the picture `boundary_dimension`. The band about the area is twice its standard
+    error. Where the nearest start from which the gait is not reached converges to another
+    attractor, the nearest one that falls is drawn too.
 
     **Arguments:**
 
     - `data`: what `walker_jax.robustness_table` returns.
 
-    **Returns** the figure, of 13 by 5 inches. Raises `ValueError` as these do.
+    **Returns** the figure, of 13 by 8.4 inches. Raises `ValueError` for another data set.
     """
-    check_dataset(data, "robustness table")
-    figure = Figure(figsize=(13, 5), layout="constrained")
-    axes = figure.subplots(1, 2)
-    robustness_measures(data, axes[0])
-    boundary_dimension(data, axes[1])
+    values, parameter = table_axis(data)
+    figure = Figure(figsize=(13, 8.4), layout="constrained")
+    axes = figure.subplots(2, 2)
+    shown = Shown()
+    known = has_known_units(data)
+    area = axes[0, 0]
+    draw_measure(area, data, "total_area")
+    draw_band(area, data)
+    dress(
+        area,
+        shown,
+        title="Area of the basin",
+        note="band: twice its standard error",
+        x=parameter,
+        y=AREA_LABEL if known else MEASURES["total_area"][2],
+    )
+    least = axes[0, 1]
+    handles = [*draw_measure(least, data, "least_disturbance"), *draw_falls(least, data)]
+    dress(
+        least,
+        shown,
+        title="Least disturbance",
+        note="distance from the gait to the nearest start that does not return to it",
+        x=parameter,
+        y=MEASURES["least_disturbance"][2] + " (rad, time in √(l/g))" * known,
+        legends=[(handles, 1)] if len(handles) > 1 else [],
+    )
+    multiplier = axes[1, 0]
+    draw_measure(multiplier, data, "multiplier")
+    multiplier.axhline(1, color=INK, lw=0.8, zorder=1)
+    dress(
+        multiplier,
+        shown,
+        title="Largest Floquet multiplier",
+        note="of the gait that walkers converge to, which is stable below 1",
+        x=parameter,
+        y=RADIUS,
+    )
+    for ax in (area, least, multiplier):
+        ax.set(xlim=padded_limits(values), ylim=(0, None))
+    boundary_dimension(data, axes[1, 1])
+    figure_title(figure, f"{walker_title(data, 110)}: robustness")
     return figure
+
+
+def draw_measure(ax: Axes, data: xr.Dataset, name: str, scale: float = 1) -> list[Line2D]:
+    """Draw a measure against the parameter, divided by a scale."""
+    colour, style, words = MEASURES[name]
+    values, _ = table_axis(data)
+    return ax.plot(values, data[name].values / scale, style, color=colour, label=words)
+
+
+def draw_band(ax: Axes, data: xr.Dataset, scale: float = 1) -> None:
+    """Draw twice the standard error of the area around it."""
+    values, _ = table_axis(data)
+    middle, band = data["total_area"].values / scale, 2 * data["total_area_error"].values / scale
+    colour, *_ = MEASURES["total_area"]
+    ax.fill_between(values, middle - band, middle + band, color=colour, alpha=0.25, lw=0)
+
+
+def draw_falls(ax: Axes, data: xr.Dataset, scale: float = 1) -> list[Line2D]:
+    """Draw the least disturbance after which a walker falls, where a lesser one leads elsewhere."""
+    values, _ = table_axis(data)
+    farther = data["least_fall"].values > data["least_disturbance"].values
+    if not farther.any():
+        return []
+    colour, *_ = MEASURES["least_disturbance"]
+    words = "least disturbance after which it falls, where that is larger"
+    look: dict[str, Any] = {"color": colour, "mfc": "white", "label": words}
+    return ax.plot(values[farther], data["least_fall"].values[farther] / scale, "s", **look)
 
 
 def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
@@ -267,7 +326,6 @@ def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
     return data[parameter].values, parameter
 
 
-def rescale(values: xr.DataArray) -> tuple[Float[np.ndarray, " n"], float]:
-    """Values as shares of the largest one, and that one; 0 where all are 0 or NaN."""
-    largest = float(np.nanmax([0.0, *values.values]))
-    return values.values / (largest or 1), largest
+def largest_of(values: xr.DataArray) -> float:
+    """The largest value; 0 where all are 0 or NaN."""
+    return float(np.nanmax([0.0, *values.values]))

@@ -1,4 +1,8 @@
-"""Colours, signs, lines and sizes that all pictures share."""
+"""Colours, signs, lines and sizes that all pictures share.
+
+Any two that can touch are apart by 12 or more in CIEDE2000, in normal vision, protanopia and
+deuteranopia, and ways to fail by 6 in lightness, for prints in grey.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,18 +17,18 @@ SIGNS = {
     Outcome.LEFT_GRID: ("#f7f7f7", ""),
     Outcome.BACKWARD: ("#fae0b5", "B"),
     Outcome.FORWARD: ("#b4d1e9", "F"),
-    Outcome.RUNNING: ("#e1abb8", "R"),
-    Outcome.OUTSIDE: ("#a7a7a7", ""),
-    Outcome.STOPPED: ("#648f4b", ""),
-    Outcome.UNDECIDED: ("#d1361b", ""),
-    Outcome.BENT_KNEE: ("#6e51a0", "K"),
-    Outcome.BUCKLED: ("#6b4828", ""),
-    Outcome.SCUFFED: ("#1d4843", ""),
-    Outcome.SIDEWAYS: ("#c68739", "S"),
-    Outcome.OWN_1: ("#9f88cb", ""),
-    Outcome.OWN_2: ("#4b3364", ""),
-    Outcome.OWN_3: ("#8f437c", ""),
-    Outcome.OWN_4: ("#4d5417", ""),
+    Outcome.RUNNING: ("#d19b8b", "R"),
+    Outcome.OUTSIDE: ("#b9b9b9", ""),
+    Outcome.STOPPED: ("#8e8459", ""),
+    Outcome.UNDECIDED: ("#b25900", ""),
+    Outcome.BENT_KNEE: ("#5d34ff", "K"),
+    Outcome.BUCKLED: ("#604d3e", ""),
+    Outcome.SCUFFED: ("#184646", ""),
+    Outcome.SIDEWAYS: ("#d3841b", "S"),
+    Outcome.OWN_1: ("#a782ef", ""),
+    Outcome.OWN_2: ("#9a0344", ""),
+    Outcome.OWN_3: ("#755967", ""),
+    Outcome.OWN_4: ("#164537", ""),
 }
 """Colour and letter (Schwab and Wisse 2001, Figure 2), from light to dark; then those of a system's
 own failures."""
@@ -37,25 +41,25 @@ def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
     return outcome_in_words(name_of_outcome(outcome, failures))
 
 
-BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")
+BASINS = ("#0d2c5e", "#6e3e97", "#3e7b92")
 MARKERS = "os^"
 """Colours of the basins, from dark to light, and signs of their attractors; the largest first."""
-OTHERS = "#4d4d4d"
-UNMATCHED, ARTEFACTS = "#7a5c00", "#8a63b8"
+OTHERS = "#828282"
+UNMATCHED, ARTEFACTS = "#594000", "#a695bb"
 """Colours of cells that converge to other attractors, to none that is known, and in cycles that
 cell mapping makes up."""
 PERIODS = (
     (INK, "o"),
-    ("#4a1a86", "s"),
-    ("#8f1230", "^"),
-    ("#04599b", "D"),
-    ("#187d4b", "v"),
-    ("#c6691d", "P"),
-    ("#d377b4", "X"),
-    ("#dfac02", "h"),
+    ("#441780", "s"),
+    ("#8f1a2e", "^"),
+    ("#005daa", "D"),
+    ("#158257", "v"),
+    ("#c7691c", "P"),
+    ("#d375b8", "X"),
+    ("#dfad09", "h"),
 )
 """Colours, from dark to light, and signs of gaits of period 1, 2, ..."""
-LONGER = ("#9b9b9b", "*")
+LONGER = ("#9c9c9b", "*")
 """Those of longer periods."""
 SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
 DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}

@@ -1,0 +1,48 @@
+"""Colours are told apart by those too who see red and green alike."""
+
+from itertools import chain, combinations
+
+import pytest
+from colour_vision import VISIONS, ciede2000, lab
+
+from walker_jax import Outcome
+from walker_jax.figures import style
+from walker_jax.systems.outcomes import OWN
+
+APART = 12
+OF_SOME_WALKERS = {Outcome.BENT_KNEE, Outcome.BUCKLED, Outcome.SCUFFED, Outcome.SIDEWAYS}
+
+
+@pytest.mark.parametrize(
+    "one, other, difference",  # of the table in Sharma, Wu and Dalal (2005)
+    [
+        ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
+        ((50, -1, 2), (50, 0, 0), 2.3669),
+        ((50, 2.4900, -0.0010), (50, -2.4900, 0.0011), 7.2195),
+        ((50, 2.5, 0), (58, 24, 15), 19.4535),
+        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+        ((22.7233, 20.0904, -46.6940), (23.0331, 14.9730, -42.5619), 2.0373),
+    ],
+)
+def test_differences_of_colours_are_as_published(one, other, difference):
+    assert ciede2000(one, other) == pytest.approx(difference, abs=6e-5)
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_classes_that_can_touch_are_told_apart(vision):
+    """A system's own failures have the colours of four that are of some walkers only."""
+    fates = {outcome: colour for outcome, (colour, _) in style.SIGNS.items()}
+    basins = [*style.BASINS, style.OTHERS, style.UNMATCHED, style.ARTEFACTS]
+    of_package = [*basins, *(fates[one] for one in fates if one not in OWN)]
+    of_others = [*basins, *(fates[one] for one in fates if one not in OF_SOME_WALKERS)]
+    pairs = chain(combinations(of_package, 2), combinations(of_others, 2))
+    near = [pair for pair in pairs if ciede2000(*(lab(one, vision) for one in pair)) < APART]
+    assert near == []
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_periods_are_told_apart(vision):
+    colours = [colour for colour, _ in (*style.PERIODS, style.LONGER)]
+    pairs = combinations(colours, 2)
+    near = [pair for pair in pairs if ciede2000(*(lab(one, vision) for one in pair)) < APART]
+    assert near == []
