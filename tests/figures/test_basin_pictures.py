@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from made_up_results import PLAIN, SHEARED, data_set, deep, every_fate
 from matplotlib.figure import Figure
-from parts_of_pictures import colours, figure_of, labels, legend, lightness, luminance
+from parts_of_pictures import annotations, colours, figure_of, labels, legend, lightness, luminance
 
 import walker_jax as wj
 from walker_jax import Outcome, figures
@@ -259,7 +259,7 @@ def test_importing_the_package_does_not_load_matplotlib():
 def test_a_zoom_shows_where_its_window_is():
     around = every_fate()
     origin, shear = np.array([0.2, -0.215]), np.array([[1.0, 0.0], [-1.0, 1.0]])
-    half = {name: (-2e-11, 2e-11, size) for name, size in around["fate"].sizes.items()}
+    half = {str(name): (-2e-11, 2e-11, size) for name, size in around["fate"].sizes.items()}
     data = data_set(wj.Grid(half, shear, origin), np.zeros(around["fate"].shape, int))
     with pytest.raises(ValueError, match="data must be of a window"):
         figures.zoomed_basin(data, around)
@@ -267,7 +267,7 @@ def test_a_zoom_shows_where_its_window_is():
     figure = figures.zoomed_basin(data, around)
     figure.canvas.draw()
     left, right = figure.axes
-    (window,) = (text for text in left.texts if text.get_text() == "window")
+    (window,) = annotations(left, "window")
     assert window.xy == pytest.approx((0.2, -0.015))
     note = "around $\\theta$ = 0.2000000000000000"
     assert any(note in text.get_text() and "−0.0149999" in text.get_text() for text in right.texts)
