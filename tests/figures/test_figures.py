@@ -343,3 +343,24 @@ def test_sizes_of_text_are_those_of_rcparams():
     assert labels(ax)["leaves the grid"].get_fontsize() == pytest.approx(8 * 0.833)
     (note,) = (one for one in ax.texts if "direct iteration" in one.get_text())
     assert note.get_fontsize() == 8
+
+
+def test_pictures_for_print_have_the_width_of_a_column(tmp_path):
+    usual = figures.basin(every_fate())
+    with figures.for_print(3.4, size=7):
+        ax = figures.basin(every_fate())
+        table_of = figures.robustness_table(table())
+        named = figures.basin(every_fate(), title="A basin")
+        figure_of(ax).savefig(tmp_path / "basin.svg")
+    assert figure_of(ax).get_size_inches()[0] == pytest.approx(3.4)
+    assert table_of.get_size_inches()[0] == pytest.approx(3.4)
+    wide, high = figure_of(usual).get_size_inches()
+    assert figure_of(ax).get_size_inches()[1] == pytest.approx(3.4 * high / wide)
+    assert not ax.get_title(loc="left") and named.get_title(loc="left") == "A basin"
+    assert ax.xaxis.label.get_fontproperties().get_size_in_points() == 7
+    sizes = [[one.get_markersize() for one in each.lines] for each in (ax, usual)]
+    assert 0 < len(sizes[0]) and max(sizes[0]) < 0.7 * min(sizes[1])
+    assert "basin of attraction" in (tmp_path / "basin.svg").read_text()  # no outlines of letters
+    after = figures.basin(every_fate())
+    assert figure_of(after).get_size_inches()[0] == wide
+    assert after.get_title(loc="left") == usual.get_title(loc="left") != ""

@@ -12,7 +12,16 @@ from matplotlib.lines import Line2D
 from walker_jax.basins.cell_classes import along_axis, large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.labels import draw_label, keep_clear
-from walker_jax.figures.layout import Shown, dress, figure_legend, name_axes, new_axes, size_between
+from walker_jax.figures.layout import (
+    Shown,
+    dress,
+    figure_legend,
+    figure_title,
+    name_axes,
+    new_axes,
+    new_figure,
+    size_between,
+)
 from walker_jax.figures.regions import (
     attractor_mark,
     attractor_name,
@@ -126,7 +135,7 @@ def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
     check_dataset(data, "basin")
     if not len(data.attrs.get("origin", ())):
         raise WrongUse("data must be of a window, as Grid.zoom makes them, and have its origin")
-    figure = Figure(figsize=(13, 5.8), layout="constrained")
+    figure = new_figure(13, 5.8)
     left, right = figure.subplots(1, 2)
     basin(around, left)
     x, y = map(str, around["fate"].dims)
@@ -161,7 +170,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
     chosen = evenly_spaced(len(depths), PANELS)
     columns = min(3, len(chosen))
     rows = -(-len(chosen) // columns)
-    figure = Figure(figsize=(3.1 * columns + 0.6, 2.7 * rows + 1.5), layout="constrained")
+    figure = new_figure(3.1 * columns + 0.6, 2.7 * rows + 1.5)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
 
     large = large_basins(data, len(BASINS))
@@ -186,7 +195,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
         name_axes(ax, y=y, size=SMALL)
     patches = [counted_patch(region, share_drawn(data)) for region in regions]
     above = f"{walker_title(data, 34 * columns)}\n{basin_note(data)}"
-    figure.suptitle(above, x=0.01, ha="left", fontsize="medium")
+    figure_title(figure, above, "medium", "normal")
     figure_legend(figure, [*marks.values(), *patches], columns=2)
     return figure
 
@@ -205,7 +214,7 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     check_dataset(data, "basins over slopes")
     slopes, (x, y) = data["slope"].values.tolist(), map(str, data["fate"].dims[1:])
     rows = -(-len(slopes) // 3)
-    figure = Figure(figsize=(10, 3 * rows + 0.9), layout="constrained")
+    figure = new_figure(10, 3 * rows + 0.9)
     panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
     fate, attractor = data["fate"].values, data["attractor"].values
     walks = fate == Outcome.STRIDE

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from walker_jax.figures.layout import figure_legend, figure_title, name_axes
+from walker_jax.figures.layout import figure_legend, figure_title, name_axes, new_figure
 from walker_jax.figures.style import LONGER, OTHERS, PERIODS, TITLE, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
@@ -33,7 +33,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     **Returns** the figure, of 7.4 by 6.4 inches. Raises `ValueError` for another data set.
     """
     check_dataset(data, "basin fractions")
-    figure = Figure(figsize=(7.4, 6.4), layout="constrained")
+    figure = new_figure(7.4, 6.4)
     above, below = figure.subplots(2, 1, sharex=True)
     value, count = data["value"].values, data.sizes["attractor"]
     periods = data["period"].values.tolist()

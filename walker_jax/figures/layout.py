@@ -1,12 +1,15 @@
 """Places on a picture: its axes, their limits, and what is written around them."""
 
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib import cbook
+from matplotlib import cbook, rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import RendererAgg
@@ -16,6 +19,7 @@ from matplotlib.legend import Legend
 from matplotlib.text import Text
 from matplotlib.transforms import offset_copy
 
+from walker_jax.checks import WrongUse, check_number
 from walker_jax.figures.style import NOTE, TITLE, points_of
 from walker_jax.figures.text import axis_label
 
@@ -44,13 +48,83 @@ class Shown(NamedTuple):
     """The names of axes, and words in the picture."""
 
 
-def new_axes(
-    width: float | int,
-    height: float | int,
-    layout: Literal["constrained", "compressed"] = "constrained",
-) -> Axes:
+SMALLER = 0.6
+"""Size of lines and signs in print: text of 8 points is as much smaller than on a screen."""
+Layout = Literal["constrained", "compressed"]
+page_width: ContextVar[float | None] = ContextVar("page_width", default=None)
+"""The width that all new figures have (inches); none where each has its own."""
+
+
+@contextmanager
+def for_print(
+    width: float | int = 3.4,
+    *,
+    font: str | None = None,
+    size: float | int = 8,
+    dpi: float | int = 300,
+) -> Iterator[None]:
+    """Pictures that are drawn in this context have the width of a column, and its text.
+
+    ```python
+    with figures.for_print(width=3.4, font="Times New Roman"):
+        figures.basin(data).figure.savefig("basin.pdf")
+    ```
+
+    A caption says what titles and notes say, so these are left out, but for a title that is given
+    in words. Lines and signs are smaller in proportion. Text stays text in files of vectors, where
+    it can be searched and edited.
+
+    **Arguments:**
+
+    - `width`: of each new figure, in inches; its height is in proportion. 3.4 is a column of many
+      journals, and 7 a page.
+    - `font`: of all text; by default, matplotlib's own. Another one must be installed.
+    - `size`: of text, in points. Legends are smaller where there is little room.
+    - `dpi`: dots per inch of files of dots, and of cells and dots in files of vectors.
+
+    Raises `ValueError` for a width or a size that is not above zero.
+    """
+    for name, value in {"width": width, "size": size, "dpi": dpi}.items():
+        check_number(name, value)
+        if not 0 < value < math.inf:
+            raise WrongUse(f"{name} must be above 0 and finite, not {value}", of=name)
+    settings: Any = {
+        "font.size": size,
+        "savefig.dpi": dpi,
+        "pdf.fonttype": 42,
+        "ps.fonttype": 42,
+        "svg.fonttype": "none",
+        "axes.linewidth": 0.6,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "lines.markersize": 4,
+    } | ({} if font is None else {"font.family": font})
+    token = page_width.set(float(width))
+    try:
+        with rc_context(settings):
+            yield
+    finally:
+        page_width.reset(token)
+
+
+def new_figure(width: float | int, height: float | int, layout: Layout = "constrained") -> Figure:
+    """A figure of a size in inches; of the same proportions where a width is set for all."""
+    page = page_width.get()
+    scale = 1.0 if page is None else page / width
+    return Figure(figsize=(scale * width, scale * height), layout=layout)
+
+
+def make_smaller(ax: Axes) -> None:
+    """Make the lines and signs of a picture smaller, for print."""
+    for line in ax.lines:
+        line.set(markersize=SMALLER * line.get_markersize())
+        line.set(linewidth=SMALLER * line.get_linewidth())
+        line.set(markeredgewidth=SMALLER * line.get_markeredgewidth())
+
+
+def new_axes(width: float | int, height: float | int, layout: Layout = "constrained") -> Axes:
     """The axes of a new figure, of a size in inches."""
-    return Figure(figsize=(width, height), layout=layout).add_subplot()
+    return new_figure(width, height, layout).add_subplot()
 
 
 def figure_of(ax: Axes) -> Figure:
@@ -97,6 +171,9 @@ def dress(
     Each legend has its handles, and as many columns as fit, at most a number of them. `beside` are
     axes that share the height, as those of a colour bar. In a small panel all is written smaller.
     """
+    if page_width.get() is not None:
+        make_smaller(ax)
+        shown = shown._replace(title=isinstance(shown.title, str) and shown.title, subtitle=False)
     measure = RendererAgg(1, 1, figure_of(ax).dpi)
     _, high = size_of(ax)
     if shown.labels:
@@ -128,7 +205,8 @@ def dress(
 def size_of(ax: Axes) -> tuple[float, float]:
     """Width and height that axes with title and legends will have, about (pixels)."""
     box = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
-    larger = 1.0 if figure_of(ax).get_layout_engine() is None else LARGER
+    whole = figure_of(ax).get_layout_engine() is None or page_width.get() is not None
+    larger = 1.0 if whole else LARGER
     return larger * box.width, larger * box.height
 
 
@@ -244,6 +322,7 @@ def figure_legend(figure: Figure, handles: list, *, columns: int) -> None:
     figure.legend(handles=handles, loc="outside lower left", ncols=columns, frameon=False)
 
 
-def figure_title(figure: Figure, title: str, size: str = "x-large") -> None:
-    """A title at the left, above all axes of a figure."""
-    figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight="bold")
+def figure_title(figure: Figure, title: str, size: str = "x-large", weight: str = "bold") -> None:
+    """A title at the left, above all axes of a figure; none in print."""
+    if page_width.get() is None:
+        figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight=weight)

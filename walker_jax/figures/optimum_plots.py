@@ -32,6 +32,7 @@ from walker_jax.figures.layout import (
     figure_of,
     figure_title,
     new_axes,
+    new_figure,
 )
 from walker_jax.figures.regions import (
     extent_of,
@@ -122,7 +123,7 @@ def basins_before_and_after(data: xr.Dataset) -> Figure:
     **Returns** the figure, of 11 by 5.2 inches. Raises `ValueError` for a data set without basins.
     """
     check_optimum(data)
-    figure = Figure(figsize=(11, 5.2), layout="constrained")
+    figure = new_figure(11, 5.2)
     draw_basins([*figure.subplots(1, 2)], data)
     figure_title(figure, walker_title(fixed_attributes(data), 80))
     return figure
@@ -144,7 +145,7 @@ def optimum(data: xr.Dataset) -> Figure:
     columns = min(3, len(names))
     rows = -(-len(names) // columns)
     size = max(5.6 * columns, 11 if basins else 7), 5.2 * (rows + basins) + 0.4
-    figure = Figure(figsize=size, layout="constrained")
+    figure = new_figure(*size)
     # Six columns can be shared by one panel, by two, and by three.
     grid, wide = figure.add_gridspec(rows + basins, 6), 6 // columns
     for k, name in enumerate(names):

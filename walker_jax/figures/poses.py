@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 
-from walker_jax.figures.layout import figure_legend, figure_title
+from walker_jax.figures.layout import figure_legend, figure_title, new_figure
 from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
@@ -41,7 +41,7 @@ def step(data: xr.Dataset) -> Figure:
     """
     check_dataset(data, "walk")
     own = data.isel(frame=data["stride"].values == 0)
-    figure = Figure(figsize=(9, 6.4), layout="constrained")
+    figure = new_figure(9, 6.4)
     panels = figure.subplots(2, 3, sharex=True, sharey=True).flat
     last, size = own.sizes["frame"] - 1, leg_size(data)
     shown = own.isel(frame=[round(share * last) for share in SHARES])

@@ -12,7 +12,14 @@ from matplotlib.lines import Line2D
 from walker_jax.basins.cell_classes import has_known_units, large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, padded_limits
+from walker_jax.figures.layout import (
+    Shown,
+    dress,
+    figure_title,
+    new_axes,
+    new_figure,
+    padded_limits,
+)
 from walker_jax.figures.regions import (
     attractor_name,
     extent_of,
@@ -145,7 +152,7 @@ def robustness(data: xr.Dataset) -> Figure:
     """
     check_dataset(data, "basin")
     both = has_plane_disturbance(data)
-    figure = Figure(figsize=(13 if both else 7, 5.8), layout="constrained")
+    figure = new_figure(13 if both else 7, 5.8)
     axes = figure.subplots(1, 2 if both else 1, squeeze=False)[0]
     basin(data, axes[0])
     if both:
@@ -248,7 +255,7 @@ def robustness_table(data: xr.Dataset) -> Figure:
     **Returns** the figure, of 13 by 8.4 inches. Raises `ValueError` for another data set.
     """
     values, parameter = table_axis(data)
-    figure = Figure(figsize=(13, 8.4), layout="constrained")
+    figure = new_figure(13, 8.4)
     axes = figure.subplots(2, 2)
     shown = Shown()
     known = has_known_units(data)

@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from walker_jax.basins.volumes import slice_basin
-from walker_jax.figures.layout import figure_legend, name_axes
+from walker_jax.figures.layout import figure_legend, figure_title, name_axes, new_figure
 from walker_jax.figures.regions import (
     attractor_mark,
     attractor_name,
@@ -70,7 +70,7 @@ def volume(data: xr.Dataset) -> Figure:
     if large:
         (centre,) = place_states(data, cycle_of(data, large[0])[:1], names)
 
-    figure = Figure(figsize=(10, 9), layout="constrained")
+    figure = new_figure(10, 9)
     panels = figure.subplots(2, 2)
     patches, marks = {}, []
     for ax, hidden in zip(panels.flat, (2, 1, 0), strict=False):
@@ -98,9 +98,8 @@ def volume(data: xr.Dataset) -> Figure:
             coordinate_value(names[hidden], float(plane[names[hidden]])), fontsize="medium"
         )
     draw_surface(panels.flat[3], names, window, places, colours)
-    figure.suptitle(
-        f"{walker_title(data, 95)}\n{volume_note(data)}", x=0.01, ha="left", fontsize="medium"
-    )
+    above = f"{walker_title(data, 95)}\n{volume_note(data)}"
+    figure_title(figure, above, "medium", "normal")
     figure_legend(figure, [*marks, *patches.values()], columns=3)
     return figure
 
@@ -233,10 +232,12 @@ def name_edges(
             edges.append(project(np.stack([first, last]))[:, :2])
         # the outermost edge to the lower left, or of the vertical axis to the left
         lowest = min(edges, key=lambda edge: edge[:, 0].sum() if k == 2 else edge[:, 1].sum())
-        outward = np.array([-1.0, 0.0]) if k == 2 else np.array([0.0, -1.0])
+        middle, (along, up) = lowest.mean(axis=0), lowest[1] - lowest[0]
+        outward = np.array([up, -along]) / np.hypot(along, up)
+        outward *= np.sign(outward @ middle)  # the box is around the origin
         words: dict[str, Any] = {"ha": "center", "va": "center", "color": INK}
-        x, y = lowest.mean(axis=0) + 0.27 * outward
+        x, y = middle + 0.3 * outward
         ax.text(x, y, SYMBOLS.get(name, name), fontsize="medium", **words)
         for end, value in zip(lowest, (low[k], high[k]), strict=True):
-            x, y = end + 0.14 * outward + (0.06 if k == 2 else 0.3 * (lowest.mean(axis=0) - end))
+            x, y = end + 0.17 * outward + 0.25 * (middle - end)
             ax.text(x, y, f"{value:.2f}".replace("-", "−"), fontsize=SMALL, **words)

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import Shown, dress, new_axes
+from walker_jax.figures.layout import Shown, dress, new_axes, new_figure
 from walker_jax.figures.poses import GROUND, SWING
 from walker_jax.figures.regions import (
     attractor_mark,
@@ -109,7 +109,7 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
     **Returns** a figure of 12 by 5.4 inches. Raises `ValueError` as `figures.basin`.
     """
     check_dataset(walk, "walk")
-    figure = Figure(figsize=(12, 5.4), layout="constrained")
+    figure = new_figure(12, 5.4)
     whole, close = figure.subplots(1, 2)
     basin(data, whole)
     x, y = trajectory_in(data, walk).T
