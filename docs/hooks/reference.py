@@ -93,11 +93,11 @@ def rooms() -> list[str]:
 
 
 def on_config(config):
-    """Give each room its place in the navigation."""
+    """Give each room its place in the navigation, after the pages that are listed there."""
     for entry in config.nav:
         if "Reference" in entry:
             titles = {room: TITLES.get(room, room).capitalize() for room in rooms()}
-            entry["Reference"] = [{titles[room]: f"reference/{room}.md"} for room in rooms()]
+            entry["Reference"] += [{titles[room]: f"reference/{room}.md"} for room in rooms()]
     return config
 
 
