@@ -40,7 +40,7 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
     answer = json.loads(out)
     assert list(answer) == [
         *("start", "optimum", "objective", "exact", "exact_error", "at_bound", "binding"),
-        *("note", "evaluations", "converged", "walker"),
+        *("note", "evaluations", "converged", "out_of_time", "walker"),
     ]
     assert answer["note"] == {"start": "", "optimum": ""}
     assert answer["start"] == {"slope": 0.004} and answer["converged"] is True
@@ -55,6 +55,23 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
     code, text, _ = run(*FASTEST)
     assert code == 0 and "held by the limit of spectral-radius; converged" in text
     assert run(*FASTEST, "--seed", "1")[0] == 2
+
+
+def test_an_optimisation_that_is_out_of_time_goes_on(run, monkeypatch):
+    monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)
+    for module in ("climbs", "evaluation", "limits"):
+        monkeypatch.setattr(f"walker_jax.design.{module}.gait_measures", proportional)
+    code, out, err = run(*FASTEST, "--seconds", "1e-9", "--json")
+    short = json.loads(out)
+    assert (code, err) == (0, "") and short["out_of_time"] and not short["converged"]
+    assert short["optimum"] == short["start"] == {"slope": 0.004}
+    code, out, err = run(*FASTEST, "--json")
+    whole = json.loads(out)
+    assert (code, err) == (0, "") and whole["converged"] and not whole["out_of_time"]
+    assert whole["optimum"]["slope"] == pytest.approx(0.012, abs=1e-10)
+    assert run(*FASTEST, "--seconds", "1e-9")[1].count("converged") == 1  # there is no more to do
+    code, out, err = run(*FASTEST, "--seconds", "0", "--overwrite")
+    assert (code, out, err) == (2, "", "walker-jax: --seconds must be above 0, not 0.0\n")
 
 
 def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
@@ -105,6 +122,7 @@ def test_an_optimum_is_told_with_both_ends_as_measured():
             "at_bound": ("parameter", [0, -1]),
             "binding": ("measure", [False, True]),
             "converged": True,
+            "out_of_time": False,
             "note_start": "",
             "note_optimum": "another gait",
             "value": ("evaluation", np.zeros(9)),
@@ -119,7 +137,7 @@ def test_an_optimum_is_told_with_both_ends_as_measured():
         "exact": {"start": 0.5625, "optimum": 0.84375},
         "exact_error": {"start": 0.125, "optimum": 0.0625},
         **{"at_bound": ["hip_stiffness"], "binding": ["speed"]},
-        **{"evaluations": 9, "converged": True},
+        **{"evaluations": 9, "converged": True, "out_of_time": False},
         "note": {"start": "", "optimum": "another gait"},
     }
     told = "\n".join(optimise_command.optimum_in_words(wj.SpringWalker(0.004, 0.5), answer, "area"))
@@ -137,6 +155,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told():
         "at_bound": ["slope"],
         "binding": [],
         "converged": False,
+        "out_of_time": False,
         "note": {"start": "", "optimum": ""},
         "evaluations": 5,
     }

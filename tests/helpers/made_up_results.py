@@ -226,6 +226,7 @@ def optimum(basins=True, **changes):
         "at_bound": ("parameter", np.array([0, 1], np.int8)),
         "binding": ("measure", np.array([False, True])),
         "converged": True,
+        "out_of_time": False,
         "found": True,
         "scan_parameters": (
             ("parameter", "point"),

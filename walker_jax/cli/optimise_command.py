@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import walker_jax as wj
 from walker_jax import storage
@@ -78,11 +78,17 @@ class Options:
     theme = "Search"
     starts: int = option(3, "Walkers to start from: the one given, and others.", min=1)
     levels: int | None = option(
-        None, "Refinement of areas at both ends (default: 4; of volumes 2).", min=0, max=8
+        None, "Refinement at both ends (default: 4; of volumes 2).", min=0, max=8
     )
     strides: int = option(200, "Strides a walker is followed for.", min=1)
     scan: int = option(15, "Values of each parameter at which the objective is drawn.", min=0)
     seed: int = option(0, "Of the starts.", min=0)
+
+
+@dataclass(frozen=True)
+class Budget:
+    theme = "Search"
+    seconds: float | None = option(None, "End with the best after these; run again to go on.")
 
 
 @takes_walker(systems=True)
@@ -91,6 +97,7 @@ def optimise(
     problem: Problem,
     region: OptimumRegion,
     options: Options,
+    budget: Budget = Budget(),
     output: Output = Output(Path("optimum.zarr")),
 ) -> None:
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
@@ -109,8 +116,8 @@ def optimise(
     asked = {"bounds": bounds, "objective": weights, "axes": asked_of(grid), **limits, **how}
     request = request_for("optimise", walker, **asked)
     data = output.find(request)
-    if data is None or "found" not in data:  # not begun, or interrupted
-        how |= {"grid": grid, "progress": True, **limits}
+    if not is_done(data):
+        how |= {"grid": grid, "progress": True, "seconds": budget.seconds, **limits}
         data = computed(partial(wj.optimise, walker, bounds, weights, **how), output, request)
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
@@ -122,6 +129,11 @@ def optimise(
     output.tell(answer | {"walker": request["walker"]}, lines)
 
 
+def is_done(data: "xarray.Dataset | None") -> "TypeGuard[xarray.Dataset]":
+    """Whether there is an optimum, of a run that nothing has interrupted, its time neither."""
+    return data is not None and "found" in data and not data.get("out_of_time", False)
+
+
 def computed(
     compute: "Callable[..., xarray.Dataset]", output: Output, request: dict
 ) -> "xarray.Dataset":
@@ -129,7 +141,7 @@ def computed(
     out, overwrite = output.out, output.overwrite
     with storage.rewritable(out, request) as save:
         known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
-        if known is not None and "found" in known:
+        if known is not None and is_done(known):
             return known
         kept, latest, saved = known is not None, None, -math.inf
 
@@ -212,4 +224,6 @@ def optimum_in_words(walker: System, answer: dict, objective: str) -> Iterator[s
     if answer["binding"]:
         place += f", held by the limit of {', '.join(answer['binding'])}"
     end = "converged" if answer["converged"] else "not converged"
+    if answer["out_of_time"]:
+        end = "out of time: the same command goes on"
     yield f"  {place}; {end}, {answer['evaluations']} evaluations"

@@ -8,6 +8,7 @@ Newton's iteration along its gradient, to what that allows. Both ends are measur
 on a grid finer than any before.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import islice
@@ -21,7 +22,14 @@ from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
 from walker_jax.basins.windows import grid_along, whole_section
-from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers, short
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    check_whole,
+    refuses_tracers,
+    short,
+)
 from walker_jax.design.area_gradients import Density
 from walker_jax.design.climbs import Climb, climb
 from walker_jax.design.evaluation import (
@@ -79,6 +87,7 @@ def optimise(
     density: Density | None = None,
     known: xr.Dataset | None = None,
     keep: Callable[[xr.Dataset], object] | None = None,
+    seconds: float | int | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
     """The best values of a walker's parameters, within bounds.
@@ -114,6 +123,8 @@ def optimise(
     - `known`: an earlier result, or the trace of a run that was interrupted, whose measurements are
       taken as they are.
     - `keep`: called with the trace after each measurement.
+    - `seconds`: after which no further step is made; the best walker so far is the optimum then. A
+      measurement that has begun is ended, and both ends are measured. `known` goes on from there.
     - `progress`: whether to show progress on a terminal.
 
     **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
@@ -122,7 +133,8 @@ def optimise(
     except for areas and volumes, and NaN with the least disturbance, of which the search gives an
     upper bound; `at_bound`, -1 or 1 for parameters that end at their lower or
     upper bound; `binding`, the measures whose limits bind at the optimum; `converged`, whether
-    it ended because no step of the last stage along the gradient improved the objective; and
+    it ended because no step of the last stage along the gradient improved the objective, and
+    `out_of_time`, whether because the `seconds` were over; and
     `note_start` and `note_optimum`, the gait of `find_gait` where that is another one. The
     trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`,
     `value` and `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and
@@ -145,13 +157,14 @@ def optimise(
     check_whole("starts", starts)
     check_whole("scan", scan, 0)
     levels = default_levels(goal[0]) if levels is None else levels
+    budget = check_budget(seconds)
     how = (grid, levels, strides, seed, tolerance, density)
     problem = pose_problem(walker, bounds, goal, limits, how)
     places = starting_places(problem, starts)
     problem = with_grid(problem, places)
     climbs = starts + len(STEP_LENGTHS) - 1
     expected = climbs * USUAL_MEASUREMENTS + 2 + scan * len(bounds)  # 2 ends
-    trace = Trace(problem, known, keep, progress, expected)
+    trace = Trace(problem, known, keep, progress, expected, budget)
     with bar(f"{starts} starts", progress):
         first = climb_from_each(trace, places)
     run, last = climb_on(trace, first)
@@ -159,10 +172,21 @@ def optimise(
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
-    found = measure_ends(trace, start, best) | {"converged": last.converged}
+    ended = {"converged": last.converged, "out_of_time": trace.is_over() and not last.converged}
+    found = measure_ends(trace, start, best) | ended
     found |= scan_objective(trace, best, scan) if scan else {}
     found |= {} if problem.grid is None else compare_basins(problem, start, best)
     return trace.data().assign(notes | found | {"found": True})
+
+
+def check_budget(seconds: Any) -> float:
+    """The time for climbs; raises `WrongUse` unless it is above zero."""
+    if seconds is None:
+        return math.inf
+    check_number("seconds", seconds)
+    if not seconds > 0:
+        raise WrongUse(f"seconds must be above 0, not {short(seconds)}", of="seconds")
+    return float(seconds)
 
 
 def pose_problem(

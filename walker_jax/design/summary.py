@@ -27,6 +27,7 @@ def summarise_optimum(data: xr.Dataset) -> dict:
         "note": {end: str(data[f"note_{end}"].values) for end in ENDS},
         "evaluations": data.sizes["evaluation"],
         "converged": bool(data["converged"]),
+        "out_of_time": bool(data["out_of_time"]),
     }
 
 

@@ -1,5 +1,6 @@
 """The trace of an optimisation: its measurements and their places, kept on disk."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -31,6 +32,7 @@ class Trace:
         keep: Callable[[xr.Dataset], object] | None,
         progress: bool,
         expected: int,
+        seconds: float = math.inf,
     ):
         self.problem, self.keep = problem, keep
         self.rows: list[Evaluation] = []
@@ -46,6 +48,12 @@ class Trace:
         self.gaits: dict[bytes, Gait] = {}
         self.limits = Limits(problem, self.gait)
         self.progress, self.expected, self.began = progress, expected, time.perf_counter()
+        self.ends = self.began + seconds
+        """When climbs make no further step."""
+
+    def is_over(self) -> bool:
+        """Whether the time for climbs has passed."""
+        return time.perf_counter() >= self.ends
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
         """The gait of the walker with these parameters: that with the largest basin in the grid.

@@ -132,6 +132,7 @@ GAITS = {
             "phidot": V("", "real", "rad/√(l/g)", "of the slice that is shown", "volume"),
             "binding": V("measure", "boolean", "", "whether its limit holds the optimum"),
             "converged": V("", "boolean", "", "no shorter step led higher"),
+            "out_of_time": V("", "boolean", "", "the time was over before"),
             "note_start": V("", "text", "", DIFFERS),
             "note_optimum": V("", "text", "", DIFFERS),
             "scan_parameters": V("parameter point", "real", "", "of the scan", "scan"),
