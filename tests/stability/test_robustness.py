@@ -1,5 +1,7 @@
 """The least disturbance is the nearest point that fails."""
 
+from contextlib import contextmanager
+
 import jax
 import numpy as np
 import pytest
@@ -175,10 +177,18 @@ def test_points_of_a_ball_and_wilsons_interval():
     np.testing.assert_allclose(wilson_interval(0, 20, 0.95), (0, 0.1611), atol=5e-5)
 
 
-def test_a_smooth_boundary_has_dimension_one_a_fractal_more():
+def test_a_smooth_boundary_has_dimension_one_a_fractal_more(monkeypatch):
+    shown = []
+
+    @contextmanager
+    def bar(label, progress, total):
+        yield lambda done: shown.append((progress, done, total))
+
+    monkeypatch.setattr("walker_jax.stability.dimension.bar", bar)
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 60), sum=(-0.02, 0.01, 60))
     options = {"pairs": 4000, "distances": np.geomspace(1e-5, 3e-3, 6), "strides": 150}
-    smooth = boundary_dimension(WALKER, grid, **options)
+    smooth = boundary_dimension(WALKER, grid, **options, progress=True)
+    assert shown == [(True, i + 1, 7) for i in range(7)]  # the cells, and each distance
     assert smooth.low < 1.06 and smooth.value < 1.1
     fractal = boundary_dimension(wj.SimplestWalker(0.012), grid, **options)
     assert fractal.low > 1.3

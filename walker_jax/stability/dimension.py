@@ -1,6 +1,7 @@
 """The fractal dimension of a basin's boundary."""
 
 from collections.abc import Sequence
+from itertools import count
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
+from walker_jax.execution.progress import bar
 from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.integrator import integrator_of
@@ -47,6 +49,7 @@ def boundary_dimension(
     confidence: float = 0.95,
     seed: int = 0,
     tolerance: float | None = None,
+    progress: bool = False,
 ) -> Uncertainty:
     """The dimension of the boundary of the basins in a region, by the uncertainty exponent.
 
@@ -64,6 +67,7 @@ def boundary_dimension(
     - `strides`: number of strides for which a walker is followed.
     - `confidence`, `seed`: of the interval, and of random numbers.
     - `tolerance`: of the integration, as in `stride`.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** an `Uncertainty`, NaN where all cells converge to one attractor, or none: all
     failures are alike here.
@@ -80,22 +84,26 @@ def boundary_dimension(
     integrator = integrator_of(dtype, tolerance)
     mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))
 
-    def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
-        order = np.argsort(flat_index((share * shape).astype(int).T, grid.shape))
-        labels, _ = mapper.label_all(grid.points_at(share[order]))  # fastest among neighbours
-        found = np.empty_like(labels.attractor)
-        found[order] = labels.attractor
-        return found
-
     shape = np.array(grid.shape)
-    labels, _ = mapper.label_all(grid.centres(np.arange(grid.size)))
-    on_edge = np.argwhere(edge(labels.attractor.reshape(grid.shape)))
-    if len(on_edge) == 0:
-        return Uncertainty(np.nan, np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
+    with bar("dimension of the boundary", progress, len(apart) + 1) as update:
+        labels, _ = mapper.label_all(grid.centres(np.arange(grid.size)))
+        update(1)
+        on_edge = np.argwhere(edge(labels.attractor.reshape(grid.shape)))
+        if len(on_edge) == 0:
+            return Uncertainty(np.nan, np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
+        done = count(2)
 
-    def draw(rng: np.random.Generator, n: int) -> Float[np.ndarray, "n axes"]:
-        return (rng.choice(on_edge, n) + rng.uniform(size=(n, len(shape)))) / shape
+        def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
+            order = np.argsort(flat_index((share * shape).astype(int).T, grid.shape))
+            labels, _ = mapper.label_all(grid.points_at(share[order]))  # fastest among neighbours
+            found = np.empty_like(labels.attractor)
+            found[order] = labels.attractor
+            update(next(done))
+            return found
 
-    return uncertainty_exponent(
-        label_of, draw, apart, pairs=pairs, seed=seed, confidence=confidence
-    )
+        def draw(rng: np.random.Generator, n: int) -> Float[np.ndarray, "n axes"]:
+            return (rng.choice(on_edge, n) + rng.uniform(size=(n, len(shape)))) / shape
+
+        return uncertainty_exponent(
+            label_of, draw, apart, pairs=pairs, seed=seed, confidence=confidence
+        )
