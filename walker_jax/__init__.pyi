@@ -35,6 +35,8 @@ from walker_jax.gaits.crises import loss_of_walking as loss_of_walking
 from walker_jax.gaits.cycles import Gait as Gait
 from walker_jax.gaits.derivatives import gait_derivatives as gait_derivatives
 from walker_jax.gaits.diagrams import bifurcation_diagram as bifurcation_diagram
+from walker_jax.gaits.event_curves import EventCurve as EventCurve
+from walker_jax.gaits.event_curves import continue_event as continue_event
 from walker_jax.gaits.events import Bifurcation as Bifurcation
 from walker_jax.gaits.long_runs import attractors as attractors
 from walker_jax.gaits.search import descend as descend

@@ -155,15 +155,15 @@ def island(x, p):
 def test_a_branch_that_closes_is_gone_round_once(sign):
     start = continuation.Start(0.0, np.array([[RADIUS]]))
     path = done_with(island, continuation.follow_branch(start, sign, (-1.0, 1.0)))
-    assert path.end == "the branch closes" and path.doublings == []
+    assert path.end == "the branch closes"
     values = np.array([point.value for point in path.points])
     states = np.array([point.cycle[0, 0] for point in path.points])
     np.testing.assert_allclose(values**2 + states**2, RADIUS**2, rtol=0, atol=1e-10)
     angles = np.unwrap(np.arctan2(states, values))
     assert (sign * np.diff(angles) < 0).all()
     assert abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi, abs=0.3)
-    assert [fold.kind for fold in path.folds] == ["fold", "fold"]
-    for fold, value in zip(path.folds, (sign * RADIUS, -sign * RADIUS), strict=True):
+    assert [event.kind for event in path.events] == ["fold", "fold"]
+    for fold, value in zip(path.events, (sign * RADIUS, -sign * RADIUS), strict=True):
         assert fold.value == pytest.approx(value, abs=1e-12)
         assert abs(fold.states[0, 0]) < 1e-6 and abs(fold.multipliers[0] - 1) < 1e-6
 

@@ -57,8 +57,8 @@ def path_of(stride, states, value, bounds=(1.6, 2.4)):
 )
 def test_a_pair_that_leaves_the_unit_circle_is_located(stride, states, angle):
     path = path_of(stride, states, 1.6)
-    assert path.end == "the end of the range" and path.folds == path.doublings == []
-    (found,) = path.neimark_sackers
+    assert path.end == "the end of the range" and len(path.events) == 1
+    (found,) = path.events
     assert found.kind == "neimark-sacker"
     assert abs(found.value - 2) < 1e-12 and found.residual < 1e-12
     upper = found.multipliers[0]
@@ -74,7 +74,7 @@ def test_a_pair_that_leaves_the_unit_circle_is_located(stride, states, angle):
 
 def test_real_multipliers_whose_product_is_one_are_none():
     path = path_of(saddle, [[0.0, 0.0]], 1.1, (1.1, 1.6))
-    assert path.end == "the end of the range" and path.neimark_sackers == ()
+    assert path.end == "the end of the range" and path.events == []
 
 
 def test_they_are_in_the_data_of_a_diagram_and_its_picture():

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.gaits.derivatives import Linearisation, SecondDerivatives
-from walker_jax.gaits.requests import Response, Task
+from walker_jax.gaits.jets import Curves, Jet
+from walker_jax.gaits.requests import Expansion, Request, Task
 
 
 def done_with(stride: Callable, task: Task) -> Any:
@@ -20,27 +21,69 @@ def done_with(stride: Callable, task: Task) -> Any:
             request = next(task) if response is None else task.send(response)
         except StopIteration as stop:
             return stop.value
-        vectors = np.zeros_like(request.cycle) if request.vectors is None else request.vectors
-        found = looked_at(stride)(request.cycle, float(request.value), vectors)
-        state, jacobian, by_parameter, along, changes = (np.asarray(x)[None] for x in found)
-        times = np.ones((1, len(request.cycle)))
-        second = None if request.vectors is None else SecondDerivatives(along, 0 * times, changes)
-        response = Response(Linearisation(state, times, jacobian, by_parameter), second)
+        response = ANSWERS[type(request)](stride, request)
+
+
+def first_derivatives(stride: Callable, request: Request) -> Linearisation:
+    zeros = np.zeros((*request.cycle.shape[:1], request.cycle.shape[1] + 1))
+    found = looked_at(stride)(request.cycle, float(request.value), zeros)
+    state, by_columns = (np.asarray(x)[None] for x in found[:2])
+    times = np.ones((1, len(request.cycle)))
+    return Linearisation(state, times, by_columns[..., :-1], by_columns[..., -1])
+
+
+def second_derivatives(stride: Callable, request: Expansion) -> SecondDerivatives:
+    found = [
+        looked_at(stride)(request.cycle, float(request.values[0]), one)
+        for one in request.directions
+    ]
+    state, by_columns, along, changes = (
+        np.stack([np.asarray(one) for one in values]) for values in zip(*found, strict=True)
+    )
+    return SecondDerivatives(state, by_columns, along, np.zeros(along.shape[:2]), changes)
+
+
+def derivatives_along(stride: Callable, request: Curves) -> Jet:
+    jet = request.first, request.second, np.zeros_like(request.first)
+    for x in request.cycle:
+        along = lambda *rows, x=x: looked_along(stride)(x, float(request.values[0]), *rows)
+        found = [along(*rows) for rows in zip(*jet, strict=True)]
+        jet = tuple(
+            np.stack([np.asarray(one) for one in part]) for part in zip(*found, strict=True)
+        )
+    return Jet(*jet)
+
+
+ANSWERS = {Request: first_derivatives, Expansion: second_derivatives, Curves: derivatives_along}
 
 
 @cache
 def looked_at(stride: Callable) -> Callable:
-    """Ends of strides and their derivatives, first and, along vectors, second ones."""
+    """Ends of strides and their derivatives by all columns, and those along a direction."""
 
-    def derivatives(x, p, vector):
-        along = lambda x, p: jax.jvp(lambda x: stride(x, p), (x,), (vector,))[1]
-        changes = jax.jacfwd(along, 0)(x, p), jax.jacfwd(along, 1)(x, p)[:, None]
+    def derivatives(x, p, direction):
+        of_columns = lambda columns: stride(columns[:-1], columns[-1])
+        columns = jnp.append(x, p)
+        along = lambda columns: jax.jvp(of_columns, (columns,), (direction,))[1]
         return (
-            stride(x, p),
-            jax.jacfwd(stride, 0)(x, p),
-            jax.jacfwd(stride, 1)(x, p),
-            along(x, p),
-            jnp.concatenate(changes, axis=1),
+            of_columns(columns),
+            jax.jacfwd(of_columns)(columns),
+            along(columns),
+            jax.jacfwd(along)(columns),
         )
 
     return jax.jit(jax.vmap(derivatives, (0, None, 0)))
+
+
+@cache
+def looked_along(stride: Callable) -> Callable:
+    """The first three derivatives of the end of a stride along a curve."""
+
+    def derivatives(x, p, first, second, third):
+        end = lambda t: stride(x + t * first + t**2 / 2 * second + t**3 / 6 * third, p)
+        of = [jax.jacfwd(end)]
+        for _ in range(2):
+            of.append(jax.jacfwd(of[-1]))
+        return tuple(one(0.0) for one in of)
+
+    return jax.jit(derivatives)

@@ -4,7 +4,6 @@ Points are measured in scaled coordinates: states over sqrt(period), the paramet
 its range.
 """
 
-from collections.abc import Generator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ from jaxtyping import Float
 
 from walker_jax.gaits.cycles import MAX_RESIDUAL, cycle_matrices, solve_linear_systems
 from walker_jax.gaits.derivatives import Linearisation
-from walker_jax.gaits.requests import Request, Response
+from walker_jax.gaits.requests import Request, Task
 
 CORRECTOR_STEPS = 12
 """Newton steps to a point or to a bifurcation. From a good prediction the corrector converges
@@ -32,7 +31,7 @@ def correct(
     cycle: Float[np.ndarray, "period section"],
     row: Float[np.ndarray, " size"] | None,
     width: float,
-) -> Generator[Request, Response, Point | None]:
+) -> Task:
     """The corrector: Newton's iteration to the branch, on the plane across `row`.
 
     Without a `row` the parameter keeps its value. Returns None where the iteration fails.
@@ -42,7 +41,7 @@ def correct(
     rounding = 10 * float(np.finfo(cycle.dtype).eps)
     best, smallest = None, float(MAX_RESIDUAL[cycle.dtype])
     for _ in range(CORRECTOR_STEPS):
-        local = (yield Request(value, cycle)).local
+        local = yield Request(value, cycle)
         mismatch = local.state[0] - np.roll(cycle, -1, axis=0)
         residual = np.abs(mismatch).max()
         if not np.isfinite(residual):

@@ -4,15 +4,17 @@ Pseudo-arclength continuation (Keller 1977): the cycle's states and the paramete
 together, and the next point is where the branch meets a plane across its tangent. So continuation
 passes folds. At a fold a Floquet multiplier is 1, and two branches of gaits meet and end; at a
 period doubling one is -1, and a gait of twice the period branches off. At a Neimark-Sacker point
-a pair of conjugate ones is on the unit circle, and motions without a period branch off. Newton's
-iteration locates all: its unknowns are the states, the parameter, the vector v that the cycle's
-Jacobian maps to v, to -v or to exp(i angle) v, and that angle. It takes second derivatives of the
-stride function by automatic differentiation.
+a pair of conjugate ones is on the unit circle, and motions without a period branch off. At a branch
+point one is 1 again, and two branches cross. Newton's iteration locates all: its unknowns are the
+states, the parameter and the vectors that belong to the critical multipliers
+(`defining_systems`). It takes second derivatives of the stride function by automatic
+differentiation, and normal forms (`normal_forms`) take third ones.
 
 Distances along a branch are sqrt(mean |dx|^2 + (dp / width of the range)^2).
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -29,8 +31,9 @@ from walker_jax.gaits.cycles import (
     find_multipliers,
     multiply_jacobians,
 )
+from walker_jax.gaits.defining_systems import BRANCH, DOUBLING, FOLD, TORUS
 from walker_jax.gaits.events import Bifurcation
-from walker_jax.gaits.requests import run_batched
+from walker_jax.gaits.requests import compute_responses, run_batched
 from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator, default_tolerance
@@ -54,6 +57,8 @@ class Branch(NamedTuple):
     ends: tuple[str, str]
     """The reasons why the branch ends, at its first point and at its last."""
     neimark_sackers: tuple[Bifurcation, ...] = ()
+    branch_points: tuple[Bifurcation, ...] = ()
+    """Where another branch of gaits of the same period crosses this one."""
 
     @property
     def period(self) -> int:
@@ -61,8 +66,7 @@ class Branch(NamedTuple):
 
     @property
     def stable(self) -> np.ndarray:
-        """Whether each gait is stable, shape (points,); where two branches cross, this changes
-        without an event."""
+        """Whether each gait is stable, shape (points,)."""
         return np.abs(self.multipliers[:, 0]) < 1
 
 
@@ -78,9 +82,9 @@ def continue_gait(
     """The branch of a gait over a range of a parameter, in both directions, past its folds.
 
     Steps are as long as the curvature of the branch allows. Two folds, or two doublings, within one
-    step are missed. Where a multiplier passes 1 without a fold, as where two branches cross, there
-    is no event, and only `Branch.stable` tells. That happens over gains of `Feedback`, where the
-    gait does not depend on the gain. The branch ends where it leaves the range, where a state no
+    step are missed. Where a multiplier passes 1 without a fold two branches cross: a branch point.
+    That happens over gains of `Feedback`, where the gait does not depend on the gain. The branch
+    ends where it leaves the range, where a state no
     longer makes a stride however short the step, where it closes, or where it returns to the gait
     of half the period from which it doubled.
 
@@ -128,10 +132,11 @@ def continue_gaits(
         for start in starts
         for sign in ((-1.0, 1.0) if start.direction is None else (1.0,))
     ]
-    paths = iter(run_batched(walker, parameter, tasks, tolerance))
+    compute = partial(compute_responses, walker, [parameter], Integrator(tolerance))
+    paths = iter(run_batched(tasks, compute))
     branches = []
     for start in starts:
-        backward = next(paths) if start.direction is None else Path([], [], [], "a period doubling")
+        backward = next(paths) if start.direction is None else Path([], [], "a period doubling")
         branches.append(join_paths(parameter, backward, next(paths), len(walker.section)))
     return branches
 
@@ -170,6 +175,7 @@ def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Bran
             (backward.end, forward.end),
         )
     local = [point.local for point in points]
+    of_kind = lambda kind: [*reversed(backward.of_kind(kind)), *forward.of_kind(kind)]
     return Branch(
         parameter=parameter,
         values=np.array([point.value for point in points]),
@@ -178,10 +184,11 @@ def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Bran
             multiply_jacobians(np.concatenate([one.jacobian for one in local]))
         ),
         step_times=np.concatenate([one.time for one in local]),
-        folds=[*reversed(backward.folds), *forward.folds],
-        doublings=[*reversed(backward.doublings), *forward.doublings],
+        folds=of_kind(FOLD),
+        doublings=of_kind(DOUBLING),
         ends=(backward.end, forward.end),
-        neimark_sackers=(*reversed(backward.neimark_sackers), *forward.neimark_sackers),
+        neimark_sackers=tuple(of_kind(TORUS)),
+        branch_points=tuple(of_kind(BRANCH)),
     )
 
 

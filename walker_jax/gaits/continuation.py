@@ -1,6 +1,5 @@
 """Continuation of one branch of gaits, from a start to an end."""
 
-from collections.abc import Generator
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +7,7 @@ from jaxtyping import Float
 
 from walker_jax.gaits.arclength import Point, correct, displace, scaled_step, tangent
 from walker_jax.gaits.events import Bifurcation, crosses_half_period, find_bifurcations
-from walker_jax.gaits.requests import Request, Response
+from walker_jax.gaits.requests import Task
 
 FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.005, 0.05, 1e-7
 """Lengths of the first step along a branch, of the longest, and of the shortest, below which the
@@ -41,18 +40,18 @@ class Path(NamedTuple):
     """One side of a branch, from its start."""
 
     points: list[Point]
-    folds: list[Bifurcation]
-    doublings: list[Bifurcation]
+    events: list[Bifurcation]
     end: str
-    neimark_sackers: tuple[Bifurcation, ...] = ()
+
+    def of_kind(self, kind: str) -> list[Bifurcation]:
+        """Its bifurcations of one kind."""
+        return [one for one in self.events if one.kind == kind]
 
 
-def follow_branch(
-    start: Start, sign: float, bounds: tuple[float, float]
-) -> Generator[Request, Response, Path]:
+def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Task:
     """Follow a branch from a start, at first with a growing (sign 1) or falling (-1) parameter."""
     width = bounds[1] - bounds[0]
-    path = Path([], [], [], "no gait")
+    path = Path([], [], "no gait")
     first = yield from correct(start.value, start.states, None, width)
     if first is None:
         return path
@@ -88,16 +87,13 @@ def follow_branch(
                 end = "a state makes no stride" if new is None else "the branch bends too sharply"
                 break
             continue
-        if crosses_half_period(point, new):
+        if crosses_half_period(point.cycle, new.cycle):
             if length > HALF_PERIOD_RESOLUTION:
                 length /= 2
                 continue
             end = f"the gait of period {len(cycle) // 2} that it doubles"
             break
-        path.folds.extend(b for b in found if b.kind == "fold")
-        path.doublings.extend(b for b in found if b.kind == "doubling")
-        tori = tuple(b for b in found if b.kind == "neimark-sacker")
-        path = path._replace(neimark_sackers=path.neimark_sackers + tori)
+        path.events.extend(found)
         path.points.append(new)
         if at_end:
             end = "the end of the range"

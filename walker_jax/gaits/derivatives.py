@@ -1,9 +1,11 @@
 """Derivatives of strides along gaits, and of gaits by a parameter of the walker."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
@@ -21,13 +23,16 @@ from walker_jax.gaits.cycles import (
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, parameter_direction
+from walker_jax.walkers.parameters import check_parameter, parameter_directions
 from walker_jax.walking.iteration import broadcast_parameters
 from walker_jax.walking.starts import prepare
 from walker_jax.walking.stride import follow_stride
 
 FEW_STRIDES = 128
 """Strides whose derivatives take longer to ask for than to compute."""
+
+MOST_PARAMETERS = 2
+"""Parameters of second derivatives: one program is compiled, whether they are one or two."""
 
 
 class GaitDerivatives(NamedTuple):
@@ -82,7 +87,7 @@ def gait_derivatives(
         cycle_matrices(local.jacobian), -local.by_parameter.reshape(1, -1)
     ).reshape(cycle.shape)
     along = np.concatenate([dx, np.ones_like(dx[..., :1])], axis=-1)
-    second = differentiate_twice(walker, cycle, along, integrator, parameter)
+    second = differentiate_twice(walker, cycle, along, integrator, [parameter])
     period, size = cycle.shape[1:]
     change = np.zeros((size, size))
     for i in range(period):
@@ -119,8 +124,8 @@ def linearise(
     The walker's parameters may be arrays of n. The first column shows which states make a stride;
     unless they are few, the others are computed for these alone.
     """
-    size, axis = cycles.shape[2], parameter_direction(walker, parameter, cycles.dtype)
-    shared = integrator.in_dtype(cycles.dtype), axis
+    size, names = cycles.shape[2], [] if parameter is None else [parameter]
+    shared = integrator.in_dtype(cycles.dtype), parameter_directions(walker, names, cycles.dtype)
     directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
     walkers, starts = repeat_cells(walker, cycles, 1)
 
@@ -151,14 +156,21 @@ def linearise(
 
 
 class SecondDerivatives(NamedTuple):
-    """Derivatives of strides from n cycles along a direction, and the derivatives of these."""
+    """Derivatives of strides from n cycles along a direction, and the derivatives of these.
 
+    Columns are the coordinates of the start, then the parameters.
+    """
+
+    state: Float[np.ndarray, "n period section"]
+    """Ends of the strides; NaN where one fails."""
+    by_columns: Float[np.ndarray, "n period section columns"]
+    """Derivatives of the ends by each column."""
     along: Float[np.ndarray, "n period section"]
     """Derivatives of the ends along the direction."""
     time: Float[np.ndarray, "n period"]
     """Derivatives of the durations along it."""
     changes: Float[np.ndarray, "n period section columns"]
-    """Derivatives of `along` by each coordinate of the start, and by the parameter."""
+    """Derivatives of `along` by each column."""
 
 
 def differentiate_twice(
@@ -166,24 +178,30 @@ def differentiate_twice(
     cycles: Float[np.ndarray, "n period section"],
     directions: Float[np.ndarray, "n period columns"],
     integrator: Integrator,
-    parameter: str,
+    parameters: Sequence[str],
 ) -> SecondDerivatives:
-    """Second derivatives of one stride from each state, along a direction (start, parameter)."""
+    """Second derivatives of one stride from each state, along a direction (start, parameters)."""
     n, period, size = cycles.shape
-    columns = size + 1
+    columns, full = size + len(parameters), size + MOST_PARAMETERS
+    filled = np.zeros((n * period, full), cycles.dtype)
+    filled[:, :columns] = directions.reshape(-1, columns)
     cells = (
         *repeat_cells(walker, cycles, columns),
-        np.repeat(directions.reshape(-1, columns), columns, axis=0),
-        np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
+        np.repeat(filled, columns, axis=0),
+        np.tile(np.eye(columns, full, dtype=cycles.dtype), (n * period, 1)),
     )
-    axis = parameter_direction(walker, parameter, cycles.dtype)
-    shared = integrator.in_dtype(cycles.dtype), axis
-    (_, (along, time)), (_, (changes, _)) = map_cells(second_jvp, (shared, cells))
+    axes = parameter_directions(walker, parameters, cycles.dtype, MOST_PARAMETERS)
+    shared = integrator.in_dtype(cycles.dtype), axes
+    found = map_cells(second_jvp, (shared, cells))
+    ((state, _), (along, time)), ((by_columns, _), (changes, _)) = found
     shape = n, period, columns
+    each = lambda values: values.reshape(*shape, size)
     return SecondDerivatives(
-        along=along.reshape(*shape, size)[:, :, 0],
+        state=each(state)[:, :, 0],
+        by_columns=np.swapaxes(each(by_columns), 2, 3),
+        along=each(along)[:, :, 0],
         time=time.reshape(shape)[:, :, 0],
-        changes=np.swapaxes(changes.reshape(*shape, size), 2, 3),
+        changes=np.swapaxes(each(changes), 2, 3),
     )
 
 
@@ -200,11 +218,16 @@ def repeat_cells(
 
 
 def jvp(shared: tuple[Integrator, System], cell):
-    """A stride of one cell, and its derivative along a direction (start, parameter)."""
-    integrator, axis = shared
+    """A stride of one cell, and its derivative along a direction (start, parameters)."""
+    integrator, axes = shared
     walker, x, direction = cell
-    tangent = jax.tree.map(lambda leaf: leaf * direction[-1], axis), direction[:-1]
-    return jax.jvp(partial(timed_stride, integrator), (walker, x), tangent)
+    return jax.jvp(partial(timed_stride, integrator), (walker, x), split(axes, x, direction))
+
+
+def split(axes: System, x: Float[Array, " section"], direction: Float[Array, " columns"]):
+    """A direction as those of the walker and of the start."""
+    size = x.shape[0]
+    return jax.tree.map(lambda leaf: jnp.sum(leaf * direction[size:]), axes), direction[:size]
 
 
 def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " section"]):
@@ -215,8 +238,5 @@ def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " secti
 def second_jvp(shared: tuple[Integrator, System], cell):
     """((stride, derivative along first), (derivative along second, derivative along both))."""
     walker, x, first, second = cell
-    _, axis = shared
-    tangent = jax.tree.map(lambda leaf: leaf * second[-1], axis), second[:-1]
-
     derivative = lambda walker, x: jvp(shared, (walker, x, first))
-    return jax.jvp(derivative, (walker, x), tangent)
+    return jax.jvp(derivative, (walker, x), split(shared[1], x, second))

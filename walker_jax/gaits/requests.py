@@ -1,10 +1,10 @@
 """Strides and their derivatives for many branches at once.
 
-A generator follows each branch: it yields requests for strides and receives responses. One call
-computes the requests of all branches.
+A generator follows each branch: it yields requests for derivatives and receives responses. One call
+computes the requests of one kind of all branches.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,40 +16,41 @@ from walker_jax.gaits.derivatives import (
     differentiate_twice,
     linearise,
 )
-from walker_jax.integrators.integrator import integrator_of
-from walker_jax.integrators.roots import Real
+from walker_jax.gaits.jets import Curves, differentiate_curves
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.iteration import broadcast_parameters
+from walker_jax.walking.iteration import with_parameters
 
 
 class Request(NamedTuple):
-    """Strides from a cycle of states at a value of the parameter, with their derivatives."""
+    """Strides from a cycle of states at a value of the parameter: a `Linearisation`."""
 
     value: float
     cycle: Float[np.ndarray, "period section"]
-    vectors: Float[np.ndarray, "period section"] | None = None
-    """Directions of second derivatives; None where none are needed."""
 
 
-class Response(NamedTuple):
-    """The result of `linearise` and `differentiate_twice` for the cycle of a request."""
+class Expansion(NamedTuple):
+    """Strides from a cycle, with `SecondDerivatives` along each of some directions."""
 
-    local: Linearisation
-    second: SecondDerivatives | None
+    values: Float[np.ndarray, " parameters"]
+    cycle: Float[np.ndarray, "period section"]
+    directions: Float[np.ndarray, "vectors period columns"]
+    """Of the states, then of the parameters."""
 
 
-Task = Generator[Request, Response, Any]
+Task = Generator[Any, Any, Any]
+"""It yields a `Request`, an `Expansion` or `Curves`, and receives the derivatives."""
 
 
-def run_batched(
-    walker: System, parameter: str, tasks: Sequence[Task], tolerance: Real | None
-) -> list[Any]:
-    """Run tasks side by side, with their requests in batches; returns what each task returns."""
+def run_batched(tasks: Sequence[Task], compute: Callable[[list[Any]], list[Any]]) -> list[Any]:
+    """Run tasks side by side, with their requests in batches; returns what each task returns.
+
+    `compute` gives the response to each of some requests.
+    """
     results: list[Any] = [None] * len(tasks)
-    pending: dict[int, Request] = {}
+    pending: dict[int, Any] = {}
 
-    def resume(i: int, response: Response | None):
+    def resume(i: int, response: Any):
         try:
             pending[i] = next(tasks[i]) if response is None else tasks[i].send(response)
         except StopIteration as stop:
@@ -59,54 +60,63 @@ def run_batched(
         resume(i, None)
     while pending:
         requests, pending = pending, {}
-        responses = compute_responses(walker, parameter, list(requests.values()), tolerance)
+        responses = compute(list(requests.values()))
         for i, response in zip(requests, responses, strict=True):
             resume(i, response)
     return results
 
 
 def compute_responses(
-    walker: System, parameter: str, requests: list[Request], tolerance: Real | None
-) -> list[Response]:
-    """The responses to requests; every state of every cycle is a cell of its own."""
-    dtype = requests[0].cycle.dtype
-    integrator = integrator_of(dtype, tolerance)
-    batch = lambda requests: batch_cells(walker, parameter, requests, dtype)
-    linear = split_by_cycle(linearise(*batch(requests), integrator, parameter), requests)
-    with_vectors = [request for request in requests if request.vectors is not None]
-    seconds: list[SecondDerivatives] = []
-    if with_vectors:
-        vectors = np.concatenate(
-            [request.vectors for request in with_vectors if request.vectors is not None]
-        )
-        directions = np.concatenate([vectors, np.zeros_like(vectors[:, :1])], axis=1)[:, None]
-        walkers, states = batch(with_vectors)
-        seconds = split_by_cycle(
-            differentiate_twice(walkers, states, directions, integrator, parameter),
-            with_vectors,
-        )
-    remaining = iter(seconds)
+    system: System, parameters: Sequence[str], integrator: Integrator, requests: list[Any]
+) -> list[Any]:
+    """The responses to requests at values of these parameters."""
+    results: list[Any] = [None] * len(requests)
+    kinds = (Request, follow_cycles), (Expansion, expand), (Curves, differentiate_curves)
+    for kind, compute in kinds:
+        which = [i for i, one in enumerate(requests) if isinstance(one, kind)]
+        if which:
+            found = compute(system, parameters, [requests[i] for i in which], integrator)
+            for i, one in zip(which, found, strict=True):
+                results[i] = one
+    return results
+
+
+def follow_cycles(
+    system: System, parameters: Sequence[str], requests: list[Request], integrator: Integrator
+) -> list[Linearisation]:
+    """Strides with their first derivatives; every state of every cycle is a cell of its own."""
+    lengths = [len(one.cycle) for one in requests]
+    systems = with_parameters(
+        system, parameters, repeat([[one.value] for one in requests], lengths)
+    )
+    states = np.concatenate([one.cycle for one in requests])[:, None]
+    found = linearise(systems, states, integrator, parameters[0])
+    return [Linearisation(*(v[None] for v in part)) for part in cut(found, lengths)]
+
+
+def expand(
+    system: System, parameters: Sequence[str], requests: list[Expansion], integrator: Integrator
+) -> list[SecondDerivatives]:
+    """Strides with second derivatives; every state is a cell of its own for every direction."""
+    lengths = [one.directions.shape[0] * len(one.cycle) for one in requests]
+    systems = with_parameters(system, parameters, repeat([one.values for one in requests], lengths))
+    states = np.concatenate([np.tile(one.cycle, (len(one.directions), 1)) for one in requests])
+    directions = np.concatenate(
+        [one.directions.reshape(-1, one.directions.shape[2]) for one in requests]
+    )
+    cells = systems, states[:, None], directions[:, None]
+    parts = cut(differentiate_twice(*cells, integrator, parameters), lengths)
     return [
-        Response(local, next(remaining) if request.vectors is not None else None)
-        for request, local in zip(requests, linear, strict=True)
+        SecondDerivatives(*(v.reshape(len(one.directions), -1, *v.shape[1:]) for v in part))
+        for one, part in zip(requests, parts, strict=True)
     ]
 
 
-def batch_cells(
-    walker: System, parameter: str, requests: list[Request], dtype: Any
-) -> tuple[System, Float[np.ndarray, "n 1 section"]]:
-    """Walkers and states of the cycles of all requests, one after the other."""
-    values = np.concatenate(
-        [np.full(len(request.cycle), request.value, dtype) for request in requests]
-    )
-    states = np.concatenate([request.cycle for request in requests])[:, None]
-    return with_parameter(
-        broadcast_parameters(walker, len(values), dtype), parameter, values
-    ), states
+def repeat(rows: Sequence[Any], counts: Sequence[int]) -> Float[np.ndarray, "n columns"]:
+    return np.repeat(np.asarray(rows, float), counts, axis=0)
 
 
-def split_by_cycle(values: Linearisation | SecondDerivatives, requests: list[Request]) -> list[Any]:
-    """Derivatives at all states, in parts: one for the cycle of each request."""
-    ends = np.cumsum([len(request.cycle) for request in requests])[:-1]
-    parts = zip(*(np.split(np.moveaxis(v, 1, 0), ends, axis=1) for v in values), strict=True)
-    return [type(values)(*part) for part in parts]
+def cut(values: tuple[np.ndarray, ...], lengths: Sequence[int]) -> list[tuple[np.ndarray, ...]]:
+    """Arrays over all cells and one stride, in parts of these lengths over the cells."""
+    ends = np.cumsum(lengths)[:-1]
+    return list(zip(*(np.split(one[:, 0], ends) for one in values), strict=True))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -169,10 +170,17 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
                 raise
 
 
-def parameter_direction(walker: AnySystem, parameter: str | None, dtype) -> AnySystem:
-    """A walker with 1 for the parameter and 0 for all others: the direction of the parameter."""
-    zeros = jax.tree.map(lambda leaf: np.zeros((), dtype), walker)
-    return zeros if parameter is None else with_parameter(zeros, parameter, np.ones((), dtype))
+def parameter_directions(
+    walker: AnySystem, parameters: Sequence[str], dtype, rows: int = 1
+) -> AnySystem:
+    """A walker with a row of numbers for every parameter: the directions of some parameters.
+
+    In that of one of them its own number is 1, and all others are 0; so are those beyond them.
+    """
+    zeros = jax.tree.map(lambda leaf: np.zeros(rows, dtype), walker)
+    for i, parameter in enumerate(parameters):
+        zeros = with_parameter(zeros, parameter, np.eye(1, rows, i, dtype)[0])
+    return zeros
 
 
 def with_parameter(walker: AnySystem, parameter: str, value) -> AnySystem:

@@ -6,7 +6,7 @@ return every state: `orbits`, of many starts, and `walk`, of one that JAX may tr
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.systems.system import AnySystem, System, numbers_of
 from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walkers.parameters import Parameter, described_by
+from walker_jax.walkers.parameters import Parameter, described_by, with_parameter
 from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
 from walker_jax.walking.stride import follow_step, follow_stride
 
@@ -134,6 +134,16 @@ def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
 def broadcast_parameters(walker: AnySystem, n: int, dtype) -> AnySystem:
     """A walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
+
+
+def with_parameters(
+    walker: AnySystem, parameters: Sequence[str], values: Float[np.ndarray, "n parameters"]
+) -> AnySystem:
+    """n walkers, each with its own values of some parameters, unchecked."""
+    walkers = broadcast_parameters(walker, len(values), values.dtype)
+    for parameter, column in zip(parameters, values.T, strict=True):
+        walkers = with_parameter(walkers, parameter, column)
+    return walkers
 
 
 def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) -> AnySystem:

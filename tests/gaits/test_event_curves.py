@@ -1,0 +1,178 @@
+"""Bifurcations over two parameters, of maps known in closed form and of the simplest walker."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference import read_values
+
+import walker_jax as wj
+
+DOUBLINGS = read_values("systems")["period_doubling"]["values"]
+
+
+def curve_of(f, coordinates, values, guess, kind, bounds):
+    """The curve of the only bifurcation of a kind of a map over p, in p and q."""
+    system = wj.Map(f, coordinates, parameters=dict(zip("pq", values, strict=True)))
+    gait = wj.find_gait(system, guess=guess)
+    low, high = bounds["p"]
+    branch = wj.continue_gait(system, "p", (float(low), float(high)), gait)
+    events = *branch.folds, *branch.doublings, *branch.neimark_sackers, *branch.branch_points
+    event = next(event for event in events if event.kind == kind)
+    return wj.continue_event(system, event, ("p", "q"), bounds)
+
+
+def the_special(curve, kind):
+    (found,) = [one for one in curve.special if one.kind == kind]
+    assert abs(found.criterion) < 1e-9 and found.residual < 1e-12
+    return found
+
+
+@pytest.mark.parametrize(
+    ("kind", "exact", "special", "at"),
+    [
+        ("fold", lambda b: -((1 - b) ** 2) / 4, "1:1 resonance", (-1, -1)),
+        ("doubling", lambda b: 3 * (1 - b) ** 2 / 4, "1:2 resonance", (3, -1)),
+    ],
+)
+def test_curves_of_the_map_of_henon(kind, exact, special, at):
+    system = wj.HenonMap(0.1, 0.3)
+    branch = wj.continue_gait(system, "a", (-0.3, 1.0), wj.find_gait(system, [[0.7, 0.2]]))
+    (event,) = [one for one in (*branch.folds, *branch.doublings) if one.kind == kind]
+    curve = wj.continue_event(system, event, ("a", "b"), {"a": (-2, 4), "b": (-1.2, 0.6)})
+    a, b = curve.values.T
+    np.testing.assert_allclose(a, exact(b), rtol=0, atol=1e-13)
+    assert b.max() == 0.6 and b.min() < -1.1 and curve.ends[0] == "the end of the range"
+    found = the_special(curve, special)
+    np.testing.assert_allclose(found.values, at, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.multipliers, [1, 1] if kind == "fold" else [-1, -1], atol=1e-6)
+    assert curve.period == 1 and curve.parameters == ("a", "b")
+
+
+def test_a_doubling_of_period_two_over_both_parameters_of_henon():
+    """Its trace is -1 - b^2 where a = (1 - b)^2 + (1 + b)^2 / 4."""
+    system = wj.HenonMap(0.6, 0.3)
+    gait = wj.find_gait(system, [[0.97, -0.09], [-0.3, 0.29]], period=2)
+    (event,) = wj.continue_gait(system, "a", (0.5, 1.0), gait).doublings
+    curve = wj.continue_event(system, event, ("a", "b"), {"a": (0, 4), "b": (-0.3, 0.6)})
+    a, b = curve.values.T
+    np.testing.assert_allclose(a, (1 - b) ** 2 + (1 + b) ** 2 / 4, rtol=0, atol=1e-12)
+    assert curve.criticality == ["supercritical"] * len(a) and curve.period == 2
+
+
+def test_a_cusp():
+    f = lambda x, p, q: x + p + q * x - x**3 + 0.3 * x**2
+    bounds = {"p": (-2, 2), "q": (-2, 2)}
+    curve = curve_of(f, ("x",), (-1.0, 1.0), [[-1.5]], "fold", bounds)
+    found = the_special(curve, "cusp")
+    np.testing.assert_allclose(found.values, [0.001, -0.03], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.states, [[0.1]], rtol=0, atol=1e-12)
+    x = curve.states[:, 0, 0]
+    np.testing.assert_allclose(curve.values[:, 1], 3 * x**2 - 0.6 * x, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(curve.coefficients), np.abs(0.3 - 3 * x), atol=1e-12)
+
+
+def test_a_generalised_flip():
+    f = lambda x, p, q: -(1 + p) * x + q * x**3 + x**5
+    bounds = {"p": (-0.5, 0.5), "q": (-2, 3)}
+    curve = curve_of(f, ("x",), (-0.3, -1.0), [[0.0]], "doubling", bounds)
+    found = the_special(curve, "generalised flip")
+    np.testing.assert_allclose(found.values, 0, atol=1e-12)
+    np.testing.assert_allclose(curve.coefficients, curve.values[:, 1], rtol=0, atol=1e-12)
+    assert set(curve.criticality) == {"subcritical", "supercritical"}
+
+
+def test_a_fold_flip():
+    f = lambda x, p, q: jnp.stack(
+        [x[0] + p - x[0] ** 2, -(1 + q) * x[1] + x[1] ** 3 + 0.1 * x[0] * x[1]]
+    )
+    bounds = {"p": (-0.5, 0.5), "q": (-1, 1)}
+    curve = curve_of(f, ("x", "y"), (0.1, -0.5), [[0.3, 0.0]], "fold", bounds)
+    found = the_special(curve, "fold-flip")
+    np.testing.assert_allclose(found.values, 0, atol=1e-12)
+    np.testing.assert_allclose(np.sort(found.multipliers.real), [-1, 1], atol=1e-12)
+
+
+def test_branch_points_persist_where_a_symmetry_keeps_them():
+    f = lambda x, p, q: jnp.stack([x[0] + p * x[0] - q * x[0] ** 3, 0.5 * x[1] + x[0] ** 2 + q])
+    bounds = {"p": (-1, 1), "q": (-2, 2)}
+    curve = curve_of(f, ("x", "y"), (-0.5, 0.5), [[0.0, 1.0]], "branch point", bounds)
+    p, q = curve.values.T
+    np.testing.assert_allclose(p, 0, atol=1e-13)
+    assert q.min() == -2 and q.max() == 2 and np.isnan(curve.coefficients).all()
+
+
+def test_branches_that_no_longer_cross():
+    f = lambda x, p, q: x + p * x - x**2 + q
+    bounds = {"p": (-1, 1), "q": (-1, 1)}
+    curve = curve_of(f, ("x",), (-0.5, 0.0), [[0.0]], "branch point", bounds)
+    assert curve.ends == ("the branches no longer cross",) * 2 and len(curve.values) == 1
+
+
+def resonant(x, p, q):
+    """The delayed logistic map, and a term that vanishes at its fixed point x = y = 1 - 1/p."""
+    return jnp.stack([p * x[0] * (1 - x[1]) + q * x[0] ** 2 * (x[0] - x[1]), x[0]])
+
+
+def test_resonances_of_neimark_sacker_points():
+    """With x = 1 - 1/p the trace is 1 + q x^2 and the determinant p x + q x^2."""
+    bounds = {"p": (0.5, 8), "q": (-10, 10)}
+    curve = curve_of(resonant, ("x", "y"), (1.7, 0.0), [[0.4, 0.4]], "neimark-sacker", bounds)
+    p, q = curve.values.T
+    x = 1 - 1 / p
+    np.testing.assert_allclose(p * x + q * x**2, 1, rtol=0, atol=1e-12)
+    assert curve.ends == ("a 1:2 resonance, where the pair becomes real", "the end of the range")
+    for name, cosine in {"1:2 resonance": -1, "1:3 resonance": -0.5, "1:4 resonance": 0}.items():
+        found = the_special(curve, name)
+        p = 2 - 2 * cosine + 1  # as p x = 1 - q x^2 = 2 - trace
+        np.testing.assert_allclose(found.values[0], p, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(found.multipliers.real, cosine, rtol=0, atol=1e-6)
+
+
+def test_a_chenciner_point():
+    """A rotation by 1 with growth 1 + p + q r^2 - r^4."""
+
+    def f(x, p, q):
+        r = x[0] ** 2 + x[1] ** 2
+        c, s = np.cos(1), np.sin(1)
+        return (1 + p + q * r - r**2) * jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1]])
+
+    bounds = {"p": (-0.5, 0.5), "q": (-1, 2)}
+    curve = curve_of(f, ("x", "y"), (-0.3, -0.5), [[0.0, 0.0]], "neimark-sacker", bounds)
+    found = the_special(curve, "Chenciner")
+    np.testing.assert_allclose(found.values, 0, atol=1e-12)
+    # z = (u + i v) / sqrt(2) along the unit eigenvector: |x|^2 = 2 |z|^2
+    np.testing.assert_allclose(curve.coefficients, 2 * curve.values[:, 1], rtol=0, atol=1e-12)
+
+
+def test_doublings_of_the_simplest_walker_over_the_stiffness_of_its_hip():
+    walker = wj.SpringWalker(0.014, hip_stiffness=0.0)
+    (doubling,) = wj.continue_gait(walker, "slope", (0.014, 0.016)).doublings
+    for name, one in DOUBLINGS.items():
+        bounds = {"slope": (0.01, 0.1), "hip_stiffness": (0.0, float(name))}
+        curve = wj.continue_event(walker, doubling, bounds=bounds)
+        assert curve.values[0, 1] == 0 and abs(curve.values[0, 0] - 0.015088437941117) < 1e-12
+        assert curve.values[-1, 1] == one["k"]
+        assert abs(curve.values[-1, 0] - one["slope_doubling"]) < 1e-12
+        state = one["theta"], one["thetadot"]
+        np.testing.assert_allclose(curve.states[-1, 0], state, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(curve.multipliers[-1], one["multipliers"], rtol=0, atol=1e-11)
+        assert set(curve.criticality) == {"supercritical"}
+
+
+def test_wrong_events_are_refused():
+    system = wj.HenonMap(0.1, 0.3)
+    branch = wj.continue_gait(system, "a", (0.1, 1.0), wj.find_gait(system, [[0.7, 0.2]]))
+    (doubling,) = branch.doublings
+    bounds = {"a": (0, 1), "b": (0, 1)}
+    for names in (("a", "a"), ("a",), "ab"):
+        with pytest.raises(ValueError, match="parameters must be two different names"):
+            wj.continue_event(system, doubling, names, bounds)
+    for wrong in (None, {"a": (0, 1)}):
+        with pytest.raises(ValueError, match="bounds must give the lowest and highest a and b"):
+            wj.continue_event(system, doubling, ("a", "b"), wrong)
+    with pytest.raises(ValueError, match=r"bounds must hold the event, at a 0\.3675 and b 0\.3"):
+        wj.continue_event(system, doubling, ("a", "b"), bounds | {"b": (0.5, 1)})
+    with pytest.raises(ValueError, match=r"event must be one of this system, at a 0\.3675"):
+        wj.continue_event(
+            system, doubling._replace(states=np.array([[5.0, 9.0]])), ("a", "b"), bounds
+        )

@@ -1,0 +1,173 @@
+"""Curves of bifurcations in two parameters.
+
+A fold, a doubling, a Neimark-Sacker or a branch point of a gait, located over one parameter, moves
+along a curve as a second parameter changes: the boundary of a region where the gait is stable.
+Pseudo-arclength continuation follows it, on equations whose unknowns are the gait, the vectors
+that its critical multipliers belong to, and both parameters (`defining_systems`). Along the curve
+the coefficient of the normal form is known (`normal_forms`), and points of codimension two are
+located, where curves meet, end or change what they mean (`codimension_two`).
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from walker_jax.checks import WrongUse, check_kind, numbers, refuses_tracers, short
+from walker_jax.gaits.branches import float64_tolerance
+from walker_jax.gaits.codimension_two import CodimensionTwo
+from walker_jax.gaits.event_paths import EventPath, Ranges, first_point, follow_event
+from walker_jax.gaits.events import Bifurcation
+from walker_jax.gaits.normal_forms import criticality
+from walker_jax.gaits.requests import compute_responses, run_batched
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.roots import Real
+from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import check_parameter
+
+
+class EventCurve(NamedTuple):
+    """Bifurcations of one kind over two parameters, in their order along the curve."""
+
+    kind: str
+    """"fold", "doubling", "neimark-sacker" or "branch point"."""
+    parameters: tuple[str, str]
+    values: Float[np.ndarray, "points 2"]
+    """Values of both parameters."""
+    states: Float[np.ndarray, "points period section"]
+    multipliers: Complex[np.ndarray, "points section"]
+    """Floquet multipliers, the largest first."""
+    coefficients: Float[np.ndarray, " points"]
+    """Of the normal forms (`normal_forms`); NaN for branch points."""
+    special: list[CodimensionTwo]
+    """The points of codimension two."""
+    ends: tuple[str, str]
+    """The reasons why the curve ends, at its first point and at its last."""
+
+    @property
+    def period(self) -> int:
+        return self.states.shape[1]
+
+    @property
+    def criticality(self) -> list[str]:
+        """Of each point: "supercritical" or "subcritical"; empty for folds and branch points."""
+        return [criticality(self.kind, one) for one in self.coefficients.tolist()]
+
+
+@refuses_tracers()
+def continue_event(
+    system: System,
+    event: Bifurcation,
+    parameters: Sequence[str] = ("slope", "hip_stiffness"),
+    bounds: Mapping[str, Any] | None = None,
+    *,
+    tolerance: Real | None = None,
+) -> EventCurve:
+    """The curve of a bifurcation over two parameters, in both directions.
+
+    Steps are as long as the curvature allows; two points of codimension two of one kind within one
+    step are missed. The curve ends where it leaves the bounds, where a state no longer makes a
+    stride, where it closes, where a gait returns to that of half its period, where the pair of a
+    Neimark-Sacker point becomes real, or where two branches no longer cross.
+
+    **Arguments:**
+
+    - `system`: gives the value of the second parameter at the event, and those of all others.
+    - `event`: of this system, over the first parameter, as `continue_gait` locates them.
+    - `parameters`: names of two parameters.
+    - `bounds`: lowest and highest value of each, by name.
+    - `tolerance`: of the integration, as in `stride`.
+
+    **Returns** an `EventCurve`; it begins at the end to which the second parameter falls at first.
+
+    Raises `ValueError` for parameters that the system does not have, bounds without the event, and
+    what is no event of this system.
+    """
+    check_kind("system", system, System)
+    check_kind("event", event, Bifurcation)
+    names, ranges = check_bounds(system, parameters, bounds)
+    values = np.array([event.value, float(getattr(system, names[1]))])
+    if not ranges.hold(values):
+        raise WrongUse(
+            f"bounds must hold the event, at {names[0]} {values[0]:g} and {names[1]} {values[1]:g}"
+        )
+    (curve,) = continue_events(system, [(values, event)], names, ranges, tolerance=tolerance)
+    if curve is None:
+        raise WrongUse(
+            f"event must be one of this system, at {names[0]} {values[0]:g} and {names[1]} "
+            f"{values[1]:g}: continue_gait locates them"
+        )
+    return curve
+
+
+def check_bounds(system: System, parameters: Any, bounds: Any) -> tuple[tuple[str, str], Ranges]:
+    """Two different parameters of a system, and their ranges, checked."""
+    names = tuple(parameters) if isinstance(parameters, Sequence) else ()
+    if len(names) != 2 or names[0] == names[1] or isinstance(parameters, str):
+        raise WrongUse(f"parameters must be two different names, not {short(parameters)}")
+    if not isinstance(bounds, Mapping) or set(bounds) != set(names):
+        raise WrongUse(
+            f"bounds must give the lowest and highest {names[0]} and {names[1]} by name, not "
+            f"{short(bounds)}"
+        )
+    for name in names:
+        check_parameter(system, name)
+        ends = numbers("bounds", bounds[name])
+        if ends.shape != (2,) or not -np.inf < ends[0] < ends[1] < np.inf:
+            raise WrongUse(
+                f"bounds of {name} must be (low, high) with low below high, not "
+                f"{short(bounds[name])}"
+            )
+        check_parameter(system, name, *ends.tolist())
+    return (names[0], names[1]), Ranges(*np.array([bounds[name] for name in names], float).T)
+
+
+def continue_events(
+    system: System,
+    events: Sequence[tuple[Float[np.ndarray, " 2"], Bifurcation]],
+    names: tuple[str, str],
+    ranges: Ranges,
+    *,
+    tolerance: Real | None = None,
+) -> list[EventCurve | None]:
+    """The curves of many bifurcations, each at values of both parameters, all followed at once.
+
+    None where there is no such bifurcation.
+    """
+    integrator = Integrator(float64_tolerance(tolerance))
+    compute = partial(compute_responses, system, names, integrator)
+    starts = [
+        first_point(one.kind, values, np.asarray(one.states, float), one.multipliers, ranges)
+        for values, one in events
+    ]
+    first = run_batched(starts, compute)
+    known = [i for i, point in enumerate(first) if point is not None]
+    tasks = [
+        follow_event(events[i][1].kind, first[i], sign, ranges)
+        for i in known
+        for sign in (-1.0, 1.0)
+    ]
+    paths = run_batched(tasks, compute)
+    curves: list[EventCurve | None] = [None] * len(events)
+    for n, i in enumerate(known):
+        curves[i] = join_paths(events[i][1].kind, names, paths[2 * n], paths[2 * n + 1])
+    return curves
+
+
+def join_paths(
+    kind: str, names: tuple[str, str], backward: EventPath, forward: EventPath
+) -> EventCurve:
+    """The curve of which two paths are the two sides of its start."""
+    points = [*reversed(backward.points[1:]), *forward.points]
+    return EventCurve(
+        kind,
+        names,
+        np.array([one.unknowns.values for one in points]),
+        np.array([one.unknowns.cycle for one in points]),
+        np.array([one.multipliers for one in points]),
+        np.array([one.coefficient for one in points]),
+        [*reversed(backward.special), *forward.special],
+        (backward.end, forward.end),
+    )
