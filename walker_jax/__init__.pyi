@@ -28,6 +28,7 @@ from walker_jax.explorer.notebook import explore as explore
 from walker_jax.fractals import Dimension as Dimension
 from walker_jax.fractals import Uncertainty as Uncertainty
 from walker_jax.fractals import box_counting as box_counting
+from walker_jax.fractals import information_dimension as information_dimension
 from walker_jax.fractals import uncertainty_exponent as uncertainty_exponent
 from walker_jax.gaits.branches import Branch as Branch
 from walker_jax.gaits.branches import continue_gait as continue_gait
@@ -38,6 +39,8 @@ from walker_jax.gaits.diagrams import bifurcation_diagram as bifurcation_diagram
 from walker_jax.gaits.event_curves import EventCurve as EventCurve
 from walker_jax.gaits.event_curves import continue_event as continue_event
 from walker_jax.gaits.events import Bifurcation as Bifurcation
+from walker_jax.gaits.exponents import Lyapunov as Lyapunov
+from walker_jax.gaits.exponents import lyapunov as lyapunov
 from walker_jax.gaits.long_runs import attractors as attractors
 from walker_jax.gaits.search import descend as descend
 from walker_jax.gaits.search import find_gait as find_gait

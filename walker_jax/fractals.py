@@ -37,9 +37,14 @@ MIN_UNCERTAIN = 10
 MIN_SCALES = 3
 """Sizes or distances, at least, for a fit: with two there is no scatter to tell the error from."""
 
+POINTS_PER_BOX = 16
+"""Points in a box that has any, on average and at least, of an information dimension."""
+COARSE_OCTAVES = 4
+"""Sizes of boxes that are left out of it: half the extent of the points, a quarter, and so on."""
+
 
 class Dimension(NamedTuple):
-    """The box-counting dimension of a boundary, and what it was fitted to."""
+    """The dimension of a boundary by counting boxes, or of points, and what it was fitted to."""
 
     value: float
     """Minus the slope of log(counts) against log(sizes); NaN without boundary enough to count."""
@@ -151,6 +156,50 @@ def mean_box_counts(
             mixed = np.count_nonzero(low[centred] != high[centred])
             counts.append(mixed / float(size) ** labels.ndim)
     return np.array(counts)
+
+
+@refuses_tracers()
+def information_dimension(
+    points: Float[np.ndarray | Array, "n d"], *, confidence: float = 0.95
+) -> Dimension:
+    """The information dimension D of a set of which points are known, such as an attractor.
+
+    The entropy of how the points share out over boxes grows as -D log(size). Boxes divide the
+    extent of the points along each axis into 2^k parts. As long as a box with points holds
+    `POINTS_PER_BOX` of them on average, its octave counts, but not the first `COARSE_OCTAVES`,
+    whose boxes see the shape of the whole. Half a box with points for each point corrects the
+    entropy for their finite number (Miller 1955). The interval is Student's t of the slopes between
+    octaves. For an attractor the value is that of Kaplan and Yorke, as they conjectured.
+
+    **Returns** a `Dimension`, with the exponential of the entropy for counts, and sizes in
+    extents of the points; NaN where there are too few.
+
+    Raises `ValueError` for what are no points, and a confidence out of range.
+    """
+    points, upper = numbers("points", points), upper_probability(confidence)
+    if points.ndim != 2 or not len(points) or not np.isfinite(points).all():
+        raise WrongUse(f"points must be finite, of shape (n, d), not of shape {points.shape}")
+    extent = np.ptp(points, axis=0)
+    points = (points - points.min(axis=0))[:, extent > 0] / extent[extent > 0]
+    entropies: list[float] = []
+    for octave in range(1, 1 + 62 // max(points.shape[1], 1)):
+        cells = np.minimum(points * 2**octave, 2**octave - 1).astype(np.int64)
+        boxes = cells @ 2 ** (octave * np.arange(points.shape[1]))
+        shares = np.unique(boxes, return_counts=True)[1] / len(points)
+        if len(shares) * POINTS_PER_BOX > len(points):
+            break
+        correction = (len(shares) - 1) / (2 * len(points))
+        entropies.append(float(correction - np.sum(shares * np.log(shares))))
+    used = np.array(entropies[COARSE_OCTAVES:])
+    if len(used) < MIN_SCALES:
+        return Dimension(np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
+    slopes = np.diff(used) / np.log(2)
+    from scipy.special import stdtrit
+
+    half = stdtrit(len(slopes) - 1, upper) * slopes.std(ddof=1) / np.sqrt(len(slopes))
+    sizes = 0.5 ** np.arange(COARSE_OCTAVES + 1, len(entropies) + 1)
+    value = float(slopes.mean())
+    return Dimension(value, value - float(half), value + float(half), sizes, np.exp(used))
 
 
 @refuses_tracers()

@@ -95,7 +95,8 @@ def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str
         for event in answer[key]:
             at = event[value_key(over)]
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
-            yield f"    period {periods} at {at:.12f}, ({listed(event['state'])})"
+            told = f", {event['criticality']}" if "criticality" in event else ""
+            yield f"    period {periods} at {at:.12f}, ({listed(event['state'])}){told}"
     below, above = answer["lost"]["below"], answer["lost"]["above"]
     if math.isnan(below):
         yield f"  no walker that starts close to a gait walks on, at any {hyphenated(over)}"

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import has_known_units
+from walker_jax.figures.exponent_plots import lyapunov_exponents
 from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, size_between
 from walker_jax.figures.style import (
     BASINS,
@@ -39,7 +40,10 @@ from walker_jax.storage.schema import check_dataset
 FOLD: dict[str, Any] = {"marker": "<", "ms": 6, "mfc": "white", "mew": 1, "ls": ""}
 TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mfc": "white", "mew": 1.2, "ls": ""}
 DOUBLING: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
-"""Signs of bifurcations."""
+OPEN: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 1.2, "ls": ""}
+CLOSED_TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mec": "white", "mew": 0.5, "ls": ""}
+"""Signs of bifurcations; `OPEN` of subcritical doublings, `CLOSED_TORUS` of Neimark-Sacker points
+that are known to be supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 HIGHEST = 2
@@ -61,7 +65,8 @@ def gait_branches(
 
     Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours tell periods. Lines are
     solid where a gait is stable and dashed where it is not. Triangles are folds, where two gaits
-    are born, dots are period doublings, and squares are Neimark-Sacker points. Step times of the
+    are born, dots are period doublings, circles those that are subcritical, and squares are
+    Neimark-Sacker points, filled where they are supercritical. Step times of the
     gaits of period one at the end of the range are written at the right.
 
     **Arguments:**
@@ -80,14 +85,16 @@ def gait_branches(
         draw_curve(ax, curve, curve.states)
     folds, values = data["event_fold"].values, data["event_value"].values
     periods, states = data["event_period"].values.tolist(), first_coordinate(data["event_states"])
-    for period, fold, value, cycle in zip(periods, folds, values, states, strict=True):
-        sign = FOLD if fold else DOUBLING
-        draw_event(ax, np.full(period, value), cycle[:period], period, sign)
-    tori = data["torus_value"].values
+    subcritical = ~folds & (coefficients(data, "event") < 0)
+    for i, (period, cycle) in enumerate(zip(periods, states, strict=True)):
+        sign = FOLD if folds[i] else OPEN if subcritical[i] else DOUBLING
+        draw_event(ax, np.full(period, values[i]), cycle[:period], period, sign)
+    tori, closed = data["torus_value"].values, coefficients(data, "torus") < 0
     for i, value in enumerate(tori):
         period = int(data["torus_period"][i])
         cycle = first_coordinate(data["torus_states"])[i]
-        draw_event(ax, np.full(period, value), cycle[:period], period, TORUS)
+        sign = CLOSED_TORUS if closed[i] else TORUS
+        draw_event(ax, np.full(period, value), cycle[:period], period, sign)
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
     counts["Neimark-Sacker point"] = len(tori)
     set_range(ax, data)
@@ -98,8 +105,10 @@ def gait_branches(
         ("stable", data["stable"].values, SOLID),
         ("unstable", ~data["stable"].values, DASHED),
         ("fold", folds, FOLD),
-        ("period doubling", ~folds, DOUBLING),
-        ("Neimark-Sacker", np.ones(len(tori), bool), TORUS),
+        ("period doubling", ~folds & ~subcritical, DOUBLING),
+        ("subcritical doubling", subcritical, OPEN),
+        ("Neimark-Sacker", ~closed, TORUS),
+        ("supercritical Neimark-Sacker", closed, CLOSED_TORUS),
     ):
         if found.any():
             kinds.append(Line2D([], [], color=INK, label=name, **style))
@@ -222,32 +231,50 @@ def bifurcation_diagram(
 def bifurcations(data: xr.Dataset) -> Figure:
     """Gaits, their largest multiplier and the attractors, over a range of a parameter.
 
-    The pictures `gait_branches`, above `largest_multiplier`, and `bifurcation_diagram`, above the
-    part of it between the first period doubling of the cascade and the loss of walking, if any.
+    The pictures `gait_branches`, above `largest_multiplier`, and `bifurcation_diagram`, above
+    `lyapunov_exponents`, where the data set has them; below, the part of these between the first
+    period doubling of the cascade and the loss of walking, if any.
 
     **Arguments:**
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
 
-    **Returns** the figure, of 13 by 9.4 inches: `figures.bifurcations(data).savefig("slope.png")`.
-    Raises `ValueError` as these do.
+    **Returns** the figure, of 13 by 9.4 inches or, with exponents, by 14.1:
+    `figures.bifurcations(data).savefig("slope.png")`. Raises `ValueError` as these do.
     """
     check_dataset(data, "bifurcation diagram")
-    figure = Figure(figsize=(13, 9.4), layout="constrained")
-    axes = figure.subplots(2, 2)
+    rows = 3 if "exponents" in data else 2
+    figure = Figure(figsize=(13, 4.7 * rows), layout="constrained")
+    axes = figure.subplots(rows, 2)
     gait_branches(data, axes[0, 0], title="Gaits")
     bifurcation_diagram(data, axes[0, 1], title="Attractors")
     largest_multiplier(data, axes[1, 0], title="Largest Floquet multiplier")
+    close = axes[1, 1]
+    if rows == 3:
+        lyapunov_exponents(data, axes[1, 1], title="Lyapunov exponents")
+        close, below = axes[2]
     window = cascade_window(data)
     if window is None:
-        axes[1, 1].remove()
+        for ax in axes[-1, 3 - rows :]:
+            ax.remove()
     else:
-        zoom = bifurcation_diagram(data, axes[1, 1], title="Attractors of the cascade")
+        zoom = bifurcation_diagram(data, close, title="Attractors of the cascade")
         zoom.lines[0].set(markersize=0.8, alpha=0.5)
         zoom.set(xlim=window[:2], ylim=window[2:])
         zoom.locator_params(axis="x", nbins=6)
+        if rows == 3:
+            zoom = lyapunov_exponents(data, below, title="Exponents of the cascade")
+            zoom.set_xlim(window[:2])
+            zoom.locator_params(axis="x", nbins=6)
     figure_title(figure, walker_title(data, 110))
     return figure
+
+
+def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
+    """Coefficients of normal forms; NaN in data sets of before these."""
+    if f"{name}_coefficient" in data:
+        return data[f"{name}_coefficient"].values
+    return np.full(len(data[f"{name}_value"]), np.nan)
 
 
 def draw_curve(

@@ -27,10 +27,12 @@ from walker_jax.gaits.continuation import Start, start_at_doubling
 from walker_jax.gaits.crises import Loss, loss_of_walking
 from walker_jax.gaits.cycles import Gait, remove_duplicates
 from walker_jax.gaits.events import Bifurcation
+from walker_jax.gaits.exponents import lyapunov
 from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_near_gaits
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import select_walkers
@@ -46,6 +48,10 @@ CELLS_PER_SEARCH = 32
 """Cells of a gait region for each search: one in so many is a guess, as continuation needs one gait
 of a branch only."""
 
+WALKS, SETTLING = 4, 100
+"""Walks for the exponents at each value of the scan, and strides after which these count: the walks
+begin on the attractor, and only their frames have to settle."""
+
 
 @refuses_tracers()
 def bifurcation_diagram(
@@ -56,6 +62,7 @@ def bifurcation_diagram(
     period_max: int = 8,
     strides: int = 3000,
     scan: int = 300,
+    exponents: int = 400,
     tolerance: Real | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
@@ -76,6 +83,8 @@ def bifurcation_diagram(
     - `strides`: number that a walker makes before it counts as converging to an attractor.
     - `scan`: number of values at which the attractors are recorded; as many again between the first
       doubling of the cascade and the loss of walking.
+    - `exponents`: number of strides over which Lyapunov exponents are means, at the same values; 0
+      for none.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
@@ -85,14 +94,17 @@ def bifurcation_diagram(
       `value` of the parameter, `states`, `step_times`, `multipliers` (real and imaginary part),
       `stable`, and whether it is `on_cascade`; NaN after the period;
     - `event`, the bifurcations: `event_fold` (a fold, or a doubling), `event_branch`,
-      `event_period`, `event_value`, `event_states`, `event_multipliers`, and whether it belongs to
+      `event_period`, `event_value`, `event_states`, `event_multipliers`, the coefficient of its
+      normal form, `event_coefficient` (`gaits.normal_forms`), and whether it belongs to
       the `cascade`: the doublings of the most stable period-one gait (the simplest walker's long
       one), and of its descendants;
     - `torus`, the Neimark-Sacker points, where a pair of multipliers leaves the unit circle:
-      `torus_branch`, `torus_period`, `torus_value`, `torus_states` and `torus_multipliers`;
+      `torus_branch`, `torus_period`, `torus_value`, `torus_states`, `torus_multipliers` and
+      `torus_coefficient`;
     - `sample`, the values of the scan: `sample_value`, and what `attractors` gives: `fate`,
       `strides`, `orbit` and `attractor_period`, each over `start` too, with one start near each
-      gait; a fate of -1 marks missing starts;
+      gait; a fate of -1 marks missing starts; the Lyapunov exponents of the first attractor among
+      these, `exponents`, and their errors, `exponent_errors`;
     - `lost`: the values between which walking is lost, as `Loss`.
 
     Raises `ValueError` for a wrong parameter, range or number.
@@ -101,6 +113,7 @@ def bifurcation_diagram(
     low, high = check_interval(walker, parameter, interval)
     for name, number in {"period_max": period_max, "strides": strides, "scan": scan}.items():
         check_whole(name, number)
+    check_whole("exponents", exponents, 0)
     branches: list[Branch] = []
     parents: list[int] = []
 
@@ -147,7 +160,32 @@ def bifurcation_diagram(
     with bar("attractors", progress):
         scanned = attractors(walker, parameter, values, starts, strides=strides, **options)
     scanned["fate"] = scanned["fate"].where(np.isfinite(starts).all(axis=2), NO_START)
+    if exponents:
+        with bar("Lyapunov exponents", progress):
+            add_exponents(walker, parameter, scanned, exponents, tolerance)
     return assemble_diagram(walker, parameter, branches, members, scanned, loss)
+
+
+def add_exponents(
+    walker: System, parameter: str, scanned: xr.Dataset, strides: int, tolerance: Real
+) -> None:
+    """Add the exponents of the first attractor at each value to what `attractors` has found."""
+    walks = scanned["fate"].values == Outcome.STRIDE
+    chosen = np.arange(len(walks)), walks.argmax(axis=1)
+    known = walks.any(axis=1)
+    values = np.full((2, len(walks), len(walker.section)), np.nan)
+    if known.any():
+        found = lyapunov(
+            with_parameter(walker, parameter, scanned["value"].values[known]),
+            scanned["orbit"].values[:, :, -1][chosen][known],
+            strides,
+            walks=WALKS,
+            settling=SETTLING,
+            tolerance=tolerance,
+        )
+        values[:, known] = found.exponents, found.errors
+    for name, value in zip(("exponents", "exponent_errors"), values, strict=True):
+        scanned[name] = ("value", "order"), value
 
 
 def find_parent_below(
@@ -277,6 +315,11 @@ def assemble_diagram(
             "attractor_period": (("sample", "start"), scanned["period"].values),
             "orbit": (("sample", "start", "recent", "coordinate"), scanned["orbit"].values),
             "lost": ("side", np.array([loss.below, loss.above])),
+            **{
+                name: (("sample", "order"), scanned[name].values)
+                for name in ("exponents", "exponent_errors")
+                if name in scanned
+            },
         },
         attrs={
             "section": list(walker.section),
@@ -322,6 +365,7 @@ def variables_of_events(
         f"{name}_value": (name, np.array([b.value for b in found], float)),
         f"{name}_states": ((name, "phase", "coordinate"), states),
         f"{name}_multipliers": ((name, "order", "part"), multipliers),
+        f"{name}_coefficient": (name, np.array([b.coefficient for b in found], float)),
     }
 
 

@@ -5,6 +5,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.defining_systems import DOUBLING, TORUS
+from walker_jax.gaits.normal_forms import criticality
 
 
 def summarise_gait(gait: Gait) -> dict:
@@ -26,7 +28,8 @@ def summarise_bifurcations(data: xr.Dataset) -> dict:
 
     **Returns** `doublings` of the cascade that starts from the most stable gait of period one,
     `other_doublings`, `folds` and `neimark_sackers`, each in ascending order of period, then of the
-    parameter, which is their `slope`, or the `value` of another one; `lost`, the values `below` and
+    parameter, which is their `slope`, or the `value` of another one, with their `criticality`
+    where it is known; `lost`, the values `below` and
     `above` the loss of walking; and `stable_beyond`, the intervals beyond it in which a gait
     that is born at a fold is stable.
     """
@@ -52,10 +55,21 @@ def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
         fold = bool(data["event_fold"].values[i])
         kind = {"period": period} if fold else {"from": period, "to": 2 * period}
         state = data["event_states"].values[i, 0]
-        events.append(
-            {**kind, value_key(data.attrs["parameter"]): float(values[i]), "state": state}
-        )
+        event = {**kind, value_key(data.attrs["parameter"]): float(values[i]), "state": state}
+        events.append(event | ({} if fold else read_criticality(data, "event", i)))
     return events
+
+
+def read_criticality(data: xr.Dataset, name: str, i: int) -> dict[str, str]:
+    """Whether a doubling or a Neimark-Sacker point is super- or subcritical, where that is known.
+
+    `name` is the dimension that it is listed along.
+    """
+    if f"{name}_coefficient" not in data:
+        return {}
+    kind = DOUBLING if name == "event" else TORUS
+    found = criticality(kind, float(data[f"{name}_coefficient"].values[i]))
+    return {"criticality": found} if found else {}
 
 
 def value_key(parameter: str) -> str:
@@ -71,6 +85,7 @@ def list_tori(data: xr.Dataset) -> list[dict]:
         {
             **{"period": int(periods[i]), value_key(data.attrs["parameter"]): float(values[i])},
             **{"angle": abs(float(angles[i])), "state": data["torus_states"].values[i, 0]},
+            **read_criticality(data, "torus", i),
         }
         for i in np.lexsort([values, periods])
     ]

@@ -4,6 +4,7 @@ from walker_jax.storage.kind import DIFFERS, SECTION, STATE, TIME, WALKER, Kind
 from walker_jax.storage.kind import Variable as V
 
 KNEES = "walkers with knees"
+OLDER = "all but older ones"
 GAITS = {
     "metastable walking": Kind(
         "How long walks last on rough ground, and where in the section they are (`metastability`).",
@@ -44,12 +45,14 @@ GAITS = {
             "event_value": V("event", "real", "", "of the parameter"),
             "event_states": V("event phase coordinate", "real", STATE, "the cycle there"),
             "event_multipliers": V("event order part", "real", "", "there"),
+            "event_coefficient": V("event", "real", "", "of its normal form", OLDER),
             "cascade": V("event", "boolean", "", "on the main cascade"),
             "torus_branch": V("torus", "integer", "", "of a Neimark-Sacker point"),
             "torus_period": V("torus", "integer", "strides", "of the gait there"),
             "torus_value": V("torus", "real", "", "of the parameter"),
             "torus_states": V("torus phase coordinate", "real", STATE, "the cycle there"),
             "torus_multipliers": V("torus order part", "real", "", "there"),
+            "torus_coefficient": V("torus", "real", "", "of its normal form", OLDER),
         },
         {"parameter": "its name"} | WALKER | SECTION,
     ),
@@ -62,6 +65,8 @@ GAITS = {
             "attractor_period": V("sample start", "integer", "strides", "0 where none shows"),
             "orbit": V("sample start recent coordinate", "real", STATE, "the last states"),
             "lost": V("side", "real", "", "values between which walking is lost; NaN for none"),
+            "exponents": V("sample order", "real", "1/stride", "Lyapunov's", "exponents"),
+            "exponent_errors": V("sample order", "real", "1/stride", "standard", "exponents"),
         },
         {},
         "gait branches",

@@ -1,0 +1,202 @@
+"""Lyapunov exponents: the rates at which neighbouring walks part, per stride.
+
+The derivative of a stride turns and stretches the columns of an orthogonal matrix Q. After every
+stride it is factored anew, J Q = Q' R, and the means of log |R_ii| are the exponents (Benettin and
+others 1980, Meccanica 15, 9-20). Walks that start close together are soon independent where the
+first exponent is positive; their scatter gives the errors.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
+
+from walker_jax.checks import (
+    WrongUse,
+    array,
+    check_kind,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+)
+from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.long_runs import START_OFFSET
+from walker_jax.integrators.integrator import Integrator, default_tolerance
+from walker_jax.integrators.roots import Real
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
+from walker_jax.walking.iteration import as_arrays, select_walkers
+from walker_jax.walking.stride import follow_stride
+
+
+class Lyapunov(NamedTuple):
+    """Lyapunov exponents of an attractor, in natural logarithms per stride; or of n of them.
+
+    They are NaN where any walk fails: the walks are then on no attractor.
+    """
+
+    exponents: Float[np.ndarray, "*systems section"]
+    """The largest first."""
+    errors: Float[np.ndarray, "*systems section"]
+    """Their standard errors, from the scatter of the walks."""
+    log_determinant: Float[np.ndarray, "*systems"]
+    """The mean of log |det J|, which is their sum."""
+    dimension: Float[np.ndarray, "*systems"]
+    """Kaplan-Yorke dimension."""
+    dimension_error: Float[np.ndarray, "*systems"]
+    """Its standard error."""
+    states: Float[np.ndarray, "*systems walks section"]
+    """Where the walks end; NaN after a failure."""
+    outcome: Int[np.ndarray, "*systems"]
+    """`Outcome` of the first walk that fails; `STRIDE` where none does."""
+
+
+@refuses_tracers()
+def lyapunov(
+    system: System,
+    x: Float[ArrayLike, "*systems section"],
+    strides: int = 2000,
+    *,
+    walks: int = 32,
+    settling: int = 500,
+    seed: int = 0,
+    tolerance: Real | None = None,
+    progress: str | None = None,
+) -> Lyapunov:
+    """All Lyapunov exponents of the attractor to which a state converges.
+
+    **Arguments:**
+
+    - `system`: one, or n: its parameters are numbers, or arrays of n, as of `strides`. So the
+      exponents over a parameter take one call.
+    - `x`: a state on its section; for n systems one for each, of shape (n, section).
+    - `strides`: of each walk, over which the exponents are means.
+    - `walks`: number of walks from about x, which start `START_OFFSET` apart.
+    - `settling`: strides before these, which count for nothing.
+    - `seed`: of the random starts.
+    - `tolerance`: of the integration, as in `stride`.
+    - `progress`: label of a progress bar, which is shown on a terminal only.
+
+    **Returns** a `Lyapunov`. On a stable gait all walks are alike: the exponents are the logarithms
+    of the moduli of its multipliers over its period, and their errors say nothing.
+
+    Raises `ValueError` for states of a wrong shape, and numbers out of range.
+    """
+    check_kind("system", system, System)
+    x, size = array("x", x), len(system.section)
+    if x.dtype.kind not in "fiu" or x.ndim not in (1, 2) or x.shape[-1] != size:
+        raise WrongUse(f"x must be states on the section {system.section}, not of shape {x.shape}")
+    check_precision(jnp.asarray(0.0).dtype, "a mean over many strides")
+    for name, number, least in (
+        ("strides", strides, 1),
+        ("walks", walks, 2),
+        ("settling", settling, 0),
+        ("seed", seed, 0),
+    ):
+        check_whole(name, number, least)
+    starts = np.repeat(np.asarray(x, float).reshape(-1, size), walks, axis=0)
+    offsets = np.random.default_rng(seed).standard_normal((walks, size))
+    starts = starts + START_OFFSET * np.tile(offsets, (len(starts) // walks, 1))
+    system, many = as_arrays(system, len(starts) // walks, starts.dtype)
+    if many:
+        system = select_walkers(system, np.repeat(np.arange(len(starts) // walks), walks))
+    integrator = Integrator(default_tolerance(jnp.float64, tolerance)).in_dtype(starts.dtype)
+    count = np.int32(settling), np.int32(settling + strides)
+    state, logs, determinant, outcome = map_cells(
+        follow_frames,
+        (system, starts, count, integrator),
+        (many, True, False, False),
+        progress=progress,
+    )
+    shape = (*x.shape[:-1], walks)
+    return summarise(
+        logs.reshape(*shape, size) / strides,
+        determinant.reshape(shape) / strides,
+        state.reshape(*shape, size),
+        outcome.reshape(shape),
+    )
+
+
+def follow_frames(
+    system: System,
+    x: Float[Array, " section"],
+    count: tuple[Int[Array, ""], Int[Array, ""]],
+    integrator: Integrator,
+) -> tuple[Float[Array, " section"], Float[Array, " section"], Float[Array, ""], Int[Array, ""]]:
+    """A walk with an orthogonal matrix carried along: its end, sums of logarithms, its outcome.
+
+    `count` holds the number of the first stride that counts, and of that after the last.
+    """
+    first, last = count
+
+    def unfinished(walk):
+        made, _, _, _, _, outcome = walk
+        return (outcome == Outcome.STRIDE) & (made < last)
+
+    def advance(walk):
+        made, x, frame, logs, determinant, _ = walk
+
+        def along(column):
+            step = lambda x: follow_stride(system, x, integrator)
+            result, change = jax.jvp(step, (x,), (column,))
+            return result.state, result.outcome, change.state
+
+        states, outcomes, changes = lax.map(along, frame.T)
+        frame, factor = jnp.linalg.qr(changes.T)
+        counts = jnp.where(made >= first, 1, 0).astype(x.dtype)
+        logs = logs + counts * jnp.log(jnp.abs(jnp.diagonal(factor)))
+        determinant = determinant + counts * jnp.linalg.slogdet(changes)[1]
+        return made + 1, states[0], frame, logs, determinant, outcomes[0]
+
+    begun = jnp.zeros((), jnp.int32), x, jnp.eye(len(x), dtype=x.dtype), jnp.zeros_like(x)
+    sums = jnp.zeros_like(x[0]), jnp.asarray(Outcome.STRIDE, jnp.int8)
+    _, x, _, logs, determinant, outcome = lax.while_loop(unfinished, advance, (*begun, *sums))
+    return x, logs, determinant, outcome
+
+
+def summarise(
+    rates: Float[np.ndarray, "*systems walks section"],
+    determinants: Float[np.ndarray, "*systems walks"],
+    states: Float[np.ndarray, "*systems walks section"],
+    outcomes: Int[np.ndarray, "*systems walks"],
+) -> Lyapunov:
+    """Means over the walks, and their standard errors."""
+    failed = outcomes != Outcome.STRIDE
+    known = np.where(failed.any(axis=-1), np.nan, 1.0)
+    outcome = np.take_along_axis(outcomes, failed.argmax(axis=-1)[..., None], -1)[..., 0]
+    walks = outcomes.shape[-1]
+    with np.errstate(invalid="ignore"):
+        mean = rates.mean(axis=-2) * known[..., None]
+        order = np.argsort(-mean, axis=-1)
+        error = rates.std(axis=-2, ddof=1) / np.sqrt(walks) * known[..., None]
+        ordered = np.take_along_axis(rates, order[..., None, :], -1)
+        dimensions = kaplan_yorke(ordered)
+        spread = dimensions.std(axis=-1, ddof=1) / np.sqrt(walks) * known
+    mean, error = (np.take_along_axis(values, order, -1) for values in (mean, error))
+    return Lyapunov(
+        exponents=mean,
+        errors=error,
+        log_determinant=determinants.mean(axis=-1) * known,
+        dimension=kaplan_yorke(mean),
+        dimension_error=spread,
+        states=states,
+        outcome=outcome,
+    )
+
+
+def kaplan_yorke(exponents: Float[np.ndarray, "*systems section"]) -> Float[np.ndarray, "*systems"]:
+    """k + (l_1 + ... + l_k) / |l_(k+1)|, with the largest k for which the sum is not negative.
+
+    It is 0 where all exponents are negative, and the number of them where their sum is not.
+    """
+    sums = np.cumsum(exponents, axis=-1)
+    k = np.sum(sums >= 0, axis=-1)
+    padded = np.concatenate([np.zeros_like(sums[..., :1]), sums], axis=-1)
+    part = np.take_along_axis(padded, k[..., None], -1)[..., 0]
+    beyond = np.concatenate([exponents, np.full_like(exponents[..., :1], np.inf)], axis=-1)
+    following = np.take_along_axis(beyond, k[..., None], -1)[..., 0]
+    return np.where(np.isnan(exponents[..., 0]), np.nan, k + part / np.abs(following))
