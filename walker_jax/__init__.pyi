@@ -32,6 +32,7 @@ from walker_jax.fractals import information_dimension as information_dimension
 from walker_jax.fractals import uncertainty_exponent as uncertainty_exponent
 from walker_jax.gaits.branches import Branch as Branch
 from walker_jax.gaits.branches import continue_gait as continue_gait
+from walker_jax.gaits.charts import chart as chart
 from walker_jax.gaits.crises import loss_of_walking as loss_of_walking
 from walker_jax.gaits.cycles import Gait as Gait
 from walker_jax.gaits.derivatives import gait_derivatives as gait_derivatives

@@ -25,6 +25,8 @@ COMMANDS = {
     "gait": "Find the gaits of a walker: cycles of strides, and their stability.",
     "bifurcation": "Follow the gaits over the slope, or another parameter: how each is born, "
     "doubles and ends.",
+    "chart": "Chart two parameters: curves of bifurcations, and the periods of attractors between "
+    "them.",
     "explore": "Explore basins in a browser: drag the slope, watch the basin; click a start, watch "
     "it walk.",
     "basin": "Compute and draw the basin of attraction of a walker's gait.",

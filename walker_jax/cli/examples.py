@@ -25,6 +25,12 @@ EXAMPLES = {
         "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
         "bifurcation --system henon --over a --from 0 --to 1.2 --out henon.zarr",
     ),
+    "chart": (
+        "chart --walker spring --over slope=0.001:0.1:120 --over hip-stiffness=0:1:90",
+        "chart --walker round-foot --foot-radius 0.1 --over slope=0.001:0.2:120 "
+        "--over foot-radius=0:0.5:90",
+        "chart --system henon --a 0.1 --over a=-0.5:1.5:120 --over b=-0.5:0.6:90",
+    ),
     "explore": (
         "explore",
         "explore --walker spring --hip-stiffness 1",
@@ -69,6 +75,7 @@ DURATIONS = {
     "walk": "A few seconds; a film half a minute.",
     "gait": "A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
     "bifurcation": "Twenty seconds.",
+    "chart": "Half a minute; a minute for walkers with mass on their legs.",
     "explore": "A few seconds until the page opens.",
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
     "boundary": "Half a minute.",

@@ -20,6 +20,7 @@ from walker_jax.figures.branch_plots import bifurcations as bifurcations
 from walker_jax.figures.branch_plots import gait_branches as gait_branches
 from walker_jax.figures.branch_plots import largest_multiplier as largest_multiplier
 from walker_jax.figures.capture_plots import capturability as capturability
+from walker_jax.figures.chart_plots import chart as chart
 from walker_jax.figures.exponent_plots import lyapunov_exponents as lyapunov_exponents
 from walker_jax.figures.films import check_film as check_film
 from walker_jax.figures.films import film as film

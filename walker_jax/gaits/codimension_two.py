@@ -29,13 +29,15 @@ of them coincide, they are known to the square root of rounding errors only."""
 PAIRS = {FOLD: "fold-Neimark-Sacker", DOUBLING: "flip-Neimark-Sacker"}
 """Points at which a further pair is on the unit circle."""
 
+SPECIAL = ("cusp", "generalised flip", "Chenciner", "fold-flip", *RESONANCES, *PAIRS.values())
+"""Names of all points."""
+
 
 class CodimensionTwo(NamedTuple):
     """A point of a curve of bifurcations at which a second condition holds."""
 
     kind: str
-    """"cusp", "generalised flip", "Chenciner", "fold-flip", "1:1 resonance" to "1:4 resonance",
-    "fold-Neimark-Sacker" or "flip-Neimark-Sacker"."""
+    """One of `SPECIAL`."""
     values: Float[np.ndarray, " 2"]
     """Of the parameters."""
     states: Float[np.ndarray, "period section"]

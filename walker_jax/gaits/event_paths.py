@@ -20,7 +20,7 @@ from walker_jax.gaits.continuation import (
 from walker_jax.gaits.defining_systems import BRANCH, TORUS, Frame, Unknowns, move
 from walker_jax.gaits.event_newton import UNFOLDED, Solution, begin, correct, scales_of
 from walker_jax.gaits.events import crosses_half_period
-from walker_jax.gaits.normal_forms import find_coefficient
+from walker_jax.gaits.normal_forms import VANISHING, find_coefficient
 from walker_jax.gaits.requests import Task
 
 LOCATING_STEPS = 60
@@ -198,15 +198,16 @@ def locate_special(
     """The points of codimension two on a step, those that their multipliers confirm."""
     found = []
     for name, before in one.criteria.items():
-        if before * other.criteria[name] < 0:
+        largest = max(abs(before), abs(other.criteria[name]))
+        if before * other.criteria[name] < 0 and largest > VANISHING:
             point = yield from locate(kind, name, one, other, direction, ranges)
-            if point is not None and is_confirmed(name, point.multipliers):
-                ends = abs(before), abs(other.criteria[name])
-                left = point.criteria[name]
-                if abs(left) < 1e-3 * max(ends):
-                    values, cycle, *_ = point.unknowns
-                    special = name, values, cycle, point.multipliers, left, point.residual
-                    found.append(CodimensionTwo(*special))
+            if point is None or not is_confirmed(name, point.multipliers):
+                continue
+            left = point.criteria[name]
+            if abs(left) < 1e-3 * largest:  # it is no pole
+                values, cycle, *_ = point.unknowns
+                special = name, values, cycle, point.multipliers, left, point.residual
+                found.append(CodimensionTwo(*special))
     along = lambda point: direction[-2:] @ (point.values / ranges.widths)
     return sorted(found, key=along)
 

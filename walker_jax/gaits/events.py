@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from walker_jax.gaits.arclength import Point, scaled_jacobian, scaled_step
-from walker_jax.gaits.cycles import find_multipliers, multiply_jacobians
+from walker_jax.gaits.cycles import find_multipliers, has_shorter_period, multiply_jacobians
 from walker_jax.gaits.defining_systems import BRANCH, DOUBLING, FOLD, TORUS
 from walker_jax.gaits.event_newton import UNFOLDED, begin
 from walker_jax.gaits.normal_forms import criticality, find_coefficient
@@ -153,6 +153,8 @@ def locate_bifurcation(kind: str, point: Point, width: float) -> Task:
     if found is None or (kind == BRANCH and abs(found.unknowns.scalars[2]) > UNFOLDED):
         return None
     values, cycle, *_ = found.unknowns
+    if kind == BRANCH and has_shorter_period(cycle):  # it is that of the gait that doubles there
+        return None
     coefficient = yield from find_coefficient(kind, values, cycle, found.jacobian)
     return Bifurcation(
         kind,

@@ -1,11 +1,12 @@
 """The attractors that walkers converge to in thousands of strides, at many parameter values."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
 from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles, solve_at
@@ -71,17 +72,8 @@ def attractors(
     check_whole("strides", strides)
     n, m, size = starts.shape
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
-    end = iterate_to_cycles(walkers, starts.reshape(-1, size), strides, integrator, progress)
-    fate, count = end.outcome, end.strides
-    orbit = np.full((n * m, RECORDED_STATES, size), np.nan)
-    left = np.flatnonzero(fate == Outcome.STRIDE)
-    states, fate[left] = orbits(
-        select_walkers(walkers, left), end.state[left], RECORDED_STATES, integrator
-    )
-    orbit[left] = states[:, :RECORDED_STATES]
-    count[left] += np.isfinite(states[:, 1:, 0]).sum(axis=1, dtype=count.dtype)
-    recurs = np.abs(orbit[:, :-1] - orbit[:, -1:]).max(axis=2)[:, ::-1] < RECURRENCE_DISTANCE
-    period = np.where(recurs.any(axis=1), recurs.argmax(axis=1) + 1, 0)
+    found = settle(walkers, starts.reshape(-1, size), strides, integrator, progress)
+    fate, count, orbit, period = found
     over = ("value", "start")
     return xr.Dataset(
         {
@@ -93,6 +85,41 @@ def attractors(
         coords={"value": values},
         attrs={"parameter": parameter, "section": list(walker.section), "strides": strides},
     )
+
+
+class Settled(NamedTuple):
+    """What n walkers come to."""
+
+    fate: Int[np.ndarray, " n"]
+    """`Outcome` of the stride at which each fails; `STRIDE` where it does not."""
+    strides: Int[np.ndarray, " n"]
+    """Made before that."""
+    orbit: Float[np.ndarray, "n recent section"]
+    """The last `RECORDED_STATES` states; NaN after a failure."""
+    period: Int[np.ndarray, " n"]
+    """0 where it has none that short."""
+
+
+def settle(
+    walkers: System,
+    starts: Float[np.ndarray, "n section"],
+    strides: int,
+    integrator: Integrator,
+    progress: str | None = None,
+) -> Settled:
+    """What walkers, each of its own, come to after so many strides."""
+    end = iterate_to_cycles(walkers, starts, strides, integrator, progress)
+    fate, count = end.outcome, end.strides
+    orbit = np.full((len(starts), RECORDED_STATES, starts.shape[1]), np.nan)
+    left = np.flatnonzero(fate == Outcome.STRIDE)
+    states, fate[left] = orbits(
+        select_walkers(walkers, left), end.state[left], RECORDED_STATES, integrator
+    )
+    orbit[left] = states[:, :RECORDED_STATES]
+    count[left] += np.isfinite(states[:, 1:, 0]).sum(axis=1, dtype=count.dtype)
+    recurs = np.abs(orbit[:, :-1] - orbit[:, -1:]).max(axis=2)[:, ::-1] < RECURRENCE_DISTANCE
+    period = np.where(recurs.any(axis=1), recurs.argmax(axis=1) + 1, 0)
+    return Settled(fate, count, orbit, period)
 
 
 def iterate_to_cycles(

@@ -25,12 +25,14 @@ ANGLES = np.arange(4) * np.pi / 4
 """Directions in the plane of a pair of eigenvectors. Four tell the harmonics of cubic terms apart,
 as opposite ones differ by a sign only."""
 SUPERCRITICAL, SUBCRITICAL = "supercritical", "subcritical"
+VANISHING = 1e-9
+"""Size of a coefficient that is zero up to rounding errors, as all are where areas are kept."""
 
 
 def criticality(kind: str, coefficient: float) -> str:
-    """Whether a bifurcation is super- or subcritical; empty for a fold, and where it is unknown."""
+    """Whether a bifurcation is super- or subcritical; empty for a fold, and where it is neither."""
     sign = {"doubling": 1.0, "neimark-sacker": -1.0}.get(kind, 0.0) * coefficient
-    return SUPERCRITICAL if sign > 0 else SUBCRITICAL if sign < 0 else ""
+    return SUPERCRITICAL if sign > VANISHING else SUBCRITICAL if sign < -VANISHING else ""
 
 
 def find_coefficient(

@@ -1,12 +1,17 @@
-"""Summaries of gaits and bifurcation diagrams, as dictionaries for JSON."""
+"""Summaries of gaits, bifurcation diagrams and charts, as dictionaries for JSON."""
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from walker_jax.gaits.charts import words_in
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.defining_systems import DOUBLING, TORUS
 from walker_jax.gaits.normal_forms import criticality
+from walker_jax.systems.outcomes import Outcome
+
+LONGEST_TOLD = 8
+"""Longest period of which a chart tells the share."""
 
 
 def summarise_gait(gait: Gait) -> dict:
@@ -43,6 +48,50 @@ def summarise_bifurcations(data: xr.Dataset) -> dict:
         "lost": {"below": below, "above": above},
         "stable_beyond": find_stable_intervals(data, above),
     }
+
+
+def summarise_chart(data: xr.Dataset) -> dict:
+    """Curves of bifurcations and shares of the cells, from a `chart`.
+
+    **Returns** `curves`, each with its `kind`, `period`, the `criticality` of its parts, the values
+    and the reason at both `ends`, and its `special` points; and `cells`, the share of each period,
+    of longer ones and none, of failures and of cells without a gait.
+    """
+    curves = []
+    for i, (kind, period) in enumerate(
+        zip(words_in(data, "line_kind"), data["line_period"].values.tolist(), strict=True)
+    ):
+        own = data["curve"].values == i
+        found = {criticality(kind, s) for s in data["curve_coefficient"].values[own].tolist()}
+        places = data["curve_value"].values[own][[0, -1]]
+        reasons = words_in(data, "line_end")[i]
+        curves.append(
+            {
+                "kind": kind,
+                "period": period,
+                "criticality": sorted(found - {""}),
+                "ends": [
+                    {"values": place, "reason": reason}
+                    for place, reason in zip(places, reasons, strict=True)
+                ],
+                "special": [
+                    {
+                        "kind": words_in(data, "special_kind")[j],
+                        "values": data["special_value"].values[j],
+                        "state": data["special_states"].values[j, 0],
+                        "multipliers": data["special_multipliers"].values[j],
+                    }
+                    for j in np.flatnonzero(data["special_curve"].values == i)
+                ],
+            }
+        )
+    fate, periods = data["cell_fate"].values, data["cell_period"].values
+    walks, short = fate == Outcome.STRIDE, (periods > 0) & (periods <= LONGEST_TOLD)
+    shares = {f"period {n}": walks & (periods == n) for n in np.unique(periods[walks & short])}
+    shares |= {"no period, or a longer one": walks & ~short}
+    shares |= {"fails": ~walks & (fate != -1), "no gait": fate == -1}
+    shares = {name: float(cells.mean()) for name, cells in shares.items() if cells.any()}
+    return {"curves": curves, "cells": shares}
 
 
 def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:

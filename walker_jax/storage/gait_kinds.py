@@ -71,6 +71,33 @@ GAITS = {
         {},
         "gait branches",
     ),
+    "chart": Kind(
+        "Curves of bifurcations in two parameters, and attractors on a grid of these (`chart`).",
+        {
+            "curve": V("point", "integer", "", "number of the curve, one point after the other"),
+            "curve_value": V("point parameter", "real", "", "of both parameters"),
+            "curve_states": V("point phase coordinate", "real", STATE, "the cycle; NaN after it"),
+            "curve_multipliers": V("point order part", "real", "", "Floquet"),
+            "curve_coefficient": V("point", "real", "", "of the normal form; NaN: unknown"),
+            "line_kind": V("line", "integer", "", "its kind, by `line_kinds`"),
+            "line_period": V("line", "integer", "strides", "of the gaits on each curve"),
+            "line_end": V("line end", "integer", "", "why it ends, by `line_ends`"),
+            "special_kind": V("special", "integer", "", "of codimension two, by `special_kinds`"),
+            "special_curve": V("special", "integer", "", "its curve"),
+            "special_value": V("special parameter", "real", "", "of both parameters"),
+            "special_states": V("special phase coordinate", "real", STATE, "the cycle there"),
+            "special_multipliers": V("special order part", "real", "", "there"),
+            "cell_fate": V("first second", "integer", "", "`Outcome`; -1: no gait to start near"),
+            "cell_period": V("first second", "integer", "strides", "0 where none shows"),
+        },
+        WALKER
+        | SECTION
+        | {
+            "line_kinds": "names of the kinds of curves, from 0",
+            "line_ends": "reasons for the ends of curves, from 0",
+            "special_kinds": "names of points of codimension two, from 0",
+        },
+    ),
     "basin fractions": Kind(
         "Attractors over a parameter, and fractions of their basins (`continue_basins`).",
         {

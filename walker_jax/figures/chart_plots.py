@@ -1,0 +1,181 @@
+"""Charts of two parameters: periods of attractors behind curves of bifurcations."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from walker_jax.figures.layout import Shown, cell_edges, dress, new_axes
+from walker_jax.figures.style import INK, PERIODS, SMALL, period_style
+from walker_jax.figures.text import count_noun, walker_title
+from walker_jax.gaits.charts import words_in
+from walker_jax.gaits.normal_forms import SUBCRITICAL, criticality
+from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import Outcome
+
+TINTS = (0.1, *[0.45] * (len(PERIODS) - 1))
+"""Shares of the colours of periods in their cells; the rest is white."""
+NO_PERIOD, NO_GAIT, FALLS = "#8f8f8f", "#ffffff", "#f8ecd4"
+"""Cells without a period, or with a longer one; without a gait; and where walkers fall."""
+KINDS: dict[str, dict[str, Any]] = {
+    "fold": {"ls": "-", "lw": 2.0},
+    "doubling": {"ls": "-", "lw": 1.4},
+    "neimark-sacker": {"ls": (0, (5, 2)), "lw": 1.6},
+    "branch point": {"ls": (0, (1, 1.5)), "lw": 1.6},
+}
+"""Lines of bifurcations."""
+WORDS = {
+    "fold": "fold",
+    "doubling": "period doubling",
+    "neimark-sacker": "Neimark-Sacker",
+    "branch point": "branch point",
+}
+CIRCLES: dict[str, Any] = {"marker": "o", "ms": 3, "mfc": "white", "mew": 0.9, "markevery": 3}
+"""Circles along the part of a curve that is subcritical."""
+SPECIAL: dict[str, Any] = {
+    "marker": "D",
+    "ms": 5.5,
+    "mfc": "white",
+    "mec": INK,
+    "mew": 1.2,
+    "ls": "",
+}
+"""Signs of points of codimension two."""
+
+
+def chart(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
+    """Attractors and curves of bifurcations over two parameters.
+
+    Cells have the colours of the periods of attractors, in light tints. Curves have those of the
+    gaits that are due to change there, and a line for each kind of bifurcation, with circles where
+    that is subcritical. Diamonds are points of codimension two.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.chart` returns.
+    - `ax`: where to draw; by default, on a new figure of 7 by 5.8 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and those of points of codimension two.
+
+    **Returns** the axes. Raises `ValueError` for another data set.
+    """
+    check_dataset(data, "chart")
+    ax = new_axes(7, 5.8) if ax is None else ax
+    axes = data["first"].values, data["second"].values
+    periods = draw_cells(ax, data)
+    drawn = draw_lines(ax, data)
+    draw_special(ax, data, labels)
+    ax.set(xlim=cell_edges(axes[0]), ylim=cell_edges(axes[1]))
+    first, second = data["parameter"].values.tolist()
+    counts = {"curve": data.sizes["line"], "codimension-two point": data.sizes["special"]}
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=f"{walker_title(data)}: {first.replace('_', ' ')} and {second.replace('_', ' ')}",
+        note=", ".join(count_noun(n, noun) for noun, n in counts.items() if n),
+        x=first,
+        y=second,
+        legends=[(periods, 5), (drawn, 3)],
+    )
+    return ax
+
+
+def tinted(period: int) -> tuple[float, ...]:
+    """The colour of a period, mixed with white."""
+    return tuple(1 - TINTS[period - 1] * (1 - part) for part in to_rgb(period_style(period)[0]))
+
+
+def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
+    """Colour the cells; returns their signs in a legend."""
+    fate, period = data["cell_fate"].values, data["cell_period"].values
+    walks = fate == Outcome.STRIDE
+    image = np.full((*fate.shape, 3), to_rgb(FALLS))
+    image[fate == -1] = to_rgb(NO_GAIT)
+    handles = []
+    for number in range(1, len(PERIODS) + 1):
+        cells = walks & (period == number)
+        if cells.any():
+            image[cells] = tinted(number)
+            handles.append(Patch(fc=tinted(number), ec=INK, lw=0.3, label=f"period {number}"))
+    others = walks & ((period == 0) | (period > len(PERIODS)))
+    image[others] = to_rgb(NO_PERIOD)
+    fails = "falls" if "theta" in data.attrs["section"] else "fails"
+    further = (
+        ("no period, or a longer one", others, NO_PERIOD),
+        (fails, ~walks & (fate != -1), FALLS),
+        ("no gait", fate == -1, NO_GAIT),
+    )
+    for name, cells, colour in further:
+        if cells.any():
+            handles.append(Patch(fc=colour, ec=INK, lw=0.3, label=name))
+    edges = [cell_edges(data[name].values) for name in ("first", "second")]
+    ax.imshow(
+        image.swapaxes(0, 1),
+        origin="lower",
+        extent=(*edges[0], *edges[1]),
+        aspect="auto",
+        interpolation="nearest",
+        zorder=1,
+    )
+    return handles
+
+
+def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
+    """Draw the curves; returns their signs in a legend."""
+    kinds, periods = words_in(data, "line_kind"), data["line_period"].values.tolist()
+    seen: set[tuple[str, bool]] = set()
+    for number, (kind, period) in enumerate(zip(kinds, periods, strict=True)):
+        own = data["curve"].values == number
+        x, y = data["curve_value"].values[own].T
+        coefficients = data["curve_coefficient"].values[own].tolist()
+        subcritical = np.array([criticality(kind, one) == SUBCRITICAL for one in coefficients])
+        colour = period_style(period)[0]
+        ax.plot(x, y, color=colour, zorder=4, **KINDS[kind])
+        if subcritical.any():
+            part = np.where(subcritical, y, np.nan)
+            ax.plot(x, part, color=colour, ls="", zorder=5, **CIRCLES)
+        seen |= {(kind, bool(some)) for some in subcritical.tolist()} | {(kind, False)}
+    return [
+        Line2D([], [], color=INK, label=WORDS[kind] + ", subcritical" * some, **sign_of(kind, some))
+        for kind in KINDS
+        for some in (False, True)
+        if (kind, some) in seen
+    ]
+
+
+def sign_of(kind: str, subcritical: bool) -> dict[str, Any]:
+    """How a curve is drawn."""
+    circles = {name: value for name, value in CIRCLES.items() if name != "markevery"}
+    return KINDS[kind] | (circles if subcritical else {})
+
+
+def draw_special(ax: Axes, data: xr.Dataset, labels: bool) -> None:
+    """Draw the points of codimension two, with their names."""
+    values = data["special_value"].values
+    ax.plot(*values.T, zorder=7, **SPECIAL)
+    names = words_in(data, "special_kind") if labels else []
+    middle = data["first"].values.mean()
+    for name, (x, y) in zip(names, values.tolist(), strict=labels):
+        left = x > middle
+        ax.annotate(
+            name.removesuffix(" resonance"),
+            (x, y),
+            (-7 if left else 7, 4),
+            textcoords="offset points",
+            ha="right" if left else "left",
+            fontsize=SMALL,
+            zorder=8,
+            bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8},
+        )

@@ -1,0 +1,376 @@
+"""Charts of two parameters: curves of bifurcations, and the periods of attractors between them.
+
+The gait of period one is followed over both parameters from the system's own values, and the gaits
+that double from it. The bifurcations found on these lines begin curves. Behind them stands what
+walkers come to that start near the gait, at each cell of a grid of parameters.
+"""
+
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Int
+
+from walker_jax.checks import WrongUse, check_whole, refuses_tracers, short
+from walker_jax.execution.progress import bar
+from walker_jax.gaits.branches import Branch, continue_gaits, float64_tolerance
+from walker_jax.gaits.codimension_two import SPECIAL
+from walker_jax.gaits.continuation import Start, start_at_doubling
+from walker_jax.gaits.cycles import Gait, check_found
+from walker_jax.gaits.defining_systems import KINDS
+from walker_jax.gaits.diagrams import pad, real_and_imaginary
+from walker_jax.gaits.event_curves import EventCurve, check_bounds, continue_events
+from walker_jax.gaits.event_paths import Ranges
+from walker_jax.gaits.events import Bifurcation
+from walker_jax.gaits.long_runs import START_OFFSET, settle
+from walker_jax.gaits.search import iterate_newton
+from walker_jax.gaits.selection import require_gait
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.roots import Real
+from walker_jax.systems.outcomes import Outcome, names_in
+from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import attributes_of
+from walker_jax.walking.iteration import select_walkers, with_parameters
+
+NO_GAIT = -1
+"""Fate of cells without a gait near which walkers could start."""
+SAME_CURVE = 0.01
+"""Scaled distance of a bifurcation from a curve of its kind, within which it is on that: a chord of
+the longest step is nearer to its curve, and two curves of a kind are farther apart."""
+NEWTON_STEPS = 8
+"""From the gait of a neighbouring cell. Where they do not suffice there is none."""
+MOST_TRIES = 4
+"""Guesses for a cell: where one fails another neighbour may give a better one."""
+NEAR = 0.1
+"""Distance, in every coordinate, within which the gait must be of where it was expected."""
+
+
+class Found(NamedTuple):
+    """A bifurcation at values of both parameters."""
+
+    values: Float[np.ndarray, " 2"]
+    event: Bifurcation
+
+
+@refuses_tracers()
+def chart(
+    system: System,
+    bounds: Mapping[str, Any],
+    gait: Gait | None = None,
+    *,
+    period_max: int = 4,
+    cells: tuple[int, int] = (120, 90),
+    strides: int = 1000,
+    tolerance: Real | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """Where in two parameters a gait is stable, what bounds that, and what walkers come to beyond.
+
+    Curves begin at the bifurcations of the gait over each parameter, while the other one has the
+    system's own value, and at those of the gaits that double from it. A curve that crosses neither
+    line is missed, and so are gaits that do not descend from this one.
+
+    **Arguments:**
+
+    - `system`: its own values of the two parameters are where the search begins.
+    - `bounds`: the lowest and the highest value of each of two parameters, by name.
+    - `gait`: of this system, of period one; by default, that of `find_gait`.
+    - `period_max`: longest period of which curves are followed.
+    - `cells`: of the grid, along each parameter.
+    - `strides`: number that a walker makes before the period is read.
+    - `tolerance`: of the integration, as in `stride`.
+    - `progress`: whether to show progress on a terminal.
+
+    **Returns** a data set of
+
+    - `point`, the points of all curves, one after the other: `curve` (a number), `curve_value`,
+      `curve_states`, `curve_multipliers` and `curve_coefficient` of the normal form;
+    - `line`, the curves: `line_kind`, `line_period`, and the reasons for their ends, `line_end`, as
+      numbers of the names in the attributes `line_kinds` and `line_ends`;
+    - `special`, the points of codimension two: `special_kind`, by the attribute `special_kinds`,
+      `special_curve`, `special_value`, `special_states` and `special_multipliers`;
+    - `cell_period`, over both parameters, of the attractor from near the gait: 0 where it has
+      none; and `cell_fate`, the `Outcome` of the last stride, -1 where there is no gait.
+
+    Raises `ValueError` for wrong parameters, bounds or numbers, and where the system's own values
+    are outside the bounds.
+    """
+    names, ranges = check_bounds(system, [*bounds] if isinstance(bounds, Mapping) else (), bounds)
+    check_whole("period_max", period_max, most=64)
+    check_whole("strides", strides)
+    if not isinstance(cells, tuple | list) or len(cells) != 2:
+        raise WrongUse(f"cells must be two numbers, not {short(cells)}")
+    for number in cells:
+        check_whole("cells", number, 2)
+    own = np.array([float(getattr(system, name)) for name in names])
+    if not ranges.hold(own):
+        told = " and ".join(f"{name} {value:g}" for name, value in zip(names, own, strict=True))
+        raise WrongUse(f"bounds must hold the values of the system, {told}")
+    tolerance = float64_tolerance(tolerance)
+    gait = require_gait(system, ["gait"], tolerance=tolerance) if gait is None else gait
+    check_found(gait)
+    if len(gait.states) != 1:
+        raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
+    with bar("gaits", progress):
+        branches, events = follow_lines(system, names, own, ranges, gait, period_max, tolerance)
+    with bar("curves", progress):
+        curves = follow_curves(system, events, names, ranges, tolerance)
+    with bar("attractors", progress):
+        grid = attractors_on_grid(system, names, ranges, cells, branches, strides, tolerance)
+    return assemble_chart(system, names, curves, grid)
+
+
+def follow_lines(
+    system: System,
+    names: tuple[str, str],
+    own: Float[np.ndarray, " 2"],
+    ranges: Ranges,
+    gait: Gait,
+    period_max: int,
+    tolerance: Real,
+) -> tuple[list[Branch], list[Found]]:
+    """The branches of the gait over each parameter, and the bifurcations on these and on those that
+    double from them."""
+    branches, found = [], []
+    for i, name in enumerate(names):
+        interval = float(ranges.low[i]), float(ranges.high[i])
+        starts = [Start(float(own[i]), np.asarray(gait.states, float))]
+        while starts:
+            followed = continue_gaits(system, name, interval, starts, tolerance=tolerance)
+            starts = []
+            for branch in followed:
+                doublings = branch.doublings
+                events = *branch.folds, *doublings, *branch.neimark_sackers, *branch.branch_points
+                for event in events:
+                    values = own.copy()
+                    values[i] = event.value
+                    found.append(Found(values, event))
+                if 2 * branch.period <= period_max:
+                    starts += [start_at_doubling(one) for one in doublings]
+            branches += [branch for branch in followed if branch.period == 1]
+    return branches, found
+
+
+def follow_curves(
+    system: System,
+    events: list[Found],
+    names: tuple[str, str],
+    ranges: Ranges,
+    tolerance: Real,
+) -> list[EventCurve]:
+    """The curves through bifurcations, each once."""
+    curves: list[EventCurve] = []
+    is_new = lambda one: not any(lies_on(curve, one, ranges) for curve in curves)
+    while events := [one for one in events if is_new(one)]:
+        first = {(one.event.kind, len(one.event.states)): one for one in reversed(events)}
+        chosen = [*first.values()]
+        found = continue_events(system, chosen, names, ranges, tolerance=tolerance)
+        curves += [curve for curve in found if curve is not None]
+        events = [one for one in events if not any(one is tried for tried in chosen)]
+    return sorted(curves, key=lambda curve: curve.period)
+
+
+def lies_on(curve: EventCurve, found: Found, ranges: Ranges) -> bool:
+    """Whether a bifurcation is on a curve, whichever state of its cycle comes first."""
+    kind, states = found.event.kind, np.asarray(found.event.states)
+    if kind != curve.kind or len(states) != curve.period:
+        return False
+    flat = curve.states.reshape(len(curve.states), -1) / np.sqrt(curve.period)
+    points = np.concatenate([curve.values / ranges.widths, flat], axis=1)
+    step = np.diff(points, axis=0)
+    for shift in range(curve.period):
+        state = np.roll(states, shift, axis=0).ravel() / np.sqrt(curve.period)
+        target = np.append(found.values / ranges.widths, state)
+        offset = target - points[:-1]
+        share = np.sum(offset * step, axis=1) / np.maximum(np.sum(step**2, axis=1), 1e-300)
+        nearest = offset - np.clip(share, 0, 1)[:, None] * step
+        distances = np.linalg.norm(nearest, axis=1), np.linalg.norm(target - points, axis=1)
+        if min(one.min(initial=np.inf) for one in distances) < SAME_CURVE:
+            return True
+    return False
+
+
+class Cells(NamedTuple):
+    """What walkers come to on a grid of two parameters."""
+
+    axes: tuple[Float[np.ndarray, " first"], Float[np.ndarray, " second"]]
+    fate: Int[np.ndarray, "first second"]
+    period: Int[np.ndarray, "first second"]
+
+
+def attractors_on_grid(
+    system: System,
+    names: tuple[str, str],
+    ranges: Ranges,
+    cells: tuple[int, int],
+    branches: list[Branch],
+    strides: int,
+    tolerance: Real,
+) -> Cells:
+    """The attractors of walkers that start near the gait in each cell, in one batch.
+
+    Where the gait is stable it is the attractor, and no walker has to walk there.
+    """
+    axes = tuple(
+        low + (np.arange(count) + 0.5) * (high - low) / count
+        for low, high, count in zip(ranges.low, ranges.high, cells, strict=True)
+    )
+    values = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    integrator = Integrator(tolerance)
+    systems = with_parameters(system, names, values)
+    known = known_points(names, np.array([float(getattr(system, one)) for one in names]), branches)
+    gaits, stable = spread_gaits(systems, values, known, cells, ranges, integrator)
+    fate = np.where(np.isfinite(gaits[:, 0]), int(Outcome.STRIDE), NO_GAIT)
+    period = np.where(stable, 1, 0)
+    walking = np.flatnonzero(np.isfinite(gaits[:, 0]) & ~stable)
+    if len(walking):
+        starts = gaits[walking] + START_OFFSET * np.eye(1, gaits.shape[1])[0]
+        found = settle(select_walkers(systems, walking), starts, strides, integrator)
+        fate[walking], period[walking] = found.fate, found.period
+    return Cells(axes, fate.reshape(cells), period.reshape(cells))
+
+
+def known_points(
+    names: tuple[str, str], own: Float[np.ndarray, " 2"], branches: list[Branch]
+) -> Float[np.ndarray, "n columns"]:
+    """Values of both parameters and states of the gaits on branches, stable ones last."""
+    rows = []
+    for branch in branches:
+        values = np.tile(own, (len(branch.values), 1))
+        values[:, names.index(branch.parameter)] = branch.values
+        rows.append(np.column_stack([branch.stable, values, branch.states[:, 0]]))
+    joined = np.concatenate(rows)
+    return joined[np.argsort(joined[:, 0], kind="stable"), 1:]
+
+
+def spread_gaits(
+    systems: System,
+    values: Float[np.ndarray, "n 2"],
+    known: Float[np.ndarray, "m columns"],
+    cells: tuple[int, int],
+    ranges: Ranges,
+    integrator: Integrator,
+) -> tuple[Float[np.ndarray, "n section"], Bool[np.ndarray, " n"]]:
+    """The gait in each cell, NaN where none is found, and whether it is stable.
+
+    It spreads from the branches: first to the cells next to their points, then in rounds from cells
+    to neighbours that have none yet.
+    """
+    size = known.shape[1] - 2
+    gaits, stable = np.full((len(values), size), np.nan), np.zeros(len(values), bool)
+    place = (known[:, :2] - ranges.low) / ranges.widths * cells
+    index = np.ravel_multi_index(np.clip(place.astype(int), 0, np.array(cells) - 1).T, cells)
+    guesses = np.full((len(values), size), np.nan)
+    guesses[index] = known[:, 2:]
+    tries, gap = np.zeros(len(values), int), np.full(len(values), True)
+    while len(chosen := np.flatnonzero(np.isfinite(guesses[:, 0]) & gap & (tries < MOST_TRIES))):
+        tries[chosen] += 1
+        found = iterate_newton(
+            select_walkers(systems, chosen), guesses[chosen][:, None], integrator, NEWTON_STEPS
+        )
+        good = found.found & (np.abs(found.states[:, 0] - guesses[chosen]).max(axis=1) < NEAR)
+        gaits[chosen[good]], stable[chosen[good]] = found.states[good, 0], found.stable[good]
+        gap = np.isnan(gaits[:, 0])
+        straight = (tries % 2 == 0).reshape(*cells, 1)
+        guesses = guess_from_neighbours(gaits.reshape(*cells, size), straight).reshape(-1, size)
+    return gaits, stable
+
+
+def guess_from_neighbours(
+    gaits: Float[np.ndarray, "first second section"], straight: Bool[np.ndarray, "first second 1"]
+) -> Float[np.ndarray, "first second section"]:
+    """A gait for each cell, that of the next one on any one side, or on a `straight` line with it
+    and the one behind."""
+    guesses = np.full_like(gaits, np.nan)
+    for axis in (0, 1):
+        for shift in (1, -1):
+            one, two = (shifted(gaits, shift * by, axis) for by in (1, 2))
+            line = np.where(straight & np.isfinite(two), 2 * one - two, one)
+            guesses = np.where(np.isfinite(guesses), guesses, line)
+    return guesses
+
+
+def shifted(values: np.ndarray, by: int, axis: int) -> np.ndarray:
+    """Values moved along an axis, with NaN behind them."""
+    moved = np.roll(values, by, axis)
+    outside = np.arange(values.shape[axis])
+    outside = outside < by if by > 0 else outside >= values.shape[axis] + by
+    return np.where(np.expand_dims(outside, tuple({0, 1, 2} - {axis})), np.nan, moved)
+
+
+def assemble_chart(
+    system: System, names: tuple[str, str], curves: list[EventCurve], grid: Cells
+) -> xr.Dataset:
+    """The data set that `chart` returns."""
+    counts, size = [len(curve.values) for curve in curves], len(system.section)
+    phases = max((curve.period for curve in curves), default=1)
+    special = [(i, one) for i, curve in enumerate(curves) for one in curve.special]
+    reasons = sorted({end for one in curves for end in one.ends}) or [""]
+    joined = lambda arrays, *shape: np.concatenate([np.zeros((0, *shape)), *arrays])
+    attributes = {
+        name: value
+        for name, value in attributes_of(system).items()
+        if name not in {f"walker_{one}" for one in names}
+    }
+    return xr.Dataset(
+        {
+            "curve": ("point", np.repeat(np.arange(len(curves)), counts)),
+            "curve_value": (("point", "parameter"), joined([one.values for one in curves], 2)),
+            "curve_states": (
+                ("point", "phase", "coordinate"),
+                pad([one.states for one in curves], phases, size),
+            ),
+            "curve_multipliers": (
+                ("point", "order", "part"),
+                real_and_imaginary([one.multipliers for one in curves], size),
+            ),
+            "curve_coefficient": ("point", joined([one.coefficients for one in curves])),
+            "line_kind": ("line", numbers_of([one.kind for one in curves], KINDS)),
+            "line_period": ("line", np.array([one.period for one in curves], int)),
+            "line_end": (
+                ("line", "end"),
+                numbers_of([end for one in curves for end in one.ends], reasons).reshape(-1, 2),
+            ),
+            "special_kind": ("special", numbers_of([one.kind for _, one in special], SPECIAL)),
+            "special_curve": ("special", np.array([i for i, _ in special], int)),
+            "special_value": (
+                ("special", "parameter"),
+                joined([one.values[None] for _, one in special], 2),
+            ),
+            "special_states": (
+                ("special", "phase", "coordinate"),
+                pad([one.states[None] for _, one in special], phases, size),
+            ),
+            "special_multipliers": (
+                ("special", "order", "part"),
+                real_and_imaginary([one.multipliers[None] for _, one in special], size),
+            ),
+            "cell_fate": (("first", "second"), grid.fate),
+            "cell_period": (("first", "second"), grid.period),
+        },
+        coords={
+            "parameter": np.array(names, object),
+            "first": grid.axes[0],
+            "second": grid.axes[1],
+        },
+        attrs={
+            "section": list(system.section),
+            "walker": system.label(),
+            **attributes,
+            **{"line_kinds": [*KINDS], "line_ends": reasons, "special_kinds": [*SPECIAL]},
+            "version": f"walker-jax {version('walker-jax')}",
+        },
+    )
+
+
+def numbers_of(found: Sequence[str], names: Sequence[str]) -> Int[np.ndarray, " n"]:
+    """The places of names in a list of all."""
+    return np.array([names.index(one) for one in found], int)
+
+
+def words_in(data: xr.Dataset, name: str) -> list[Any]:
+    """The names that stand for the numbers of "line_kind", "line_end" or "special_kind"."""
+    words = np.array(names_in(data, f"{name}s"), object)
+    return words[data[name].values].tolist()
