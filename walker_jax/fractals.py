@@ -39,7 +39,7 @@ MIN_SCALES = 3
 
 POINTS_PER_BOX = 16
 """Points in a box that has any, on average and at least, of an information dimension."""
-COARSE_OCTAVES = 4
+COARSE_OCTAVES = 3
 """Sizes of boxes that are left out of it: half the extent of the points, a quarter, and so on."""
 
 

@@ -105,7 +105,7 @@ def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
         kind = {"period": period} if fold else {"from": period, "to": 2 * period}
         state = data["event_states"].values[i, 0]
         event = {**kind, value_key(data.attrs["parameter"]): float(values[i]), "state": state}
-        events.append(event | ({} if fold else read_criticality(data, "event", i)))
+        events.append(event | ({} if fold else read_criticality(data, "event", int(i))))
     return events
 
 
@@ -134,7 +134,7 @@ def list_tori(data: xr.Dataset) -> list[dict]:
         {
             **{"period": int(periods[i]), value_key(data.attrs["parameter"]): float(values[i])},
             **{"angle": abs(float(angles[i])), "state": data["torus_states"].values[i, 0]},
-            **read_criticality(data, "torus", i),
+            **read_criticality(data, "torus", int(i)),
         }
         for i in np.lexsort([values, periods])
     ]

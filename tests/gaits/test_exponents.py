@@ -1,0 +1,103 @@
+"""Lyapunov exponents: of maps in closed form, and of the walker against reference values."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from reference import read_values
+
+import walker_jax as wj
+from walker_jax.gaits.exponents import kaplan_yorke
+
+REFERENCE = read_values("systems")
+
+
+def test_exponents_of_henon():
+    one = REFERENCE["henon_lyapunov"]
+    found = wj.lyapunov(wj.HenonMap(), np.array([0.1, 0.1]), 20_000)
+    combined = np.hypot(found.errors, one["stderr"])
+    exact = np.array([one["l1"], np.log(0.3) - one["l1"]])
+    assert (np.abs(found.exponents - exact) < 4 * combined).all() and (found.errors < 1e-3).all()
+    assert found.exponents.sum() == pytest.approx(np.log(0.3), abs=1e-10)
+    assert found.log_determinant == pytest.approx(np.log(0.3), abs=1e-10)
+    assert found.dimension == pytest.approx(1 + exact[0] / -exact[1], abs=1e-3)
+    assert 0 < found.dimension_error < 1e-3 and found.outcome == wj.Outcome.STRIDE
+    inside = wj.strides(wj.HenonMap(), found.states)
+    assert (inside.outcome == wj.Outcome.STRIDE).all()
+
+
+def test_exponents_of_the_simplest_walker():
+    one = REFERENCE["lyapunov"]["values"]["0.0185"]
+    walker = wj.SimplestWalker(0.0185)
+    found = wj.lyapunov(walker, wj.find_gait(walker).states[0], 1000)
+    combined = np.hypot(found.errors, one["stderr"])
+    assert (np.abs(found.exponents - one["exponents"]) < 4 * combined).all()
+    assert (found.errors < 0.004).all()
+    assert found.exponents.sum() == pytest.approx(found.log_determinant, abs=1e-8)
+    assert found.log_determinant == pytest.approx(one["sum"], abs=1e-3)
+
+
+def test_those_of_a_stable_gait_are_the_logarithms_of_its_multipliers():
+    """Of many systems at once: of two real ones, p and 0.3, and of a pair of modulus p."""
+    values, points = np.array([0.2, 0.5, 0.9]), np.zeros((3, 2))
+    real = wj.Map(
+        lambda x, p: jnp.stack([p * x[0] + x[1], 0.3 * x[1] + x[0] ** 2]),
+        ("x", "y"),
+        parameters={"p": 0.5},
+    )
+    pair = wj.Map(
+        lambda x, p: p * jnp.stack([0.6 * x[0] - 0.8 * x[1], 0.8 * x[0] + 0.6 * x[1]]),
+        ("x", "y"),
+        parameters={"p": 0.5},
+    )
+    for system, exact in ((real, [np.full(3, 0.3), values]), (pair, [values, values])):
+        many = jax.tree.map(lambda _: values, system)
+        found = wj.lyapunov(many, points, 300, walks=3)
+        exact = -np.sort(-np.log(np.stack(exact, axis=1)), axis=1)
+        np.testing.assert_allclose(found.exponents, exact, rtol=0, atol=1e-6)
+        assert (found.dimension == 0).all() and (found.errors < 1e-6).all()
+        assert found.exponents.shape == (3, 2) and found.states.shape == (3, 3, 2)
+
+
+def test_walks_that_fail_have_none():
+    walker = wj.SimplestWalker(0.0195)
+    found = wj.lyapunov(walker, wj.find_gait(walker).states[0], 2000, walks=4)
+    assert found.outcome == wj.Outcome.FORWARD and np.isnan(found.exponents).all()
+    assert np.isnan(found.dimension) and np.isnan(found.log_determinant)
+
+
+def test_the_dimension_of_kaplan_and_yorke():
+    exponents = np.array([[-1, -2, -3], [0.5, -1, -2], [1, -0.5, -1], [1, 0, -0.5], [1, 0, np.nan]])
+    found = kaplan_yorke(exponents)
+    np.testing.assert_allclose(found[:4], [0, 1.5, 2.5, 3], rtol=0, atol=1e-15)
+    assert np.isnan(kaplan_yorke(np.full((1, 2), np.nan))).all()
+
+
+def test_the_counted_dimension_is_about_that_of_kaplan_and_yorke():
+    found = wj.lyapunov(wj.HenonMap(), np.array([0.1, 0.1]), 500, walks=300)
+    points = [found.states]
+    for _ in range(700):
+        points.append(wj.strides(wj.HenonMap(), points[-1]).state)
+    counted = wj.information_dimension(np.concatenate(points))
+    assert abs(counted.value - found.dimension) < 0.04
+    assert counted.low < found.dimension < counted.high and len(counted.sizes) > 5
+
+
+@pytest.mark.parametrize("dimension", [1, 2])
+def test_the_dimension_of_what_is_spread_evenly(dimension):
+    points = np.random.default_rng(0).random((200_000, dimension))
+    found = wj.information_dimension(points)
+    assert found.value == pytest.approx(dimension, abs=0.01)
+    line = np.column_stack([points[:, 0], 2 * points[:, 0], np.zeros(len(points))])
+    assert wj.information_dimension(line).value == pytest.approx(1, abs=0.01)
+    assert np.isnan(wj.information_dimension(points[:100]).value)
+
+
+def test_what_is_refused():
+    system = wj.HenonMap()
+    with pytest.raises(ValueError, match="x must be states on the section"):
+        wj.lyapunov(system, np.array([0.1]))
+    with pytest.raises(ValueError, match="walks must be at least 2, not 1"):
+        wj.lyapunov(system, np.array([0.1, 0.1]), walks=1)
+    with pytest.raises(ValueError, match="points must be finite, of shape"):
+        wj.information_dimension(np.full((3, 2), np.nan))
