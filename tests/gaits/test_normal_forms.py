@@ -54,7 +54,7 @@ def test_the_torus_of_the_delayed_logistic_map(cubic, word):
     """Supercritical (Kuznetsov, example 4.3); a cubic term, zero at the fixed point, changes it."""
 
     def stride(x, p):
-        u = x[0] - (1 - 1 / p)
+        u = x[1] - (1 - 1 / p)
         return jnp.stack([p * x[0] * (1 - x[1]) + cubic * u**3, x[0]])
 
     found = the_event(stride, [[3 / 8] * 2], (1.6, 2.4))
@@ -68,7 +68,7 @@ def test_the_torus_of_the_delayed_logistic_map(cubic, word):
     form = lambda u, v: np.array([-2 * (u[0] * v[1] + u[1] * v[0]), 0])
     flat = np.linalg.solve(np.eye(2) - matrix, form(q, q.conj()))
     twice = np.linalg.solve(multiplier**2 * np.eye(2) - matrix, form(q, q))
-    third = np.array([6 * cubic * q[0] ** 2 * q[0].conj(), 0])
+    third = np.array([6 * cubic * q[1] ** 2 * q[1].conj(), 0])
     total = third + 2 * form(q, flat) + form(q.conj(), twice)
     exact = np.real(p @ total / multiplier) / 2
     assert found.coefficient == pytest.approx(exact, rel=1e-9)
