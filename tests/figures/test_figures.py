@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from made_up_results import (
+    charted,
     completed,
     diagram,
     every_fate,
@@ -17,6 +18,7 @@ from made_up_results import (
     robust,
     swept,
     table,
+    with_exponents,
 )
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
@@ -270,6 +272,8 @@ GIVEN_AXES: dict[str, Any] = {
     "gait_branches": [diagram()],
     "largest_multiplier": [diagram()],
     "bifurcation_diagram": [diagram()],
+    "lyapunov_exponents": [with_exponents()],
+    "chart": [charted()],
     "stability_and_area": [diagram(), AREAS],
     "metastability": [metastable()],
     "multipliers": [GAITS],

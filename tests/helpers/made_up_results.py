@@ -294,3 +294,53 @@ def metastable():
     directions = {"direction": np.array(["theta", "thetadot", "gap"], object)}
     attributes = {"walker": "SimplestWalker", "slope": 0.009, "section": ["theta", "thetadot"]}
     return completed(xr.Dataset(found, directions, attributes), "metastable walking")
+
+
+def with_exponents():
+    """A diagram with Lyapunov exponents, the first of which becomes positive."""
+    data = diagram()
+    rates = np.stack([np.linspace(-0.5, 0.2, 5), np.linspace(-1, -1.2, 5)], axis=1)
+    return data.assign(
+        exponents=(("sample", "order"), rates),
+        exponent_errors=(("sample", "order"), 0 * rates + 0.01),
+    )
+
+
+def charted(points=5):
+    """A data set of the form that `walker_jax.chart` returns: a fold and a subcritical doubling."""
+    line = np.linspace(0, 1, points)
+    values = np.concatenate([np.stack([line, line], axis=1), np.stack([line, 1 - line], axis=1)])
+    fate = np.zeros((6, 4), int)
+    fate[0], fate[1] = -1, Outcome.FORWARD
+    period = np.arange(24).reshape(6, 4) % 11
+    return xr.Dataset(
+        {
+            "curve": ("point", np.repeat([0, 1], points)),
+            "curve_value": (("point", "parameter"), values),
+            "curve_states": (("point", "phase", "coordinate"), np.zeros((2 * points, 1, 2))),
+            "curve_multipliers": (("point", "order", "part"), np.ones((2 * points, 2, 2))),
+            "curve_coefficient": ("point", np.full(2 * points, -1.0)),
+            "line_kind": ("line", [0, 1]),
+            "line_period": ("line", [1, 2]),
+            "line_end": (("line", "end"), [[0, 1], [0, 0]]),
+            "special_kind": ("special", [0]),
+            "special_curve": ("special", [0]),
+            "special_value": (("special", "parameter"), [[0.5, 0.5]]),
+            "special_states": (("special", "phase", "coordinate"), np.zeros((1, 1, 2))),
+            "special_multipliers": (("special", "order", "part"), np.ones((1, 2, 2))),
+            "cell_fate": (("first", "second"), fate),
+            "cell_period": (("first", "second"), period),
+        },
+        coords={
+            "parameter": np.array(["slope", "hip_stiffness"], object),
+            "first": np.linspace(0, 1, 6),
+            "second": np.linspace(0, 1, 4),
+        },
+        attrs={
+            "walker": "SpringWalker",
+            "section": ["theta", "thetadot"],
+            "line_kinds": ["fold", "doubling", "neimark-sacker", "branch point"],
+            "line_ends": ["the end of the range", "the curve closes"],
+            "special_kinds": ["cusp"],
+        },
+    )

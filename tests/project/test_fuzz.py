@@ -443,6 +443,34 @@ def calls() -> dict[str, dict]:
         },
         "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
         | {"strides": 5, "resolution": 1e-4},
+        "continue_event": {
+            "system": wj.HenonMap(0.1, 0.3),
+            "event": wj.Bifurcation(
+                *("doubling", 0.3675, np.array([[20 / 21, 2 / 7]]), np.array([-1, 0.3 + 0j])),
+                *(np.array([[1, -0.3]]), 0.0),
+            ),
+            "parameters": ("a", "b"),
+            "bounds": {"a": (0.0, 1.0), "b": (0.0, 0.5)},
+        },
+        "chart": {
+            "system": wj.HenonMap(0.1, 0.3),
+            "bounds": {"a": (0.05, 0.3), "b": (0.1, 0.4)},
+            "gait": wj.find_gait(wj.HenonMap(0.1, 0.3), [[0.7, 0.2]]),
+            "period_max": 1,
+            "cells": (3, 2),
+            "strides": 5,
+        },
+        "lyapunov": {
+            "system": walker,
+            "x": np.array(X),
+            "strides": 3,
+            "walks": 2,
+            "settling": 1,
+            "seed": 0,
+            "progress": None,
+        },
+        "information_dimension": {"points": np.random.default_rng(0).random((999, 1))}
+        | {"confidence": 0.9},
         "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
         "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20}
         | {"metric": None},
@@ -474,6 +502,7 @@ def calls() -> dict[str, dict]:
 
 HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
 HEAVY |= {"continue_basins", "robustness", "robustness_table"}
+HEAVY |= {"chart", "continue_event", "lyapunov"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""
 
 
@@ -555,7 +584,8 @@ TRACEABLE |= {"phase_times", "gait_sensitivity"}
 
 def test_what_jax_cannot_trace_says_so():
     others = {"box_counting": "labels", "uncertainty_exponent": "distances"}
-    others |= {"slice_basin": "value"}
+    others |= {"slice_basin": "value", "information_dimension": "points"}
+    others |= dict.fromkeys(("chart", "continue_event", "lyapunov"), "system")
     others |= {"basin_entropy": "labels", "merge_regions": "labels"}
     for name, good in calls().items():
         if name[0].isupper() or name in TRACEABLE:
@@ -567,7 +597,7 @@ def test_what_jax_cannot_trace_says_so():
         )
         said = f"^{argument} must not be traced: {name} runs outside of jax.jit, .*; .+"
         with pytest.raises(WrongUse, match=said):
-            jax.eval_shape(call, jnp.asarray(value) if argument != "walker" else value)
+            jax.eval_shape(call, value if argument in ("walker", "system") else jnp.asarray(value))
 
 
 @pytest.mark.slow

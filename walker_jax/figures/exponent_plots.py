@@ -56,12 +56,12 @@ def lyapunov_exponents(
         ax.set_ylim(max(float(known.min()), -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
         ax.set_xlim(value.min(), value.max())
     positive = np.flatnonzero(found[:, 0] > 2 * errors[:, 0])
-    note = f"the first is above zero from {value[positive[0]]:.5f}" if len(positive) else ""
+    where = value[positive[0]] if len(positive) else np.nan
     dress(
         ax,
         Shown(title, subtitle, legend, labels),
         title=f"{walker_title(data)}: Lyapunov exponents",
-        note=note,
+        note=f"the first is above zero from {where:.5f}" if len(positive) else "none is above zero",
         x=str(data.attrs["parameter"]),
         y="exponent (1/stride)",
         legends=[(handles, 4)],

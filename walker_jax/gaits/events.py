@@ -153,7 +153,9 @@ def locate_bifurcation(kind: str, point: Point, width: float) -> Task:
     if found is None or (kind == BRANCH and abs(found.unknowns.scalars[2]) > UNFOLDED):
         return None
     values, cycle, *_ = found.unknowns
-    if kind == BRANCH and has_shorter_period(cycle):  # it is that of the gait that doubles there
+    if (
+        kind == BRANCH and has_shorter_period(cycle[None])[0]
+    ):  # it is that of the gait that doubles there
         return None
     coefficient = yield from find_coefficient(kind, values, cycle, found.jacobian)
     return Bifurcation(

@@ -88,7 +88,7 @@ def lyapunov(
     """
     check_kind("system", system, System)
     x, size = array("x", x), len(system.section)
-    if x.dtype.kind not in "fiu" or x.ndim not in (1, 2) or x.shape[-1] != size:
+    if x.dtype.kind not in "fiu" or x.ndim not in (1, 2) or x.shape[-1] != size or not len(x):
         raise WrongUse(f"x must be states on the section {system.section}, not of shape {x.shape}")
     check_precision(jnp.asarray(0.0).dtype, "a mean over many strides")
     for name, number, least in (

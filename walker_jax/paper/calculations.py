@@ -77,6 +77,7 @@ def gaits(size: Size) -> xr.Dataset:
         period_max=1,
         strides=size.strides,
         scan=2,
+        exponents=0,
     )
 
 
