@@ -43,8 +43,9 @@ NEWTON_STEPS = 8
 """From the gait of a neighbouring cell. Where they do not suffice there is none."""
 MOST_TRIES = 4
 """Guesses for a cell: where one fails another neighbour may give a better one."""
-NEAR = 0.1
-"""Distance, in every coordinate, within which the gait must be of where it was expected."""
+NEAR = 0.5
+"""Distance, in every coordinate, within which the gait must be of where it was expected, to the
+width of what that coordinate takes on the branches: farther off it is another one."""
 
 
 class Found(NamedTuple):
@@ -264,13 +265,14 @@ def spread_gaits(
     index = np.ravel_multi_index(np.clip(place.astype(int), 0, np.array(cells) - 1).T, cells)
     guesses = np.full((len(values), size), np.nan)
     guesses[index] = known[:, 2:]
+    near = NEAR * np.ptp(known[:, 2:], axis=0)
     tries, gap = np.zeros(len(values), int), np.full(len(values), True)
     while len(chosen := np.flatnonzero(np.isfinite(guesses[:, 0]) & gap & (tries < MOST_TRIES))):
         tries[chosen] += 1
         found = iterate_newton(
             select_walkers(systems, chosen), guesses[chosen][:, None], integrator, NEWTON_STEPS
         )
-        good = found.found & (np.abs(found.states[:, 0] - guesses[chosen]).max(axis=1) < NEAR)
+        good = found.found & (np.abs(found.states[:, 0] - guesses[chosen]) < near).all(axis=1)
         gaits[chosen[good]], stable[chosen[good]] = found.states[good, 0], found.stable[good]
         gap = np.isnan(gaits[:, 0])
         straight = (tries % 2 == 0).reshape(*cells, 1)
