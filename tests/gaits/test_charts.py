@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from unchecked import unchecked
 
 import walker_jax as wj
 from walker_jax import storage
@@ -89,7 +90,7 @@ def test_charts_that_are_refused():
     for bounds, message in (
         ({"a": (0.2, 1), "b": (0, 1)}, r"bounds must hold the values of the system, a 0\.1 and b"),
         ({"a": (0, 1), "c": (0, 1)}, "parameter must be one of the walker's, a, b, not 'c'"),
-        ({"a": (1, 0), "b": (0, 1)}, "bounds of a must be"),
+        ({"a": (1, 0), "b": (0, 1)}, r"bounds of a must be \(low, high\) with low below"),
         ({"a": (0, 1)}, "parameters must be two different names"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -100,6 +101,8 @@ def test_charts_that_are_refused():
         wj.chart(other, BOUNDS, double)
     with pytest.raises(ValueError, match="cells must be at least 2, not 1"):
         wj.chart(system, BOUNDS, gait, cells=(1, 4))
+    with unchecked(), pytest.raises(ValueError, match="cells must be two numbers, not 3"):
+        wj.chart(system, BOUNDS, gait, cells=3)  # pyright: ignore[reportArgumentType]
 
 
 def test_the_command_answers_keeps_and_draws(run, tmp_path):

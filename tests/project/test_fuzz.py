@@ -452,23 +452,11 @@ def calls() -> dict[str, dict]:
             "parameters": ("a", "b"),
             "bounds": {"a": (0.0, 1.0), "b": (0.0, 0.5)},
         },
-        "chart": {
-            "system": wj.HenonMap(0.1, 0.3),
-            "bounds": {"a": (0.05, 0.3), "b": (0.1, 0.4)},
-            "gait": wj.find_gait(wj.HenonMap(0.1, 0.3), [[0.7, 0.2]]),
-            "period_max": 1,
-            "cells": (3, 2),
-            "strides": 5,
-        },
-        "lyapunov": {
-            "system": walker,
-            "x": np.array(X),
-            "strides": 3,
-            "walks": 2,
-            "settling": 1,
-            "seed": 0,
-            "progress": None,
-        },
+        "chart": {"system": wj.SpringWalker(0.004)}
+        | {"bounds": {"slope": interval, "hip_stiffness": (0.0, 0.1)}}
+        | {"gait": gait, "period_max": 1, "cells": (3, 2), "strides": 5},
+        "lyapunov": {"system": walker, "x": np.array(X), "strides": 3, "walks": 2}
+        | {"settling": 1, "seed": 0},
         "information_dimension": {"points": np.random.default_rng(0).random((999, 1))}
         | {"confidence": 0.9},
         "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},

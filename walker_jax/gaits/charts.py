@@ -194,7 +194,7 @@ def lies_on(curve: EventCurve, found: Found, ranges: Ranges) -> bool:
 
 
 class Cells(NamedTuple):
-    """What walkers come to on a grid of two parameters."""
+    """Attractors on a grid of two parameters."""
 
     axes: tuple[Float[np.ndarray, " first"], Float[np.ndarray, " second"]]
     fate: Int[np.ndarray, "first second"]

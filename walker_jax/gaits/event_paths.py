@@ -37,11 +37,11 @@ class EventPoint(NamedTuple):
     unknowns: Unknowns
     frame: Frame
     tangent: Float[np.ndarray, " columns"]
-    """Of the curve, in scaled states and parameters of unit length; of either sign."""
+    """The tangent of the curve, in scaled states and parameters of unit length; of either sign."""
     residual: float
     multipliers: Complex[np.ndarray, " section"]
     coefficient: float
-    """Of its normal form; NaN where another multiplier coincides, and of branch points."""
+    """The one of its normal form; NaN for branch points, and where multipliers coincide."""
     criteria: dict[str, float]
     """Functions that change sign at points of codimension two, by their names."""
 

@@ -33,7 +33,7 @@ class Bifurcation(NamedTuple):
     residual: float
     """Largest error in these equations and in those of the cycle."""
     coefficient: float = np.nan
-    """Of its normal form (`normal_forms`); NaN where another multiplier is critical too."""
+    """The one of its normal form (`normal_forms`); NaN where multipliers coincide."""
 
     @property
     def criticality(self) -> str:

@@ -88,7 +88,7 @@ def attractors(
 
 
 class Settled(NamedTuple):
-    """What n walkers come to."""
+    """Attractors of n walkers."""
 
     fate: Int[np.ndarray, " n"]
     """`Outcome` of the stride at which each fails; `STRIDE` where it does not."""
@@ -107,7 +107,7 @@ def settle(
     integrator: Integrator,
     progress: str | None = None,
 ) -> Settled:
-    """What walkers, each of its own, come to after so many strides."""
+    """The attractors of n walkers, each with its own parameters, after so many strides."""
     end = iterate_to_cycles(walkers, starts, strides, integrator, progress)
     fate, count = end.outcome, end.strides
     orbit = np.full((len(starts), RECORDED_STATES, starts.shape[1]), np.nan)
