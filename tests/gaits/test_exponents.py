@@ -77,7 +77,7 @@ def test_the_counted_dimension_is_about_that_of_kaplan_and_yorke():
     found = wj.lyapunov(wj.HenonMap(), np.array([0.1, 0.1]), 500, walks=300)
     points = [found.states]
     for _ in range(700):
-        points.append(wj.strides(wj.HenonMap(), points[-1]).state)
+        points.append(np.asarray(wj.strides(wj.HenonMap(), points[-1]).state))
     counted = wj.information_dimension(np.concatenate(points))
     assert abs(counted.value - found.dimension) < 0.04
     assert counted.low < found.dimension < counted.high and len(counted.sizes) > 5

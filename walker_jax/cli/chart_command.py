@@ -32,13 +32,13 @@ class Options:
         """The ends and the number of cells of two parameters."""
         found: dict[str, tuple[float, float, int]] = {}
         for text in self.over or ():
-            name, *ends = read_range("--over", text)
+            name, low, high, count = read_range("--over", text)
             refuse_again("--over", name, found)
-            check_parameter(system, name, *ends[:2])
+            check_parameter(system, name, low, high)
             own = float(getattr(system, name))
-            if not ends[0] <= own <= ends[1]:
+            if not low <= own <= high:
                 raise WrongUse(f"--over {text} must hold the {hyphenated(name)} {own:g}")
-            found[name] = ends[0], ends[1], ends[2]
+            found[name] = low, high, count
         if len(found) != 2:
             raise WrongUse(f"--over is required twice: two parameters, each as {RANGE_FORM}")
         return found

@@ -152,19 +152,20 @@ def continue_events(
     paths = run_batched(tasks, compute)
     curves: list[EventCurve | None] = [None] * len(events)
     for n, i in enumerate(known):
-        curves[i] = join_paths(events[i][1].kind, names, paths[2 * n], paths[2 * n + 1])
+        kind, sides = events[i][1].kind, paths[2 * n : 2 * n + 2]
+        curves[i] = join_paths(kind, names, ranges, *sides)
     return curves
 
 
 def join_paths(
-    kind: str, names: tuple[str, str], backward: EventPath, forward: EventPath
+    kind: str, names: tuple[str, str], ranges: Ranges, backward: EventPath, forward: EventPath
 ) -> EventCurve:
-    """The curve of which two paths are the two sides of its start."""
+    """The curve of which two paths are the two sides of its start; its ends are in the ranges."""
     points = [*reversed(backward.points[1:]), *forward.points]
     return EventCurve(
         kind,
         names,
-        np.array([one.unknowns.values for one in points]),
+        np.clip([one.unknowns.values for one in points], ranges.low, ranges.high),
         np.array([one.unknowns.cycle for one in points]),
         np.array([one.multipliers for one in points]),
         np.array([one.coefficient for one in points]),

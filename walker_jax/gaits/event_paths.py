@@ -164,7 +164,7 @@ def shorten(
 ) -> tuple[float, np.ndarray]:
     """The length of a step that ends in the ranges, and the plane on which it is corrected."""
     row, part = direction, direction[-2:]
-    for i in np.flatnonzero(part):
+    for i in np.flatnonzero(part).tolist():
         end = (ranges.high if part[i] > 0 else ranges.low)[i]
         room = (end - point.unknowns.values[i]) / ranges.widths[i] / part[i]
         if room <= 1e-12:

@@ -15,6 +15,7 @@ needed to tell more.
 """
 
 from collections.abc import Generator
+from functools import partial
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -57,7 +58,8 @@ def find_coefficient(
     which = critical_multiplier(kind, multipliers)
     if which is None:
         return np.nan
-    q, dual, ask = vectors[:, which], duals[which], (values, cycle)
+    q, dual = vectors[:, which], duals[which]
+    ask = partial(Curves, values, cycle)
     if towards is not None and np.real(q) @ towards < 0:
         q, dual = -q, -dual
     return (yield from COEFFICIENTS[kind](ask, jacobian, multipliers[which], q, dual))
@@ -76,16 +78,16 @@ def critical_multiplier(kind: str, multipliers: Complex[np.ndarray, " section"])
 def fold_coefficient(ask, jacobian, multiplier, q, dual) -> Generator[Curves, Jet, float]:
     """s = <p, B(q, q)> / 2."""
     curve = np.real(q)[None]
-    jet = yield Curves(*ask, curve, np.zeros_like(curve))
+    jet = yield ask(curve, np.zeros_like(curve))
     return float(np.real(dual) @ jet.second[0]) / 2
 
 
 def doubling_coefficient(ask, jacobian, multiplier, q, dual) -> Generator[Curves, Jet, float]:
     """s = <p, C(q, q, q) + 3 B(q, h)> / 6, with h = (I - A)^-1 B(q, q)."""
     curve = np.real(q)[None]
-    jet = yield Curves(*ask, curve, np.zeros_like(curve))
+    jet = yield ask(curve, np.zeros_like(curve))
     bend = solve(np.eye(len(jacobian)) - jacobian, jet.second[0])
-    jet = yield Curves(*ask, curve, bend[None])
+    jet = yield ask(curve, bend[None])
     return float(np.real(dual) @ jet.third[0]) / 6
 
 
@@ -98,11 +100,11 @@ def torus_coefficient(ask, jacobian, multiplier, q, dual) -> Generator[Curves, J
     """
     turn = np.exp(1j * ANGLES)[:, None]
     curves = 2 * np.real(q * turn)
-    jet = yield Curves(*ask, curves, np.zeros_like(curves))
+    jet = yield ask(curves, np.zeros_like(curves))
     eye = np.eye(len(jacobian))
     flat = solve(eye - jacobian, jet.second.mean(axis=0) / 2)
     twice = solve(multiplier**2 * eye - jacobian, (jet.second * turn**-2).mean(axis=0))
-    jet = yield Curves(*ask, curves, 2 * np.real(twice * turn**2) + 2 * flat)
+    jet = yield ask(curves, 2 * np.real(twice * turn**2) + 2 * flat)
     cubic = (jet.third / turn).mean(axis=0) / 3
     return float(np.real(dual @ cubic / multiplier)) / 2
 
