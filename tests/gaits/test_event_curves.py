@@ -145,7 +145,7 @@ def test_a_chenciner_point():
 
 
 @pytest.mark.slow
-def test_doublings_of_the_simplest_walker_over_the_stiffness_of_its_hip():
+def test_doublings_over_the_stiffness_of_the_hip():
     walker = wj.SpringWalker(0.014, hip_stiffness=0.0)
     (doubling,) = wj.continue_gait(walker, "slope", (0.014, 0.016)).doublings
     for name, one in DOUBLINGS.items():

@@ -37,7 +37,7 @@ def test_exponents_of_the_simplest_walker():
     assert found.log_determinant == pytest.approx(one["sum"], abs=1e-3)
 
 
-def test_those_of_a_stable_gait_are_the_logarithms_of_its_multipliers():
+def test_those_of_a_stable_gait_are_its_multipliers():
     """Of many systems at once: of two real ones, p and 0.3, and of a pair of modulus p."""
     values, points = np.array([0.2, 0.5, 0.9]), np.zeros((3, 2))
     real = wj.Map(
@@ -73,7 +73,7 @@ def test_the_dimension_of_kaplan_and_yorke():
     assert np.isnan(kaplan_yorke(np.full((1, 2), np.nan))).all()
 
 
-def test_the_counted_dimension_is_about_that_of_kaplan_and_yorke():
+def test_the_counted_dimension_is_about_the_same():
     found = wj.lyapunov(wj.HenonMap(), np.array([0.1, 0.1]), 500, walks=300)
     points = [found.states]
     for _ in range(700):

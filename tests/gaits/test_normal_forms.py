@@ -102,7 +102,7 @@ def test_folds_and_branch_points_have_no_criticality():
     assert np.isnan(done_with(lambda x, p: x, task))
 
 
-def test_criticality_is_in_the_answer_of_a_diagram_and_in_its_picture():
+def test_criticality_is_in_answers_and_pictures():
     system = wj.Map(
         lambda x, p: -(1 + p) * x - x**3 + 0.2 * x**5,
         ("x",),

@@ -98,16 +98,16 @@ def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Tas
         if at_end:
             end = "the end of the range"
             break
-        if len(path.points) > 4 and passes_start(point, new, first, width):
+        steps = (scaled_step(point, end, width) for end in (new, first))
+        if len(path.points) > 4 and passes_start(*steps):
             end = "the branch closes"
             break
         point, direction, length = new, next_direction, min(1.5 * length, LONGEST_STEP)
     return path._replace(end=end)
 
 
-def passes_start(one: Point, other: Point, start: Point, width: float) -> bool:
-    """Whether a branch passes its start between two of its points."""
-    step, offset = scaled_step(one, other, width), scaled_step(one, start, width)
+def passes_start(step: Float[np.ndarray, " size"], offset: Float[np.ndarray, " size"]) -> bool:
+    """Whether a branch passes its start, which is at an offset from where this step begins."""
     length = np.linalg.norm(step)
     along = offset @ step / length
     across = np.linalg.norm(offset - along * step / length)

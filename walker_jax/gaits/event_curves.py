@@ -52,7 +52,7 @@ class EventCurve(NamedTuple):
 
     @property
     def criticality(self) -> list[str]:
-        """Of each point: "supercritical" or "subcritical"; empty for folds and branch points."""
+        """Whether each point is "supercritical" or "subcritical"; empty for folds and the like."""
         return [criticality(self.kind, one) for one in self.coefficients.tolist()]
 
 

@@ -16,6 +16,7 @@ from walker_jax.gaits.continuation import (
     MAX_POINTS,
     MIN_COSINE,
     SHORTEST_STEP,
+    passes_start,
 )
 from walker_jax.gaits.defining_systems import BRANCH, TORUS, Frame, Unknowns, move
 from walker_jax.gaits.event_newton import UNFOLDED, Solution, begin, correct, scales_of
@@ -152,7 +153,8 @@ def follow_event(kind: str, first: EventPoint, sign: float, ranges: Ranges) -> T
         path.points.append(new)
         if at_end:
             return path._replace(end="the end of the range")
-        if len(path.points) > 4 and passes(point, new, first, ranges):
+        steps = (ranges.step(point.unknowns, end.unknowns) for end in (new, first))
+        if len(path.points) > 4 and passes_start(*steps):
             return path._replace(end="the curve closes")
         direction = new.tangent * np.sign(new.tangent @ direction)
         point, length = new, min(1.5 * length, LONGEST_STEP)
@@ -181,15 +183,6 @@ def is_good_step(
     error = np.linalg.norm(ranges.step(one.unknowns, other.unknowns) - direction * length)
     straight = abs(other.tangent @ direction) > MIN_COSINE
     return bool(error < length / 2 and straight and ranges.hold(other.unknowns.values))
-
-
-def passes(one: EventPoint, other: EventPoint, first: EventPoint, ranges: Ranges) -> bool:
-    """Whether a curve passes its start between two of its points."""
-    step, offset = (ranges.step(one.unknowns, end.unknowns) for end in (other, first))
-    length = np.linalg.norm(step)
-    along = offset @ step / length
-    across = np.linalg.norm(offset - along * step / length)
-    return bool(0 <= along <= length and across < 0.05 * length)
 
 
 def locate_special(
