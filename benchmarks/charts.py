@@ -6,11 +6,20 @@ has the defaults of `walker-jax chart`. Exponents are those of the walker at a s
 of the map of Hénon, beside a loop over `numpy.linalg.qr`, as one would write it. `first` is the
 first call of a process, which compiles, `next` the one after it.
 
-The answer: curves agree with the other programs to their last digit, 4e-14, and take half a second;
-a chart takes some seconds, and the first one, with what is compiled, half a minute. The loop takes
-{ratio} times as long for a stride of Hénon's map.
+The answer: curves agree with the other programs to their last digit, and take half a second. A chart
+takes six seconds. The loop takes a thousand times as long for a stride of Hénon's map, and sums of
+exponents agree with means of log |det J| to rounding errors. With nothing on disk of what is
+compiled, `walker-jax chart` takes 19 s of processor time for the spring, 47 s for round feet.
 
-{printed}
+    2 cores, shared with others; jax 0.10.2
+                                first (s)   next (s)   error
+    doubling, no spring                   2.8       1.76
+    doublings to stiffness 0.25           0.4       0.35   3.7e-14
+    doublings to stiffness 1              0.4       0.32   1.4e-15
+    chart of 120 x 90 cells               7.7       6.45
+    exponents of the walker               0.5       0.49   0.1 sigma
+    exponents of Hénon's map              0.1       0.02   0.2 sigma
+    a loop over numpy.linalg.qr takes 1,345 times as long a stride
 """
 
 import argparse

@@ -16,8 +16,7 @@ def curve_of(f, coordinates, values, guess, kind, bounds):
     gait = wj.find_gait(system, guess=guess)
     low, high = bounds["p"]
     branch = wj.continue_gait(system, "p", (float(low), float(high)), gait)
-    events = *branch.folds, *branch.doublings, *branch.neimark_sackers, *branch.branch_points
-    event = next(event for event in events if event.kind == kind)
+    event = next(event for event in branch.events if event.kind == kind)
     return wj.continue_event(system, event, ("p", "q"), bounds)
 
 
@@ -37,7 +36,7 @@ def the_special(curve, kind):
 def test_curves_of_the_map_of_henon(kind, exact, special, at):
     system = wj.HenonMap(0.1, 0.3)
     branch = wj.continue_gait(system, "a", (-0.3, 1.0), wj.find_gait(system, [[0.7, 0.2]]))
-    (event,) = [one for one in (*branch.folds, *branch.doublings) if one.kind == kind]
+    (event,) = [one for one in branch.events if one.kind == kind]
     curve = wj.continue_event(system, event, ("a", "b"), {"a": (-2, 4), "b": (-1.2, 0.6)})
     a, b = curve.values.T
     np.testing.assert_allclose(a, exact(b), rtol=0, atol=1e-13)

@@ -9,6 +9,7 @@ from matplotlib.legend import Legend
 import walker_jax as wj
 from walker_jax import figures
 from walker_jax.gaits.continuation import Start, follow_branch
+from walker_jax.gaits.events import add_normal_form
 from walker_jax.gaits.normal_forms import criticality, find_coefficient
 from walker_jax.gaits.summary import summarise_bifurcations
 
@@ -16,7 +17,8 @@ from walker_jax.gaits.summary import summarise_bifurcations
 def the_event(stride, states, bounds):
     start = Start(bounds[0], np.asarray(states, float))
     (found,) = done_with(stride, follow_branch(start, 1.0, bounds)).events
-    return found
+    assert np.isnan(found.coefficient) and found.criticality == ""
+    return done_with(stride, add_normal_form(found))
 
 
 @pytest.mark.parametrize("cubic", [-3.0, 2.0])

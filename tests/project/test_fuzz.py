@@ -398,7 +398,8 @@ def calls() -> dict[str, dict]:
         "descend": {**of_walker, "cycles": np.array([[X]]), "steps": 2, "rate": 0.001},
         "gait_derivatives": {**of_gait, "parameter": "slope"},
         "gait_measures": {**of_gait, "parameters": ("slope",)},
-        "continue_gait": {**of_gait, "parameter": "slope", "interval": interval},
+        "continue_gait": {**of_gait, "parameter": "slope", "interval": interval}
+        | {"normal_forms": False},
         "basin": {**on_grid, "method": "direct"},
         "compare_methods": on_grid,
         "viable": {"walker": walker, "grid": grid, "actions": {"slope": [0.003, 0.005]}}

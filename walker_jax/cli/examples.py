@@ -74,7 +74,7 @@ DURATIONS = {
     "explain": "3 s, of a kneed walker 20 s.",
     "walk": "A few seconds; a film half a minute.",
     "gait": "A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
-    "bifurcation": "Twenty seconds.",
+    "bifurcation": "Half a minute.",
     "chart": "Half a minute; a minute for walkers with mass on their legs.",
     "explore": "A few seconds until the page opens.",
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",

@@ -32,7 +32,8 @@ SEARCHES = 2000
 """Searches for gaits in the window of a system that does not say where they are."""
 AREA_LEVELS, AREA_CHECKS = 2, 50_000
 """Levels and checks of `refine` for an area: 2 s, and a standard error of 0.1 % of the basin."""
-DIAGRAM: dict[str, Any] = {"period_max": 4, "strides": 600, "scan": 160, "exponents": 0}
+DIAGRAM: dict[str, Any] = {"period_max": 4, "strides": 600, "scan": 160}
+DIAGRAM |= {"exponents": 0, "normal_forms": False}
 """Of a diagram on a screen."""
 SHOWN_STATES = 24
 """States of each orbit in a diagram."""

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers, short
+from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers, short
 from walker_jax.gaits.arclength import CORRECTOR_STEPS
 from walker_jax.gaits.continuation import Path, Start, follow_branch
 from walker_jax.gaits.cycles import (
@@ -32,7 +32,7 @@ from walker_jax.gaits.cycles import (
     multiply_jacobians,
 )
 from walker_jax.gaits.defining_systems import BRANCH, DOUBLING, FOLD, TORUS
-from walker_jax.gaits.events import Bifurcation
+from walker_jax.gaits.events import Bifurcation, add_normal_form
 from walker_jax.gaits.requests import compute_responses, run_batched
 from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
@@ -65,6 +65,11 @@ class Branch(NamedTuple):
         return self.states.shape[1]
 
     @property
+    def events(self) -> list[Bifurcation]:
+        """All its bifurcations, kind by kind."""
+        return [*self.folds, *self.doublings, *self.neimark_sackers, *self.branch_points]
+
+    @property
     def stable(self) -> np.ndarray:
         """Whether each gait is stable, shape (points,)."""
         return np.abs(self.multipliers[:, 0]) < 1
@@ -77,6 +82,7 @@ def continue_gait(
     interval: tuple[float, float],
     gait: Gait | None = None,
     *,
+    normal_forms: bool = True,
     tolerance: Real | None = None,
 ) -> Branch:
     """The branch of a gait over a range of a parameter, in both directions, past its folds.
@@ -94,6 +100,8 @@ def continue_gait(
     - `parameter`: name of one of its parameters.
     - `interval`: its lowest and highest value; the walker's own is one of them or between them.
     - `gait`: of this walker; by default, that of `find_gait`.
+    - `normal_forms`: whether to compute them at bifurcations, which tell those that are
+      supercritical. The third derivatives take half a minute to compile for heavy walkers.
     - `tolerance`: of the integration, as in `stride`.
 
     **Returns** a `Branch`; it begins at the end to which the parameter falls at first.
@@ -102,11 +110,15 @@ def continue_gait(
     and a gait that is not one.
     """
     check_interval(walker, parameter, interval)
+    check_kind("normal_forms", normal_forms, bool)
     value = float(getattr(walker, parameter))
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     check_found(gait)
     start = Start(value, np.asarray(gait.states, float))
-    return continue_gaits(walker, parameter, interval, [start], tolerance=tolerance)[0]
+    branches = continue_gaits(walker, parameter, interval, [start], tolerance=tolerance)
+    if normal_forms:
+        branches = add_normal_forms(walker, parameter, branches, tolerance=tolerance)
+    return branches[0]
 
 
 def continue_gaits(
@@ -139,6 +151,24 @@ def continue_gaits(
         backward = next(paths) if start.direction is None else Path([], [], "a period doubling")
         branches.append(join_paths(parameter, backward, next(paths), len(walker.section)))
     return branches
+
+
+def add_normal_forms(
+    walker: System, parameter: str, branches: Sequence[Branch], *, tolerance: Real | None = None
+) -> list[Branch]:
+    """The same branches, with the coefficients of the normal forms of all their bifurcations."""
+    tasks = [add_normal_form(one) for branch in branches for one in branch.events]
+    integrator = Integrator(float64_tolerance(tolerance))
+    found = iter(run_batched(tasks, partial(compute_responses, walker, [parameter], integrator)))
+    return [
+        branch._replace(
+            folds=[next(found) for _ in branch.folds],
+            doublings=[next(found) for _ in branch.doublings],
+            neimark_sackers=tuple(next(found) for _ in branch.neimark_sackers),
+            branch_points=tuple(next(found) for _ in branch.branch_points),
+        )
+        for branch in branches
+    ]
 
 
 def check_interval(

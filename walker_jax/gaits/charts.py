@@ -142,14 +142,12 @@ def follow_lines(
             followed = continue_gaits(system, name, interval, starts, tolerance=tolerance)
             starts = []
             for branch in followed:
-                doublings = branch.doublings
-                events = *branch.folds, *doublings, *branch.neimark_sackers, *branch.branch_points
-                for event in events:
+                for event in branch.events:
                     values = own.copy()
                     values[i] = event.value
                     found.append(Found(values, event))
                 if 2 * branch.period <= period_max:
-                    starts += [start_at_doubling(one) for one in doublings]
+                    starts += [start_at_doubling(one) for one in branch.doublings]
             branches += [branch for branch in followed if branch.period == 1]
     return branches, found
 

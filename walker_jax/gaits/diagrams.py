@@ -13,10 +13,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.checks import check_whole, refuses_tracers
+from walker_jax.checks import check_kind, check_whole, refuses_tracers
 from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.branches import (
     Branch,
+    add_normal_forms,
     check_interval,
     continue_gaits,
     float64_tolerance,
@@ -63,6 +64,7 @@ def bifurcation_diagram(
     strides: int = 3000,
     scan: int = 300,
     exponents: int = 400,
+    normal_forms: bool = True,
     tolerance: Real | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
@@ -85,6 +87,7 @@ def bifurcation_diagram(
       doubling of the cascade and the loss of walking.
     - `exponents`: number of strides over which Lyapunov exponents are means, at the same values; 0
       for none.
+    - `normal_forms`: whether to compute them at bifurcations, as in `continue_gait`.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
@@ -114,6 +117,7 @@ def bifurcation_diagram(
     for name, number in {"period_max": period_max, "strides": strides, "scan": scan}.items():
         check_whole(name, number)
     check_whole("exponents", exponents, 0)
+    check_kind("normal_forms", normal_forms, bool)
     branches: list[Branch] = []
     parents: list[int] = []
 
@@ -148,6 +152,9 @@ def bifurcation_diagram(
         if parents[i] < 0 and branch.period in (2, 4, 8, 16, 32, 64):
             parents[i] = find_parent_below(walker, parameter, branches, i, (low, high), tolerance)
     members = find_descendants(branches, parents)
+    if normal_forms:
+        with bar("normal forms", progress):
+            branches = add_normal_forms(walker, parameter, branches, tolerance=tolerance)
     options: Any = dict(tolerance=tolerance, progress="walkers" if progress else None)
     with bar("where walking is lost", progress):
         loss = loss_of_walking(walker, parameter, (low, high), branches, strides=strides, **options)

@@ -10,7 +10,7 @@ from walker_jax.gaits.cycles import find_multipliers, has_shorter_period, multip
 from walker_jax.gaits.defining_systems import BRANCH, DOUBLING, FOLD, TORUS
 from walker_jax.gaits.event_newton import UNFOLDED, begin
 from walker_jax.gaits.normal_forms import criticality, find_coefficient
-from walker_jax.gaits.requests import Task
+from walker_jax.gaits.requests import Request, Task
 
 
 class Bifurcation(NamedTuple):
@@ -33,7 +33,8 @@ class Bifurcation(NamedTuple):
     residual: float
     """Largest error in these equations and in those of the cycle."""
     coefficient: float = np.nan
-    """The one of its normal form (`normal_forms`); NaN where multipliers coincide."""
+    """The one of its normal form (`normal_forms`); NaN where multipliers coincide, and where it was
+    not asked for."""
 
     @property
     def criticality(self) -> str:
@@ -157,13 +158,15 @@ def locate_bifurcation(kind: str, point: Point, width: float) -> Task:
         kind == BRANCH and has_shorter_period(cycle[None])[0]
     ):  # it is that of the gait that doubles there
         return None
-    coefficient = yield from find_coefficient(kind, values, cycle, found.jacobian)
     return Bifurcation(
-        kind,
-        float(values[0]),
-        cycle,
-        found.multipliers,
-        found.vectors,
-        found.residual,
-        coefficient,
+        kind, float(values[0]), cycle, found.multipliers, found.vectors, found.residual
     )
+
+
+def add_normal_form(event: Bifurcation) -> Task:
+    """A bifurcation with the coefficient of its normal form."""
+    local = yield Request(event.value, event.states)
+    jacobian = multiply_jacobians(local.jacobian)[0]
+    values = np.array([event.value])
+    coefficient = yield from find_coefficient(event.kind, values, event.states, jacobian)
+    return event._replace(coefficient=coefficient)

@@ -78,6 +78,7 @@ def gaits(size: Size) -> xr.Dataset:
         strides=size.strides,
         scan=2,
         exponents=0,
+        normal_forms=False,
     )
 
 
