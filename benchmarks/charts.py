@@ -6,8 +6,8 @@ has the defaults of `walker-jax chart`. Exponents are those of the walker at a s
 of the map of Hénon, beside a loop over `numpy.linalg.qr`, as one would write it. `first` is the
 first call of a process, which compiles, `next` the one after it.
 
-The answer: curves agree with the other programs to their last digit, and take half a second. A chart
-takes six seconds. The loop takes a thousand times as long for a stride of Hénon's map. With no
+The answer: curves agree with the other programs to their last digit, and take half a second. A
+chart takes six seconds. The loop takes a thousand times as long for a stride of Hénon's map. With no
 machine code on disk, `walker-jax chart` takes 19 s of processor time for the spring, and 47 s for
 round feet.
 
