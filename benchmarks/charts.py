@@ -7,9 +7,9 @@ of the map of Hénon, beside a loop over `numpy.linalg.qr`, as one would write i
 first call of a process, which compiles, `next` the one after it.
 
 The answer: curves agree with the other programs to their last digit, and take half a second. A
-chart takes six seconds. The loop takes a thousand times as long for a stride of Hénon's map. With no
-machine code on disk, `walker-jax chart` takes 19 s of processor time for the spring, and 47 s for
-round feet.
+chart takes six seconds. The loop takes a thousand times as long for a stride of Hénon's map. With
+no machine code on disk, `walker-jax chart` takes 19 s of processor time for the spring, and 47 s
+for round feet.
 
     2 cores, shared with others; jax 0.10.2
                                 first (s)   next (s)   error

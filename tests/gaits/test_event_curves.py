@@ -120,6 +120,7 @@ def test_resonances_of_neimark_sacker_points():
     x = 1 - 1 / p
     np.testing.assert_allclose(p * x + q * x**2, 1, rtol=0, atol=1e-12)
     assert curve.ends == ("a 1:2 resonance, where the pair becomes real", "the end of the range")
+    np.testing.assert_allclose(curve.values[0], [5, -4.6875], rtol=0, atol=1e-10)
     for name, cosine in {"1:2 resonance": -1, "1:3 resonance": -0.5, "1:4 resonance": 0}.items():
         found = the_special(curve, name)
         p = 2 - 2 * cosine + 1  # as p x = 1 - q x^2 = 2 - trace

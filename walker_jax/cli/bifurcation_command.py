@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
@@ -48,6 +49,9 @@ class Options:
     high: float | None = option(None, help_of_end("Highest", 1), "--to")
     period_max: int = option(8, "Longest period of the gaits that are followed.", min=1, max=64)
     strides: int = option(3000, "Strides after which a walker counts as walking for ever.", min=1)
+    skip_normal_forms: bool = option(
+        False, "Do not tell which are supercritical: it takes minutes to compile for knees."
+    )
 
     def range(self, walker: System) -> tuple[str, float, float]:
         """The parameter that changes, and its values at the ends."""
@@ -69,7 +73,9 @@ def bifurcation(
 ) -> None:
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
     over, low, high = options.range(walker)
-    how = {"period_max": options.period_max, "strides": options.strides}
+    how: dict[str, Any] = {"period_max": options.period_max, "strides": options.strides}
+    if options.skip_normal_forms:
+        how["normal_forms"] = False
     walker = with_parameter(walker, over, low)
     request = request_for(
         "bifurcation", walker, without=[over], over=over, range=[low, high], **how

@@ -101,7 +101,7 @@ def continue_gait(
     - `interval`: its lowest and highest value; the walker's own is one of them or between them.
     - `gait`: of this walker; by default, that of `find_gait`.
     - `normal_forms`: whether to compute them at bifurcations, which tell those that are
-      supercritical. The third derivatives take half a minute to compile for heavy walkers.
+      supercritical. Their third derivatives take minutes to compile for walkers with knees.
     - `tolerance`: of the integration, as in `stride`.
 
     **Returns** a `Branch`; it begins at the end to which the parameter falls at first.

@@ -146,10 +146,11 @@ def follow_event(kind: str, first: EventPoint, sign: float, ranges: Ranges) -> T
         if kind == BRANCH and abs(new.unknowns.scalars[2]) > UNFOLDED:
             return path._replace(end="the branches no longer cross")
         found = yield from locate_special(kind, point, new, direction, ranges)
-        path.special.extend(found)
-        ends = [one.kind for one in found if kind == TORUS and one.kind in REAL_PAIRS]
-        if ends:
-            return path._replace(end=f"a {ends[0]}, where the pair becomes real")
+        for special, at in found:
+            path.special.append(special)
+            if kind == TORUS and special.kind in REAL_PAIRS:
+                path.points.append(at)
+                return path._replace(end=f"a {special.kind}, where the pair becomes real")
         path.points.append(new)
         if at_end:
             return path._replace(end="the end of the range")
@@ -188,7 +189,10 @@ def is_good_step(
 def locate_special(
     kind: str, one: EventPoint, other: EventPoint, direction: np.ndarray, ranges: Ranges
 ) -> Task:
-    """The points of codimension two on a step, those that their multipliers confirm."""
+    """The points of codimension two on a step, those that their multipliers confirm.
+
+    Each is returned as it is told, and as a point of the curve.
+    """
     found = []
     for name, before in one.criteria.items():
         largest = max(abs(before), abs(other.criteria[name]))
@@ -200,8 +204,8 @@ def locate_special(
             if abs(left) < 1e-3 * largest:  # it is no pole
                 values, cycle, *_ = point.unknowns
                 special = name, values, cycle, point.multipliers, left, point.residual
-                found.append(CodimensionTwo(*special))
-    along = lambda point: direction[-2:] @ (point.values / ranges.widths)
+                found.append((CodimensionTwo(*special), point))
+    along = lambda pair: direction[-2:] @ (pair[0].values / ranges.widths)
     return sorted(found, key=along)
 
 
