@@ -105,7 +105,8 @@ def continue_event(
 def check_bounds(system: System, parameters: Any, bounds: Any) -> tuple[tuple[str, str], Ranges]:
     """Two different parameters of a system, and their ranges, checked."""
     names = tuple(parameters) if isinstance(parameters, Sequence) else ()
-    if len(names) != 2 or names[0] == names[1] or isinstance(parameters, str):
+    words = all(isinstance(name, str) for name in names) and not isinstance(parameters, str)
+    if not words or len(names) != 2 or names[0] == names[1]:
         raise WrongUse(f"parameters must be two different names, not {short(parameters)}")
     if not isinstance(bounds, Mapping) or set(bounds) != set(names):
         raise WrongUse(
