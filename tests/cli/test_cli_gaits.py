@@ -82,10 +82,12 @@ def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
         code, out, err = run(*arguments, "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)
-    assert set(answer) == {"doublings", "other_doublings", "folds", "lost", "stable_beyond"}
+    kinds = {"doublings", "other_doublings", "folds", "neimark_sackers"}
+    assert set(answer) == kinds | {"lost", "stable_beyond"}
     (doubling,) = answer["doublings"]
     assert (doubling["from"], doubling["to"]) == (1, 2)
     assert doubling["slope"] == pytest.approx(0.01508843794111946, abs=1e-12)
+    assert doubling["criticality"] == "supercritical"
     assert doubling["state"][0] == pytest.approx(0.23716586359158, abs=1e-11)
     assert answer["folds"] == answer["other_doublings"] == []
     assert answer["lost"] == {"below": 0.0155, "above": None}
