@@ -76,7 +76,7 @@ def test_a_gait_that_is_not_found_ends_with_1_and_a_reason(run, arguments, reaso
 def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     diagram = functools.partial(wj.bifurcation_diagram, scan=10)
     arguments = ["bifurcation", "--from", "0.0149", "--to", "0.0155", "--period-max", "2"]
-    arguments += ["--strides", "100"]
+    arguments += ["--strides", "100", "--normal-forms"]
     with monkeypatch.context() as patch:
         patch.setattr("walker_jax.bifurcation_diagram", diagram)
         code, out, err = run(*arguments, "--json")

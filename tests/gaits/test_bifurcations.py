@@ -60,7 +60,7 @@ def test_a_cascade_that_began_below_the_interval_is_known():
 
 @pytest.mark.slow
 def test_walking_is_lost_between_two_slopes():
-    long = wj.continue_gait(walker(), "slope", (0.001, 0.03), normal_forms=False)
+    long = wj.continue_gait(walker(), "slope", (0.001, 0.03))
     lost = wj.loss_of_walking(walker(), "slope", (0.0185, 0.0195), [long], strides=2000)
     assert 0.01903 < lost.below < lost.above < 0.01907
     assert lost.above - lost.below <= 1e-5 and lost.strides == 2000

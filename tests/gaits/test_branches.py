@@ -17,7 +17,7 @@ FEIGENBAUM = 4.669201609
 @pytest.fixture(scope="module")
 def long():
     """The long period-one gait over the slope."""
-    return wj.continue_gait(walker(), "slope", (0.001, 0.03), normal_forms=False)
+    return wj.continue_gait(walker(), "slope", (0.001, 0.03))
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_a_gait_born_in_a_fold_attracts_walkers(born_in_folds):
 
 def test_a_branch_may_start_at_an_end_of_the_interval():
     for interval in ((0.009, 0.02), (0.001, 0.009)):
-        branch = wj.continue_gait(walker(), "slope", interval, normal_forms=False)
+        branch = wj.continue_gait(walker(), "slope", interval)
         assert branch.ends == ("the end of the range", "the end of the range")
         np.testing.assert_allclose(branch.values[[0, -1]], interval, rtol=0, atol=1e-15)
 

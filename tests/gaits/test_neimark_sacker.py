@@ -115,7 +115,7 @@ def test_they_are_in_the_data_of_a_diagram_and_its_picture():
 @pytest.mark.slow
 def test_the_walker_in_space_loses_its_gait_to_a_closed_curve():
     """Disturbances decay on one side of the point and grow on the other, as the multipliers say."""
-    branch = wj.continue_gait(wj.SpatialWalker(), "hip_width", (0.3, 0.37), normal_forms=False)
+    branch = wj.continue_gait(wj.SpatialWalker(), "hip_width", (0.3, 0.37))
     (point,) = branch.neimark_sackers
     assert abs(point.value - 0.319655251888) < 1e-11 and point.residual < 1e-12
     np.testing.assert_allclose(np.abs(point.multipliers[:2]), 1, rtol=0, atol=1e-12)

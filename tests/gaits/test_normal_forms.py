@@ -112,7 +112,14 @@ def test_criticality_is_in_answers_and_pictures():
         region={"x": (-1.0, 1.0, 64)},
     )
     data = wj.bifurcation_diagram(
-        system, "p", (-0.3, 0.2), period_max=1, strides=50, scan=8, exponents=20
+        system,
+        "p",
+        (-0.3, 0.2),
+        period_max=1,
+        strides=50,
+        scan=8,
+        exponents=20,
+        normal_forms=True,
     )
     (one,) = summarise_bifurcations(data)["doublings"]
     assert one["criticality"] == "subcritical"

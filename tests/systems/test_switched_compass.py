@@ -329,7 +329,7 @@ def test_cells_of_the_basin_end_as_walks_do():
 
 @pytest.mark.slow
 def test_a_branch_folds_and_doubles_where_the_reference_does():
-    branch = wj.continue_gait(DRIVEN, "torque", (-0.1, 0.1), gaits()[1], normal_forms=False)
+    branch = wj.continue_gait(DRIVEN, "torque", (-0.1, 0.1), gaits()[1])
     (fold,), (doubling,) = branch.folds, branch.doublings
     assert fold.value < 0 < DRIVEN.torque < doubling.value
     for one, multiplier in (fold, 1.0), (doubling, -1.0):

@@ -153,7 +153,7 @@ def test_the_human_like_gait_doubles_its_period_on_its_branch():
     walker = published(HUMAN_LIKE)
     gait = wj.find_gait(walker, section_of(HUMAN_LIKE))
     low, high = np.radians([2.0, 5.0]).tolist()
-    branch = wj.continue_gait(walker, "slope", (low, high), gait, normal_forms=False)
+    branch = wj.continue_gait(walker, "slope", (low, high), gait)
     assert min(branch.values) == pytest.approx(low) and max(branch.values) == pytest.approx(high)
     assert not branch.folds
     (doubling,) = branch.doublings

@@ -49,9 +49,7 @@ class Options:
     high: float | None = option(None, help_of_end("Highest", 1), "--to")
     period_max: int = option(8, "Longest period of the gaits that are followed.", min=1, max=64)
     strides: int = option(3000, "Strides after which a walker counts as walking for ever.", min=1)
-    skip_normal_forms: bool = option(
-        False, "Do not tell which are supercritical: it takes minutes to compile for knees."
-    )
+    normal_forms: bool = option(False, "Tell which are supercritical, ten seconds later.")
 
     def range(self, walker: System) -> tuple[str, float, float]:
         """The parameter that changes, and its values at the ends."""
@@ -74,8 +72,8 @@ def bifurcation(
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
     over, low, high = options.range(walker)
     how: dict[str, Any] = {"period_max": options.period_max, "strides": options.strides}
-    if options.skip_normal_forms:
-        how["normal_forms"] = False
+    if options.normal_forms:
+        how["normal_forms"] = True
     walker = with_parameter(walker, over, low)
     request = request_for(
         "bifurcation", walker, without=[over], over=over, range=[low, high], **how

@@ -33,7 +33,7 @@ SEARCHES = 2000
 AREA_LEVELS, AREA_CHECKS = 2, 50_000
 """Levels and checks of `refine` for an area: 2 s, and a standard error of 0.1 % of the basin."""
 DIAGRAM: dict[str, Any] = {"period_max": 4, "strides": 600, "scan": 160}
-DIAGRAM |= {"exponents": 0, "normal_forms": False}
+DIAGRAM |= {"exponents": 0}
 """Of a diagram on a screen."""
 SHOWN_STATES = 24
 """States of each orbit in a diagram."""

@@ -82,7 +82,7 @@ def continue_gait(
     interval: tuple[float, float],
     gait: Gait | None = None,
     *,
-    normal_forms: bool = True,
+    normal_forms: bool = False,
     tolerance: Real | None = None,
 ) -> Branch:
     """The branch of a gait over a range of a parameter, in both directions, past its folds.
@@ -101,7 +101,8 @@ def continue_gait(
     - `interval`: its lowest and highest value; the walker's own is one of them or between them.
     - `gait`: of this walker; by default, that of `find_gait`.
     - `normal_forms`: whether to compute them at bifurcations, which tell those that are
-      supercritical. Their third derivatives take minutes to compile for walkers with knees.
+      supercritical. Their third derivatives take ten seconds to compile, and minutes for walkers
+      with knees.
     - `tolerance`: of the integration, as in `stride`.
 
     **Returns** a `Branch`; it begins at the end to which the parameter falls at first.

@@ -64,7 +64,7 @@ def bifurcation_diagram(
     strides: int = 3000,
     scan: int = 300,
     exponents: int = 400,
-    normal_forms: bool = True,
+    normal_forms: bool = False,
     tolerance: Real | None = None,
     progress: bool = False,
 ) -> xr.Dataset:

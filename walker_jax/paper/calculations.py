@@ -78,7 +78,6 @@ def gaits(size: Size) -> xr.Dataset:
         strides=size.strides,
         scan=2,
         exponents=0,
-        normal_forms=False,
     )
 
 
