@@ -1,0 +1,1 @@
+"""Proofs: arithmetic with rigorous bounds, verified strides, proved gaits and basins."""
