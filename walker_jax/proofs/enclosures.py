@@ -180,6 +180,9 @@ class Enclosure:
     def __truediv__(self, other: "Enclosure | float") -> "Enclosure":
         return self * reciprocal(as_enclosure(other, self.space))
 
+    def __rtruediv__(self, other):
+        return as_enclosure(other, self.space) * reciprocal(self)
+
     def widened(self, radius) -> "Enclosure":
         """What is within a radius of its values."""
         return Enclosure(self.terms, outward(self.radius + radius), self.space, self._size)

@@ -1,0 +1,165 @@
+"""Boxes of starts, carried from stride to stride by kernels, as many at once as there are.
+
+A box is a parallelogram, c + A u for |u_i| <= 1, with a radius for rounding. After a stride it is
+enclosed in a rectangle that is turned along the longer side of its image, or else the rectangles
+would grow where the box turns (Lohner 1987): from stride to stride they keep only what is linear.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from walker_jax.kernels import kernel
+from walker_jax.proofs.enclosures import (
+    ROUNDING,
+    Enclosure,
+    Space,
+    choose,
+    exactly,
+    is_enclosure,
+    outward,
+    rounded_once,
+)
+from walker_jax.proofs.flows import ORDER
+from walker_jax.proofs.strides import FALL, STRIDE, TOLERANCE, UNDECIDED, verify_stride
+
+PLANE = Space(2, 2)
+"""Polynomials of second degree of two coordinates: a box of size r is enclosed up to r^3."""
+CHUNK = 8192
+"""Boxes in one call: all calls share one program."""
+TRAPPED = 4
+"""A verdict beside those of strides: all of the next states are in the trap."""
+
+
+class Boxes(NamedTuple):
+    """Parallelograms of the section."""
+
+    terms: Float[np.ndarray, "boxes 2 3"]
+    """By coordinate: the middle, and the change along each side."""
+    radii: Float[np.ndarray, "boxes 2"]
+
+    @property
+    def count(self) -> int:
+        return len(self.terms)
+
+    def at(self, which) -> "Boxes":
+        return Boxes(self.terms[which], self.radii[which])
+
+
+class Trap(NamedTuple):
+    """An ellipse about a point of the section: |L^T (x - centre)| <= size."""
+
+    centre: Float[np.ndarray, " 2"]
+    factor: Float[np.ndarray, "2 2"]
+    """L, a lower triangle."""
+    size: float
+
+    @classmethod
+    def nowhere(cls) -> "Trap":
+        return cls(np.zeros(2), np.eye(2), -1.0)
+
+
+class Carried(NamedTuple):
+    """Boxes after a stride."""
+
+    boxes: Boxes
+    verdicts: Int[np.ndarray, " boxes"]
+    widths: Float[np.ndarray, " boxes"]
+    """Half the longer side."""
+
+
+def boxes_of(theta: Enclosure, thetadot: Enclosure) -> Boxes:
+    """Boxes of NumPy enclosures that are linear in two variables."""
+    shape = np.broadcast_shapes(*(np.shape(t) for one in (theta, thetadot) for t in one.terms[:3]))
+    fill = lambda value: np.broadcast_to(np.asarray(0.0 if value is None else value), shape)
+    linear = [one.terms[:3] for one in (theta, thetadot)]
+    terms = np.stack([np.stack([fill(t) for t in one], -1) for one in linear], -2)
+    return Boxes(terms, np.stack([fill(theta.radius), fill(thetadot.radius)], -1))
+
+
+def sides(centres, halves) -> tuple[Enclosure, ...]:
+    """The coordinates of upright boxes: centre + half u, one variable for each coordinate."""
+    return tuple(
+        Enclosure([c, *[h if i == j else None for j in range(2)], None, None, None], 0.0, PLANE)
+        for i, (c, h) in enumerate(zip(centres, halves, strict=True))
+    )
+
+
+def carry(walker, boxes: Boxes, trap: Trap, *, widest: float = np.inf) -> Carried:
+    """One stride of each box."""
+    found = []
+    for first in range(0, boxes.count, CHUNK):
+        some = boxes.at(slice(first, first + CHUNK))
+        missing = CHUNK - some.count if boxes.count > CHUNK // 8 else CHUNK // 8 - some.count
+        pad = lambda a: np.concatenate([a, np.repeat(a[-1:], missing, 0)])
+        result = carry_chunk(walker, jax.tree.map(pad, some), trap)
+        found.append(jax.tree.map(lambda a: np.asarray(a)[: some.count], result))
+    terms, radii, verdicts, widths = (np.concatenate(part) for part in zip(*found, strict=True))
+    verdicts = np.where((verdicts == STRIDE) & ~(widths < widest), UNDECIDED, verdicts)
+    return Carried(Boxes(terms, radii), verdicts, widths)
+
+
+@jax.jit
+def carry_chunk(walker, boxes: Boxes, trap: Trap) -> tuple:
+    return jax.vmap(carry_box, (None, 0, 0, None))(walker, boxes.terms, boxes.radii, trap)
+
+
+@kernel
+def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], trap: Trap) -> tuple:
+    """The terms and radii after a stride, the verdict, and half the longer side."""
+    model = parameters_of(walker, PLANE)
+    x = tuple(
+        Enclosure([*terms[i], None, None, None], radii[i], PLANE) for i in range(2)
+    )
+    found = verify_stride(model, x, order=ORDER, tolerance=TOLERANCE)
+    inside = is_trapped(found.state, trap)
+    new, new_radii, width = rectangle_of(found.state)
+    verdict = choose((found.verdict == STRIDE) & inside, TRAPPED, found.verdict)
+    return new, new_radii, verdict.astype(jnp.int8), width
+
+
+def parameters_of(walker, space: Space):
+    """A walker with enclosures of its parameters: all numbers that round to these."""
+    return jax.tree.map(lambda leaf: rounded_once(leaf, space), walker)
+
+
+def is_trapped(x: tuple, trap: Trap) -> Any:
+    """Whether all of an enclosure lies in a trap."""
+    (a, b), L = (one - exactly(c, one.space) for one, c in zip(x, trap.centre)), trap.factor
+    first = exactly(L[0, 0], a.space) * a + exactly(L[1, 0], a.space) * b
+    second = exactly(L[1, 1], a.space) * b
+    size = trap.size * (1 - 4 * ROUNDING)
+    return ((first * first + second * second).upper <= size * size) & (size > 0)
+
+
+def rectangle_of(x: tuple) -> tuple:
+    """A rectangle that holds an enclosure: its terms, radii, and half the longer side.
+
+    With axes (a, b) and (-b, a), x - c = s (a, b) + t (-b, a) has s = (a x + b y) / (a^2 + b^2).
+    """
+    theta, thetadot = x
+    columns = [(theta.terms[i], thetadot.terms[i]) for i in (1, 2)]
+    lengths = [jnp.sqrt(a * a + b * b) for a, b in columns]
+    first = lengths[0] >= lengths[1]
+    longest = jnp.where(first, lengths[0], lengths[1])
+    usable = longest > 0
+    part = lambda i: jnp.where(first, columns[0][i], columns[1][i])
+    a = jnp.where(usable, part(0) / longest, 1.0)
+    b = jnp.where(usable, part(1) / longest, 0.0)
+    number = lambda value: exactly(value, theta.space)
+    u, v = (one - number(one.middle) for one in x)
+    scale = 1.0 / (number(a) * number(a) + number(b) * number(b))
+    s = ((number(a) * u + number(b) * v) * scale).magnitude
+    t = ((number(a) * v - number(b) * u) * scale).magnitude
+    terms = jnp.stack(
+        [
+            jnp.stack([theta.middle, a * s, -b * t]),
+            jnp.stack([thetadot.middle, b * s, a * t]),
+        ]
+    )
+    rounding = lambda p, q: outward(ROUNDING * (jnp.abs(p) + jnp.abs(q)))
+    radii = jnp.stack([rounding(a * s, b * t), rounding(b * s, a * t)])
+    return terms, radii, jnp.maximum(s, t)

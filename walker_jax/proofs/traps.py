@@ -1,0 +1,84 @@
+"""Traps: ellipses about a stable gait that strides lead back into, by proof.
+
+The norm is adapted to the gait: |L^T x|, with L L^T = sum_k M^T^k M^k / r^2k for the Jacobian M of
+the gait's return and some r between its largest multiplier and 1. In that norm M contracts by r at
+least (a discrete Lyapunov equation). The ellipse is covered with squares of that norm; each has to
+come back into the ellipse. None of what is proved rests on how L and the size were found.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from walker_jax.proofs.boxes import STRIDE, TRAPPED, Boxes, Trap, boxes_of, carry, sides
+from walker_jax.proofs.enclosures import exactly
+
+SQUARES = 24
+"""Along a diameter of the ellipse."""
+SLACK = 1e-8
+"""The cover reaches beyond the ellipse by this part of it, for the rounding of L's inverse."""
+SHRINKING = 0.8
+LARGEST_TRAP = 1.0
+
+
+def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2"]:
+    """L of the norm in which a contraction contracts at once, scaled to det L = 1."""
+    radius = max(abs(np.linalg.eigvals(jacobian)))
+    scaled = jacobian / ((1 + radius) / 2)
+    form, power = np.eye(2), np.eye(2)
+    for _ in range(2000):
+        power = scaled @ power
+        form = form + power.T @ power
+    factor = np.linalg.cholesky(form)
+    return factor / np.sqrt(np.prod(np.diag(factor)))
+
+
+def cover(trap: Trap) -> Boxes:
+    """Parallelograms that cover a trap."""
+    inverse = np.linalg.inv(trap.factor.T)
+    check_inverse(trap.factor, inverse)
+    reach = trap.size * (1 + SLACK)
+    half = reach / SQUARES
+    ticks = -reach + half * (2 * np.arange(SQUARES) + 1)
+    z = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), -1).reshape(-1, 2)
+    nearest = np.maximum(np.abs(z) - half, 0)
+    z = z[np.hypot(*nearest.T) <= reach * (1 + SLACK)]
+    p, q = sides(z.T, [np.full(len(z), half * (1 + SLACK))] * 2)
+    number = lambda value: exactly(np.float64(value), p.space)
+    return boxes_of(
+        *(number(c) + number(row[0]) * p + number(row[1]) * q
+          for c, row in zip(trap.centre, inverse, strict=True))
+    )
+
+
+def check_inverse(factor: np.ndarray, inverse: np.ndarray) -> None:
+    """L^T times its computed inverse must be the unit matrix, far below `SLACK`."""
+    off = np.abs(factor.T @ inverse - np.eye(2)).max()
+    sizes = (np.abs(factor.T) @ np.abs(inverse)).max()
+    if not off + 8 * 2.0**-53 * sizes < SLACK / 16:
+        raise FloatingPointError("the adapted norm is too far from round for float64")
+
+
+def is_trap(walker, trap: Trap, period: int) -> bool:
+    """Whether `period` strides certainly lead all of an ellipse into itself."""
+    boxes = cover(trap)
+    for stride in range(period):
+        last = stride == period - 1
+        found = carry(walker, boxes, trap if last else Trap.nowhere())
+        if not np.all(found.verdicts == (TRAPPED if last else STRIDE)):
+            return False
+        boxes = found.boxes
+    return True
+
+
+def find_trap(walker, centre: np.ndarray, jacobian: np.ndarray, period: int, least: float) -> Trap:
+    """The largest trap about a stable gait among ellipses of one shape.
+
+    Raises `ArithmeticError` if none larger than `least` is proved.
+    """
+    factor, size = adapted_factor(jacobian), LARGEST_TRAP
+    while size > least:
+        trap = Trap(np.asarray(centre, float), factor, size)
+        if is_trap(walker, trap, period):
+            return trap
+        size *= SHRINKING
+    raise ArithmeticError(f"no trap larger than {least:.3g} about the gait is proved")
