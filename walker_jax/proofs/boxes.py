@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.kernels import kernel
@@ -123,7 +124,8 @@ def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], tra
 
 def parameters_of(walker, space: Space):
     """A walker with enclosures of its parameters: all numbers that round to these."""
-    return jax.tree.map(lambda leaf: rounded_once(leaf, space), walker)
+    number = lambda leaf: leaf if isinstance(leaf, Tracer) else np.float64(leaf)
+    return jax.tree.map(lambda leaf: rounded_once(number(leaf), space), walker)
 
 
 def is_trapped(x: tuple, trap: Trap) -> Any:

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-ROUNDING = 2.0**-52
+ROUNDING = 1.001 * 2.0**-53
 GROWTH = 1 + 2.0**-48
 TINY = 2.0**-1000
 
@@ -204,7 +204,7 @@ jax.tree_util.register_pytree_node(
 
 def downward(value):
     """A number below what rounding has made one."""
-    return value - (abs(value) * ROUNDING + TINY)
+    return value - (abs(value) * (4 * ROUNDING) + TINY)
 
 
 def plus(p, q):

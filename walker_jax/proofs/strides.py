@@ -49,7 +49,7 @@ class VerifiedStride(NamedTuple):
     state: tuple
     """Enclosures of the next coordinates; they hold where the verdict is `STRIDE`."""
     tangents: tuple
-    """Their derivatives by each coordinate of the start, if these were asked for."""
+    """Their derivatives along each tangent of the start."""
     steps: Any
 
 
@@ -100,7 +100,11 @@ def is_feasible(x: tuple):
 
 
 def verify_stride(
-    walker, x: tuple[Enclosure, Enclosure], *, derivatives: bool = False, order: int = ORDER,
+    walker,
+    x: tuple[Enclosure, Enclosure],
+    tangents: tuple = (),
+    *,
+    order: int = ORDER,
     tolerance: float = TOLERANCE,
 ) -> VerifiedStride:
     """The next states of all starts of a box.
@@ -109,11 +113,12 @@ def verify_stride(
 
     - `walker`: with enclosures as its parameters.
     - `x`: enclosures of theta (rad) and thetadot, of JAX or NumPy arrays.
-    - `derivatives`: by the coordinates of the start, over the whole box.
+    - `tangents`: directions, of two enclosures each, in which the next state is differentiated over
+      the whole box.
+    - `order`, `tolerance`: of the series, and of the terms that are left out, not proved.
     """
-    units = ((1.0, 0.0), (0.0, 1.0)) if derivatives else ()
     x = tuple(map(dense, x))
-    flow = map_enclosures(dense_like(x[0]), evaluate(begin, walker, x, units))
+    flow = map_enclosures(dense_like(x[0]), evaluate(begin, walker, x, tangents))
     number = x[0].middle
     yes = number == number
     parameters = map_enclosures(lambda one: one.range(), walker)

@@ -1,0 +1,193 @@
+"""Arithmetic of enclosures, against exact rational numbers and forty digits."""
+
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from walker_jax.kernels import kernel
+from walker_jax.proofs import elementary, enclosures
+from walker_jax.proofs.elementary import sine_and_cosine
+from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, ball, monomials
+from walker_jax.proofs.evaluation import evaluate
+
+PLANE = Space(2, 2)
+OPERATIONS = {
+    "sum": lambda a, b: a + b,
+    "difference": lambda a, b: a - b,
+    "product": lambda a, b: a * b,
+    "quotient": lambda a, b: a / b,
+}
+CORNERS = [0.0, 5e-324, 1e-310, 2.0**-1022, 1e-160, 1.0, 1 + 2.0**-52, 1 / 3, 1e150]
+
+
+def corner_pairs() -> np.ndarray:
+    signed = [s * c for c in CORNERS for s in (1, -1)]
+    return np.array([(a, b) for a in signed for b in signed]).T
+
+
+def random_numbers(rng, count: int) -> np.ndarray:
+    return rng.normal(size=count) * 10.0 ** rng.integers(-12, 12, count)
+
+
+def exact_misses(operation, a: np.ndarray, b: np.ndarray, found: Enclosure) -> int:
+    """Results of exact arithmetic that an enclosure does not hold."""
+    radius = np.broadcast_to(found.radius, np.shape(found.terms[0]))
+    misses = 0
+    for x, y, middle, r in zip(a, b, found.terms[0], radius, strict=True):
+        if np.isfinite(middle) and np.isfinite(r):
+            true = operation(Fraction(x), Fraction(y))
+            misses += abs(true - Fraction(middle)) > Fraction(r)
+    return misses
+
+
+def check_operation(name: str, count: int, seed: int, calculate=lambda f, *x: f(*x)) -> int:
+    """The misses of an operation on exact numbers, random ones and corners."""
+    rng = np.random.default_rng(seed)
+    a, b = random_numbers(rng, count), random_numbers(rng, count)
+    # neighbours, whose difference cancels
+    b[: count // 4] = a[: count // 4] * (1 + rng.integers(-3, 4, count // 4) * 2.0**-52)
+    pairs = np.concatenate([[a, b], corner_pairs()], axis=1)
+    if name == "quotient":
+        pairs = pairs[:, pairs[1] != 0]
+    operation = OPERATIONS[name]
+    with np.errstate(all="ignore"):
+        found = calculate(lambda x, y: operation(ball(x, 0.0), ball(y, 0.0)), *pairs)
+    return exact_misses(operation, *pairs, found)
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_operations_hold_the_exact_results(name):
+    assert check_operation(name, 3000, seed=1) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_operations_hold_a_million_exact_results(name):
+    assert check_operation(name, 1_000_000, seed=2) == 0
+
+
+def in_a_kernel(function, *pairs):
+    """The same by machine code, where a product and a sum may be contracted to one operation."""
+    one = lambda x, y: (lambda found: (found.terms[0], found.radius + 0 * x))(function(x, y))
+    middle, radius = jax.jit(jax.vmap(kernel(one)))(*map(jnp.asarray, pairs))
+    return ball(np.asarray(middle), np.asarray(radius))
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_kernels_hold_the_exact_results(name):
+    assert check_operation(name, 3000, seed=3, calculate=in_a_kernel) == 0
+
+
+@pytest.mark.parametrize("part", ["ROUNDING", "TINY"])
+def test_a_rounding_left_out_is_seen(monkeypatch, part):
+    """Operations off by one rounding: the same test fails."""
+    monkeypatch.setattr(enclosures, part, 0.0)
+    assert check_operation("product", 3000, seed=1) > 0
+
+
+def test_a_growth_left_out_is_seen(monkeypatch):
+    """Radii have roundings too: their sum, rounded down, is no bound of a sum."""
+    sums = lambda: evaluate_radius(ball(0.0, 1.0) + ball(0.0, 2.0**-53))
+    assert sums() >= 1 + Fraction(2) ** -53
+    monkeypatch.setattr(enclosures, "GROWTH", 1.0)
+    assert sums() < 1 + Fraction(2) ** -53
+
+
+def evaluate_radius(one: Enclosure) -> Fraction:
+    return Fraction(one.radius)
+
+
+def random_model(rng, count: int, space: Space) -> Enclosure:
+    terms = [rng.normal(size=count) * 0.3 ** sum(p) for p in monomials(space)]
+    return Enclosure(terms, np.abs(rng.normal(size=count)) * 1e-3, space)
+
+
+def value_at(one: Enclosure, i: int, u: list[Fraction], error: int) -> Fraction:
+    """A value that an enclosure stands for, at some u; with its error at one end."""
+    value = Fraction(float(np.broadcast_to(one.radius, np.shape(one.terms[0]))[i])) * error
+    for powers, term in zip(monomials(one.space), one.terms, strict=True):
+        product = Fraction(float(term[i]))
+        for x, p in zip(u, powers, strict=True):
+            product *= x**p
+        value += product
+    return value
+
+
+@pytest.mark.parametrize("space", [Space(2, 1), PLANE, Space(3, 2), Space(1, 3)])
+@pytest.mark.parametrize("name", ["sum", "product", "quotient"])
+def test_polynomials_hold_the_exact_results(name, space):
+    rng, count = np.random.default_rng(5), 60
+    a, b = random_model(rng, count, space), random_model(rng, count, space)
+    b = b + 4.0
+    found = OPERATIONS[name](a, b)
+    for i in range(count):
+        u = [Fraction(float(x)) for x in rng.choice([-1, -0.7, 0.1, 1], space.variables)]
+        for ea, eb in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            true = OPERATIONS[name](value_at(a, i, u, ea), value_at(b, i, u, eb))
+            off = abs(true - value_at(found, i, u, 0))
+            assert off <= Fraction(float(found.radius[i]))
+
+
+def sine_misses(count: int, space: Space, seed: int) -> int:
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(-1, 1, count) * 10.0 ** rng.integers(-8, 5, count)
+    middle[:40] = np.arange(40) * np.pi / 4
+    terms = [middle, *[rng.normal(size=count) * 0.1 for _ in monomials(space)[1:]]]
+    x = Enclosure(terms, np.abs(rng.normal(size=count)) * 1e-9, space)
+    with np.errstate(all="ignore"):
+        results = sine_and_cosine(x)
+    misses = 0
+    with mpmath.workdps(40):
+        for i in range(count):
+            u = [Fraction(float(v)) for v in rng.choice([-1, 0.3, 1], space.variables)]
+            angle = value_at(x, i, u, int(rng.choice([-1, 1])))
+            angle = mpmath.mpf(angle.numerator) / angle.denominator
+            for found, function in zip(results, (mpmath.sin, mpmath.cos), strict=True):
+                about = value_at(found, i, u, 0)
+                off = abs(function(angle) - mpmath.mpf(about.numerator) / about.denominator)
+                misses += off > found.radius[i]
+    return misses
+
+
+@pytest.mark.parametrize("space", [BALLS, Space(2, 1), PLANE])
+def test_sines_hold_the_true_ones(space):
+    assert sine_misses(600, space, seed=6) == 0
+
+
+def test_a_remainder_left_out_is_seen(monkeypatch):
+    """Without the remainder of the series of sine and cosine the same test fails."""
+    monkeypatch.setattr(elementary, "TERMS", 6)
+    assert sine_misses(600, BALLS, seed=6) == 0
+    monkeypatch.setattr(elementary, "remainder_of_series", lambda odd: 0.0)
+    assert sine_misses(600, BALLS, seed=6) > 0
+
+
+def test_beyond_the_reduction_nothing_is_claimed():
+    sine, _ = sine_and_cosine(ball(np.array([1e8]), 0.0))
+    assert sine.lower <= -1 and sine.upper >= 1
+
+
+def test_a_jax_function_is_enclosed_as_it_stands():
+    def function(x, y):
+        return jnp.sin(x) ** 3 / (1 + y**2) - 0.1 * x
+
+    rng = np.random.default_rng(7)
+    x, y = rng.normal(size=(2, 200))
+    found = evaluate(function, ball(x, 1e-7), ball(y, 1e-7))
+    with mpmath.workdps(40):
+        for i in range(200):
+            a, b = mpmath.mpf(x[i]) + mpmath.mpf("1e-7"), mpmath.mpf(y[i]) - mpmath.mpf("1e-7")
+            true = mpmath.sin(a) ** 3 / (1 + b**2) - a / 10
+            assert abs(true - found.middle[i]) <= found.radius[i]
+    assert np.all(found.radius < 1e-6)
+
+
+def test_numbers_that_are_not_finite_prove_nothing():
+    one = ball(np.array([1e200]), 0.0)
+    with np.errstate(all="ignore"):
+        cube = one * one * one
+        assert not (cube.lower > 0) and not (cube.upper < 0)

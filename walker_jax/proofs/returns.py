@@ -1,0 +1,125 @@
+"""Cycles of a walker enclosed: Krawczyk's operator on all states of a cycle at once.
+
+The states x_1 ... x_n of a cycle are a zero of F_i = S(x_i) - x_{i+1}, with the stride function S.
+So no enclosure is carried for more than one stride.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, exactly
+from walker_jax.proofs.matrices import (
+    Matrix,
+    Zero,
+    difference,
+    from_floats,
+    identity,
+    krawczyk,
+    number,
+    product,
+)
+from walker_jax.proofs.strides import STRIDE, VerifiedStride, verify_stride
+
+LINES = Space(2, 1)
+"""Polynomials of first degree: the boxes are so small that no more is needed."""
+
+
+class Accuracy(NamedTuple):
+    """Of series: where a remainder is taken, and the size of the terms there."""
+
+    order: int
+    tolerance: float
+
+
+POINTS = Accuracy(24, 1e-17)
+"""For points, whose enclosures are as narrow as rounding allows."""
+LINEAR = Accuracy(12, 1e-12)
+"""For boxes, whose derivatives vary by more than that."""
+
+
+class Cycle(NamedTuple):
+    """A cycle in a box, proved or not."""
+
+    zero: Zero
+    jacobians: list[Matrix]
+    """Of the stride function, over the box of each state."""
+
+
+def strides_about(walker, centres: Float[np.ndarray, "period 2"]) -> VerifiedStride:
+    """The verified strides of points."""
+    return verify_stride(
+        walker,
+        tuple(exactly(centres[:, i], BALLS) for i in range(2)),
+        order=POINTS.order,
+        tolerance=POINTS.tolerance,
+    )
+
+
+def derivatives_about(
+    walker, centres: Float[np.ndarray, "period 2"], radius: float
+) -> VerifiedStride:
+    """The verified strides of boxes, and their derivatives by theta in the first half of the
+    results, by thetadot in the second."""
+    count = len(centres)
+    ones, zeros = np.ones(count), np.zeros(count)
+    both = np.concatenate([centres, centres])
+    half = np.full(2 * count, radius)
+    theta = Enclosure([both[:, 0], half, None], 0.0, LINES)
+    thetadot = Enclosure([both[:, 1], None, half], 0.0, LINES)
+    tangent = tuple(
+        exactly(np.concatenate(parts), LINES) for parts in ((ones, zeros), (zeros, ones))
+    )
+    return verify_stride(
+        walker, (theta, thetadot), (tangent,), order=LINEAR.order, tolerance=LINEAR.tolerance
+    )
+
+
+def enclose_cycle(walker, states: Float[np.ndarray, "period 2"], radius: float) -> Cycle | None:
+    """A cycle near some states, or None where a stride near them is not proved.
+
+    **Arguments:**
+
+    - `walker`: with intervals as its parameters.
+    - `states`: about those of the cycle.
+    - `radius`: of the box about each coordinate in which there is one such cycle.
+    """
+    states, period = np.asarray(states, float), len(states)
+    thin = strides_about(walker, states)
+    wide = derivatives_about(walker, states, radius)
+    if not (np.all(thin.verdict == STRIDE) and np.all(wide.verdict == STRIDE)):
+        return None
+    at = lambda one, i: entry(one.range(), i)
+    jacobians = [
+        [[at(wide.tangents[0][row], i + j * period) for j in range(2)] for row in range(2)]
+        for i in range(period)
+    ]
+    values, rows = [], from_floats(np.zeros((2 * period, 2 * period)))
+    for i in range(period):
+        following = (i + 1) % period
+        for row in range(2):
+            values.append([at(thin.state[row], i) - number(states[following, row])])
+            for column in range(2):
+                rows[2 * i + row][2 * i + column] = jacobians[i][row][column]
+            place = 2 * following + row
+            rows[2 * i + row][place] = rows[2 * i + row][place] - 1.0
+    return Cycle(krawczyk(states.ravel(), radius, values, rows), jacobians)
+
+
+def entry(one: Enclosure, i: int) -> Enclosure:
+    """One of many intervals."""
+    pick = lambda value: np.float64(np.broadcast_to(value, np.shape(one.middle))[i])
+    return Enclosure([pick(one.terms[0])], pick(one.radius), BALLS)
+
+
+def jacobian_of_return(jacobians: list[Matrix]) -> Matrix:
+    """The product of a cycle's Jacobians, the first on the right."""
+    result = identity(2)
+    for one in jacobians:
+        result = product(one, result)
+    return result
+
+
+def plus_identity(m: Matrix) -> Matrix:
+    return difference(m, from_floats(-np.eye(2)))
