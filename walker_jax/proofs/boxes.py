@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from walker_jax.kernels import kernel
 from walker_jax.proofs.enclosures import (
@@ -20,11 +19,10 @@ from walker_jax.proofs.enclosures import (
     Space,
     choose,
     exactly,
-    is_enclosure,
     outward,
-    rounded_once,
 )
 from walker_jax.proofs.flows import ORDER
+from walker_jax.proofs.provable import parameters_of
 from walker_jax.proofs.strides import FALL, STRIDE, TOLERANCE, UNDECIDED, verify_stride
 
 PLANE = Space(2, 2)
@@ -120,12 +118,6 @@ def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], tra
     new, new_radii, width = rectangle_of(found.state)
     verdict = choose((found.verdict == STRIDE) & inside, TRAPPED, found.verdict)
     return new, new_radii, verdict.astype(jnp.int8), width
-
-
-def parameters_of(walker, space: Space):
-    """A walker with enclosures of its parameters: all numbers that round to these."""
-    number = lambda leaf: leaf if isinstance(leaf, Tracer) else np.float64(leaf)
-    return jax.tree.map(lambda leaf: rounded_once(number(leaf), space), walker)
 
 
 def is_trapped(x: tuple, trap: Trap) -> Any:

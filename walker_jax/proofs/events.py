@@ -16,18 +16,20 @@ from walker_jax.integrators.taylor import function_series
 from walker_jax.proofs.enclosures import (
     BALLS,
     Enclosure,
-    ball,
+    Space,
     choose,
     exactly,
-    greatest,
     library,
     outward,
 )
 from walker_jax.proofs.evaluation import evaluate
 from walker_jax.proofs.flows import Flow, Step, flow_at, map_enclosures, polynomial
 
-PIECES = 8
+PIECES = 4
 """Of a step, over each of which guards are looked at."""
+TIME = Space(1, 2)
+"""Polynomials of the time in a piece, so that functions of several numbers that move together are
+enclosed well; the starts of a box only widen them."""
 BISECTIONS, NEWTON_STEPS = 10, 4
 
 
@@ -73,7 +75,8 @@ def watch_step(walker, step: Step, watch: Watch, end) -> Watch:
     plain = step._replace(series=Flow(step.series.state), rest=Flow(step.rest.state))
 
     def look(i, watch):
-        time = ball((2 * i + 1) * (end / (2 * PIECES)), outward(end * (0.5 / PIECES + 1e-14)))
+        middle, half = (2 * i + 1) * (end / (2 * PIECES)), end * (0.5 / PIECES + 1e-14)
+        time = Enclosure([middle, half, None], 0.0, TIME)
         found = evaluate(measure, walker, flow_at(plain, time, ranges=True).state)
         return watch_piece(found, watch)
 

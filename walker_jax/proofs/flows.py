@@ -21,6 +21,7 @@ import jax
 from walker_jax.integrators.taylor import grow_series
 from walker_jax.proofs.enclosures import (
     Enclosure,
+    as_enclosure,
     ball,
     exactly,
     greatest,
@@ -148,7 +149,8 @@ def flow_at(step: Step, time: Enclosure | Any, *, ranges: bool = False) -> Flow:
     power = power_of(given.magnitude, order)
 
     def at(coefficients, rest):
-        known = [one.range() for one in coefficients] if ranges else coefficients
-        return polynomial(known, given).widened(outward(rest * power))
+        one_space = lambda one: as_enclosure(one.range(), given.space)
+        known = map(one_space, coefficients) if ranges else coefficients
+        return polynomial([*known], given).widened(outward(rest * power))
 
     return map_series(at, step.series, step.rest)

@@ -1,0 +1,139 @@
+"""Period doublings that exist, by proof.
+
+Krawczyk's operator holds for all slopes of an interval at once, so in one box there is exactly one
+gait for each slope, which moves smoothly with it. At one end of the interval det(M + I) of the
+Jacobian M of its return is above zero, at the other below: in between it is zero, and M has the
+multiplier -1.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import ComputationFailed, WrongUse, check_number, check_whole, short
+from walker_jax.gaits.search import find_gait
+from walker_jax.proofs.enclosures import BALLS, Enclosure, between, is_enclosure
+from walker_jax.proofs.matrices import determinant
+from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.returns import Cycle, enclose_cycle, jacobian_of_return, plus_identity
+from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+
+BOX = 1e-8
+"""Half the sides of the box of the gait."""
+SECANTS = 12
+
+
+class ProvedDoubling(NamedTuple):
+    """A theorem: between `low` and `high` a multiplier of a gait passes through -1."""
+
+    parameter: str
+    low: float
+    high: float
+    states: Float[np.ndarray, "period section"]
+    """About those of the gait that doubles its period."""
+    radius: float
+    """How far from these it may be, by coordinate; there is no other gait of the period there."""
+
+
+def prove_doubling(
+    walker: System,
+    low: float,
+    high: float,
+    *,
+    parameter: str = "slope",
+    period: int = 1,
+    width: float = 1e-10,
+) -> ProvedDoubling:
+    """Proves that a gait doubles its period, and between which values of a parameter.
+
+    The doubling is found by secants between `low` and `high`; at both, the gait must be the one
+    that `find_gait` finds by itself, once with multipliers above -1 and once with one below.
+
+    **Arguments:**
+
+    - `walker`: a `SimplestWalker`, `SpringWalker` or `PoweredWalker`.
+    - `low`, `high`: values of the parameter between which the period doubles.
+    - `parameter`: its name.
+    - `period`: of the gait that doubles it.
+    - `width`: of the interval in which the doubling is proved.
+
+    **Returns** a `ProvedDoubling`.
+
+    **Raises** `ComputationFailed` if none is found or proved; `WrongUse` as `prove_gait` does, for
+    bounds that are not in order, and for a width that is not above 1e-14.
+    """
+    walker = check_provable(walker)
+    check_whole("period", period)
+    for name, value in (("low", low), ("high", high), ("width", width)):
+        check_number(name, value)
+    check_parameter(walker, parameter, float(low), float(high))
+    if not low < high:
+        raise WrongUse(f"low={short(low)} must be below high={short(high)}", of="low high")
+    if not 1e-14 < width < high - low:
+        raise WrongUse(f"width must be above 1e-14 and below high - low, not {short(width)}")
+    at, states = find_doubling(walker, parameter, period, float(low), float(high))
+    ends = at - width / 2, at + width / 2
+    signs = [sign_at(walker, parameter, states, end) for end in ends]
+    whole = enclose_over(walker, parameter, states, between(*map(np.float64, ends)))
+    if not (whole and whole.zero.proved and signs[0] * signs[1] < 0):
+        raise ComputationFailed(
+            f"no period doubling is proved between {parameter}={ends[0]!r} and {ends[1]!r}"
+        )
+    return ProvedDoubling(parameter, *ends, states, BOX)
+
+
+def enclose_over(walker, parameter: str, states: np.ndarray, value: Enclosure) -> Cycle | None:
+    """The cycle for all values of a parameter in an interval."""
+    known = parameters_of(walker, BALLS)
+    of_all = eqx.tree_at(lambda one: getattr(one, parameter), known, value, is_leaf=is_enclosure)
+    return enclose_cycle(of_all, states, BOX)
+
+
+def sign_at(walker, parameter: str, states: np.ndarray, value: float) -> int:
+    """The proved sign of det(M + I) of the gait in the box about some states; 0 if it is open."""
+    at = between(np.float64(value), np.float64(value))
+    cycle = enclose_over(walker, parameter, states, at)
+    if cycle is None or not cycle.zero.proved:
+        return 0
+    middle = np.array([float(one.middle) for one in cycle.zero.within]).reshape(-1, 2)
+    spread = 2 * max(float(one.spread) for one in cycle.zero.within)
+    known = eqx.tree_at(
+        lambda one: getattr(one, parameter), parameters_of(walker, BALLS), at, is_leaf=is_enclosure
+    )
+    # once more in the small box that holds the gait, for narrow multipliers
+    near = enclose_cycle(known, middle, spread)
+    if near is None:
+        return 0
+    value = determinant(plus_identity(jacobian_of_return(near.jacobians)))
+    return int(value.lower > 0) - int(value.upper < 0)
+
+
+def find_doubling(
+    walker, parameter: str, period: int, low: float, high: float
+) -> tuple[float, np.ndarray]:
+    """About where det(M + I) is zero, and the gait there; secants, not proved."""
+
+    def look(value: float, guess) -> tuple[float, np.ndarray]:
+        there = with_parameter(walker, parameter, np.float64(value))
+        gait = find_gait(there, guess, period)
+        return float(np.real(np.prod(1 + np.asarray(gait.multipliers)))), np.asarray(gait.states)
+
+    (left, states), (right, _) = look(low, None), look(high, None)
+    if left * right >= 0:
+        raise ComputationFailed(
+            f"no gait of period {period} doubles it between {parameter}={low!r} and {high!r}"
+        )
+    value = low
+    for _ in range(SECANTS):
+        value = low - left * (high - low) / (right - left)
+        last, states = look(value, states)
+        if last * left > 0:
+            low, left, right = value, last, right / 2
+        else:
+            high, right, left = value, last, left / 2
+        if abs(last) < 1e-12:
+            break
+    return value, states
