@@ -14,7 +14,7 @@ from walker_jax.proofs.returns import Cycle, enclose_cycle, jacobian_of_return
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_in_words
 
-RADII = (2e-11, 1e-9, 1e-7)
+RADII = (1e-12, 3e-11, 1e-9, 1e-7)
 """Of the boxes in which a gait is proved to be the only one; the first that holds one counts."""
 
 

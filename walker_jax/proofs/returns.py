@@ -9,7 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, exactly
+from walker_jax.proofs.enclosures import (
+    BALLS,
+    ROUNDING,
+    Enclosure,
+    Space,
+    exactly,
+    outward,
+)
 from walker_jax.proofs.matrices import (
     Matrix,
     Zero,
@@ -21,9 +28,12 @@ from walker_jax.proofs.matrices import (
     product,
 )
 from walker_jax.proofs.strides import STRIDE, VerifiedStride, verify_stride
+from walker_jax.walkers.model import State
 
 LINES = Space(2, 1)
 """Polynomials of first degree: the boxes are so small that no more is needed."""
+ERRORS = Space(4, 1)
+"""The variables are errors of a point's state."""
 
 
 class Accuracy(NamedTuple):
@@ -51,9 +61,38 @@ def strides_about(walker, centres: Float[np.ndarray, "period 2"]) -> VerifiedStr
     """The verified strides of points."""
     return verify_stride(
         walker,
-        tuple(exactly(centres[:, i], BALLS) for i in range(2)),
+        tuple(exactly(centres[:, i], ERRORS) for i in range(2)),
         order=POINTS.order,
         tolerance=POINTS.tolerance,
+        align=aligned,
+    )
+
+
+def aligned(state: State) -> State:
+    """A state whose radii have become new variables, along axes in which it is narrow.
+
+    Errors then move as the motion does, and do not grow as intervals would (Lohner 1987). For
+    nearly orthogonal Q, x = Q (Q^T x) + (I - Q Q^T) x: the bounds of Q^T x are the new variables'
+    sizes, and the rest is left to the radii.
+    """
+    known = np.stack([np.stack(one.terms[1:], -1) for one in state], -2)
+    radii = np.stack([one.radius for one in state], -1)
+    order = np.argsort(-np.linalg.norm(known, axis=-2), axis=-1)
+    axes = np.linalg.qr(np.take_along_axis(known, order[:, None, :], -1))[0]
+    turned = np.abs(np.swapaxes(axes, -1, -2))
+    rounding = 16 * ROUNDING * turned @ np.abs(known)
+    along = np.abs(np.swapaxes(axes, -1, -2) @ known) + rounding
+    sizes = outward(along.sum(-1) + np.einsum("nij,nj->ni", turned, radii))
+    product = axes @ np.swapaxes(axes, -1, -2)
+    off = np.abs(np.eye(len(state)) - product) + 16 * ROUNDING * turned.swapaxes(-1, -2) @ turned
+    whole = np.abs(known).sum(-1) + radii
+    new = axes * sizes[:, None, :]
+    rest = np.einsum("nij,nj->ni", off, whole) + ROUNDING * np.abs(new).sum(-1)
+    return State(
+        *(
+            Enclosure([one.middle, *new[:, i].T], outward(rest[:, i]), ERRORS)
+            for i, one in enumerate(state)
+        )
     )
 
 

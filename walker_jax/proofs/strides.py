@@ -6,7 +6,8 @@ Each stride ends in a verdict: all of its starts make a stride, and the next sta
 all of them fall; or neither is proved.
 """
 
-from functools import cache, partial
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -106,6 +107,7 @@ def verify_stride(
     *,
     order: int = ORDER,
     tolerance: float = TOLERANCE,
+    align: Callable[[Any], Any] = lambda state: state,
 ) -> VerifiedStride:
     """The next states of all starts of a box.
 
@@ -116,6 +118,7 @@ def verify_stride(
     - `tangents`: directions, of two enclosures each, in which the next state is differentiated over
       the whole box.
     - `order`, `tolerance`: of the series, and of the terms that are left out, not proved.
+    - `align`: from a state at the start of a step, without tangents, to one that encloses it.
     """
     x = tuple(map(dense, x))
     flow = map_enclosures(dense_like(x[0]), evaluate(begin, walker, x, tangents))
@@ -131,7 +134,7 @@ def verify_stride(
         map_enclosures(dense_like(x[0]), landing[1:]),
         (0 * number).astype("int32"),
     )
-    advance = partial(advance_stride, walker, parameters, order, tolerance)
+    advance = partial(advance_stride, walker, parameters, (order, tolerance, align))
     if library(number) is jnp:
         last = lax.while_loop(lambda one: one.verdict == GOING, advance, start)
     else:
@@ -153,9 +156,11 @@ def dense_like(model: Enclosure):
     return fill
 
 
-def advance_stride(walker, parameters, order: int, tolerance: float, now: Going) -> Going:
+def advance_stride(walker, parameters, method: tuple, now: Going) -> Going:
     """One more step, to the strike if it is in it."""
-    step = step_from(walker, now.flow, now.factor, order=order, tolerance=tolerance)
+    order, tolerance, align = method
+    begun = now.flow._replace(state=align(now.flow.state))
+    step = step_from(walker, begun, now.factor, order=order, tolerance=tolerance)
     series, last, guess, soon = guess_strike(walker, step)
     strike = enclose_strike(walker, step, series, guess)
     length = choose(soon, 0.6 * step.length, step.length)

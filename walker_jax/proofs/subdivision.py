@@ -8,13 +8,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from walker_jax.proofs.boxes import (
     FALL,
     STRIDE,
     TRAPPED,
-    UNDECIDED,
     Boxes,
     Trap,
     boxes_of,
@@ -42,6 +41,10 @@ class Window(NamedTuple):
     def widths(self, level: int) -> Float[np.ndarray, " 2"]:
         """Of cells that were split `level` times."""
         return (self.high - self.low) / (np.asarray(self.counts) * 2**level)
+
+    def area(self, level: int) -> float:
+        """Of one cell."""
+        return float(np.prod(self.widths(level)) * abs(np.linalg.det(self.shear)))
 
     def centres(self, level: int, cells: Int[np.ndarray, "cells 2"]) -> np.ndarray:
         return self.low + self.widths(level) * (cells + 0.5)
@@ -97,16 +100,16 @@ def subdivide(
     *,
     levels: int,
     strides: int,
-    wanted: Callable[[int, np.ndarray], Bool[np.ndarray, " cells"]] = lambda level, cells: np.ones(
-        len(cells), bool
-    ),
+    wanted: Callable[[int, np.ndarray], Bool[np.ndarray, " cells"]] | None = None,
     report: Callable[[Cells], None] = lambda found: None,
 ) -> list[Cells]:
-    """The proved fates of a window's cells, level by level; those of the last are left open."""
-    shape = np.indices(window.counts).reshape(2, -1).T
-    found, cells = [], shape
+    """The proved fates of a window's cells, level by level; those of the last are left open.
+
+    Cells that are not `wanted` are left out.
+    """
+    found, cells = [], np.indices(window.counts).reshape(2, -1).T
     for level in range(levels + 1):
-        cells = cells[wanted(level, cells)]
+        cells = cells if wanted is None else cells[wanted(level, cells)]
         last = follow_cells(walker, window, level, cells, trap, strides)
         found.append(last)
         report(last)

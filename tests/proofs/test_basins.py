@@ -1,0 +1,118 @@
+"""Proved basins: discs and cells, against plain strides."""
+
+import jax
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.proofs.boxes import Boxes, Trap, carry
+from walker_jax.proofs.provable import check_provable
+from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS
+from walker_jax.proofs.traps import is_trap
+
+WALKER = wj.SimplestWalker(0.004)
+RADIUS = 0.0022562
+
+
+@pytest.fixture(scope="module")
+def disc():
+    return wj.prove_basin(WALKER, 0.5 * RADIUS)
+
+
+def test_half_of_the_least_disturbance_walks_for_ever(disc):
+    assert disc.all_walk and disc.count(OPEN) == 0 and disc.radius == 0.5 * RADIUS
+    low, high = disc.area
+    assert np.pi * (0.5 * RADIUS) ** 2 < low <= high < 6 * (0.5 * RADIUS) ** 2
+
+
+def test_the_whole_least_disturbance_is_proved():
+    assert wj.prove_basin(WALKER, 0.99 * RADIUS).all_walk
+
+
+@pytest.mark.slow
+def test_at_the_steeper_slope_too():
+    assert wj.prove_basin(wj.SimplestWalker(0.009), 0.99 * 0.0022556).all_walk
+
+
+def test_more_than_the_least_disturbance_is_not_proved():
+    found = wj.prove_basin(WALKER, 1.01 * RADIUS, levels=6)
+    assert not found.all_walk and found.count(OPEN) > 0
+
+
+def test_the_trap_holds_its_walks(disc):
+    rng, trap = np.random.default_rng(1), disc.trap
+    angle, part = rng.uniform(0, 2 * np.pi, 500), np.sqrt(rng.uniform(size=500))
+    y = trap.size * part[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    x = trap.centre + y @ np.linalg.inv(trap.factor)
+    for _ in range(20):
+        stride = wj.strides(WALKER, x)
+        assert np.all(np.asarray(stride.outcome) == wj.Outcome.STRIDE)
+        x = np.asarray(stride.state)
+        assert np.all(np.linalg.norm((x - trap.centre) @ trap.factor, axis=1) <= trap.size)
+
+
+def test_an_ellipse_that_walks_leave_is_no_trap(disc):
+    wide = Trap(disc.trap.centre, np.eye(2), disc.trap.size)
+    assert not is_trap(check_provable(WALKER), wide, 1)
+
+
+@pytest.fixture(scope="module")
+def cells():
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 12), sum=(-0.03, 0.01, 20))
+    return grid, wj.prove_basin(WALKER, grid, levels=3)
+
+
+def test_cells_have_the_fates_of_their_walks(cells):
+    _, found = cells
+    rng = np.random.default_rng(2)
+    checked = {WALKS: 0, FALLS: 0}
+    for level in found.cells:
+        for fate in checked:
+            some = level.cells[level.fates == fate][:400]
+            if not len(some):
+                continue
+            w = found.window.centres(level.level, some)
+            w = w + (rng.uniform(size=w.shape) - 0.5) * found.window.widths(level.level)
+            walk = jax.vmap(lambda x: wj.walk(WALKER, x, 60).outcomes[-1])(w @ found.window.shear.T)
+            assert np.all((np.asarray(walk) == wj.Outcome.STRIDE) == (fate == WALKS))
+            checked[fate] += len(some)
+    assert min(checked.values()) > 200
+
+
+def test_the_area_lies_between_its_bounds(cells):
+    grid, found = cells
+    low, high = found.area
+    area = float(wj.refine(WALKER, grid, 4)["total_area"])
+    assert 0 < low < area < high
+    whole = found.window.area(0) * 12 * 20
+    assert found.area_of(FALLS) == pytest.approx(whole - high, rel=1e-9)
+
+
+def test_a_box_is_carried_around_its_starts():
+    rng, n = np.random.default_rng(3), 3000
+    centres = np.array([0.15339, -0.15608]) + rng.normal(size=(n, 2)) * 4e-4
+    sides = rng.normal(size=(n, 2, 2)) * 3e-5
+    boxes = Boxes(np.concatenate([centres[..., None], sides], -1), np.zeros(centres.shape))
+    found = carry(check_provable(WALKER), boxes, Trap.nowhere())
+    assert np.all(found.verdicts == 1)
+    u = rng.choice([-1, 1, 0.3], (n, 2))
+    x = np.asarray(wj.strides(WALKER, centres + np.einsum("nij,nj->ni", sides, u)).state)
+    new = found.boxes.terms
+    inside = np.linalg.solve(new[:, :, 1:], (x - new[:, :, 0])[..., None])[..., 0]
+    assert np.all(np.abs(inside) <= 1 + 1e-9)
+
+
+def test_nothing_is_trapped_about_an_unstable_gait():
+    short = wj.find_gait(WALKER, [0.1487783869696, -0.1588066734576])
+    with pytest.raises(ComputationFailed, match="no trap"):
+        wj.prove_basin(WALKER, 0.001, gait=short)
+
+
+def test_wrong_use_of_basins_is_refused():
+    with pytest.raises(WrongUse, match="walker must be a SimplestWalker"):
+        wj.prove_basin(wj.PointFootWalker(0.004), 0.001)
+    with pytest.raises(WrongUse, match="region must be a Grid, or a radius"):
+        wj.prove_basin(WALKER, -0.1)
+    with pytest.raises(WrongUse, match="both coordinates of the section"):
+        wj.prove_basin(WALKER, wj.Grid.plain(theta=(0, 0.3, 4), thetadot=-0.1))

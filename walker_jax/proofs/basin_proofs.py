@@ -1,0 +1,170 @@
+"""Starts that walk for ever, by proof: all of a disc about the gait, or cells of a grid."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from walker_jax.checks import WrongUse, check_number, check_whole, short
+from walker_jax.execution.progress import bar
+from walker_jax.gaits.cycles import Gait, check_found
+from walker_jax.gaits.search import find_gait
+from walker_jax.grids import Grid
+from walker_jax.proofs.boxes import Trap
+from walker_jax.proofs.provable import check_provable
+from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS, Cells, Window, subdivide
+from walker_jax.proofs.traps import find_trap
+from walker_jax.systems.system import System
+from walker_jax.walking.stride import stride
+
+LEAST_TRAP = 1e-7
+CELLS_OF_DISC = 16
+"""Along a diameter, before they are split."""
+ROUNDING_OF_AREA = 1e-12
+"""Relative: far above that of a sum of equal cells."""
+REACH = 1e-8
+"""A disc is taken larger by this part, for the rounding of distances and of the gait's state."""
+
+
+class ProvedBasin(NamedTuple):
+    """Theorems about the starts in some cells: `subdivision` says what is proved of each."""
+
+    window: Window
+    """The cells."""
+    trap: Trap
+    """An ellipse about the gait that no walk leaves, by proof, at every `period`-th stride."""
+    period: int
+    cells: list[Cells]
+    """The cells of each level with their fates; those left open are split on the next one."""
+    radius: float | None
+    """Of the disc about the gait, if one was asked for."""
+
+    @property
+    def all_walk(self) -> bool:
+        """Whether all starts in the disc, or the window, walk for ever: nothing is open."""
+        return bool(np.all(self.cells[-1].fates == WALKS)) and not self.count(FALLS)
+
+    def count(self, fate: int) -> int:
+        """Cells of a fate, `WALKS` or `FALLS`, of all levels; or those that are `OPEN` at last."""
+        levels = self.cells[-1:] if fate == OPEN else self.cells
+        return sum(int(np.sum(one.fates == fate)) for one in levels)
+
+    def area_of(self, fate: int) -> float:
+        """The area of the cells of a fate (rad^2 sqrt(g / l))."""
+        levels = self.cells[-1:] if fate == OPEN else self.cells
+        areas = [np.sum(one.fates == fate) * self.window.area(one.level) for one in levels]
+        return float(sum(areas))
+
+    @property
+    def area(self) -> tuple[float, float]:
+        """Bounds on the area of the starts in the cells that walk for ever.
+
+        The lower one is that of the basin of this gait; the upper one counts all starts that are
+        not proved to fall.
+        """
+        walks = self.area_of(WALKS)
+        return walks * (1 - ROUNDING_OF_AREA), (walks + self.area_of(OPEN)) * (1 + ROUNDING_OF_AREA)
+
+    @property
+    def strides(self) -> int:
+        """Verified strides that the proof took, those of the trap not counted."""
+        return sum(int(one.strides.sum()) for one in self.cells)
+
+
+def prove_basin(
+    walker: System,
+    region: Grid | float,
+    *,
+    gait: Gait | None = None,
+    levels: int = 12,
+    strides: int = 60,
+    progress: bool = False,
+) -> ProvedBasin:
+    """Proves which starts walk for ever, converging to a gait's trap, and which fall.
+
+    First an ellipse about the gait is proved to be a trap: strides lead all of it into itself. Then
+    cells are carried from stride to stride, in arithmetic with rigorous bounds, until all of a cell
+    is in the trap, or all of it has fallen. What is neither is split in four, up to `levels` times,
+    and is `OPEN` at last. On a boundary something always is.
+
+    The theorem is about the equations of motion and the events as `docs/method.md` has them, for
+    all numbers that round to the walker's parameters.
+
+    **Arguments:**
+
+    - `walker`: a `SimplestWalker`, `SpringWalker` or `PoweredWalker`.
+    - `region`: a grid of the section; or the radius of a disc about the gait's first state, by the
+      distance in (theta, thetadot), as `least_disturbance` measures it.
+    - `gait`: a stable gait; by default that of `find_gait`.
+    - `levels`: how often a cell is split at most.
+    - `strides`: that a cell is carried at most.
+    - `progress`: show a line on a terminal.
+
+    **Returns** a `ProvedBasin`.
+
+    **Raises** `ComputationFailed` where no trap is proved, as there is none about an unstable gait;
+    `WrongUse` for another walker, for float32, and for arguments that are none of these.
+    """
+    walker = check_provable(walker)
+    check_whole("levels", levels, 0, 24)
+    check_whole("strides", strides)
+    gait = find_gait(walker) if gait is None else gait
+    check_found(gait)
+    centre, period = np.asarray(gait.states[0], float), len(gait.states)
+    wanted, radius = None, None
+    if isinstance(region, Grid):
+        window = window_of(region)
+    else:
+        check_number("region", region)
+        if not 0 < region < 1:
+            raise WrongUse(f"region must be a Grid, or a radius above 0 and below 1, not {short(region)}")
+        radius = float(region)
+        window = about(centre, radius)
+        wanted = disc(window, centre, radius)
+    trap = find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
+    with bar("proof", progress) as update:
+        report = lambda found: update(found.level)
+        found = subdivide(
+            walker, window, trap, levels=levels, strides=strides, wanted=wanted, report=report
+        )
+    return ProvedBasin(window, trap, period, found, radius)
+
+
+def jacobian_of(walker, gait: Gait) -> Float[np.ndarray, "2 2"]:
+    """The Jacobian of a gait's return; not proved, as what is proved does not rest on it."""
+    result = np.eye(2)
+    for state in np.asarray(gait.states, float):
+        one = jax.jacfwd(lambda x: stride(walker, x).state)(jax.numpy.asarray(state))
+        result = np.asarray(one) @ result
+    return result
+
+
+def window_of(grid: Grid) -> Window:
+    """The cells of a grid of the plane section."""
+    if len(grid.names) != 2 or grid.coordinates != 2 or np.any(np.asarray(grid.origin) != 0):
+        raise WrongUse(
+            "region must be a grid along both coordinates of the section, with its origin at zero",
+            of="region",
+        )
+    arrays = (np.asarray(one, float) for one in (grid.lower, grid.upper, grid.shear))
+    lower, upper, shear = arrays
+    first, second = map(int, grid.counts)
+    return Window(lower, upper, (first, second), shear)
+
+
+def about(centre: Float[np.ndarray, " 2"], radius: float) -> Window:
+    """The cells about a disc."""
+    reach = radius * (1 + 2 * REACH)
+    return Window(centre - reach, centre + reach, (CELLS_OF_DISC, CELLS_OF_DISC), np.eye(2))
+
+
+def disc(window: Window, centre: Float[np.ndarray, " 2"], radius: float) -> Callable:
+    """Whether cells may have a point in a disc."""
+
+    def wanted(level: int, cells: Int[np.ndarray, "cells 2"]) -> Bool[np.ndarray, " cells"]:
+        apart = np.abs(window.centres(level, cells) - centre) - window.widths(level) / 2
+        return np.hypot(*np.maximum(apart, 0).T) <= radius * (1 + REACH)
+
+    return wanted
