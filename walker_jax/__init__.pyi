@@ -50,7 +50,6 @@ from walker_jax.grids import Grid as Grid
 from walker_jax.hybrid.modes import Condition as Condition
 from walker_jax.hybrid.modes import Guard as Guard
 from walker_jax.hybrid.modes import Mode as Mode
-from walker_jax.proofs.basin_proofs import ProvedBasin as ProvedBasin
 from walker_jax.proofs.basin_proofs import prove_basin as prove_basin
 from walker_jax.proofs.doubling_proofs import ProvedDoubling as ProvedDoubling
 from walker_jax.proofs.doubling_proofs import prove_doubling as prove_doubling

@@ -6,10 +6,12 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.proofs.basin_proofs import summarise_proof
 from walker_jax.proofs.boxes import Boxes, Trap, carry
 from walker_jax.proofs.provable import check_provable
 from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS
 from walker_jax.proofs.traps import is_trap
+from walker_jax.storage.schema import check_dataset
 
 WALKER = wj.SimplestWalker(0.004)
 RADIUS = 0.0022562
@@ -21,27 +23,32 @@ def disc():
 
 
 def test_half_of_the_least_disturbance_walks_for_ever(disc):
-    assert disc.all_walk and disc.count(OPEN) == 0 and disc.radius == 0.5 * RADIUS
-    low, high = disc.area
+    assert disc.attrs["all_walk"] and np.all(disc["proved"] == WALKS)
+    assert disc.attrs["radius"] == 0.5 * RADIUS
+    low, high = disc.attrs["area_lower"], disc.attrs["area_upper"]
     assert np.pi * (0.5 * RADIUS) ** 2 < low <= high < 6 * (0.5 * RADIUS) ** 2
 
 
 def test_the_whole_least_disturbance_is_proved():
-    assert wj.prove_basin(WALKER, 0.99 * RADIUS).all_walk
+    assert wj.prove_basin(WALKER, 0.99 * RADIUS).attrs["all_walk"]
 
 
 @pytest.mark.slow
 def test_at_the_steeper_slope_too():
-    assert wj.prove_basin(wj.SimplestWalker(0.009), 0.99 * 0.0022556).all_walk
+    assert wj.prove_basin(wj.SimplestWalker(0.009), 0.99 * 0.0022556).attrs["all_walk"]
 
 
 def test_more_than_the_least_disturbance_is_not_proved():
     found = wj.prove_basin(WALKER, 1.01 * RADIUS, levels=6)
-    assert not found.all_walk and found.count(OPEN) > 0
+    assert not found.attrs["all_walk"] and np.any(found["proved"] == OPEN)
+
+
+def trap_of(data) -> Trap:
+    return Trap(data["trap_centre"].values, data["trap_factor"].values, float(data["trap_size"]))
 
 
 def test_the_trap_holds_its_walks(disc):
-    rng, trap = np.random.default_rng(1), disc.trap
+    rng, trap = np.random.default_rng(1), trap_of(disc)
     angle, part = rng.uniform(0, 2 * np.pi, 500), np.sqrt(rng.uniform(size=500))
     y = trap.size * part[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     x = trap.centre + y @ np.linalg.inv(trap.factor)
@@ -53,7 +60,8 @@ def test_the_trap_holds_its_walks(disc):
 
 
 def test_an_ellipse_that_walks_leave_is_no_trap(disc):
-    wide = Trap(disc.trap.centre, np.eye(2), disc.trap.size)
+    trap = trap_of(disc)
+    wide = Trap(trap.centre, np.eye(2), trap.size)
     assert not is_trap(check_provable(WALKER), wide, 1)
 
 
@@ -64,29 +72,31 @@ def cells():
 
 
 def test_cells_have_the_fates_of_their_walks(cells):
-    _, found = cells
+    _, data = cells
     rng = np.random.default_rng(2)
-    checked = {WALKS: 0, FALLS: 0}
-    for level in found.cells:
-        for fate in checked:
-            some = level.cells[level.fates == fate][:400]
-            if not len(some):
-                continue
-            w = found.window.centres(level.level, some)
-            w = w + (rng.uniform(size=w.shape) - 0.5) * found.window.widths(level.level)
-            walk = jax.vmap(lambda x: wj.walk(WALKER, x, 60).outcomes[-1])(w @ found.window.shear.T)
-            assert np.all((np.asarray(walk) == wj.Outcome.STRIDE) == (fate == WALKS))
-            checked[fate] += len(some)
-    assert min(checked.values()) > 200
+    width = (data["upper"] - data["lower"]).values / data["count"].values
+    width = width / 2.0 ** data["level"].values[:, None]
+    for proved in (WALKS, FALLS):
+        some = np.flatnonzero(data["proved"] == proved)
+        some = rng.choice(some, 250)
+        place = data["place"].values[some] + rng.uniform(size=(250, 2))
+        x = (data["lower"].values + place * width[some]) @ data["shear"].values.T
+        last = jax.vmap(lambda x: wj.walk(WALKER, x, 60).outcomes[-1])(x)
+        assert np.all((np.asarray(last) == wj.Outcome.STRIDE) == (proved == WALKS))
 
 
 def test_the_area_lies_between_its_bounds(cells):
-    grid, found = cells
-    low, high = found.area
+    grid, data = cells
     area = float(wj.refine(WALKER, grid, 4)["total_area"])
-    assert 0 < low < area < high
-    whole = found.window.area(0) * 12 * 20
-    assert found.area_of(FALLS) == pytest.approx(whole - high, rel=1e-9)
+    assert 0 < data.attrs["area_lower"] < area < data.attrs["area_upper"]
+
+
+def test_the_data_set_is_of_its_kind_and_summed_up(cells):
+    _, data = cells
+    check_dataset(data, "proof")
+    answer = summarise_proof(data)
+    assert sum(answer["cells"].values()) == data.sizes["cell"]
+    assert not answer["all_walk"] and answer["trap"]["size"] > 1e-3
 
 
 def test_a_box_is_carried_around_its_starts():

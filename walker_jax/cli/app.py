@@ -33,6 +33,7 @@ COMMANDS = {
     "boundary": "Measure the boundary between walking and falling: its entropy, its saddles, Wada.",
     "viable": "Compute how large the basin could be: from where some choice of actions walks for "
     "ever.",
+    "prove": "Prove that all starts near a gait walk for ever, or which of a window do.",
     "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
     "continuation": "Follow the attractors over a parameter, and the fractions of a region that "
     "converge to each.",

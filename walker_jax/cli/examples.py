@@ -49,6 +49,11 @@ EXAMPLES = {
         "viable --system torso-wheel --action lean=0.1:0.9:9 --axis thetadot=-1.2:0:30 --axis "
         "psi=-0.4:1.2:32 --axis psidot=-1:1:20",
     ),
+    "prove": (
+        "prove --radius 0.00223",
+        "prove --slope 0.009 --radius 0.00223",
+        "prove --theta 0.1 0.2 20 --sum -0.02 0.01 30 --levels 4",
+    ),
     "robustness": (
         "robustness --slope 0.009",
         "robustness --slope 0.009 --ground 0.0002",
@@ -80,6 +85,7 @@ DURATIONS = {
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
     "boundary": "Half a minute.",
     "viable": "Half a minute for the first example.",
+    "prove": "Half a minute for the first example, most of it to compile.",
     "robustness": "Twenty seconds or more for each slope; minutes for walkers with knees.",
     "continuation": "A minute or two for the example.",
     "optimise": "Half a minute for the area over a slope, an hour for more parameters; fewer "

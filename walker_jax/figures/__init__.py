@@ -33,6 +33,7 @@ from walker_jax.figures.optimum_plots import basins_before_and_after as basins_b
 from walker_jax.figures.optimum_plots import optimisation as optimisation
 from walker_jax.figures.optimum_plots import optimum as optimum
 from walker_jax.figures.poses import step as step
+from walker_jax.figures.proof_plots import proof as proof
 from walker_jax.figures.robustness_plots import boundary_dimension as boundary_dimension
 from walker_jax.figures.robustness_plots import disturbance as disturbance
 from walker_jax.figures.robustness_plots import robustness as robustness

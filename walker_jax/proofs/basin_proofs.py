@@ -1,10 +1,11 @@
 """Starts that walk for ever, by proof: all of a disc about the gait, or cells of a grid."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
+import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, check_whole, short
@@ -16,7 +17,9 @@ from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.provable import check_provable
 from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS, Cells, Window, subdivide
 from walker_jax.proofs.traps import find_trap
+from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.stride import stride
 
 LEAST_TRAP = 1e-7
@@ -28,51 +31,6 @@ REACH = 1e-8
 """A disc is taken larger by this part, for the rounding of distances and of the gait's state."""
 
 
-class ProvedBasin(NamedTuple):
-    """Theorems about the starts in some cells: `subdivision` says what is proved of each."""
-
-    window: Window
-    """The cells."""
-    trap: Trap
-    """An ellipse about the gait that no walk leaves, by proof, at every `period`-th stride."""
-    period: int
-    cells: list[Cells]
-    """The cells of each level with their fates; those left open are split on the next one."""
-    radius: float | None
-    """Of the disc about the gait, if one was asked for."""
-
-    @property
-    def all_walk(self) -> bool:
-        """Whether all starts in the disc, or the window, walk for ever: nothing is open."""
-        return bool(np.all(self.cells[-1].fates == WALKS)) and not self.count(FALLS)
-
-    def count(self, fate: int) -> int:
-        """Cells of a fate, `WALKS` or `FALLS`, of all levels; or those that are `OPEN` at last."""
-        levels = self.cells[-1:] if fate == OPEN else self.cells
-        return sum(int(np.sum(one.fates == fate)) for one in levels)
-
-    def area_of(self, fate: int) -> float:
-        """The area of the cells of a fate (rad^2 sqrt(g / l))."""
-        levels = self.cells[-1:] if fate == OPEN else self.cells
-        areas = [np.sum(one.fates == fate) * self.window.area(one.level) for one in levels]
-        return float(sum(areas))
-
-    @property
-    def area(self) -> tuple[float, float]:
-        """Bounds on the area of the starts in the cells that walk for ever.
-
-        The lower one is that of the basin of this gait; the upper one counts all starts that are
-        not proved to fall.
-        """
-        walks = self.area_of(WALKS)
-        return walks * (1 - ROUNDING_OF_AREA), (walks + self.area_of(OPEN)) * (1 + ROUNDING_OF_AREA)
-
-    @property
-    def strides(self) -> int:
-        """Verified strides that the proof took, those of the trap not counted."""
-        return sum(int(one.strides.sum()) for one in self.cells)
-
-
 def prove_basin(
     walker: System,
     region: Grid | float,
@@ -81,7 +39,7 @@ def prove_basin(
     levels: int = 12,
     strides: int = 60,
     progress: bool = False,
-) -> ProvedBasin:
+) -> xr.Dataset:
     """Proves which starts walk for ever, converging to a gait's trap, and which fall.
 
     First an ellipse about the gait is proved to be a trap: strides lead all of it into itself. Then
@@ -102,7 +60,9 @@ def prove_basin(
     - `strides`: that a cell is carried at most.
     - `progress`: show a line on a terminal.
 
-    **Returns** a `ProvedBasin`.
+    **Returns** a data set of the kind `proof`: `proved` says of each cell what is proved of it; the
+    attribute `all_walk`, whether that is a theorem about all of the disc; `area_lower` and
+    `area_upper` bound the area of the starts in a window that walk for ever.
 
     **Raises** `ComputationFailed` where no trap is proved, as there is none about an unstable gait;
     `WrongUse` for another walker, for float32, and for arguments that are none of these.
@@ -113,13 +73,15 @@ def prove_basin(
     gait = find_gait(walker) if gait is None else gait
     check_found(gait)
     centre, period = np.asarray(gait.states[0], float), len(gait.states)
-    wanted, radius = None, None
+    wanted, radius, axes = None, 0.0, ("theta", "thetadot")
     if isinstance(region, Grid):
-        window = window_of(region)
+        window, axes = window_of(region), region.names
     else:
         check_number("region", region)
         if not 0 < region < 1:
-            raise WrongUse(f"region must be a Grid, or a radius above 0 and below 1, not {short(region)}")
+            raise WrongUse(
+                f"region must be a Grid, or a radius above 0 and below 1, not {short(region)}"
+            )
         radius = float(region)
         window = about(centre, radius)
         wanted = disc(window, centre, radius)
@@ -129,7 +91,77 @@ def prove_basin(
         found = subdivide(
             walker, window, trap, levels=levels, strides=strides, wanted=wanted, report=report
         )
-    return ProvedBasin(window, trap, period, found, radius)
+    return dataset_of(walker, axes, window, trap, found, period, radius)
+
+
+def dataset_of(
+    walker: System,
+    axes: tuple[str, ...],
+    window: Window,
+    trap: Trap,
+    found: list[Cells],
+    period: int,
+    radius: float,
+) -> xr.Dataset:
+    """The data set of a proof; of the cells left open, those of the last level."""
+    last = len(found) - 1
+    kept = [(one, (one.fates != OPEN) | (i == last)) for i, one in enumerate(found)]
+    joined = lambda values: np.concatenate([value[which] for value, which in values])
+    fates = joined((one.fates, which) for one, which in kept)
+    levels = np.concatenate([np.full(which.sum(), one.level) for one, which in kept])
+    areas = {
+        fate: sum(np.sum(one.fates[which] == fate) * window.area(one.level) for one, which in kept)
+        for fate in (WALKS, OPEN)
+    }
+    variables = {
+        "proved": ("cell", fates),
+        "strides": ("cell", joined((one.strides, which) for one, which in kept)),
+        "level": ("cell", levels.astype(np.int8)),
+        "place": (("cell", "axis"), joined((one.cells, which) for one, which in kept)),
+        "lower": ("axis", window.low),
+        "upper": ("axis", window.high),
+        "count": ("axis", np.asarray(window.counts, np.int32)),
+        "shear": (("coordinate", "axis"), window.shear),
+        "trap_centre": ("coordinate", trap.centre),
+        "trap_factor": (("coordinate", "column"), trap.factor),
+        "trap_size": ((), trap.size),
+    }
+    attributes = {
+        "period": period,
+        "radius": radius,
+        "all_walk": int(np.all(fates == WALKS)),
+        "area_lower": float(areas[WALKS] * (1 - ROUNDING_OF_AREA)),
+        "area_upper": float((areas[WALKS] + areas[OPEN]) * (1 + ROUNDING_OF_AREA)),
+        "verified_strides": sum(int(one.strides.sum()) for one in found),
+        "section": list(walker.section),
+        "walker": type(walker).__name__,
+        **attributes_of(walker),
+    }
+    return xr.Dataset(variables, {"axis": ("axis", list(axes))}, attributes)
+
+
+def summarise_proof(data: xr.Dataset) -> dict[str, Any]:
+    """What is proved, in what JSON can hold."""
+    check_dataset(data, "proof")
+    proved = data["proved"].values
+    attributes = {
+        name: data.attrs[name]
+        for name in ("radius", "area_lower", "area_upper", "verified_strides")
+    }
+    return {
+        "all_walk": bool(data.attrs["all_walk"]),
+        **attributes,
+        "cells": {
+            "walk": int(np.sum(proved == WALKS)),
+            "fall": int(np.sum(proved == FALLS)),
+            "open": int(np.sum(proved == OPEN)),
+        },
+        "trap": {
+            "centre": data["trap_centre"].values.tolist(),
+            "factor": data["trap_factor"].values.tolist(),
+            "size": float(data["trap_size"]),
+        },
+    }
 
 
 def jacobian_of(walker, gait: Gait) -> Float[np.ndarray, "2 2"]:

@@ -23,7 +23,7 @@ from walker_jax.proofs.enclosures import (
 )
 from walker_jax.proofs.flows import ORDER
 from walker_jax.proofs.provable import parameters_of
-from walker_jax.proofs.strides import FALL, STRIDE, TOLERANCE, UNDECIDED, verify_stride
+from walker_jax.proofs.strides import STRIDE, TOLERANCE, UNDECIDED, verify_stride
 
 PLANE = Space(2, 2)
 """Polynomials of second degree of two coordinates: a box of size r is enclosed up to r^3."""
@@ -91,11 +91,11 @@ def carry(walker, boxes: Boxes, trap: Trap, *, widest: float = np.inf) -> Carrie
     """One stride of each box."""
     found = []
     for first in range(0, boxes.count, CHUNK):
-        some = boxes.at(slice(first, first + CHUNK))
-        missing = CHUNK - some.count if boxes.count > CHUNK // 8 else CHUNK // 8 - some.count
-        pad = lambda a: np.concatenate([a, np.repeat(a[-1:], missing, 0)])
-        result = carry_chunk(walker, jax.tree.map(pad, some), trap)
-        found.append(jax.tree.map(lambda a: np.asarray(a)[: some.count], result))
+        places = np.arange(first, min(first + CHUNK, boxes.count))
+        size = CHUNK if boxes.count > CHUNK // 8 else CHUNK // 8
+        padded = np.concatenate([places, np.repeat(places[-1:], size - len(places))])
+        result = carry_chunk(walker, boxes.at(padded), trap)
+        found.append([np.asarray(one)[: len(places)] for one in result])
     terms, radii, verdicts, widths = (np.concatenate(part) for part in zip(*found, strict=True))
     verdicts = np.where((verdicts == STRIDE) & ~(widths < widest), UNDECIDED, verdicts)
     return Carried(Boxes(terms, radii), verdicts, widths)
@@ -110,9 +110,7 @@ def carry_chunk(walker, boxes: Boxes, trap: Trap) -> tuple:
 def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], trap: Trap) -> tuple:
     """The terms and radii after a stride, the verdict, and half the longer side."""
     model = parameters_of(walker, PLANE)
-    x = tuple(
-        Enclosure([*terms[i], None, None, None], radii[i], PLANE) for i in range(2)
-    )
+    x = tuple(Enclosure([*terms[i], None, None, None], radii[i], PLANE) for i in range(2))
     found = verify_stride(model, x, order=ORDER, tolerance=TOLERANCE)
     inside = is_trapped(found.state, trap)
     new, new_radii, width = rectangle_of(found.state)
@@ -122,7 +120,10 @@ def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], tra
 
 def is_trapped(x: tuple, trap: Trap) -> Any:
     """Whether all of an enclosure lies in a trap."""
-    (a, b), L = (one - exactly(c, one.space) for one, c in zip(x, trap.centre)), trap.factor
+    (a, b), L = (
+        (one - exactly(c, one.space) for one, c in zip(x, trap.centre, strict=True)),
+        trap.factor,
+    )
     first = exactly(L[0, 0], a.space) * a + exactly(L[1, 0], a.space) * b
     second = exactly(L[1, 1], a.space) * b
     size = trap.size * (1 - 4 * ROUNDING)

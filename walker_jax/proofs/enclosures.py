@@ -212,7 +212,7 @@ def plus(p, q):
 
 
 def is_number_zero(value) -> bool:
-    return isinstance(value, float) and value == 0
+    return isinstance(value, float) and bool(value == 0)
 
 
 def is_zero(one: Enclosure) -> bool:

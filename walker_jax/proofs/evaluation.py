@@ -115,9 +115,7 @@ Evaluation.rules = {
     **dict.fromkeys(CALLS, call_rule),
     **CALLS_WITH_DERIVATIVES,
     **dict.fromkeys(("add", "add_any"), by(lambda a, b: a + b)),
-    **dict.fromkeys(
-        ("copy", "copy_p", "stop_gradient", "convert_element_type"), by(lambda a: a)
-    ),
+    **dict.fromkeys(("copy", "copy_p", "stop_gradient", "convert_element_type"), by(lambda a: a)),
     "broadcast_in_dim": broadcast_rule,
     "reshape": broadcast_rule,
     "squeeze": broadcast_rule,

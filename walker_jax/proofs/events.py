@@ -139,9 +139,13 @@ def guess_strike(walker, step: Step) -> tuple[list[Enclosure], Any, Any, Any]:
         return result
 
     ahead = map_enclosures(lambda one: exactly(one.middle, BALLS), walker)
-    admitted = lambda t: evaluate(
-        measure, ahead, map_enclosures(lambda one: exactly(one.middle, BALLS), at_middle(step, t))
-    ).admits
+    admitted = lambda t: (
+        evaluate(
+            measure,
+            ahead,
+            map_enclosures(lambda one: exactly(one.middle, BALLS), at_middle(step, t)),
+        ).admits
+    )
     admits = True
     for one in admitted(h):
         admits = admits & (one.middle > 0)

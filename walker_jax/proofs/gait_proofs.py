@@ -58,31 +58,34 @@ def prove_gait(walker: System, guess: Any = None, period: int = 1) -> ProvedGait
     walker, for float32, and as `find_gait` does.
     """
     walker = check_provable(walker)
+    known = parameters_of(walker, BALLS)
     states = np.asarray(find_gait(walker, guess, period).states, float)
     for radius in RADII:
-        cycle = enclose_cycle(parameters_of(walker, BALLS), states, radius)
+        cycle = enclose_cycle(known, states, radius)
         if cycle is not None and cycle.zero.proved and has_no_shorter_period(cycle):
-            return gait_of(cycle, radius)
+            within = radius - 2 * float(spreads(cycle).max())
+            if radius > RADII[0]:  # the gait is in a box that is smaller, where all is narrower
+                near = enclose_cycle(known, middles(cycle), float(spreads(cycle).max()))
+                cycle = cycle if near is None else near
+            return gait_of(cycle, within)
     raise ComputationFailed(
         f"no gait of period {period} is proved near {states.tolist()}, {describe_in_words(walker)}"
     )
 
 
-def gait_of(cycle: Cycle, radius: float) -> ProvedGait:
+def gait_of(cycle: Cycle, within: float) -> ProvedGait:
     returns = jacobian_of_return(cycle.jacobians)
     multipliers, width = multipliers_of(returns)
-    middle = np.array([float(one.middle) for one in cycle.zero.within])
-    spread = np.array([float(one.spread) for one in cycle.zero.within])
-    # from the middles: the box of uniqueness is about the states that were found
-    within = radius - float(spread.max())
-    return ProvedGait(
-        middle.reshape(-1, 2),
-        spread.reshape(-1, 2),
-        within,
-        multipliers,
-        width,
-        is_contraction(returns),
-    )
+    stable = is_contraction(returns)
+    return ProvedGait(middles(cycle), spreads(cycle), within, multipliers, width, stable)
+
+
+def middles(cycle: Cycle) -> Float[np.ndarray, "period section"]:
+    return np.array([float(one.middle) for one in cycle.zero.within]).reshape(-1, 2)
+
+
+def spreads(cycle: Cycle) -> Float[np.ndarray, "period section"]:
+    return np.array([float(one.spread) for one in cycle.zero.within]).reshape(-1, 2)
 
 
 def multipliers_of(returns: Matrix) -> tuple[Complex[np.ndarray, " section"], float]:

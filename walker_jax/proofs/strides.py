@@ -141,8 +141,8 @@ def verify_stride(
         last = start
         with np.errstate(all="ignore"):
             while np.any(last.verdict == GOING):
-                going, new = last.verdict == GOING, advance(last)
-                last = jax.tree.map(lambda a, b: choose(going, a, b), new, last)
+                step = partial(choose, last.verdict == GOING)
+                last = jax.tree.map(step, advance(last), last)
     state, tangents = last.landing
     return VerifiedStride(last.verdict, state, tangents, last.steps)
 

@@ -22,7 +22,7 @@ from walker_jax.proofs.boxes import (
 )
 from walker_jax.proofs.enclosures import exactly
 
-WALKS, FALLS, OPEN = 1, 2, 0
+WALKS, FALLS, OPEN = 1, -1, 0
 """Fates of cells, by proof; `OPEN`: neither is proved."""
 WIDEST = 0.02
 """Half the side of a box from which on it is split rather than carried."""

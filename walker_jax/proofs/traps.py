@@ -7,7 +7,7 @@ come back into the ellipse. None of what is proved rests on how L and the size w
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from walker_jax.proofs.boxes import STRIDE, TRAPPED, Boxes, Trap, boxes_of, carry, sides
 from walker_jax.proofs.enclosures import exactly
@@ -45,8 +45,10 @@ def cover(trap: Trap) -> Boxes:
     p, q = sides(z.T, [np.full(len(z), half * (1 + SLACK))] * 2)
     number = lambda value: exactly(np.float64(value), p.space)
     return boxes_of(
-        *(number(c) + number(row[0]) * p + number(row[1]) * q
-          for c, row in zip(trap.centre, inverse, strict=True))
+        *(
+            number(c) + number(row[0]) * p + number(row[1]) * q
+            for c, row in zip(trap.centre, inverse, strict=True)
+        )
     )
 
 

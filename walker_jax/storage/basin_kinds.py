@@ -52,6 +52,33 @@ BASINS = {
             "target_area": "of the target",
         },
     ),
+    "proof": Kind(
+        "Starts that walk for ever, by proof, and that fall (`prove_basin`).",
+        {
+            "proved": V("cell", "integer", "", "1: all of it walks for ever, -1: falls, 0: open"),
+            "strides": V("cell", "integer", "", "before the trap or the fall"),
+            "level": V("cell", "integer", "", "how often the first cells were halved"),
+            "place": V("cell axis", "integer", "", "the cell's number along each axis"),
+            "axis": V("axis", "text", "", "names of the axes"),
+            "lower": V("axis", "real", "", "their lower ends"),
+            "upper": V("axis", "real", "", "their upper ends"),
+            "count": V("axis", "integer", "", "cells of level 0"),
+            "shear": V("coordinate axis", "real", "", "a state is shear · place"),
+            "trap_centre": V("coordinate", "real", STATE, "c of the trap |Lᵀ(x - c)| ≤ size"),
+            "trap_factor": V("coordinate column", "real", "", "its L"),
+            "trap_size": V("", "real", "", "its size"),
+        },
+        WALKER
+        | SECTION
+        | {
+            "period": "strides from the trap into itself",
+            "radius": "of the disc about the gait that the cells cover; 0 for a window",
+            "all_walk": "whether nothing in the cells is open or falls: a theorem if it is",
+            "area_lower": f"of the cells that walk; {AREA}",
+            "area_upper": "of those, and of the cells left open",
+            "verified_strides": "made for the cells",
+        },
+    ),
     "refined basin": Kind(
         "A basin over the finest grid of a refinement (`refine`).",
         {
