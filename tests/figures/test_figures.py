@@ -265,6 +265,26 @@ VIABLE = completed(
     ),
     "viability",
 )
+PROVED = completed(
+    xr.Dataset(
+        {
+            "proved": ("cell", [1, 0, -1, 1]),
+            "level": ("cell", [0, 1, 1, 0]),
+            "place": (("cell", "axis"), [[0, 0], [2, 0], [3, 0], [0, 1]]),
+            "axis": ("axis", np.array(["theta", "sum"], object)),
+            "lower": ("axis", [0.0, -0.04]),
+            "upper": ("axis", [0.4, 0.01]),
+            "count": ("axis", [2, 2]),
+            "shear": (("coordinate", "axis"), [[1.0, 0.0], [-1.0, 1.0]]),
+            "trap_centre": ("coordinate", [0.15, -0.16]),
+            "trap_factor": (("coordinate", "column"), [[2.0, 0.0], [1.0, 0.5]]),
+            "trap_size": ((), 0.002),
+        },
+        attrs={"walker": "SimplestWalker", "walker_slope": 0.004, "all_walk": 0, "radius": 0.0}
+        | {"area_lower": 0.001, "area_upper": 0.002},
+    ),
+    "proof",
+)
 GAITS = [gait(1, 0.63, 0.1, stable=True), gait(2, -4, 0.3), gait(1, 30, 5.0)]
 GIVEN_AXES: dict[str, Any] = {
     "basin": [every_fate()],
@@ -277,6 +297,7 @@ GIVEN_AXES: dict[str, Any] = {
     "stability_and_area": [diagram(), AREAS],
     "metastability": [metastable()],
     "multipliers": [GAITS],
+    "proof": [PROVED],
     "optimisation": [optimum()],
     "disturbance": [robust()],
     "robustness_measures": [table()],

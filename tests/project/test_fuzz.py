@@ -60,6 +60,7 @@ GOOD = {
     "optimise": ["--over", "slope", "--bound", "slope=0.001:0.02", "--scan", "3"],
     "robustness": ["--theta", *AXES[0], "--sum", *AXES[1]],
     "sweep": ["--over", "slope=0.003:0.004:2"],
+    "prove": ["--radius", "0.001", "--levels", "3"],
     "viable": ["--action", "slope=0.003:0.004:2", "--theta", *AXES[0], "--sum", *AXES[1]],
     "export": ["held.zarr", "b.nc"],
 }
@@ -404,6 +405,9 @@ def calls() -> dict[str, dict]:
         "compare_methods": on_grid,
         "viable": {"walker": walker, "grid": grid, "actions": {"slope": [0.003, 0.005]}}
         | {"target": None, "bounds": True, "tolerance": None},
+        "prove_basin": {"walker": walker, "region": 1e-3, "levels": 1, "strides": 5},
+        "prove_doubling": {"walker": walker, "low": 0.004, "high": 0.005, "period": 1},
+        "prove_gait": {"walker": walker, "guess": X, "period": 1},
         "refine": refined,
         "slice_basin": {"data": volume, "axis": "phidot", "value": 0.1},
         "area_gradient": {**refined, "parameters": ("slope",), "bands": None},

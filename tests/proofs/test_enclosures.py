@@ -44,7 +44,7 @@ def exact_misses(operation, a: np.ndarray, b: np.ndarray, found: Enclosure) -> i
     return misses
 
 
-def check_operation(name: str, count: int, seed: int, calculate=lambda f, *x: f(*x)) -> int:
+def check_operation(name: str, count: int, seed: int, calculate=None) -> int:
     """The misses of an operation on exact numbers, random ones and corners."""
     rng = np.random.default_rng(seed)
     a, b = random_numbers(rng, count), random_numbers(rng, count)
@@ -55,7 +55,8 @@ def check_operation(name: str, count: int, seed: int, calculate=lambda f, *x: f(
         pairs = pairs[:, pairs[1] != 0]
     operation = OPERATIONS[name]
     with np.errstate(all="ignore"):
-        found = calculate(lambda x, y: operation(ball(x, 0.0), ball(y, 0.0)), *pairs)
+        enclose = lambda x, y: operation(ball(x, 0.0), ball(y, 0.0))
+        found = calculate(enclose, *pairs) if calculate else enclose(*pairs)
     return exact_misses(operation, *pairs, found)
 
 

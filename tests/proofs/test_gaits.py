@@ -107,3 +107,13 @@ def test_wrong_use_of_doublings_is_refused():
         wj.prove_doubling(walker, 0.01, 0.02, width=0.0)
     with pytest.raises(ComputationFailed, match="no gait of period 1 doubles it"):
         wj.prove_doubling(walker, 0.004, 0.005)
+
+
+def test_a_proof_that_fails_says_so(monkeypatch):
+    """Where a stride near the cycle is not proved."""
+    for module in ("gait_proofs", "doubling_proofs"):
+        monkeypatch.setattr(f"walker_jax.proofs.{module}.enclose_cycle", lambda *_: None)
+    with pytest.raises(ComputationFailed, match="no gait of period 1 is proved near"):
+        wj.prove_gait(wj.SimplestWalker(0.004))
+    with pytest.raises(ComputationFailed, match="no period doubling is proved"):
+        wj.prove_doubling(wj.SimplestWalker(0.004), 0.0145, 0.0155)

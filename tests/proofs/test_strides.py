@@ -22,15 +22,15 @@ WALKERS = {
 def verified(walker, centres, radius, space=PLANE, tangents=(), **options):
     sides = [[radius if i == j else None for j in range(2)] for i in range(2)]
     rest = [None] * (len(monomials(space)) - 3)
-    x = tuple(Enclosure([centres[:, i], *sides[i], *rest], 0.0, space) for i in range(2))
+    box = lambda i: Enclosure([centres[:, i], *sides[i], *rest], 0.0, space)
     known = parameters_of(check_provable(walker), space)
-    return verify_stride(known, x, tangents, **options)
+    return verify_stride(known, (box(0), box(1)), tangents, **options)
 
 
 def value(one: Enclosure, u: np.ndarray) -> np.ndarray:
     powers = [np.prod(u ** np.array(p), axis=1) for p in monomials(one.space)]
     with np.errstate(all="ignore"):  # of boxes that were given up
-        return sum(t * p for t, p in zip(one.terms, powers, strict=True))
+        return np.sum([t * p for t, p in zip(one.terms, powers, strict=True)], axis=0)
 
 
 def errors(walker, centres, radius, seed, **options):
@@ -63,7 +63,7 @@ def test_random_strides_lie_in_their_enclosures(name):
     assert off.max() <= 1 and off.max() > 0.05  # and the enclosures are close
 
 
-def test_starts_all_over_the_section_have_the_fates_that_are_proved():
+def test_starts_of_the_window_have_the_proved_fates():
     rng = np.random.default_rng(3)
     theta, sums = rng.uniform(0.02, 0.4, 1500), rng.uniform(-0.03, 0.01, 1500)
     centres = np.stack([theta, sums - theta], 1)
@@ -83,7 +83,7 @@ def test_a_million_random_strides_lie_in_their_enclosures():
 
 
 def test_a_remainder_of_the_series_left_out_is_seen(monkeypatch):
-    """With long steps of a low order the remainder is what matters: without it, starts are missed."""
+    """With long steps of a low order the remainder is what matters: without it starts are lost."""
     centres = GAIT + np.random.default_rng(6).normal(size=(200, 2)) * 1e-4
     coarse = {"order": 6, "tolerance": 1e-5}
     walker = wj.SimplestWalker(0.004)

@@ -42,11 +42,11 @@ def prove(
     exclude(radius=disc.radius, theta=window.theta)
     exclude(radius=disc.radius, sum=window.sum)
     exclude(radius=disc.radius, axis=window.axis or None)
-    axes = None if disc.radius is not None else window.axes(walker)
+    axes = window.axes(walker) if disc.radius is None else {}
     request = request_for("prove", walker, radius=disc.radius, axes=axes, levels=disc.levels)
 
     def compute():
-        region = disc.radius if axes is None else grid_along(axes)
+        region = grid_along(axes) if disc.radius is None else disc.radius
         return wj.prove_basin(walker, region, levels=disc.levels)
 
     data = output.produce(request, compute, "proof")

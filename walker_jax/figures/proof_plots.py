@@ -51,7 +51,7 @@ def proof(
         some = data["proved"].values == fate
         if some.any():
             corners = corner[some, None] + square * width[some, None]
-            ax.add_collection(PolyCollection(corners, facecolors=colour, linewidths=0))
+            ax.add_collection(PolyCollection([*corners], facecolors=colour, linewidths=0))
             patches.append(Patch(color=colour, label=words))
     edge = trap_edge(data)
     (line,) = ax.plot(*edge.T, color="white", lw=1.6)

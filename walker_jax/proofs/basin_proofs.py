@@ -137,7 +137,7 @@ def dataset_of(
         "walker": type(walker).__name__,
         **attributes_of(walker),
     }
-    return xr.Dataset(variables, {"axis": ("axis", list(axes))}, attributes)
+    return xr.Dataset(variables, {"axis": ("axis", np.array(axes, object))}, attributes)
 
 
 def summarise_proof(data: xr.Dataset) -> dict[str, Any]:

@@ -110,8 +110,8 @@ def carry_chunk(walker, boxes: Boxes, trap: Trap) -> tuple:
 def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], trap: Trap) -> tuple:
     """The terms and radii after a stride, the verdict, and half the longer side."""
     model = parameters_of(walker, PLANE)
-    x = tuple(Enclosure([*terms[i], None, None, None], radii[i], PLANE) for i in range(2))
-    found = verify_stride(model, x, order=ORDER, tolerance=TOLERANCE)
+    box = lambda i: Enclosure([*terms[i], None, None, None], radii[i], PLANE)
+    found = verify_stride(model, (box(0), box(1)), order=ORDER, tolerance=TOLERANCE)
     inside = is_trapped(found.state, trap)
     new, new_radii, width = rectangle_of(found.state)
     verdict = choose((found.verdict == STRIDE) & inside, TRAPPED, found.verdict)

@@ -107,8 +107,8 @@ def sign_at(walker, parameter: str, states: np.ndarray, value: float) -> int:
     near = enclose_cycle(known, middle, spread)
     if near is None:
         return 0
-    value = determinant(plus_identity(jacobian_of_return(near.jacobians)))
-    return int(value.lower > 0) - int(value.upper < 0)
+    found = determinant(plus_identity(jacobian_of_return(near.jacobians)))
+    return int(found.lower > 0) - int(found.upper < 0)
 
 
 def find_doubling(

@@ -79,8 +79,9 @@ def sine_and_cosine(x: Enclosure) -> tuple[Enclosure, Enclosure]:
     is at most 1, so the term with it bounds what is left out.
     """
     space, degree = x.space, max(x.space.degree, 1)
-    number = choose(True, x.middle, 0.0) if isinstance(x.middle, float) else x.middle
-    sine, cosine = sine_and_cosine_of_number(np.float64(number) if np.isscalar(number) else number)
+    number = x.middle
+    known = np.float64(number) if isinstance(number, float) else number
+    sine, cosine = sine_and_cosine_of_number(known)
     e = Enclosure([None, *x.terms[1:]], x.radius, space)
     even, odd = exactly(1.0, space), exactly(0.0, space)
     power = e

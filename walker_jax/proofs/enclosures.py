@@ -235,8 +235,7 @@ def as_enclosure(value, space: Space) -> Enclosure:
         return exactly(value, space)
     if value.space == space:
         return value
-    if value.space != BALLS:
-        raise ValueError(f"an enclosure of {value.space} is none of {space}")
+    assert value.space == BALLS, "enclosures of two spaces have no operation"
     return Enclosure(exactly(value.terms[0], space).terms, value.radius, space)
 
 

@@ -4,7 +4,7 @@ The states x_1 ... x_n of a cycle are a zero of F_i = S(x_i) - x_{i+1}, with the
 So no enclosure is carried for more than one stride.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +28,6 @@ from walker_jax.proofs.matrices import (
     product,
 )
 from walker_jax.proofs.strides import STRIDE, VerifiedStride, verify_stride
-from walker_jax.walkers.model import State
 
 LINES = Space(2, 1)
 """Polynomials of first degree: the boxes are so small that no more is needed."""
@@ -61,14 +60,14 @@ def strides_about(walker, centres: Float[np.ndarray, "period 2"]) -> VerifiedStr
     """The verified strides of points."""
     return verify_stride(
         walker,
-        tuple(exactly(centres[:, i], ERRORS) for i in range(2)),
+        (exactly(centres[:, 0], ERRORS), exactly(centres[:, 1], ERRORS)),
         order=POINTS.order,
         tolerance=POINTS.tolerance,
         align=aligned,
     )
 
 
-def aligned(state: State) -> State:
+def aligned(state: Any) -> Any:
     """A state whose radii have become new variables, along axes in which it is narrow.
 
     Errors then move as the motion does, and do not grow as intervals would (Lohner 1987). For
@@ -88,11 +87,9 @@ def aligned(state: State) -> State:
     whole = np.abs(known).sum(-1) + radii
     new = axes * sizes[:, None, :]
     rest = np.einsum("nij,nj->ni", off, whole) + ROUNDING * np.abs(new).sum(-1)
-    return State(
-        *(
-            Enclosure([one.middle, *new[:, i].T], outward(rest[:, i]), ERRORS)
-            for i, one in enumerate(state)
-        )
+    return type(state)._make(
+        Enclosure([one.middle, *new[:, i].T], outward(rest[:, i]), ERRORS)
+        for i, one in enumerate(state)
     )
 
 

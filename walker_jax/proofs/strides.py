@@ -120,7 +120,7 @@ def verify_stride(
     - `order`, `tolerance`: of the series, and of the terms that are left out, not proved.
     - `align`: from a state at the start of a step, without tangents, to one that encloses it.
     """
-    x = tuple(map(dense, x))
+    x = dense(x[0]), dense(x[1])
     flow = map_enclosures(dense_like(x[0]), evaluate(begin, walker, x, tangents))
     number = x[0].middle
     yes = number == number
@@ -130,9 +130,9 @@ def verify_stride(
         flow,
         0.0 * number + 1.0,
         Watch(yes, ~yes, yes),
-        choose(is_feasible(x), GOING, UNDECIDED).astype("int32"),
+        whole(choose(is_feasible(x), GOING, UNDECIDED)),
         map_enclosures(dense_like(x[0]), landing[1:]),
-        (0 * number).astype("int32"),
+        whole(0 * number),
     )
     advance = partial(advance_stride, walker, parameters, (order, tolerance, align))
     if library(number) is jnp:
@@ -145,6 +145,10 @@ def verify_stride(
                 last = jax.tree.map(step, advance(last), last)
     state, tangents = last.landing
     return VerifiedStride(last.verdict, state, tangents, last.steps)
+
+
+def whole(value):
+    return library(value).asarray(value, "int32")
 
 
 def dense_like(model: Enclosure):
@@ -178,7 +182,7 @@ def advance_stride(walker, parameters, method: tuple, now: Going) -> Going:
     late = now.steps + 1 >= MOST_STEPS
     verdict = choose(late & (verdict == GOING), UNDECIDED, verdict)
     short = choose(late | (now.factor < LEAST_FACTOR), UNDECIDED, GOING)
-    verdict = choose(step.held, verdict, short).astype("int32")
+    verdict = whole(choose(step.held, verdict, short))
     fill = dense_like(now.flow.state[0])
     keep = lambda new, old: jax.tree.map(
         lambda a, b: choose(step.held, a, b), map_enclosures(fill, new), old

@@ -10,17 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from walker_jax.proofs.boxes import (
-    FALL,
-    STRIDE,
-    TRAPPED,
-    Boxes,
-    Trap,
-    boxes_of,
-    carry,
-    sides,
-)
+from walker_jax.proofs.boxes import TRAPPED, Boxes, Trap, boxes_of, carry, sides
 from walker_jax.proofs.enclosures import exactly
+from walker_jax.proofs.strides import FALL, STRIDE
 
 WALKS, FALLS, OPEN = 1, -1, 0
 """Fates of cells, by proof; `OPEN`: neither is proved."""

@@ -9,8 +9,10 @@ come back into the ellipse. None of what is proved rests on how L and the size w
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.proofs.boxes import STRIDE, TRAPPED, Boxes, Trap, boxes_of, carry, sides
+from walker_jax.checks import ComputationFailed
+from walker_jax.proofs.boxes import TRAPPED, Boxes, Trap, boxes_of, carry, sides
 from walker_jax.proofs.enclosures import exactly
+from walker_jax.proofs.strides import STRIDE
 
 SQUARES = 24
 """Along a diameter of the ellipse."""
@@ -20,9 +22,11 @@ SHRINKING = 0.8
 LARGEST_TRAP = 1.0
 
 
-def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2"]:
-    """L of the norm in which a contraction contracts at once, scaled to det L = 1."""
+def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2"] | None:
+    """L of the norm in which a contraction contracts at once, scaled to det L = 1; or None."""
     radius = max(abs(np.linalg.eigvals(jacobian)))
+    if not radius < 1:
+        return None
     scaled = jacobian / ((1 + radius) / 2)
     form, power = np.eye(2), np.eye(2)
     for _ in range(2000):
@@ -33,9 +37,10 @@ def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2
 
 
 def cover(trap: Trap) -> Boxes:
-    """Parallelograms that cover a trap."""
+    """Parallelograms that cover a trap; none where float64 does not hold the inverse of L."""
     inverse = np.linalg.inv(trap.factor.T)
-    check_inverse(trap.factor, inverse)
+    if not is_inverse(trap.factor, inverse):
+        return Boxes(np.zeros((0, 2, 3)), np.zeros((0, 2)))
     reach = trap.size * (1 + SLACK)
     half = reach / SQUARES
     ticks = -reach + half * (2 * np.arange(SQUARES) + 1)
@@ -52,17 +57,18 @@ def cover(trap: Trap) -> Boxes:
     )
 
 
-def check_inverse(factor: np.ndarray, inverse: np.ndarray) -> None:
-    """L^T times its computed inverse must be the unit matrix, far below `SLACK`."""
+def is_inverse(factor: np.ndarray, inverse: np.ndarray) -> bool:
+    """Whether L^T times its computed inverse is the unit matrix, far below `SLACK`."""
     off = np.abs(factor.T @ inverse - np.eye(2)).max()
     sizes = (np.abs(factor.T) @ np.abs(inverse)).max()
-    if not off + 8 * 2.0**-53 * sizes < SLACK / 16:
-        raise FloatingPointError("the adapted norm is too far from round for float64")
+    return bool(off + 8 * 2.0**-53 * sizes < SLACK / 16)
 
 
 def is_trap(walker, trap: Trap, period: int) -> bool:
     """Whether `period` strides certainly lead all of an ellipse into itself."""
     boxes = cover(trap)
+    if not boxes.count:
+        return False
     for stride in range(period):
         last = stride == period - 1
         found = carry(walker, boxes, trap if last else Trap.nowhere())
@@ -75,12 +81,14 @@ def is_trap(walker, trap: Trap, period: int) -> bool:
 def find_trap(walker, centre: np.ndarray, jacobian: np.ndarray, period: int, least: float) -> Trap:
     """The largest trap about a stable gait among ellipses of one shape.
 
-    Raises `ArithmeticError` if none larger than `least` is proved.
+    Raises `ComputationFailed` if none larger than `least` is proved.
     """
     factor, size = adapted_factor(jacobian), LARGEST_TRAP
-    while size > least:
+    while factor is not None and size > least:
         trap = Trap(np.asarray(centre, float), factor, size)
         if is_trap(walker, trap, period):
             return trap
         size *= SHRINKING
-    raise ArithmeticError(f"no trap larger than {least:.3g} about the gait is proved")
+    raise ComputationFailed(
+        "no trap about the gait is proved: it must be stable, by more than float64 rounds"
+    )
