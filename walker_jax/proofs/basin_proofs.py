@@ -141,7 +141,7 @@ def dataset_of(
 
 
 def summarise_proof(data: xr.Dataset) -> dict[str, Any]:
-    """What is proved, in what JSON can hold."""
+    """The theorem, and counts and areas, in what JSON can hold."""
     check_dataset(data, "proof")
     proved = data["proved"].values
     attributes = {

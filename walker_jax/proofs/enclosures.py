@@ -184,7 +184,7 @@ class Enclosure:
         return as_enclosure(other, self.space) * reciprocal(self)
 
     def widened(self, radius) -> "Enclosure":
-        """What is within a radius of its values."""
+        """The same, with a larger radius."""
         return Enclosure(self.terms, outward(self.radius + radius), self.space, self._size)
 
     def range(self) -> "Enclosure":

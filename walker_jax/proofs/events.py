@@ -1,4 +1,4 @@
-"""What happens on the way: guards proved not to rise, the heel strike enclosed in time.
+"""Events on the way: guards proved not to rise, the heel strike enclosed in time.
 
 A mode's last guard is the strike. Over a piece of a step the strike is out of the question where
 its value keeps its sign or falls, or where one of the functions that admit it is negative; where
@@ -26,7 +26,7 @@ from walker_jax.proofs.evaluation import evaluate
 from walker_jax.proofs.flows import Flow, Step, flow_at, map_enclosures, polynomial
 
 PIECES = 4
-"""Of a step, over each of which guards are looked at."""
+"""Parts of a step, over each of which guards are looked at."""
 TIME = Space(1, 2)
 """Polynomials of the time in a piece, so that functions of several numbers that move together are
 enclosed well; the starts of a box only widen them."""
@@ -40,7 +40,7 @@ class Measures(NamedTuple):
     """The values of all guards but the last."""
     strike: Any
     rate: Any
-    """Of the strike's value."""
+    """The time derivative of the strike's value."""
     admits: list
     conditions: list
 
@@ -60,7 +60,7 @@ def measure(walker, state) -> Measures:
 
 
 class Watch(NamedTuple):
-    """What is proved of the way so far."""
+    """The way so far, by proof."""
 
     no_rise: Any
     """No strike."""

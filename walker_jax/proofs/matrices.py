@@ -96,7 +96,7 @@ def krawczyk(centre: np.ndarray, radius: float, values: Matrix, jacobian: Matrix
 
 
 def square_root(x: Enclosure) -> Enclosure:
-    """The root of an interval above zero: a root of IEEE arithmetic is off by 2^-53 of itself at most."""
+    """The root of an interval above zero. IEEE arithmetic is off by 2^-53 of a root at most."""
     low, high = np.sqrt(x.lower), np.sqrt(x.upper)
     return between(low * (1 - ROUNDING), high * (1 + ROUNDING))
 

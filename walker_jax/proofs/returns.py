@@ -36,7 +36,7 @@ ERRORS = Space(4, 1)
 
 
 class Accuracy(NamedTuple):
-    """Of series: where a remainder is taken, and the size of the terms there."""
+    """The order of remainders, and the size of the terms there."""
 
     order: int
     tolerance: float
@@ -53,7 +53,7 @@ class Cycle(NamedTuple):
 
     zero: Zero
     jacobians: list[Matrix]
-    """Of the stride function, over the box of each state."""
+    """Jacobians of the stride function, over the box of each state."""
 
 
 def strides_about(walker, centres: Float[np.ndarray, "period 2"]) -> VerifiedStride:

@@ -31,11 +31,11 @@ class Window(NamedTuple):
     shear: Float[np.ndarray, "2 2"]
 
     def widths(self, level: int) -> Float[np.ndarray, " 2"]:
-        """Of cells that were split `level` times."""
+        """Sides of cells that were split `level` times."""
         return (self.high - self.low) / (np.asarray(self.counts) * 2**level)
 
     def area(self, level: int) -> float:
-        """Of one cell."""
+        """The area of one cell."""
         return float(np.prod(self.widths(level)) * abs(np.linalg.det(self.shear)))
 
     def centres(self, level: int, cells: Int[np.ndarray, "cells 2"]) -> np.ndarray:
