@@ -2,11 +2,11 @@
 
     python benchmarks/proofs.py --boxes 1000
 
-Verified strides are those of `prove_basin`: boxes of half a side `r` about the gait at slope 0.004, as
-polynomials of second degree, without derivatives. `overestimation` is the radius of an enclosure over
-the largest error of its polynomial at random points. The checker (tests/helpers) replays one random
-start in each of the boxes, in interval arithmetic of 20 digits, from the proof of 99 % of the least
-disturbance.
+Verified strides are those of `prove_basin`: boxes of half a side `r` about the gait at slope 0.004,
+as polynomials of second degree, without derivatives. `overestimation` is the radius of an enclosure
+over the largest error of its polynomial at random points. The checker (tests/helpers) replays one
+random start in each of the boxes, in interval arithmetic of 20 digits, from the proof of 99 % of
+the least disturbance.
 """
 
 import argparse
@@ -53,9 +53,8 @@ def print_cost(repeats: int) -> None:
     boxes = Boxes(terms, np.zeros((16384, 2)))
     verified = seconds(lambda: carry(walker, boxes, Trap.nowhere()), repeats)
     plain = seconds(lambda: jax.block_until_ready(wj.strides(WALKER, centres)), repeats)
-    print(
-        f"verified {16384 / verified:,.0f}/s, plain {16384 / plain:,.0f}/s, {verified / plain:.0f} times"
-    )
+    rates = f"verified {16384 / verified:,.0f}/s, plain {16384 / plain:,.0f}/s"
+    print(f"{rates}, {verified / plain:.0f} times")
 
 
 def print_overestimation() -> None:
@@ -77,10 +76,8 @@ def print_overestimation() -> None:
             value = np.sum([t * p for t, p in zip(found.state[0].terms, powers, strict=True)], 0)
             off = np.maximum(off, np.abs(value - plain[:, 0]))
         one = found.state[0]
-        print(
-            f"r {radius:g}: radius {np.median(one.radius):.1e} of a spread of {np.median(one.spread):.1e}, "
-            f"overestimation {np.median(one.radius / off):.1f}"
-        )
+        sizes = f"radius {np.median(one.radius):.1e} of a spread of {np.median(one.spread):.1e}"
+        print(f"r {radius:g}: {sizes}, overestimation {np.median(one.radius / off):.1f}")
 
 
 def print_theorems(boxes: int) -> None:
@@ -89,10 +86,9 @@ def print_theorems(boxes: int) -> None:
             start = time.perf_counter()
             data = wj.prove_basin(wj.SimplestWalker(slope), part * least, levels=20)
             took = time.perf_counter() - start
-            print(
-                f"slope {slope}: {part:.2%} of {least}: proved {bool(data.attrs['all_walk'])}, "
-                f"{data.sizes['cell']} cells, {data.attrs['verified_strides']} strides, {took:.0f} s"
-            )
+            proved, strides = bool(data.attrs["all_walk"]), data.attrs["verified_strides"]
+            print(f"slope {slope}: {part:.2%} of {least}: proved {proved}, {took:.0f} s, ", end="")
+            print(f"{data.sizes['cell']} cells, {strides} strides", flush=True)
             if slope == 0.004 and part == 0.99:
                 print_checks(data, boxes)
 
