@@ -56,8 +56,8 @@ def check_operation(name: str, count: int, seed: int, calculate=None) -> int:
     operation = OPERATIONS[name]
     with np.errstate(all="ignore"):
         enclose = lambda x, y: operation(ball(x, 0.0), ball(y, 0.0))
-        found = calculate(enclose, *pairs) if calculate else enclose(*pairs)
-    return exact_misses(operation, *pairs, found)
+        found = calculate(enclose, pairs[0], pairs[1]) if calculate else enclose(pairs[0], pairs[1])
+    return exact_misses(operation, pairs[0], pairs[1], found)
 
 
 @pytest.mark.parametrize("name", OPERATIONS)

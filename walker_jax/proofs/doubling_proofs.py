@@ -23,7 +23,9 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 BOX = 1e-8
 """Half the sides of the box of the gait."""
-SECANTS = 12
+SECANTS = 60
+LEAST_DETERMINANT = 1e-10
+"""Below it det(M + I) is rounding."""
 
 
 class ProvedDoubling(NamedTuple):
@@ -134,6 +136,6 @@ def find_doubling(
             low, left, right = value, last, right / 2
         else:
             high, right, left = value, last, left / 2
-        if abs(last) < 1e-12:
+        if abs(last) < LEAST_DETERMINANT:
             break
     return value, states
