@@ -390,6 +390,23 @@ def test_a_place_that_is_taken_is_refused_before_a_search(run, tmp_path, monkeyp
     assert code == 2 and "low must be below high" in err
 
 
+def test_prove_states_the_theorem(run):
+    code, out, _ = run("prove", "--radius", "0.001", "--json")
+    answer = json.loads(out)
+    assert code == 0 and answer["all_walk"] and answer["cells"]["open"] == 0
+    code, out, _ = run("prove", "--radius", "0.001")
+    assert code == 0 and "theorem: every start within 0.001 of the gait walks for ever" in out
+    assert Path("proof.zarr").is_dir() and Path("proof.png").is_file()
+    window = ("--theta", "0.1", "0.2", "8", "--sum", "-0.01", "0.004", "8", "--levels", "1")
+    code, out, _ = run("prove", *window, "--out", "window.zarr")
+    assert code == 0 and "starts that walk for ever have an area between" in out
+
+
+def test_prove_takes_a_radius_or_a_window(run):
+    code, _, err = run("prove", "--radius", "0.001", "--theta", "0", "0.4", "9")
+    assert code == 2 and "exclude each other" in err
+
+
 def test_viable_tells_the_kernel_and_what_is_caught(run):
     window = ("--theta", "0.05", "0.45", "20", "--sum", "-0.05", "0.01", "24")
     command = ("viable", "--walker", "powered", "--action", "push-off=0:0.08:5", *window)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from walker_jax.checks import WrongUse, check_number, check_whole, short
+from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers, short
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.search import find_gait
@@ -31,6 +31,7 @@ REACH = 1e-8
 """A disc is taken larger by this part, for the rounding of distances and of the gait's state."""
 
 
+@refuses_tracers()
 def prove_basin(
     walker: System,
     region: Grid | float,

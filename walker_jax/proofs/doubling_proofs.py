@@ -12,7 +12,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.checks import ComputationFailed, WrongUse, check_number, check_whole, short
+from walker_jax.checks import (
+    ComputationFailed,
+    WrongUse,
+    check_number,
+    check_whole,
+    refuses_tracers,
+    short,
+)
 from walker_jax.gaits.search import find_gait
 from walker_jax.proofs.enclosures import BALLS, Enclosure, between, is_enclosure
 from walker_jax.proofs.matrices import determinant
@@ -40,6 +47,7 @@ class ProvedDoubling(NamedTuple):
     """How far from these it may be, by coordinate; there is no other gait of the period there."""
 
 
+@refuses_tracers()
 def prove_doubling(
     walker: System,
     low: float,

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from walker_jax.checks import ComputationFailed
+from walker_jax.checks import ComputationFailed, refuses_tracers
 from walker_jax.gaits.search import find_gait
 from walker_jax.proofs.enclosures import BALLS
 from walker_jax.proofs.matrices import Matrix, eigenvalues, is_contraction
@@ -37,6 +37,7 @@ class ProvedGait(NamedTuple):
     """Whether all multipliers are inside the unit circle; None where that is open."""
 
 
+@refuses_tracers()
 def prove_gait(walker: System, guess: Any = None, period: int = 1) -> ProvedGait:
     """Proves that a walker has a gait, where it is, and whether it is stable.
 

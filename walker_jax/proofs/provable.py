@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from walker_jax.checks import WrongUse, check_precision, is_traced, short
+from walker_jax.checks import WrongUse, check_precision, short
 from walker_jax.proofs.enclosures import Space, rounded_once
 from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
@@ -22,7 +22,7 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
         getattr(type(walker), hook) is getattr(AbstractMasslessFootWalker, hook)
         for hook in OWN_HOOKS
     )
-    if not known or is_traced(walker):
+    if not known:
         raise WrongUse(
             "walker must be a SimplestWalker, SpringWalker or PoweredWalker, or one derived from "
             f"these that changes its equations alone, not {short(walker)}",
