@@ -28,8 +28,9 @@ from walker_jax.proofs.returns import Cycle, enclose_cycle, jacobian_of_return, 
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
-BOX = 1e-8
-"""Half the sides of the box of the gait."""
+BOX = 200
+"""Half the sides of the box of the gait, per width of the interval: gaits move by several times as
+much as the slope, and have to stay well within it."""
 SECANTS = 60
 LEAST_DETERMINANT = 1e-10
 """Below it det(M + I) is rounding."""
@@ -55,7 +56,7 @@ def prove_doubling(
     *,
     parameter: str = "slope",
     period: int = 1,
-    width: float = 1e-10,
+    width: float = 2e-8,
 ) -> ProvedDoubling:
     """Proves that a gait doubles its period, and between which values of a parameter.
 
@@ -85,27 +86,29 @@ def prove_doubling(
     if not 1e-14 < width < high - low:
         raise WrongUse(f"width must be above 1e-14 and below high - low, not {short(width)}")
     at, states = find_doubling(walker, parameter, period, float(low), float(high))
-    ends = at - width / 2, at + width / 2
-    signs = [sign_at(walker, parameter, states, end) for end in ends]
-    whole = enclose_over(walker, parameter, states, between(*map(np.float64, ends)))
+    ends, box = (at - width / 2, at + width / 2), BOX * width
+    signs = [sign_at(walker, parameter, states, box, end) for end in ends]
+    whole = enclose_over(walker, parameter, states, box, between(*map(np.float64, ends)))
     if not (whole and whole.zero.proved and signs[0] * signs[1] < 0):
         raise ComputationFailed(
             f"no period doubling is proved between {parameter}={ends[0]!r} and {ends[1]!r}"
         )
-    return ProvedDoubling(parameter, *ends, states, BOX)
+    return ProvedDoubling(parameter, *ends, states, box)
 
 
-def enclose_over(walker, parameter: str, states: np.ndarray, value: Enclosure) -> Cycle | None:
+def enclose_over(
+    walker, parameter: str, states: np.ndarray, box: float, value: Enclosure
+) -> Cycle | None:
     """The cycle for all values of a parameter in an interval."""
     known = parameters_of(walker, BALLS)
     of_all = eqx.tree_at(lambda one: getattr(one, parameter), known, value, is_leaf=is_enclosure)
-    return enclose_cycle(of_all, states, BOX)
+    return enclose_cycle(of_all, states, box)
 
 
-def sign_at(walker, parameter: str, states: np.ndarray, value: float) -> int:
+def sign_at(walker, parameter: str, states: np.ndarray, box: float, value: float) -> int:
     """The proved sign of det(M + I) of the gait in the box about some states; 0 if it is open."""
     at = between(np.float64(value), np.float64(value))
-    cycle = enclose_over(walker, parameter, states, at)
+    cycle = enclose_over(walker, parameter, states, box, at)
     if cycle is None or not cycle.zero.proved:
         return 0
     middle = np.array([float(one.middle) for one in cycle.zero.within]).reshape(-1, 2)
