@@ -5,7 +5,7 @@
 Verified strides are those of `prove_basin`: boxes of half a side `r` about the gait at slope 0.004,
 as polynomials of second degree, without derivatives. `overestimation` is the radius of an enclosure
 over the largest error of its polynomial at random points. The checker (tests/helpers) replays one
-random start in each of the boxes, in interval arithmetic of 20 digits, from the proof of 99 % of
+random start in each of the boxes, in interval arithmetic of 40 digits, from the proof of 99 % of
 the least disturbance.
 """
 

