@@ -1,3 +1,5 @@
+# pyright: basic, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportOperatorIssue=false, reportIndexIssue=false, reportCallIssue=false
 """A slow, independent checker of proofs: plain Python and `mpmath.iv`, no code of the package.
 
 It follows one start of the simplest walker, given in decimal or binary digits, in interval
