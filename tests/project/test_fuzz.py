@@ -53,7 +53,6 @@ PLACES += [
     "ä b.zarr",
 ]
 AXES = [("0.05", "0.35", "6"), ("-0.03", "0.01", "6"), ("0", "0.4", "46000"), ("0.4", "0", "6")]
-
 GOOD = {
     "boundary": ["--theta", *AXES[0], "--sum", *AXES[1]],
     "basin": ["--theta", *AXES[0], "--sum", *AXES[1]],
@@ -406,8 +405,8 @@ def calls() -> dict[str, dict]:
         "viable": {"walker": walker, "grid": grid, "actions": {"slope": [0.003, 0.005]}}
         | {"target": None, "bounds": True, "tolerance": None},
         "prove_basin": {"walker": walker, "region": 1e-3, "levels": 1, "strides": 5},
-        "prove_doubling": {"walker": walker, "low": 0.004, "high": 0.005, "period": 1},
-        "prove_gait": {"walker": walker, "guess": X, "period": 1},
+        "prove_doubling": {"walker": walker, "low": 0.004, "high": 0.005},
+        "prove_gait": {"walker": walker, "period": 1},
         "refine": refined,
         "slice_basin": {"data": volume, "axis": "phidot", "value": 0.1},
         "area_gradient": {**refined, "parameters": ("slope",), "bands": None},
