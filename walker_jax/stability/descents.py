@@ -74,11 +74,13 @@ def turn(
     basis: Float[np.ndarray, "rank size"],
     rays: Float[np.ndarray, "n rank"],
     lengths: Float[np.ndarray, " n"],
+    halvings: int = FINE,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
     """One step of each descent: the shortest of some rays between its own and the normal."""
     tried = turned_rays(gradient, basis, rays, lengths, TURNS)
     flat = tried.reshape(-1, rays.shape[1]) @ basis
-    reached = shorten(fails, flat, np.repeat(lengths, len(TURNS))).reshape(len(rays), -1)
+    reached = shorten(fails, flat, np.repeat(lengths, len(TURNS)), halvings)
+    reached = reached.reshape(len(rays), -1)
     reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the present one
     best = reached.argmin(axis=1)
     row = np.arange(len(rays))
@@ -86,7 +88,10 @@ def turn(
 
 
 def shorten(
-    fails: Fails, rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"]
+    fails: Fails,
+    rays: Float[np.ndarray, "n size"],
+    lengths: Float[np.ndarray, " n"],
+    halvings: int = FINE,
 ) -> Float[np.ndarray, " n"]:
     """The first failure on each ray up to a length of its own; infinite where there is none."""
     gaps = lengths / NEARER
@@ -95,4 +100,4 @@ def shorten(
     failed = fails(points.reshape(-1, rays.shape[1])).reshape(places.shape)
     number = failed.argmax(axis=1)
     first = np.where(failed.any(axis=1), places[np.arange(len(rays)), number], np.inf)
-    return bisect(fails, rays, first, gaps, FINE)
+    return bisect(fails, rays, first, gaps, halvings)

@@ -48,11 +48,18 @@ def follow_disturbed(
     integrator: Integrator,
 ) -> Stride:
     """One disturbed stride; the result's state is a full one."""
+    return follow_step(*disturbed_start(walker, x, disturbance), integrator)
+
+
+def disturbed_start(
+    walker: Walker, x: Float[Array, " coordinates"], disturbance: Disturbance
+) -> tuple[Walker, Float[Array, " full"], Scalar]:
+    """The walker on a disturbed slope, its state after the push, and the step's height."""
     slope = vars(walker)["slope"] + disturbance.slope
     steeper = with_parameter(walker, "slope", slope)
     start = walker.lift(x) if x.shape == (len(walker.section),) else walker.state(*x)
     pushed = jnp.stack(walker.push(start, jnp.asarray(disturbance.push)))
-    return follow_step(steeper, pushed, jnp.asarray(disturbance.step), integrator)
+    return steeper, pushed, jnp.asarray(disturbance.step)
 
 
 def follow_disturbed_walk(

@@ -42,6 +42,11 @@ from walker_jax.walking.starts import (
 )
 
 
+ROUNDING = 100
+"""Largest height of a step that is made from the level, over the spacing of floating-point numbers
+at 1."""
+
+
 class Part(NamedTuple):
     """A mode of a stride that was followed."""
 
@@ -341,22 +346,31 @@ def follow_step(
 
 
 def follow_to_step(
-    walker: Walker, swing: Mode, last: Arrival, step: Scalar, integrator: Integrator
+    walker: Walker,
+    swing: Mode,
+    last: Arrival,
+    step: Scalar,
+    integrator: Integrator,
+    measured: bool = False,
 ) -> Arrival:
     """The swing on even ground made one to ground that is higher by `step`, and followed.
 
     A foot that goes below the ground has passed its level first, ahead of the other: the legs may
     pass each other below the level, and that is no heel strike.
     """
-    passed = step > 0
+    # A step within rounding is not told from the level: its foot may be there already, or have been
+    # as the legs passed each other.
+    rounding = ROUNDING * jnp.finfo(step.dtype).eps
+    passed = step > rounding
     if walker.phases():  # a foot in front may be below the level as a knee strikes
         ahead = (last.state.phi < 0) & (walker.is_ahead(last.state) > 0)
         under = with_fast_sincos(walker.clearance)(last.state) < 0
         passed |= (step < 0) & ahead & under
-    level = follow_swing(onto_step(walker, swing, step, passed), last, integrator)
-    lower = (level.verdict == Outcome.STRIDE) & (step < 0) & ~passed
+    level = follow_swing(onto_step(walker, swing, step, passed), last, integrator, measured)
+    lower = (level.verdict == Outcome.STRIDE) & (step < -rounding) & ~passed
     verdict = jnp.where(lower, Outcome.UNDECIDED, level.verdict).astype(jnp.int8)
-    return follow_on(onto_step(walker, swing, step), level._replace(verdict=verdict), integrator)
+    onto = onto_step(walker, swing, step)
+    return follow_on(onto, level._replace(verdict=verdict), integrator, measured)
 
 
 def raise_ground(mode: Mode, step: Scalar) -> Mode:

@@ -1,0 +1,160 @@
+"""The points of a boundary that are nearest to the origin, by Newton's iteration, and the chance
+to be beyond them.
+
+A set of failures in many dimensions, say of sequences of disturbances that topple a walker, has a
+boundary of which only its normal is known. Along a ray u the boundary is at the distance r(u). At
+the nearest point the normal nu is along the ray. Newton's iteration solves that on the sphere of
+directions:
+
+    F(u) = nu - u = 0,  nu . u = 1,  dF = -(I - r W) du
+
+with W the curvature of the boundary. Its determinant is what the curvature does to the chance that
+independent normal numbers of standard deviation sigma are beyond the boundary (Breitung 1984,
+J. Eng. Mech. 110:357-366):
+
+    chance = Phi(-r / sigma) / sqrt(det(I - r W)),  as sigma goes to 0
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from walker_jax.stability.descents import shorten, turn
+from walker_jax.stability.rays import bisect, first_failures, scan
+
+Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
+Gradient = Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]]
+
+RADII = 32
+"""Distances along each random ray."""
+STEPS = 30
+"""Steps of a descent, at most."""
+ROUGHLY = 16
+"""Bisections of a descent's lengths: to a millionth."""
+SAME = 0.02
+"""Angle between rays of descents, at most, that go to the same point."""
+FLAT = 1e-4
+"""Relative change of a length by a step at which its descent ends, and Newton's iteration begins:
+turned rays then are about its square root from the nearest one."""
+TURN = 1e-4
+"""Angle by which rays are turned for differences: their error is its square."""
+REACH, HALVINGS = 2e-3, 38
+"""Relative distance within which the boundary is sought on a turned ray, and bisections of it:
+down to rounding."""
+NEWTON_STEPS, CONVERGED = 12, 1e-10
+"""Steps of Newton's iteration, at most, and the angle between ray and normal at which it ends."""
+LARGEST_STEP = 0.1
+"""Angle by which one step of it turns a ray, at most."""
+
+
+class NearestPoint(NamedTuple):
+    """A point of a boundary that is nearer to the origin than its neighbours."""
+
+    ray: Float[np.ndarray, " size"]
+    """Its direction, of length one."""
+    length: float
+    residual: float
+    """Angle between the ray and the normal of the boundary."""
+    flatness: float
+    """det(I - r W): 1 of a flat boundary, less where it bends towards the origin."""
+
+
+def descend(
+    fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], most: int
+) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
+    """Local minima of the distance, from the nearest failures on some rays; the nearest first."""
+    first = scan(fails, rays, RADII)
+    nearest = first.argsort()[: min(most, np.isfinite(first).sum())]
+    rays, lengths = rays[nearest], first[nearest]
+    ended: list[tuple[float, np.ndarray]] = []
+    for _ in range(STEPS):
+        tried, reached = turn(fails, gradient, np.eye(rays.shape[1]), rays, lengths, ROUGHLY)
+        going = reached < (1 - FLAT) * lengths
+        ended += zip(reached[~going], tried[~going], strict=True)
+        alone = going & ~follows_another(tried, reached)
+        rays, lengths = tried[alone], reached[alone]
+        if len(rays) == 0:
+            break
+    ended += zip(lengths, rays, strict=True)
+    ended.sort(key=lambda one: one[0])
+    rays, lengths = np.stack([ray for _, ray in ended]), np.array([one for one, _ in ended])
+    alone = ~follows_another(rays, lengths)
+    return rays[alone], lengths[alone]
+
+
+def follows_another(
+    rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Mark rays beside another one that is shorter, or that stands before and is as long."""
+    close = np.linalg.norm(rays[:, None] - rays, axis=2) < SAME
+    before = np.tri(len(rays), k=-1, dtype=bool)
+    shorter = (lengths < lengths[:, None]) | (before & (lengths == lengths[:, None]))
+    return (close & shorter).any(axis=1)
+
+
+def solve_nearest(
+    fails: Fails, gradient: Gradient, ray: Float[np.ndarray, " size"], length: float
+) -> NearestPoint:
+    """The nearest point of a boundary, by Newton's iteration from a ray that is close to it.
+
+    It ends where a step brings ray and normal no closer, or differences find no boundary.
+    """
+    length, miss = misalignment(fails, gradient, ray[None], length)
+    best = NearestPoint(ray, float(length[0]), float(np.linalg.norm(miss)), np.nan)
+    for _ in range(NEWTON_STEPS):
+        jacobian = bending(fails, gradient, best)
+        if not np.isfinite(jacobian).all():
+            break
+        flatness = float(np.linalg.det(jacobian))
+        best = best._replace(flatness=flatness)
+        if best.residual < CONVERGED or not flatness:
+            break
+        across = tangents(best.ray)
+        _, miss = misalignment(fails, gradient, best.ray[None], best.length)
+        step = np.linalg.solve(jacobian, across @ miss[0]) @ across
+        step *= min(1.0, LARGEST_STEP / np.linalg.norm(step))
+        ray = best.ray + step
+        ray /= np.linalg.norm(ray)
+        length, miss = misalignment(fails, gradient, ray[None], best.length)
+        residual = float(np.linalg.norm(miss))
+        if not residual < best.residual:
+            break
+        best = NearestPoint(ray, float(length[0]), residual, flatness)
+    return best
+
+
+def bending(
+    fails: Fails, gradient: Gradient, near: NearestPoint
+) -> Float[np.ndarray, "rank rank"]:
+    """I - r W over the directions across a ray, by central differences."""
+    across = tangents(near.ray)
+    if len(across) == 0:
+        return np.eye(0)
+    turned = near.ray + TURN * np.stack([across, -across])
+    turned = turned.reshape(-1, len(near.ray)) / np.sqrt(1 + TURN**2)
+    _, miss = misalignment(fails, gradient, turned, near.length)
+    # Turned rays have tangents of their own: those along which they were turned are shorter.
+    ahead, behind = miss.reshape(2, len(across), -1) @ across.T
+    return -((ahead - behind) / (2 * TURN)).T
+
+
+def misalignment(
+    fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
+    """The length of each ray up to the boundary, about a known one, and F = nu - u there."""
+    low, high = (1 - REACH) * length, (1 + REACH) * length
+    first = first_failures(fails, rays, low, high, 4)
+    lengths = bisect(fails, rays, first, (high - low) / 4, HALVINGS)
+    known = np.isfinite(lengths)
+    miss = np.full(rays.shape, np.nan)
+    if known.any():
+        normals = gradient(lengths[known, None] * rays[known])
+        miss[known] = normals / np.sum(normals * rays[known], axis=1, keepdims=True) - rays[known]
+    return lengths, miss
+
+
+def tangents(ray: Float[np.ndarray, " size"]) -> Float[np.ndarray, "rank size"]:
+    """Unit vectors across a ray and each other."""
+    return np.linalg.svd(ray[None])[2][1:]

@@ -1,0 +1,191 @@
+"""The most probable fall: the least disturbances that topple a walker, one after the other.
+
+On ground that is a little rough a walker falls rarely, and then nearly always in the same way: by
+the sequence of disturbances that is the least improbable one. For independent normal disturbances w
+of standard deviation sigma that is the sequence of least action, the theory of large deviations of
+Freidlin and Wentzell (2012, Random Perturbations of Dynamical Systems):
+
+    action = min |w|^2 / 2,  log(mean strides to a fall) ~ action / sigma^2
+
+The sequence is the point of the boundary of all sequences that topple the walker which is nearest
+to none at all (`nearest_points`). Each stride is the one in which such a sequence ends with the
+same chance, that of being beyond this boundary; this gives the factor in front too.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import (
+    ComputationFailed,
+    WrongUse,
+    check_kind,
+    check_whole,
+    is_number,
+    refuses_tracers,
+    short,
+)
+from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.disturbances import BEYOND
+from walker_jax.stability.disturbed_falls import DisturbedWalks
+from walker_jax.stability.gait_mapper import mapper_of_gait
+from walker_jax.stability.nearest_points import NearestPoint, descend, solve_nearest
+from walker_jax.stability.rays import spread_directions
+from walker_jax.stability.rough_ground import STRIDES_PER_CALL
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walking.disturbed import Disturbance, follow_disturbed
+
+SEARCHED = 3
+"""Numbers of disturbed strides up to which random directions are searched. Longer sequences follow
+from shorter ones, with a stride more at the begin or at the end."""
+DESCENTS = 8
+"""Descents from the nearest failures found: most of them end at the same few minima."""
+FOLLOWED = 200
+"""Strides after the disturbances in which a walker may return, or fall."""
+
+
+class ProbableFall(NamedTuple):
+    """The least disturbances that topple a walker, in units of their standard deviations."""
+
+    action: float
+    """Half the sum of their squares."""
+    disturbances: Float[np.ndarray, "strides 3"]
+    """Step, slope and push of each stride, as `Disturbance` has them."""
+    states: Float[np.ndarray, "made full"]
+    """The full state just after each heel strike, from the gait to the last before the fall."""
+    outcome: Outcome
+    """How the walker falls from just beyond."""
+    strides: int
+    """Strides before the failing one; after the disturbances the ground is even."""
+    actions: Float[np.ndarray, " strides"]
+    """The action of 1, 2 ... disturbed strides; it falls to that of any number."""
+    flatness: float
+    """How the boundary of what topples the walker bends: det(I - r W), 1 where it is flat."""
+    residual: float
+    """Angle between the sequence and the normal of that boundary, 0 at the least one."""
+
+    def mean_strides(self, scale: float = 1.0) -> float:
+        """Strides to a fall, on average, with deviations `scale` times as large.
+
+            sqrt(flatness) / Phi(-sqrt(2 action) / scale)
+
+        That is right to first order as the scale goes to zero. It takes the walker to be lost
+        wherever it is beyond the boundary.
+        """
+        from scipy.special import log_ndtr
+
+        if not (is_number(scale) and 0 < scale < np.inf):
+            raise WrongUse(f"scale must be a number above 0, not {short(scale)}")
+        log_chance = float(log_ndtr(-np.sqrt(2 * self.action) / scale))
+        with np.errstate(over="ignore"):
+            return float(np.exp(np.log(self.flatness) / 2 - log_chance))
+
+
+@refuses_tracers()
+def most_probable_fall(
+    walker: Walker,
+    ground: float | Disturbance = 1.0,
+    gait: Gait | None = None,
+    *,
+    strides: int = 8,
+    outcome: Outcome | None = None,
+    directions: int = 180,
+    tolerance: float | None = None,
+) -> ProbableFall:
+    """The most probable sequence of disturbances that topples a walker, from its gait on.
+
+    Of all sequences of `strides` disturbances after which the walker falls, at once or later on
+    even ground, it is the one with the least sum of squares. Random directions are searched for
+    those of one to three strides, and descents along the boundary lead to the least ones; each
+    longer one begins from the one before, with a stride more. Newton's iteration ends each search.
+    A narrow finger of failures may be missed.
+
+    **Arguments:**
+
+    - `walker`: one in the plane.
+    - `ground`: the standard deviation of the heights of steps; or a `Disturbance`, whose fields are
+      those of steps, slope and pushes. By default 1, which gives actions in squares of the unit of
+      length: strides to a fall are then those of `mean_strides(deviation)`.
+    - `gait`: a stable one; that of `find_gait` by default.
+    - `strides`: in which there are disturbances, at most 32.
+    - `outcome`: the fall that counts, `Outcome.BACKWARD` say; by default any.
+    - `directions`: random ones.
+    - `tolerance`: of the integration, as in `stride`.
+
+    Raises `ValueError` for a gait that is not stable and for arguments out of range;
+    `ComputationFailed` where nothing topples the walker.
+    """
+    check_planar(walker)
+    deviations = read_deviations(ground)
+    check_whole("strides", strides)
+    check_whole("directions", directions)
+    if strides > STRIDES_PER_CALL:
+        raise WrongUse(f"strides must be at most {STRIDES_PER_CALL}, not {strides}")
+    if outcome is not None:
+        check_kind("outcome", outcome, Outcome)
+        if outcome in (Outcome.STRIDE, Outcome.UNDECIDED):
+            raise WrongUse(f"outcome must be a failure, not {outcome.name}")
+    mapper = mapper_of_gait(walker, gait, FOLLOWED, tolerance)
+    start = np.stack(walker.lift(jnp.asarray(mapper.attractors[0].states[0])))
+    walks = DisturbedWalks(mapper, start, deviations, strides, outcome)
+    found = [search(walks, None, 1, directions)]
+    for count in range(2, strides + 1):
+        found.append(search(walks, found[-1], count, directions))
+    return describe(walks, found)
+
+
+def read_deviations(ground: float | Disturbance) -> Float[np.ndarray, " 3"]:
+    """Standard deviations of steps, slope and pushes, checked."""
+    given = ground if isinstance(ground, Disturbance) else Disturbance(step=ground)
+    known = all(is_number(one) and 0 <= one < np.inf for one in given)
+    if not (known and any(given)):
+        raise WrongUse(f"ground must be a standard deviation above 0, or three, not {short(ground)}")
+    return np.array([float(one) for one in given])
+
+
+def search(
+    walks: DisturbedWalks, shorter: NearestPoint | None, count: int, directions: int
+) -> NearestPoint:
+    """The nearest sequence of `count` disturbed strides, given that of one stride less."""
+    kinds = np.count_nonzero(walks.deviations)
+    size = count * kinds
+    rays = []
+    if shorter is not None:
+        none = np.zeros(kinds)
+        rays += [np.append(none, shorter.ray), np.append(shorter.ray, none)]
+    if count <= SEARCHED:
+        rays += [*np.eye(size), *-np.eye(size), *spread_directions(size, directions)]
+    rays, lengths = descend(walks.fails, walks.gradient, np.stack(rays), DESCENTS)
+    return solve_nearest(walks.fails, walks.gradient, rays[0], lengths[0])
+
+
+def describe(walks: DisturbedWalks, found: list[NearestPoint]) -> ProbableFall:
+    """The last one found, and the walk to its fall."""
+    best = found[-1]
+    if not best.residual < np.inf:
+        raise ComputationFailed("no derivative of the boundary is known: give another tolerance")
+    w = best.length * best.ray
+    tried = BEYOND[:, None] * w
+    ends = walks.follow(tried)
+    first = int(walks.falls(ends).argmax())
+    (walker, integrator), made = walks.arrays(), int(ends.strides[first])
+    rows = walks.rows(tried[first : first + 1])[0]
+    rows = np.concatenate([rows, np.zeros((max(0, made - len(rows)), 3))])
+    states = [walks.start]
+    for row in rows[:made]:
+        step = jax.jit(follow_disturbed)(walker, states[-1], Disturbance(*row), integrator)
+        states.append(np.asarray(step.state))
+    return ProbableFall(
+        best.length**2 / 2,
+        walks.rows(w[None])[0],
+        np.stack(states),
+        Outcome(int(ends.outcome[first])),
+        made,
+        np.array([one.length**2 / 2 for one in found]),
+        best.flatness,
+        best.residual,
+    )

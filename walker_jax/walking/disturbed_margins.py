@@ -1,0 +1,77 @@
+"""By how much a disturbed stride misses each way to fail."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.kernels import kernel
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walking.disturbed import Disturbance, disturbed_start
+from walker_jax.walking.failure_margins import (
+    Margins,
+    guards_of,
+    lesser_known,
+    measure_stride,
+    strike_margin,
+)
+from walker_jax.walking.starts import during_stride
+from walker_jax.walking.stride import (
+    Arrival,
+    Part,
+    begin_stride,
+    end_stride,
+    follow_phases,
+    follow_to_step,
+    method_of,
+    modes_from,
+    onto_step,
+    raise_ground,
+)
+
+
+@kernel
+def follow_disturbed_margins(
+    walker: Walker,
+    x: Float[Array, " full"],
+    disturbance: Disturbance,
+    integrator: Integrator,
+) -> Margins:
+    """One disturbed stride, as `follow_disturbed` makes it, and its margins.
+
+    A foot that comes down on lower ground has passed the level of the other one before: the forward
+    margin is the lesser one of the two.
+    """
+    walker, x, step = disturbed_start(walker, x, disturbance)
+    walker = during_stride(walker, x)
+    *phases, swing = modes_from(walker, x, to_the_end=True)
+    raised = [raise_ground(mode, step) for mode in phases]
+    last = follow_phases(raised, begin_stride(walker, x), integrator, measured=True)[-1]
+    last = follow_to_step(walker, swing, last, step, integrator, measured=True)
+    contact = lambda state: step - walker.clearance(state)
+    arrival, delay = method_of(swing, last.state, integrator).refine_event(contact, last.state)
+    last = last._replace(state=arrival, time=last.time + delay)
+    onto = onto_step(walker, swing, step)
+    *before, level, lower = last.parts
+    modes = [*(part.mode for part in before), level.mode._replace(at_end=()), onto]
+    went_lower = lower.verdict == Outcome.UNDECIDED
+    choose = partial(jnp.where, went_lower)
+    ways = [part[1:] for part in (*before, level)]
+    ways.append(jax.tree.map(choose, lower[1:], level[1:]))
+
+    def measure(walker, arrival: Arrival, ways: list[Any]):
+        following, stride = end_stride(walker, [swing], arrival)
+        stride = stride._replace(state=jnp.stack(following))
+        parts = tuple(Part(mode, *way) for mode, way in zip(modes, ways, strict=True))
+        known = measure_stride(walker, arrival._replace(parts=parts), stride.outcome)
+        passed = strike_margin(parts[-2], guards_of(parts[-2]), went_lower)
+        forward = jnp.where(stride.outcome == Outcome.STRIDE, passed, jnp.nan)
+        known["forward"] = lesser_known(known["forward"], forward)
+        return Margins(stride, **known)
+
+    return with_fast_sincos(measure)(walker, last._replace(parts=()), ways)
