@@ -43,6 +43,9 @@ TURN = 1e-4
 REACH, HALVINGS = 2e-3, 38
 """Relative distance within which the boundary is sought on a turned ray, and bisections of it:
 down to rounding."""
+BEYOND = 1 + 1e-10
+"""Multiple of the length at which normals are computed: on the boundary itself rounding decides how
+a walk ends."""
 NEWTON_STEPS, CONVERGED = 12, 1e-10
 """Steps of Newton's iteration, at most, and the angle between ray and normal at which it ends."""
 LARGEST_STEP = 0.1
@@ -150,7 +153,7 @@ def misalignment(
     known = np.isfinite(lengths)
     miss = np.full(rays.shape, np.nan)
     if known.any():
-        normals = gradient(lengths[known, None] * rays[known])
+        normals = gradient(BEYOND * lengths[known, None] * rays[known])
         miss[known] = normals / np.sum(normals * rays[known], axis=1, keepdims=True) - rays[known]
     return lengths, miss
 
