@@ -60,6 +60,8 @@ from walker_jax.stability.boundaries import boundary as boundary
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance as LeastDisturbance
 from walker_jax.stability.disturbances import least_disturbance as least_disturbance
+from walker_jax.stability.probable_falls import ProbableFall as ProbableFall
+from walker_jax.stability.probable_falls import most_probable_fall as most_probable_fall
 from walker_jax.stability.rough_ground import StepsToFall as StepsToFall
 from walker_jax.stability.rough_ground import steps_to_fall as steps_to_fall
 from walker_jax.stability.sampling import BasinStability as BasinStability

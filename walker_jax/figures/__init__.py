@@ -22,6 +22,7 @@ from walker_jax.figures.branch_plots import largest_multiplier as largest_multip
 from walker_jax.figures.capture_plots import capturability as capturability
 from walker_jax.figures.chart_plots import chart as chart
 from walker_jax.figures.exponent_plots import lyapunov_exponents as lyapunov_exponents
+from walker_jax.figures.fall_plots import probable_fall as probable_fall
 from walker_jax.figures.films import check_film as check_film
 from walker_jax.figures.films import film as film
 from walker_jax.figures.films import zoom_film as zoom_film

@@ -19,7 +19,6 @@ from walker_jax.walking.disturbed_margins import follow_disturbed_margins
 from walker_jax.walking.failure_margins import failure_margin
 from walker_jax.walking.iteration import Targets, WalkEnd
 
-
 PULLED_BACK = 64
 """Walks whose derivatives are computed in one call."""
 

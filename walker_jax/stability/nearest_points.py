@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from walker_jax.stability.descents import shorten, turn
+from walker_jax.stability.descents import turn
 from walker_jax.stability.rays import bisect, first_failures, scan
 
 Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
@@ -128,9 +128,7 @@ def solve_nearest(
     return best
 
 
-def bending(
-    fails: Fails, gradient: Gradient, near: NearestPoint
-) -> Float[np.ndarray, "rank rank"]:
+def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.ndarray, "rank rank"]:
     """I - r W over the directions across a ray, by central differences."""
     across = tangents(near.ray)
     if len(across) == 0:

@@ -91,7 +91,7 @@ def most_probable_fall(
     ground: float | Disturbance = 1.0,
     gait: Gait | None = None,
     *,
-    strides: int = 8,
+    strides: int = 12,
     outcome: Outcome | None = None,
     directions: int = 180,
     tolerance: float | None = None,
@@ -143,7 +143,9 @@ def read_deviations(ground: float | Disturbance) -> Float[np.ndarray, " 3"]:
     given = ground if isinstance(ground, Disturbance) else Disturbance(step=ground)
     known = all(is_number(one) and 0 <= one < np.inf for one in given)
     if not (known and any(given)):
-        raise WrongUse(f"ground must be a standard deviation above 0, or three, not {short(ground)}")
+        raise WrongUse(
+            f"ground must be a standard deviation above 0, or three, not {short(ground)}"
+        )
     return np.array([float(one) for one in given])
 
 

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
-from walker_jax.systems.outcomes import Outcome
-from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.systems.outcomes import Outcome, make_stride
+from walker_jax.walkers.model import Walker
 from walker_jax.walking.disturbed import Disturbance, disturbed_start
 from walker_jax.walking.failure_margins import (
     Margins,
@@ -66,7 +66,7 @@ def follow_disturbed_margins(
 
     def measure(walker, arrival: Arrival, ways: list[Any]):
         following, stride = end_stride(walker, [swing], arrival)
-        stride = stride._replace(state=jnp.stack(following))
+        stride = make_stride(jnp.stack(following), stride.outcome, stride.time)
         parts = tuple(Part(mode, *way) for mode, way in zip(modes, ways, strict=True))
         known = measure_stride(walker, arrival._replace(parts=parts), stride.outcome)
         passed = strike_margin(parts[-2], guards_of(parts[-2]), went_lower)

@@ -41,7 +41,6 @@ from walker_jax.walking.starts import (
     prepare,
 )
 
-
 ROUNDING = 100
 """Largest height of a step that is made from the level, over the spacing of floating-point numbers
 at 1."""

@@ -1,0 +1,172 @@
+"""The most probable fall: nearest points of boundaries, margins of disturbed strides, the law."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import walker_jax as wj
+from walker_jax import Disturbance, Outcome, figures
+from walker_jax.checks import WrongUse
+from walker_jax.stability.disturbed_falls import DisturbedWalks
+from walker_jax.stability.gait_mapper import mapper_of_gait
+from walker_jax.stability.nearest_points import descend, solve_nearest
+from walker_jax.stability.rays import spread_directions
+from walker_jax.walking.disturbed import follow_disturbed
+from walker_jax.walking.disturbed_margins import follow_disturbed_margins
+
+WALKER = wj.SimplestWalker(0.009)
+ONE = np.array([1.0, 0.0, 0.0])
+
+
+def nearest(fails, gradient, size):
+    rays = np.concatenate([np.eye(size), -np.eye(size), spread_directions(size, 60)])
+    rays, lengths = descend(fails, gradient, rays, 24)
+    return solve_nearest(fails, gradient, rays[0], lengths[0])
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.6, -0.8])
+def test_exit_of_an_autoregressive_process(decay):
+    """x' = a x + w leaves x < d within n steps, with sum w^2 = d^2 / sum a^2k in the last one."""
+    n, d = 5, 0.3
+    powers = np.tril(decay ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)), dtype=float))
+    fails = lambda w: (w @ powers.T > d).any(axis=1)
+    gradient = lambda w: powers[np.argmax(w @ powers.T > d, axis=1)]
+    found = nearest(fails, gradient, n)
+    assert found.length**2 == pytest.approx(d**2 / np.sum(decay ** (2.0 * np.arange(n))), rel=1e-11)
+    way = powers[-1] / np.linalg.norm(powers[-1])
+    if decay:  # without memory all steps are alike
+        np.testing.assert_allclose(found.ray, way, atol=1e-10)
+    assert found.flatness == pytest.approx(1, abs=1e-6)
+    assert found.residual < 1e-10
+
+
+def test_flatness_is_that_of_curved_boundaries():
+    bends = np.array([0.7, -0.4])
+    height = lambda w: w[:, 0] - 1 - w[:, 1:] ** 2 @ bends / 2
+    gradient = lambda w: np.concatenate([np.ones((len(w), 1)), -bends * w[:, 1:]], axis=1)
+    found = nearest(lambda w: height(w) > 0, gradient, 3)
+    assert found.length == pytest.approx(1, rel=1e-11)
+    assert found.flatness == pytest.approx(np.prod(1 + bends), rel=1e-6)
+
+
+def test_margins_of_disturbed_strides_and_their_derivatives():
+    mapper = mapper_of_gait(WALKER, None, 200, None)
+    start = np.stack(WALKER.lift(jnp.asarray(mapper.attractors[0].states[0])))
+    walks = DisturbedWalks(mapper, start, np.ones(3), 3, None)
+    walker, integrator = walks.arrays()
+
+    @jax.jit
+    @jax.vmap
+    def measure(row):
+        given = walker, start, Disturbance(*row), integrator
+        return follow_disturbed_margins(*given), follow_disturbed(*given)
+
+    rows = np.array([[4e-3, 1e-3, 2e-3], [-5e-3, 2e-3, 1e-3], [1e-3, 1e-3, 0.2], [0.05, 0, 0]])
+    found, plain = measure(rows)
+    np.testing.assert_array_equal(found.stride.outcome, plain.outcome)
+    assert [*plain.outcome] == [0, 0, Outcome.BACKWARD, Outcome.FORWARD]
+    np.testing.assert_allclose(found.stride.state, plain.state, atol=1e-13)
+    assert found.backward[2] < 0 < found.backward[0] and found.forward[3] < 0 < found.forward[0]
+    none = np.zeros((2, 3, 3))
+    slopes = walks.pull_back(np.concatenate([rows[2:, None], none], axis=1), np.zeros((2, 2)))
+    assert not slopes[:, 1:].any()
+    h = 1e-6
+    moved = [rows[2:] + sign * h * np.eye(3)[:, None] for sign in (1, -1)]
+    margins, _ = measure(np.concatenate(moved).reshape(-1, 3))
+    for i, name in enumerate(("backward", "forward")):
+        ahead, behind = np.asarray(getattr(margins, name)).reshape(2, 3, 2)[:, :, i]
+        np.testing.assert_allclose(slopes[i, 0], (ahead - behind) / (2 * h), rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("step", [1e-17, -1e-17, 1e-100, -1e-300])
+def test_a_step_within_rounding_is_as_good_as_none(step):
+    walker = wj.RoundFootWalker(0.01)
+    state = wj.find_gait(walker).states[0]
+    rough = wj.walk(walker, state, 1, ground=[step])
+    assert rough.outcomes[0] == Outcome.STRIDE
+    even = wj.walk(walker, state, 1, ground=[0.0])
+    np.testing.assert_allclose(rough.states, even.states, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def fall():
+    return wj.most_probable_fall(WALKER, strides=3, directions=40)
+
+
+def test_the_least_sequence_topples_and_shorter_ones_do_not(fall):
+    assert fall.residual < 1e-10 and (np.diff(fall.actions) < 0).all()
+    assert fall.action == pytest.approx(np.sum(fall.disturbances**2) / 2, rel=1e-12)
+    assert fall.states.shape == (fall.strides + 1, 4) and np.isfinite(fall.states).all()
+    x, n = wj.find_gait(WALKER).states[0], fall.strides + 1
+    for share, outcome in ((1 + 1e-8, fall.outcome), (0.99, Outcome.STRIDE)):
+        steps = share * np.append(fall.disturbances[:, 0], np.zeros(n))[:n]
+        outcomes = np.asarray(wj.walk(WALKER, x, n, ground=steps).outcomes)
+        assert outcomes[-1] == outcome and (outcomes[:-1] == Outcome.STRIDE).all()
+    mapper = mapper_of_gait(WALKER, None, 200, None)
+    start = np.asarray(fall.states[0])
+    walks = DisturbedWalks(mapper, start, ONE, 3, None)
+    rays = np.random.default_rng(0).normal(size=(5000, 3))
+    rays *= 0.99 * np.sqrt(2 * fall.action) / np.linalg.norm(rays, axis=1, keepdims=True)
+    assert not walks.fails(rays).any()
+    assert walks.fails(fall.disturbances[:, 0][None] * (1 + 1e-8)).all()
+
+
+def test_the_law_is_that_of_a_half_space_that_bends(fall):
+    scale = np.sqrt(fall.action / 20)
+    chance = norm.sf(np.sqrt(40)) / np.sqrt(fall.flatness)
+    assert fall.mean_strides(scale) == pytest.approx(1 / chance, rel=1e-10)
+    assert fall.mean_strides(1e-9) == np.inf
+    with pytest.raises(WrongUse, match="scale must be a number above 0, not 0"):
+        fall.mean_strides(0)
+
+
+def test_the_picture_has_the_sequence_the_path_and_the_law(fall):
+    figure = figures.probable_fall(fall)
+    sequence, actions, path, law = figure.axes
+    np.testing.assert_allclose(
+        [bar.get_height() for bar in sequence.patches], fall.disturbances[:, 0]
+    )
+    np.testing.assert_allclose(actions.lines[0].get_ydata(), fall.actions)
+    assert path.get_xlabel() and law.get_yscale() == "log"
+    assert not figures.probable_fall(fall, title=False).get_suptitle()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"ground": -1.0}, "ground must be a standard deviation above 0, or three, not -1.0"),
+        ({"ground": Disturbance()}, "ground must be a standard deviation above 0, or three"),
+        ({"strides": 33}, "strides must be at most 32, not 33"),
+        ({"outcome": Outcome.STRIDE}, "outcome must be a failure, not STRIDE"),
+        ({"outcome": 1}, "outcome must be"),
+    ],
+)
+def test_wrong_arguments_are_refused(given: Any, message):
+    with pytest.raises(ValueError, match=message):
+        wj.most_probable_fall(WALKER, **given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ground", [Disturbance(push=1.0), Disturbance(step=1.0, push=3.0)])
+def test_pushes_and_the_law_against_walks(ground):
+    fall = wj.most_probable_fall(WALKER, ground, strides=8)
+    scale = float(np.sqrt(fall.action / 4.5))
+    draw = lambda key: Disturbance(
+        *(
+            scale * one * jax.random.normal(jax.random.fold_in(key, i))
+            for i, one in enumerate(ground)
+        )
+    )
+    walked = wj.steps_to_fall(WALKER, draw, 400)
+    assert fall.residual < 1e-8
+    assert fall.mean_strides(scale) == pytest.approx(walked.mean, rel=0.5)
+
+
+@pytest.mark.slow
+def test_backward_falls_take_more_than_others(fall):
+    backward = wj.most_probable_fall(WALKER, strides=2, outcome=Outcome.BACKWARD)
+    assert backward.outcome == Outcome.BACKWARD and backward.action > fall.actions[1]
