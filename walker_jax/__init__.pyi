@@ -60,6 +60,11 @@ from walker_jax.stability.boundaries import boundary as boundary
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance as LeastDisturbance
 from walker_jax.stability.disturbances import least_disturbance as least_disturbance
+from walker_jax.stability.escapes import CrisisLaw as CrisisLaw
+from walker_jax.stability.escapes import Transients as Transients
+from walker_jax.stability.escapes import crisis_exponent as crisis_exponent
+from walker_jax.stability.escapes import crisis_law as crisis_law
+from walker_jax.stability.escapes import transients as transients
 from walker_jax.stability.probable_falls import ProbableFall as ProbableFall
 from walker_jax.stability.probable_falls import most_probable_fall as most_probable_fall
 from walker_jax.stability.rough_ground import StepsToFall as StepsToFall

@@ -153,7 +153,7 @@ def search(
     walks: DisturbedWalks, shorter: NearestPoint | None, count: int, directions: int
 ) -> NearestPoint:
     """The nearest sequence of `count` disturbed strides, given that of one stride less."""
-    kinds = np.count_nonzero(walks.deviations)
+    kinds = int(np.count_nonzero(walks.deviations))
     size = count * kinds
     rays = []
     if shorter is not None:

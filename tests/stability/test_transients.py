@@ -1,0 +1,105 @@
+"""Long transients: known rates, exponents and dimensions of saddles, and laws of crises."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.checks import ComputationFailed, WrongUse
+
+
+def tent(x, steepness):
+    return jnp.where(x < 0.5, steepness * x, steepness * (1 - x))
+
+
+def open_tent(steepness):
+    within = lambda x, steepness: (x[0] > 0) & (x[0] < 1)
+    return wj.Map(tent, ("x",), parameters={"steepness": steepness}, feasible=within)
+
+
+@pytest.mark.parametrize("steepness", [2.2, 3.0])
+def test_an_open_tent_map(steepness):
+    """Of the interval 2/s stays at each step; the saddle is a Cantor set of ratio 1/s."""
+    starts = np.random.default_rng(0).uniform(size=(300_000, 1))
+    found = wj.transients(open_tent(steepness), starts, settle=5, strides=500)
+    rate = np.log(steepness / 2)
+    assert found.low < rate < found.high and found.high - found.low < 0.03 * rate
+    assert found.exponents == pytest.approx([np.log(steepness)], rel=1e-12)
+    assert found.dimension == pytest.approx(np.log(2) / np.log(steepness), abs=0.01)
+    assert found.ended.all() and (found.lives[found.ended] >= 0).all()
+
+
+def henon_like(x, a):
+    return jnp.stack([a - x[0] ** 2 + 0.3 * x[1], x[0]])
+
+
+def test_a_saddle_of_henon_and_its_boxes():
+    """Beyond its crisis at a = 1.4269; the area contracts by 0.3 in each step."""
+    within = lambda x, a: jnp.max(jnp.abs(x)) < 3
+    system = wj.Map(henon_like, ("x", "y"), parameters={"a": 1.6}, feasible=within)
+    starts = np.random.default_rng(1).uniform(-2, 2, size=(200_000, 2))
+    found = wj.transients(system, starts, settle=10, strides=2000)
+    assert found.exponents.sum() == pytest.approx(np.log(0.3), rel=1e-12)
+    survivors = [np.count_nonzero(found.lives >= n) for n in (20, 40)]
+    decay = np.log(survivors[0] / survivors[1]) / 20
+    assert decay == pytest.approx(found.rate, rel=0.05)
+    assert found.low < found.rate < found.high
+    counts = []
+    for size in (0.05, 0.1, 0.2):
+        boxes = np.floor(found.saddle / size).astype(int)
+        counts.append(len(np.unique(boxes, axis=0)))
+    slope = -np.diff(np.log(counts)) / np.log(2)
+    assert slope.mean() == pytest.approx(found.dimension, abs=0.2)
+
+
+def test_the_saddle_beyond_the_loss_of_walking():
+    walker = wj.SimplestWalker(0.0194)
+    on_saddle = wj.find_gaits(walker, 2)[0].states
+    starts = np.concatenate(
+        [one + 1e-4 * np.random.default_rng(0).normal(size=(400, 2)) for one in on_saddle]
+    )
+    found = wj.transients(walker, starts)
+    assert 20 < found.mean_life < 60 and found.ended.all()
+    assert found.exponents[0] > found.rate > 0 > found.exponents[1]
+    assert 0 < found.dimension < 2
+
+
+def test_crisis_laws_are_found_again():
+    rng = np.random.default_rng(3)
+    values = 1.0 + np.geomspace(1e-3, 1e-1, 12)
+    lives = 5 * (values - 0.9995) ** -0.7
+    errors = 0.01 * lives
+    found = wj.crisis_law(values, lives * (1 + 0.01 * rng.normal(size=12)), errors, confidence=0.99)
+    assert found.low < 0.7 < found.high and found.high - found.low < 0.15
+    assert found.crisis == pytest.approx(0.9995, abs=2e-4) and found.misfit < 3
+    known = wj.crisis_law(values, lives, errors, crisis=0.9995)
+    assert known.exponent == pytest.approx(0.7, rel=1e-12) and known.misfit < 1e-20
+    bent = wj.crisis_law(values, lives * np.where(values > 1.02, 0.3, 1), errors, crisis=0.9995)
+    assert bent.misfit > 100
+
+
+def test_predicted_exponents():
+    """The tent map's limit is 1/2, without contraction in one direction; both agree there."""
+    assert wj.crisis_exponent([-3.0, 1e-300]) == pytest.approx(0.5, abs=2e-3)
+    assert wj.crisis_exponent([-3.0, 1e-300], "homoclinic") == pytest.approx(0.5, abs=2e-3)
+    assert wj.crisis_exponent([4.0, 0.0625]) == pytest.approx(1.0)
+    assert wj.crisis_exponent([4.0, 0.0625], "homoclinic") == pytest.approx(1.0)
+
+
+def test_wrong_use_of_transients():
+    system = open_tent(3.0)
+    with pytest.raises(WrongUse, match=r"starts must have shape \(n, 1\), not \(2, 3\)"):
+        wj.transients(system, np.zeros((2, 3)))
+    with pytest.raises(ComputationFailed, match="no walk lasts for 60 strides"):
+        wj.transients(system, np.full((3, 1), 0.5))
+    with pytest.raises(WrongUse, match="values must be 4 or more, ascending, not"):
+        wj.crisis_law([1.0, 2.0], [1.0, 1.0], [1.0, 1.0])
+    values = [1.0, 2.0, 3.0, 4.0]
+    with pytest.raises(WrongUse, match="errors must be 4 positive numbers, not"):
+        wj.crisis_law(values, values, [0.0, 1.0, 1.0, 1.0])
+    with pytest.raises(WrongUse, match="crisis must be below 1, not"):
+        wj.crisis_law(values, values, values, crisis=2.0)
+    with pytest.raises(WrongUse, match="multipliers must be two of a saddle"):
+        wj.crisis_exponent([0.5, 0.2])
+    with pytest.raises(WrongUse, match="kind must be heteroclinic or homoclinic, not"):
+        wj.crisis_exponent([4.0, 0.1], "other")  # pyright: ignore[reportArgumentType]
