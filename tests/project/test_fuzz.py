@@ -389,6 +389,18 @@ def calls() -> dict[str, dict]:
         "step_down": {**start, "drop": 0.001},
         "phase_times": start,
         "steps_to_fall": {**of_gait, "ground": 0.001, "n": 2, "limit": 2, "confidence": 0.9},
+        "most_probable_fall": {
+            **{**of_gait, "ground": 1.0, "strides": 1, "outcome": None, "directions": 2}
+        },
+        "transients": {
+            **{"system": wj.HenonMap(1.6), "starts": np.zeros((2, 2)), "settle": 1, "strides": 9},
+            **{"confidence": 0.9, "tolerance": None},
+        },
+        "crisis_law": {
+            **{"values": np.arange(1.0, 5.0), "lives": np.ones(4), "errors": np.ones(4)},
+            **{"crisis": None, "confidence": 0.9},
+        },
+        "crisis_exponent": {"multipliers": [4.0, 0.1], "kind": "homoclinic"},
         "gait_sensitivity": {**of_gait, "disturbances": ("push",), "indicators": ("time",)},
         "sensitivity_gradient": {**of_gait, "parameters": ("slope",)},
         "motion": {**start, "strides": 2, "step": 0.1},
@@ -494,7 +506,7 @@ def calls() -> dict[str, dict]:
 
 HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
 HEAVY |= {"continue_basins", "robustness", "robustness_table"}
-HEAVY |= {"chart", "continue_event", "lyapunov"}
+HEAVY |= {"chart", "continue_event", "lyapunov", "most_probable_fall"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""
 
 

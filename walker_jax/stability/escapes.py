@@ -25,6 +25,7 @@ from walker_jax.checks import (
     check_confidence,
     check_kind,
     check_whole,
+    is_number,
     numbers,
     refuses_tracers,
     short,
@@ -228,13 +229,14 @@ def crisis_law(
         numbers(name, one)
         for name, one in (("values", values), ("lives", lives), ("errors", errors))
     )
-    if values.ndim != 1 or len(values) < 4 or not (np.diff(values) > 0).all():
+    rising = values.ndim == 1 and len(values) > 3 and (np.diff(values) > 0).all()
+    if not (rising and np.isfinite(values).all()):
         raise WrongUse(f"values must be 4 or more, ascending, not {short(values)}")
     for name, one in (("lives", lives), ("errors", errors)):
-        if one.shape != values.shape or not (one > 0).all():
+        if one.shape != values.shape or not ((one > 0) & np.isfinite(one)).all():
             raise WrongUse(f"{name} must be {len(values)} positive numbers, not {short(one)}")
     check_confidence(confidence)
-    if crisis is not None and not crisis < values[0]:
+    if crisis is not None and not (is_number(crisis) and -np.inf < crisis < values[0]):
         raise WrongUse(f"crisis must be below {values[0]:g}, not {short(crisis)}")
     weights = (lives / errors) ** 2
     at, exponent, chi = fit_crisis(values, np.log(lives), weights, crisis)
@@ -286,12 +288,15 @@ def crisis_exponent(
     Phys. Rev. A 36:5365-5380). Raises `ValueError` unless they are those of a saddle that
     contracts areas.
     """
-    sizes = np.sort(np.abs(np.asarray(multipliers)))
-    if sizes.shape != (2,) or not (0 < sizes[0] < 1 < sizes[1] and sizes[0] * sizes[1] < 1):
+    try:
+        sizes = np.sort(np.abs(np.asarray(multipliers, complex)))
+    except (TypeError, ValueError):
+        sizes = np.zeros(0)
+    if sizes.shape != (2,) or not (0 < sizes[0] < 1 < sizes[1] < 1 / sizes[0]):
         raise WrongUse(
             f"multipliers must be two of a saddle that contracts areas, not {short(multipliers)}"
         )
-    if kind not in ("heteroclinic", "homoclinic"):
+    if not (isinstance(kind, str) and kind in ("heteroclinic", "homoclinic")):
         raise WrongUse(f"kind must be heteroclinic or homoclinic, not {short(kind)}")
     contracting, expanding = np.log(sizes)
     if kind == "homoclinic":

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.stability.descents import turn
-from walker_jax.stability.rays import bisect, first_failures, scan
+from walker_jax.stability.rays import bisect, scan
 
 Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
 Gradient = Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]]
@@ -40,14 +40,16 @@ FLAT = 1e-4
 turned rays then are about its square root from the nearest one."""
 TURN = 1e-4
 """Angle by which rays are turned for differences: their error is its square."""
-REACH, HALVINGS = 2e-3, 38
-"""Relative distance within which the boundary is sought on a turned ray, and bisections of it:
-down to rounding."""
+REACHES, HALVINGS = 10.0 ** np.arange(-7, -1), 38
+"""Relative distances within which the boundary is sought on a turned ray, the smallest first, as
+what fails may be a thin finger; and bisections, down to rounding."""
 BEYOND = 1 + 1e-10
 """Multiple of the length at which normals are computed: on the boundary itself rounding decides how
 a walk ends."""
 NEWTON_STEPS, CONVERGED = 12, 1e-10
 """Steps of Newton's iteration, at most, and the angle between ray and normal at which it ends."""
+SHARES = 0.3 ** np.arange(5)
+"""Of a step that are tried in turn, until one brings ray and normal closer."""
 LARGEST_STEP = 0.1
 """Angle by which one step of it turns a ray, at most."""
 
@@ -118,13 +120,15 @@ def solve_nearest(
         _, miss = misalignment(fails, gradient, best.ray[None], best.length)
         step = np.linalg.solve(jacobian, across @ miss[0]) @ across
         step *= min(1.0, LARGEST_STEP / np.linalg.norm(step))
-        ray = best.ray + step
-        ray /= np.linalg.norm(ray)
-        length, miss = misalignment(fails, gradient, ray[None], best.length)
-        residual = float(np.linalg.norm(miss))
-        if not residual < best.residual:
+        tried = best.ray + SHARES[:, None] * step
+        tried /= np.linalg.norm(tried, axis=1, keepdims=True)
+        lengths, misses = misalignment(fails, gradient, tried, best.length)
+        residuals = np.linalg.norm(misses, axis=1)
+        closer = np.flatnonzero(residuals < best.residual)
+        if len(closer) == 0:
             break
-        best = NearestPoint(ray, float(length[0]), residual, flatness)
+        first = closer[0]
+        best = NearestPoint(tried[first], float(lengths[first]), float(residuals[first]), flatness)
     return best
 
 
@@ -145,9 +149,15 @@ def misalignment(
     fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
     """The length of each ray up to the boundary, about a known one, and F = nu - u there."""
-    low, high = (1 - REACH) * length, (1 + REACH) * length
-    first = first_failures(fails, rays, low, high, 4)
-    lengths = bisect(fails, rays, first, (high - low) / 4, HALVINGS)
+    tried = length * np.stack([1 - REACHES, 1 + REACHES])
+    points = tried[..., None] * rays[:, None, None]
+    before, after = np.moveaxis(
+        fails(points.reshape(-1, rays.shape[1])).reshape(-1, *tried.shape), 1, 0
+    )
+    crossed = ~before & after
+    reach = np.where(crossed.any(axis=1), length * REACHES[crossed.argmax(axis=1)], np.inf)
+    with np.errstate(invalid="ignore"):
+        lengths = bisect(fails, rays, length + reach, 2 * reach, HALVINGS)
     known = np.isfinite(lengths)
     miss = np.full(rays.shape, np.nan)
     if known.any():

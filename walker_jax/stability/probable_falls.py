@@ -20,7 +20,6 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import (
-    ComputationFailed,
     WrongUse,
     check_kind,
     check_whole,
@@ -168,8 +167,6 @@ def search(
 def describe(walks: DisturbedWalks, found: list[NearestPoint]) -> ProbableFall:
     """The last one found, and the walk to its fall."""
     best = found[-1]
-    if not best.residual < np.inf:
-        raise ComputationFailed("no derivative of the boundary is known: give another tolerance")
     w = best.length * best.ray
     tried = BEYOND[:, None] * w
     ends = walks.follow(tried)
