@@ -65,7 +65,7 @@ def starts_on_attractor(count: int) -> np.ndarray:
     gait = wj.find_gait(walker).states[0]
     near = gait + np.linspace(-1e-4, 1e-4, count)[:, None] * np.array([1.0, 0.0])
     end = iterate(walker, near, 300, Integrator(1e-10))
-    return end.state[end.outcome == wj.Outcome.STRIDE]
+    return np.asarray(end.state)[end.outcome == wj.Outcome.STRIDE]
 
 
 def show_falls(slope: float, starts: np.ndarray) -> None:
@@ -75,7 +75,7 @@ def show_falls(slope: float, starts: np.ndarray) -> None:
     chosen = (end.outcome != wj.Outcome.STRIDE) & (end.strides > 20)
     lasts = []
     for start, life in zip(starts[chosen][:300], end.strides[chosen][:300], strict=True):
-        begun = iterate(walker, start[None], int(life) - LAST, integrator).state
+        begun = np.asarray(iterate(walker, start[None], int(life) - LAST, integrator).state)
         lasts.append(orbits(walker, begun, LAST, integrator)[0][0, :, 0])
     lasts = np.array(lasts)
     print(f"slope {slope}: theta of the last states, by the last but one")

@@ -53,6 +53,7 @@ def test_flatness_is_that_of_curved_boundaries():
     assert found.flatness == pytest.approx(np.prod(1 + bends), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_margins_of_disturbed_strides_and_their_derivatives():
     mapper = mapper_of_gait(WALKER, None, 200, None)
     start = np.stack(WALKER.lift(jnp.asarray(mapper.attractors[0].states[0])))
@@ -83,12 +84,16 @@ def test_margins_of_disturbed_strides_and_their_derivatives():
 
 
 @pytest.mark.parametrize("step", [1e-17, -1e-17, 1e-100, -1e-300])
-def test_a_step_within_rounding_is_as_good_as_none(step):
-    walker = wj.RoundFootWalker(0.01)
+@pytest.mark.parametrize(
+    "walker",
+    [WALKER, pytest.param(wj.RoundFootWalker(0.01), marks=pytest.mark.slow)],
+    ids=["spring", "round feet"],
+)
+def test_a_step_within_rounding_is_as_good_as_none(walker, step):
     state = wj.find_gait(walker).states[0]
-    rough = wj.walk(walker, state, 1, ground=[step])
+    rough = wj.walk(walker, state, 1, ground=np.array([step]))
     assert rough.outcomes[0] == Outcome.STRIDE
-    even = wj.walk(walker, state, 1, ground=[0.0])
+    even = wj.walk(walker, state, 1, ground=np.zeros(1))
     np.testing.assert_allclose(rough.states, even.states, atol=1e-12)
 
 
@@ -121,16 +126,15 @@ def test_the_law_is_that_of_a_half_space_that_bends(fall):
     assert fall.mean_strides(scale) == pytest.approx(1 / chance, rel=1e-10)
     assert fall.mean_strides(1e-9) == np.inf
     with pytest.raises(WrongUse, match="scale must be a number above 0, not 0"):
-        fall.mean_strides(0)
+        fall.mean_strides(0.0)
 
 
 def test_the_picture_has_the_sequence_the_path_and_the_law(fall):
     figure = figures.probable_fall(fall)
     sequence, actions, path, law = figure.axes
-    np.testing.assert_allclose(
-        [bar.get_height() for bar in sequence.patches], fall.disturbances[:, 0]
-    )
-    np.testing.assert_allclose(actions.lines[0].get_ydata(), fall.actions)
+    bars: Any = sequence.patches
+    np.testing.assert_allclose([bar.get_height() for bar in bars], fall.disturbances[:, 0])
+    np.testing.assert_allclose(np.asarray(actions.lines[0].get_ydata()), fall.actions)
     assert path.get_xlabel() and law.get_yscale() == "log"
     assert not figures.probable_fall(fall, title=False).get_suptitle()
 

@@ -59,7 +59,7 @@ def test_the_saddle_beyond_the_loss_of_walking():
         [one + 1e-4 * np.random.default_rng(0).normal(size=(400, 2)) for one in on_saddle]
     )
     found = wj.transients(walker, starts)
-    assert 20 < found.mean_life < 60 and found.ended.all()
+    assert 15 < found.mean_life < 22 and found.ended.all()
     assert found.exponents[0] > found.rate > 0 > found.exponents[1]
     assert 0 < found.dimension < 2
 
@@ -101,5 +101,3 @@ def test_wrong_use_of_transients():
         wj.crisis_law(values, values, values, crisis=2.0)
     with pytest.raises(WrongUse, match="multipliers must be two of a saddle"):
         wj.crisis_exponent([0.5, 0.2])
-    with pytest.raises(WrongUse, match="kind must be heteroclinic or homoclinic, not"):
-        wj.crisis_exponent([4.0, 0.1], "other")  # pyright: ignore[reportArgumentType]

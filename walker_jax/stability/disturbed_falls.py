@@ -1,4 +1,4 @@
-"""Which sequences of disturbances topple a walker, and how the boundary of these is inclined."""
+"""Sequences of disturbances that topple a walker, and the inclination of their boundary."""
 
 from typing import NamedTuple
 

@@ -106,8 +106,8 @@ def solve_nearest(
 
     It ends where a step brings ray and normal no closer, or differences find no boundary.
     """
-    length, miss = misalignment(fails, gradient, ray[None], length)
-    best = NearestPoint(ray, float(length[0]), float(np.linalg.norm(miss)), np.nan)
+    lengths, miss = misalignment(fails, gradient, ray[None], length)
+    best = NearestPoint(ray, float(lengths[0]), float(np.linalg.norm(miss)), np.nan)
     for _ in range(NEWTON_STEPS):
         jacobian = bending(fails, gradient, best)
         if not np.isfinite(jacobian).all():

@@ -20,6 +20,7 @@ from walker_jax.walking.failure_margins import (
     measure_stride,
     strike_margin,
 )
+from walker_jax.walking.raised_ground import onto_step, raise_ground
 from walker_jax.walking.starts import during_stride
 from walker_jax.walking.stride import (
     Arrival,
@@ -30,8 +31,6 @@ from walker_jax.walking.stride import (
     follow_to_step,
     method_of,
     modes_from,
-    onto_step,
-    raise_ground,
 )
 
 

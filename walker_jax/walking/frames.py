@@ -12,6 +12,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Walker
+from walker_jax.walking.raised_ground import raise_ground
 from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.stride import (
     begin_stride,
@@ -19,7 +20,6 @@ from walker_jax.walking.stride import (
     follow_swing,
     follow_to_step,
     modes_from,
-    raise_ground,
 )
 from walker_jax.walking.trajectories import legs, trajectory
 

@@ -22,7 +22,7 @@ from walker_jax.hybrid.conditions import is_negative
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.misses import Misses
-from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.method import Method, zero_at
@@ -32,12 +32,12 @@ from walker_jax.systems.hybrid_system import HybridSystem, check_outcomes
 from walker_jax.systems.outcomes import Outcome, Stride, make_stride
 from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, check_planar
+from walker_jax.walking.raised_ground import onto_step, raise_ground
 from walker_jax.walking.starts import (
     during_stride,
     full_state,
     is_feasible,
     on_section,
-    overrides,
     prepare,
 )
 
@@ -370,39 +370,3 @@ def follow_to_step(
     verdict = jnp.where(lower, Outcome.UNDECIDED, level.verdict).astype(jnp.int8)
     onto = onto_step(walker, swing, step)
     return follow_on(onto, level._replace(verdict=verdict), integrator, measured)
-
-
-def raise_ground(mode: Mode, step: Scalar) -> Mode:
-    """A phase in which the swing foot must not come down on ground that is higher by `step`."""
-    above = lambda guard: lambda state: step + guard.value(state)
-    raised = [
-        guard._replace(value=above(guard)) if guard.leads_to == Outcome.BENT_KNEE else guard
-        for guard in mode.guards
-    ]
-    return mode._replace(guards=tuple(raised))
-
-
-def onto_step(
-    walker: Walker, swing: Mode, step: Scalar, to_step: Bool[Array, ""] | None = None
-) -> Mode:
-    """The swing to where the foot comes down, ahead of the other, on ground higher by `step`.
-
-    Where that is not `to_step`, the swing as it is. Both cases share one loop, which keeps the
-    lanes of a kernel together. On a step the foot is ahead where it has passed the other leg; a
-    rule of a walker's own holds too.
-    """
-    *others, strike = swing.guards
-    above = lambda state: step - walker.clearance(state)
-    passed = lambda state: -state.phi
-    admits = (passed, walker.is_ahead) if overrides(walker, "is_ahead") else (passed,)
-    if to_step is None:
-        onto = Guard(above, Outcome.STRIDE, admits)
-        return swing._replace(guards=(*others, onto), foregone=None)
-    choose = lambda one, other: lambda state: jnp.where(to_step, one(state), other(state))
-    admits = tuple(choose(one, walker.is_ahead) for one in admits)
-    onto = Guard(choose(above, strike.value), Outcome.STRIDE, admits)
-    foregone = swing.foregone
-    if foregone is not None:  # nor does a foot come up again to a step that is higher
-        holds, sinks = foregone.holds, ~to_step | (step > 0)
-        foregone = foregone._replace(holds=lambda state: sinks & holds(state))
-    return swing._replace(guards=(*others, onto), foregone=foregone)

@@ -1,0 +1,45 @@
+"""Modes of a stride on ground that is higher or lower than the foot that stands."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walking.starts import overrides
+
+
+def raise_ground(mode: Mode, step: Scalar) -> Mode:
+    """A phase in which the swing foot must not come down on ground that is higher by `step`."""
+    above = lambda guard: lambda state: step + guard.value(state)
+    raised = [
+        guard._replace(value=above(guard)) if guard.leads_to == Outcome.BENT_KNEE else guard
+        for guard in mode.guards
+    ]
+    return mode._replace(guards=tuple(raised))
+
+
+def onto_step(
+    walker: Walker, swing: Mode, step: Scalar, to_step: Bool[Array, ""] | None = None
+) -> Mode:
+    """The swing to where the foot comes down, ahead of the other, on ground higher by `step`.
+
+    Where that is not `to_step`, the swing as it is. Both cases share one loop, which keeps the
+    lanes of a kernel together. On a step the foot is ahead where it has passed the other leg; a
+    rule of a walker's own holds too.
+    """
+    *others, strike = swing.guards
+    above = lambda state: step - walker.clearance(state)
+    passed = lambda state: -state.phi
+    admits = (passed, walker.is_ahead) if overrides(walker, "is_ahead") else (passed,)
+    if to_step is None:
+        onto = Guard(above, Outcome.STRIDE, admits)
+        return swing._replace(guards=(*others, onto), foregone=None)
+    choose = lambda one, other: lambda state: jnp.where(to_step, one(state), other(state))
+    admits = tuple(choose(one, walker.is_ahead) for one in admits)
+    onto = Guard(choose(above, strike.value), Outcome.STRIDE, admits)
+    foregone = swing.foregone
+    if foregone is not None:  # nor does a foot come up again to a step that is higher
+        holds, sinks = foregone.holds, ~to_step | (step > 0)
+        foregone = foregone._replace(holds=lambda state: sinks & holds(state))
+    return swing._replace(guards=(*others, onto), foregone=foregone)
