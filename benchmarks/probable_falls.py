@@ -2,8 +2,9 @@
 
 For three walkers the sequence of steps of least action that topples them: it is replayed by `walk`,
 and none of 100,000 random sequences of 0.99 of its length topples the walker. Then the mean number
-of strides to a fall by the law of large deviations, with its factor in front, beside a stochastic
-cell map and walks that are followed.
+of strides to a fall by the law of large deviations, with its factor in front: beside importance
+sampling out to 1e12 strides, and beside a stochastic cell map and walks that are followed, where
+these have an answer.
 """
 
 import sys
@@ -27,6 +28,11 @@ WALKERS = {
 EXPONENTS = 3.0, 4.0, 5.5, 7.0, 9.0
 """action / deviation^2 of the grounds on which the law is compared."""
 DIRECTIONS = 100_000
+RARE = 5.0, 10.0, 15.0, 20.0, 26.0
+"""The same, of those on which walks are drawn around the least sequence."""
+DRAWN, BESIDE = 20_000, 0.6
+"""Such walks; and the share of the least sequence, along it, from which on they count: other falls
+are those that begin a stride before or later, which are as many."""
 MOST_FOLLOWED = 6.0
 """Largest exponent at which walks are followed to their falls."""
 
@@ -42,6 +48,7 @@ def main(*names: str) -> None:
         print(f"  {fall.flatness:.6g}, {taken[0]:.0f} s, {taken[1]:.0f} of the processor")
         print("  actions", " ".join(f"{one:.6g}" for one in fall.actions))
         check_least(walker, fall)
+        compare_rare(walker, fall)
         compare_law(walker, fall)
 
 
@@ -63,6 +70,33 @@ def check_least(walker: wj.Walker, fall: wj.ProbableFall) -> None:
     near *= 0.99 * np.sqrt(2 * fall.action) / np.linalg.norm(near, axis=1, keepdims=True)
     print(f"  of {DIRECTIONS:,} shorter ones {walks.fails(rays).sum()} fall,", end=" ")
     print(f"of as many beside it {walks.fails(near).sum()}")
+
+
+def compare_rare(walker: wj.Walker, fall: wj.ProbableFall) -> None:
+    """The law, and its chances by importance sampling, out to where falls are never seen.
+
+    Disturbances are drawn around the least sequence, and walks that fall count by how much less
+    probable they are without that shift: the sum is right whatever the boundary's shape is.
+    """
+    mapper = mapper_of_gait(walker, None, 200, None)
+    start = np.stack(walker.lift(jnp.asarray(mapper.attractors[0].states[0])))
+    least = fall.disturbances[:, 0]
+    walks = DisturbedWalks(mapper, start, np.array([1.0, 0.0, 0.0]), len(least), None)
+    rng, found = np.random.default_rng(3), []
+    print("  action/deviation^2     law    sampled  (1.96 errors)  slope/action")
+    for exponent in RARE:
+        deviation = float(np.sqrt(fall.action / exponent))
+        w = least + deviation * rng.normal(size=(DRAWN, len(least)))
+        along = w @ least / (2 * fall.action)
+        counts = walks.fails(w) & (along > BESIDE)
+        # The factor exp(-exponent), which all have, is left out: it would be rounded to nothing.
+        chances = np.where(counts, np.exp(-2 * exponent * (along - 1)), 0)
+        chance, error = chances.mean(), chances.std() / np.sqrt(DRAWN)
+        found.append((1 / deviation**2, exponent - np.log(chance * deviation)))
+        slope = np.diff(found[-2:], axis=0)[0] if len(found) > 1 else (1, np.nan)
+        print(f"  {exponent:18.1f} {fall.mean_strides(deviation):11.5g}", end=" ")
+        print(f"{np.exp(exponent) / chance:11.5g} ({1.96 * error / chance:6.1%})", end=" ")
+        print(f"{slope[1] / slope[0] / fall.action:9.4f}", flush=True)
 
 
 def compare_law(walker: wj.Walker, fall: wj.ProbableFall) -> None:
