@@ -92,7 +92,7 @@ def compare_rare(walker: wj.Walker, fall: wj.ProbableFall) -> None:
         # The factor exp(-exponent), which all have, is left out: it would be rounded to nothing.
         chances = np.where(counts, np.exp(-2 * exponent * (along - 1)), 0)
         chance, error = chances.mean(), chances.std() / np.sqrt(DRAWN)
-        found.append((1 / deviation**2, exponent - np.log(chance * deviation)))
+        found.append((1 / deviation**2, exponent - np.log(chance / deviation)))
         slope = np.diff(found[-2:], axis=0)[0] if len(found) > 1 else (1, np.nan)
         print(f"  {exponent:18.1f} {fall.mean_strides(deviation):11.5g}", end=" ")
         print(f"{np.exp(exponent) / chance:11.5g} ({1.96 * error / chance:6.1%})", end=" ")

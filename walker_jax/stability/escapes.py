@@ -231,10 +231,12 @@ def crisis_law(
     )
     rising = values.ndim == 1 and len(values) > 3 and (np.diff(values) > 0).all()
     if not (rising and np.isfinite(values).all()):
-        raise WrongUse(f"values must be 4 or more, ascending, not {short(values)}")
+        raise WrongUse(f"values must be 4 or more, ascending, not {short(values.tolist())}")
     for name, one in (("lives", lives), ("errors", errors)):
         if one.shape != values.shape or not ((one > 0) & np.isfinite(one)).all():
-            raise WrongUse(f"{name} must be {len(values)} positive numbers, not {short(one)}")
+            raise WrongUse(
+                f"{name} must be {len(values)} positive numbers, not {short(one.tolist())}"
+            )
     check_confidence(confidence)
     if crisis is not None and not (is_number(crisis) and -np.inf < crisis < values[0]):
         raise WrongUse(f"crisis must be below {values[0]:g}, not {short(crisis)}")
