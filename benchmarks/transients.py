@@ -62,7 +62,7 @@ def main(count: str = str(STARTS)) -> None:
 def starts_on_attractor(count: int) -> np.ndarray:
     """Starts on the chaotic attractor, before it is lost."""
     walker = wj.SimplestWalker(ATTRACTOR)
-    gait = wj.find_gait(walker).states[0]
+    gait = np.asarray(wj.find_gait(walker).states[0])
     near = gait + np.linspace(-1e-4, 1e-4, count)[:, None] * np.array([1.0, 0.0])
     end = iterate(walker, near, 300, Integrator(1e-10))
     return np.asarray(end.state)[end.outcome == wj.Outcome.STRIDE]

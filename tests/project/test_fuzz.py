@@ -590,7 +590,8 @@ def test_what_jax_cannot_trace_says_so():
     others = {"box_counting": "labels", "uncertainty_exponent": "distances"}
     others |= {"slice_basin": "value", "information_dimension": "points"}
     others |= dict.fromkeys(("chart", "continue_event", "lyapunov"), "system")
-    others |= {"basin_entropy": "labels", "merge_regions": "labels"}
+    others |= {"basin_entropy": "labels", "merge_regions": "labels", "transients": "starts"}
+    others |= {"crisis_law": "lives", "crisis_exponent": "multipliers"}
     for name, good in calls().items():
         if name[0].isupper() or name in TRACEABLE:
             continue
