@@ -389,17 +389,9 @@ def calls() -> dict[str, dict]:
         "step_down": {**start, "drop": 0.001},
         "phase_times": start,
         "steps_to_fall": {**of_gait, "ground": 0.001, "n": 2, "limit": 2, "confidence": 0.9},
-        "most_probable_fall": {
-            **{**of_gait, "ground": 1.0, "strides": 1, "outcome": None, "directions": 2}
-        },
-        "transients": {
-            **{"system": wj.HenonMap(1.6), "starts": np.zeros((2, 2)), "settle": 1, "strides": 9},
-            **{"confidence": 0.9, "tolerance": None},
-        },
-        "crisis_law": {
-            **{"values": np.arange(1.0, 5.0), "lives": np.ones(4), "errors": np.ones(4)},
-            **{"crisis": None, "confidence": 0.9},
-        },
+        "most_probable_fall": {**of_gait, "ground": 1.0, "strides": 1, "directions": 2},
+        "transients": {"system": wj.HenonMap(1.6), "starts": np.zeros((2, 2)), "settle": 1},
+        "crisis_law": {"values": np.arange(1.0, 5.0), "lives": np.ones(4), "errors": np.ones(4)},
         "crisis_exponent": {"multipliers": [4.0, 0.1], "kind": "homoclinic"},
         "gait_sensitivity": {**of_gait, "disturbances": ("push",), "indicators": ("time",)},
         "sensitivity_gradient": {**of_gait, "parameters": ("slope",)},
@@ -571,10 +563,7 @@ def spoil(good: dict[str, dict], count: int, *, repeatable: bool) -> Counter:
 
 
 def test_bad_arguments_of_functions_are_refused_before_any_work():
-    """Or is not bad there. All arguments of all functions.
-
-    But for the explorer, which starts a server, and for a map that takes seconds; they have tests.
-    """
+    """Or are not bad there; but of the explorer, a server, and of a map that takes seconds."""
     functions = {name for name in wj.__all__ if callable(getattr(wj, name)) and name[0].islower()}
     good = calls()
     assert set(good) >= functions - {"explore", "metastability"}
@@ -587,11 +576,10 @@ TRACEABLE |= {"phase_times", "gait_sensitivity"}
 
 
 def test_what_jax_cannot_trace_says_so():
-    others = {"box_counting": "labels", "uncertainty_exponent": "distances"}
-    others |= {"slice_basin": "value", "information_dimension": "points"}
-    others |= dict.fromkeys(("chart", "continue_event", "lyapunov"), "system")
-    others |= {"basin_entropy": "labels", "merge_regions": "labels", "transients": "starts"}
-    others |= {"crisis_law": "lives", "crisis_exponent": "multipliers"}
+    others = dict.fromkeys(("box_counting", "basin_entropy", "merge_regions"), "labels")
+    others |= {"uncertainty_exponent": "distances", "crisis_exponent": "multipliers"}
+    others |= {"slice_basin": "value", "information_dimension": "points", "crisis_law": "lives"}
+    others |= dict.fromkeys(("chart", "continue_event", "lyapunov", "transients"), "system")
     for name, good in calls().items():
         if name[0].isupper() or name in TRACEABLE:
             continue
