@@ -266,7 +266,7 @@ def fit_crisis(
 
     if crisis is None:
         span = float(values[-1] - values[0])
-        distance = minimize_scalar(
+        distance: Any = minimize_scalar(
             lambda log: line(values[0] - np.exp(log))[1],
             bounds=(np.log(1e-4 * span), np.log(span)),
             method="bounded",
