@@ -35,6 +35,7 @@ COMMANDS = {
     "ever.",
     "prove": "Prove that all starts near a gait walk for ever, or which of a window do.",
     "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
+    "fall": "Find the most probable fall: the least disturbances that topple the walker.",
     "continuation": "Follow the attractors over a parameter, and the fractions of a region that "
     "converge to each.",
     "optimise": "Design a walker: the parameters with the largest basin, or another objective, by "

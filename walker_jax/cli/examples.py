@@ -54,6 +54,11 @@ EXAMPLES = {
         "prove --slope 0.009 --radius 0.00223",
         "prove --theta 0.1 0.2 20 --sum -0.02 0.01 30 --levels 4",
     ),
+    "fall": (
+        "fall --walker spring --slope 0.01 --hip-stiffness 0.2 --figure fall.png",
+        "fall --walker round-foot --slope 0.01 --ground 0.0004",
+        "fall --slope 0.009 --push 0.001 --way backward",
+    ),
     "robustness": (
         "robustness --slope 0.009",
         "robustness --slope 0.009 --ground 0.0002",
@@ -86,6 +91,7 @@ DURATIONS = {
     "boundary": "Half a minute.",
     "viable": "Half a minute for the first example.",
     "prove": "Half a minute for the first example, most of it to compile.",
+    "fall": "Half a minute.",
     "robustness": "Twenty seconds or more for each slope; minutes for walkers with knees.",
     "continuation": "A minute or two for the example.",
     "optimise": "Half a minute for the area over a slope, an hour for more parameters; fewer "

@@ -9,8 +9,8 @@ results of the same operations on what the operands enclose: `radius` grows by t
 a degree, and by all rounding errors.
 
 Rounding. Numbers are float64, rounded to nearest. One operation is off by 2^-53 of its result at
-most; `ROUNDING` counts twice that. So the bounds still hold where a compiler contracts a product
-and a sum to one operation, which saves a rounding, or moves a constant factor. The error of a sum
+most, and `ROUNDING` is a little more. The bounds still hold where a compiler contracts a product
+and a sum to one operation, which saves a rounding. The error of a sum
 of n products is at most n 2^-53 times the sum of their absolute values, up to second order (Higham
 2002, section 3.1). Radii are sums and products of numbers that are not negative, so their own
 relative error is at most 2^-53 for each operation: `GROWTH` has room for 32, more than any radius
