@@ -65,6 +65,8 @@ from walker_jax.stability.escapes import Transients as Transients
 from walker_jax.stability.escapes import crisis_exponent as crisis_exponent
 from walker_jax.stability.escapes import crisis_law as crisis_law
 from walker_jax.stability.escapes import transients as transients
+from walker_jax.stability.gait_robustness import robustness as robustness
+from walker_jax.stability.gait_robustness import robustness_table as robustness_table
 from walker_jax.stability.probable_falls import ProbableFall as ProbableFall
 from walker_jax.stability.probable_falls import most_probable_fall as most_probable_fall
 from walker_jax.stability.rough_ground import StepsToFall as StepsToFall
@@ -76,8 +78,6 @@ from walker_jax.stability.sensitivity import gait_sensitivity as gait_sensitivit
 from walker_jax.stability.steps_down import LeastStepDown as LeastStepDown
 from walker_jax.stability.steps_down import least_step_down as least_step_down
 from walker_jax.stability.stochastic_map import metastability as metastability
-from walker_jax.stability.summary import robustness as robustness
-from walker_jax.stability.summary import robustness_table as robustness_table
 from walker_jax.stability.tipping import Tipping as Tipping
 from walker_jax.stability.tipping import tipping_probability as tipping_probability
 from walker_jax.systems.bouncing_ball import BouncingBall as BouncingBall

@@ -10,9 +10,9 @@ from cells_of_basins import let_grow, let_walk
 import walker_jax as wj
 from walker_jax import Outcome, figures
 from walker_jax.basins import refinement
+from walker_jax.basins.basin_summary import summarise_basin, tally
 from walker_jax.basins.memory import TooLarge
 from walker_jax.basins.runs import Runs, neighbours
-from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.basins.windows import WHOLE_SECTION, grid_along, whole_section
 from walker_jax.design.area_gradients import AreaGradient, area_gradient
 from walker_jax.grids import edge

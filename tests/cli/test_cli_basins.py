@@ -390,6 +390,7 @@ def test_a_place_that_is_taken_is_refused_before_a_search(run, tmp_path, monkeyp
     assert code == 2 and "low must be below high" in err
 
 
+@pytest.mark.slow
 def test_prove_states_the_theorem(run):
     code, out, _ = run("prove", "--radius", "0.001", "--json")
     answer = json.loads(out)

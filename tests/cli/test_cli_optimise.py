@@ -10,8 +10,8 @@ from command_lines import RESUME
 import walker_jax as wj
 from walker_jax.cli import optimise_command
 from walker_jax.design import evaluation
+from walker_jax.design.design_summary import summarise_optimum
 from walker_jax.design.measures import Measure
-from walker_jax.design.summary import summarise_optimum
 
 FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.015", "--objective", "speed"]
 FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3"]

@@ -161,6 +161,7 @@ def test_walks_of_a_system(run):
         assert (code, out) == (2, "") and option[0] in err
 
 
+@pytest.mark.slow
 def test_robustness_of_a_system(run):
     small = ("--levels", "0", "--strides", "300")
     command = ["robustness", "--system", "my_maps.py:system", "--a", "0.3", *small]

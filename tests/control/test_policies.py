@@ -160,6 +160,7 @@ def test_the_best_actions_are_those_of_a_plain_value_iteration():
     assert len({*action}) > 1 and value.max() > 3
 
 
+@pytest.mark.slow
 def test_walks_last_a_hundred_times_as_long_as_passive_ones(steady):
     """With other random numbers than those that made the policy, from the passive gait."""
     key, gait = jax.random.key(11), wj.find_gait(WALKER)

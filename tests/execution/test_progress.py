@@ -10,7 +10,7 @@ from rich.console import Console
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.execution import progress, workers
-from walker_jax.stability import boundaries, summary
+from walker_jax.stability import boundaries, gait_robustness
 from walker_jax.systems.outcomes import Outcome
 
 
@@ -89,9 +89,11 @@ def test_nothing_is_shown_where_that_is_asked(monkeypatch):
 def test_robustness_says_what_it_is_at(monkeypatch):
     """Where there is nothing to measure: what comes first is enough to see."""
     labels = []
-    bar = summary.bar
+    bar = gait_robustness.bar
     monkeypatch.setattr(
-        summary, "bar", lambda label, wanted: labels.append((label, wanted)) or bar(label, False)
+        gait_robustness,
+        "bar",
+        lambda label, wanted: labels.append((label, wanted)) or bar(label, False),
     )
     grid = wj.Grid.sheared(theta=(0.05, 0.06, 3), sum=(-0.5, -0.45, 3))
     wj.robustness(wj.SimplestWalker(0.004), grid, levels=0, check=10, strides=3, progress=True)

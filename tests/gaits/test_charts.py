@@ -9,7 +9,7 @@ from unchecked import unchecked
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.gaits.charts import words_in
-from walker_jax.gaits.summary import summarise_chart
+from walker_jax.gaits.gait_summary import summarise_chart
 from walker_jax.storage.schema import check_dataset
 
 BOUNDS = {"a": (-0.3, 1.3), "b": (-1.1, 0.6)}

@@ -12,7 +12,7 @@ from walker_jax.gaits import continuation
 from walker_jax.gaits.crises import Loss
 from walker_jax.gaits.diagrams import assemble_diagram
 from walker_jax.gaits.events import Bifurcation
-from walker_jax.gaits.summary import summarise_bifurcations
+from walker_jax.gaits.gait_summary import summarise_bifurcations
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.storage.schema import check_dataset
 from walker_jax.walking.iteration import orbits

@@ -10,8 +10,8 @@ import walker_jax as wj
 from walker_jax import figures
 from walker_jax.gaits.continuation import Start, follow_branch
 from walker_jax.gaits.events import add_normal_form
+from walker_jax.gaits.gait_summary import summarise_bifurcations
 from walker_jax.gaits.normal_forms import criticality, find_coefficient
-from walker_jax.gaits.summary import summarise_bifurcations
 
 
 def the_event(stride, states, bounds):

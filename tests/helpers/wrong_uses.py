@@ -30,7 +30,7 @@ from walker_jax.basins import memory
 from walker_jax.execution import tiles
 from walker_jax.explorer import lattice, offers, service, subjects, walks
 from walker_jax.integrators import integrator
-from walker_jax.stability import stochastic_map, summary
+from walker_jax.stability import gait_robustness, stochastic_map
 from walker_jax.storage.schema import TYPES, attributes_of, check_dataset, variables_of
 from walker_jax.walkers import references
 from walker_jax.walkers.parameters import options
@@ -179,7 +179,7 @@ LOST = gait([[np.nan, np.nan]], np.nan, found=False)
 
 def where_none_is_found(call: Callable[[], object]) -> object:
     """Make a call as if a search had found no gait, which spares the search."""
-    with mock.patch.object(summary, "search_gait", lambda *_, **__: LOST):
+    with mock.patch.object(gait_robustness, "search_gait", lambda *_, **__: LOST):
         return call()
 
 

@@ -125,8 +125,7 @@ ANSWERS = {
     "boundary_dimension": wj.Uncertainty(1.0, 0.9, 1.1, 1.0, np.zeros(0), np.zeros(0)),
 }
 """What is measured of a walker's robustness."""
-PICTURES = ("basin", "basin_slices", "multipliers", "robustness", "robustness_table")
-PICTURES += ("optimum", "sweep")
+PICTURES = "basin basin_slices multipliers robustness robustness_table optimum sweep".split()
 
 
 def climb(trace, run, stage, place):
@@ -184,8 +183,7 @@ def bench(tmp_path_factory, made):
         patch = lambda place, value: stack.enter_context(mock.patch(place, value))
         patch("walker_jax.cli.startup.keep_compiled", lambda: None)
         for place in ("answers", "gait_command"):
-            draw = f"walker_jax.cli.{place}.draw"
-            patch(draw, lambda axes, path, request: put(path, request))
+            patch(f"walker_jax.cli.{place}.draw", lambda axes, path, request: put(path, request))
         for name in PICTURES:
             patch(f"walker_jax.figures.{name}", lambda data: None)
         film = lambda *all, **more: all[1].write_bytes(more["signature"].encode())
@@ -195,14 +193,16 @@ def bench(tmp_path_factory, made):
         patch("walker_jax.design.sweeps.measure_basin", lambda *_: {"total_area": 0.001})
         patch("walker_jax.basin", basin)
         patch("walker_jax.bifurcation_diagram", refuse)
+        patch("walker_jax.most_probable_fall", refuse)
         patch("walker_jax.continue_basins", refuse)
         patch("walker_jax.stability.boundaries.LONGEST_CURVED", 0)  # no curves
         one = lambda walker, period: [gait] if period == 1 else []
         patch("walker_jax.gaits.selection.find_gaits", one)
         patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
+        measured_by = "walker_jax.stability.gait_robustness"
         for name, found in ANSWERS.items():
-            patch(f"walker_jax.stability.summary.{name}", lambda *_, found=found, **__: found)
-        patch("walker_jax.stability.summary.refine", refine)
+            patch(f"{measured_by}.{name}", lambda *_, found=found, **__: found)
+        patch(f"{measured_by}.refine", refine)
         patch("walker_jax.design.optimisation.climb", climb)
         patch("walker_jax.design.trace.evaluate_objective", measured)
         patch("walker_jax.design.optimisation.compare_basins", lambda *_: {})

@@ -16,10 +16,11 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.stability import summary
+from walker_jax.stability import gait_robustness
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
+from walker_jax.stability.gait_robustness import common_attributes, join_rows, robustness_table
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import FINE, bisect, bisect_nearest
 from walker_jax.stability.sampling import (
@@ -29,7 +30,6 @@ from walker_jax.stability.sampling import (
     wilson_interval,
 )
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
-from walker_jax.stability.summary import common_attributes, join_rows, robustness_table
 from walker_jax.walking.stride import follow_step
 
 WALKER = wj.SimplestWalker(0.004)
@@ -324,14 +324,16 @@ def test_a_fall_is_searched_for_only_where_the_nearest_is_none(monkeypatch, gait
 
     survived = BasinStability(*map(np.asarray, (0.5, 0.4, 0.6, np.zeros(8, int), 0, 5.0, 9.0)))
     dimension = Uncertainty(1.0, 1.0, 1.0, 1.0, np.zeros(0), np.zeros(0))
-    monkeypatch.setattr("walker_jax.stability.summary.least_disturbance_if_any", disturbed)
-    monkeypatch.setattr("walker_jax.stability.summary.least_step_down", stepped)
-    monkeypatch.setattr("walker_jax.stability.summary.basin_stability", lambda *_, **__: survived)
+    monkeypatch.setattr("walker_jax.stability.gait_robustness.least_disturbance_if_any", disturbed)
+    monkeypatch.setattr("walker_jax.stability.gait_robustness.least_step_down", stepped)
     monkeypatch.setattr(
-        "walker_jax.stability.summary.boundary_dimension", lambda *_, **__: dimension
+        "walker_jax.stability.gait_robustness.basin_stability", lambda *_, **__: survived
+    )
+    monkeypatch.setattr(
+        "walker_jax.stability.gait_robustness.boundary_dimension", lambda *_, **__: dimension
     )
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
-    found = summary.robustness(WALKER, grid, levels=0, check=0, strides=100)
+    found = gait_robustness.robustness(WALKER, grid, levels=0, check=0, strides=100)
     twice = failure == Outcome.STRIDE
     for name in ("disturbance", "step"):  # these two are measured side by side
         assert [fall for one, fall in asked if one == name] == [False, True][: 1 + twice]
@@ -378,13 +380,13 @@ def test_the_numbers_are_the_largest_basins_at_its_weakest(monkeypatch):
     }
     for name, answer in answers.items():
         monkeypatch.setattr(
-            f"walker_jax.stability.summary.{name}", lambda *_, answer=answer, **__: answer
+            f"walker_jax.stability.gait_robustness.{name}", lambda *_, answer=answer, **__: answer
         )
-    for module in ("stability.summary", "basins.attracting_gaits"):
+    for module in ("stability.gait_robustness", "basins.attracting_gaits"):
         monkeypatch.setattr(f"walker_jax.{module}.search_gait", found_gait)
-    monkeypatch.setattr("walker_jax.stability.summary.basin_stability", survived)
+    monkeypatch.setattr("walker_jax.stability.gait_robustness.basin_stability", survived)
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
-    found = summary.robustness(WALKER, grid, disturbances=0.25)
+    found = gait_robustness.robustness(WALKER, grid, disturbances=0.25)
     np.testing.assert_array_equal(asked["states"], cycle[[1, 2, 0]])
     assert asked["scale"].tolist() == [0.2, 0.25] and asked["disturbances"] == 0.25
     expected = {

@@ -6,13 +6,16 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basins import summary as basin_summary
-from walker_jax.basins import windows
+from walker_jax.basins import basin_summary, windows
 from walker_jax.basins.attracting_gaits import compare_with_search, is_same_cycle
 from walker_jax.gaits import reasons, selection
+from walker_jax.gaits.gait_summary import (
+    find_stable_intervals,
+    summarise_bifurcations,
+    summarise_gait,
+)
 from walker_jax.gaits.search import search_gait
-from walker_jax.gaits.summary import find_stable_intervals, summarise_bifurcations, summarise_gait
-from walker_jax.stability import summary
+from walker_jax.stability import gait_robustness
 from walker_jax.stability.robustness_fields import FIELDS, summarise_robustness, without_gait
 from walker_jax.walkers.parameters import describe_in_words, describe_walker, space_decimals
 
@@ -233,14 +236,14 @@ def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
         "boundary_dimension": wj.Uncertainty(1.25, 1.0, 1.5, 0.75, np.zeros(0), np.zeros(0)),
     }
     for name, answer in answers.items():
-        monkeypatch.setattr(summary, name, lambda *_, answer=answer, **__: answer)
+        monkeypatch.setattr(gait_robustness, name, lambda *_, answer=answer, **__: answer)
     return wj.robustness(walker, grid, levels=0, check=0, strides=200)
 
 
 def test_robustness_says_where_a_search_ends_in_another_gait(monkeypatch):
     owner, other = wj.find_gait(WALKER), wj.find_gait(WALKER, [0.1453, -0.1553])
     assert owner.stable and not other.stable and not is_same_cycle(owner, other)
-    monkeypatch.setattr(summary, "search_gait", lambda *_, **__: other)
+    monkeypatch.setattr(gait_robustness, "search_gait", lambda *_, **__: other)
     data = made_up_robustness(monkeypatch)
     assert float(data["multiplier"]) == pytest.approx(np.abs(owner.multipliers[0]), rel=1e-9)
     words = compare_with_search(owner, other)

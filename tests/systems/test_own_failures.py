@@ -13,7 +13,7 @@ from matplotlib.text import Text
 
 import walker_jax as wj
 from walker_jax import figures
-from walker_jax.basins.summary import summarise_basin, tally
+from walker_jax.basins.basin_summary import summarise_basin, tally
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.offers import Offer
 from walker_jax.systems.outcomes import failures_of

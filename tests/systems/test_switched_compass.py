@@ -238,6 +238,7 @@ class InOneMode(wj.SwitchedCompass):
         return (swing._replace(field=rates, rates_at=None),)
 
 
+@pytest.mark.slow
 def test_a_torque_that_jumps_needs_two_modes():
     """A step of the integration knows no jump within: without a mode of its own for the torque, it
     is seen and nothing is said of the stride."""

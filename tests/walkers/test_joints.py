@@ -73,6 +73,7 @@ def test_a_body_on_a_stiffening_joint_becomes_one_that_is_held():
     assert abs(gaits[0].states[0, 0] - held.states[0, 0]) > 1e-4
 
 
+@pytest.mark.slow
 def test_coordinates_of_joints_come_behind_those_of_the_legs():
     walker, gait = walker_and_gait()
     assert walker.section == ("theta", "thetadot", "phidot", "torso", "torsodot")

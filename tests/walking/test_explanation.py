@@ -131,6 +131,7 @@ class Leaky(WithEnergy):
         return super().energy(state) + 0.1 * state.theta
 
 
+@pytest.mark.slow
 def test_energy_that_should_be_constant_is_looked_at():
     sound = wj.explain(WithEnergy(0.009), jnp.array([0.2, -0.2]))
     start, end = sound.modes[0].energy

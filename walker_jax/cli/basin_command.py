@@ -9,8 +9,8 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.basins.basin_summary import Tally, summarise_basin, tally
 from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units
-from walker_jax.basins.summary import Tally, summarise_basin, tally
 from walker_jax.basins.windows import fill_around_gait, grid_along, whole_section
 from walker_jax.checks import WrongUse, is_number
 from walker_jax.cli.answers import (

@@ -12,7 +12,7 @@ from walker_jax.cli.answers import Output, listed, request_for, walker_in_words
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import check_range, hyphenated, underscored
 from walker_jax.cli.walker_options import takes_walker
-from walker_jax.gaits.summary import summarise_bifurcations, value_key
+from walker_jax.gaits.gait_summary import summarise_bifurcations, value_key
 from walker_jax.systems.system import System
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker

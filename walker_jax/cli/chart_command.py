@@ -12,8 +12,8 @@ from walker_jax.cli.groups import option
 from walker_jax.cli.options import RANGE_FORM, hyphenated, read_range, refuse_again
 from walker_jax.cli.section import START, start_from, state_from
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.gaits.gait_summary import summarise_chart
 from walker_jax.gaits.selection import select_gaits
-from walker_jax.gaits.summary import summarise_chart
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter
 

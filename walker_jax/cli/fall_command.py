@@ -38,7 +38,7 @@ class Disturbances:
     )
 
     def deviations(self) -> wj.Disturbance:
-        """Those of steps, slopes and pushes: steps alone where none is given."""
+        """Deviations of steps, slopes and pushes: of steps alone where none is given."""
         check_finite(ground=self.ground, tilt=self.tilt, push=self.push)
         none = self.ground is None and not (self.tilt or self.push)
         ground = 2e-4 if none else self.ground or 0.0

@@ -13,7 +13,7 @@ from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.gaits import selection
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.summary import summarise_gait
+from walker_jax.gaits.gait_summary import summarise_gait
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_briefly
 

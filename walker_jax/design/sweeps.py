@@ -28,9 +28,9 @@ from walker_jax.execution.workers import missing_pieces, open_workers
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import default_tolerance
+from walker_jax.stability.gait_robustness import robustness
 from walker_jax.stability.robustness_fields import without_gait
 from walker_jax.stability.slices import default_region
-from walker_jax.stability.summary import robustness
 from walker_jax.systems.system import System, has_gait_region
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
