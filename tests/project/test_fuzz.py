@@ -192,9 +192,8 @@ def bench(tmp_path_factory, made):
         patch("walker_jax.execution.workers.connect", unreachable)
         patch("walker_jax.design.sweeps.measure_basin", lambda *_: {"total_area": 0.001})
         patch("walker_jax.basin", basin)
-        patch("walker_jax.bifurcation_diagram", refuse)
-        patch("walker_jax.most_probable_fall", refuse)
-        patch("walker_jax.continue_basins", refuse)
+        for name in "bifurcation_diagram chart continue_basins most_probable_fall".split():
+            patch(f"walker_jax.{name}", refuse)
         patch("walker_jax.stability.boundaries.LONGEST_CURVED", 0)  # no curves
         one = lambda walker, period: [gait] if period == 1 else []
         patch("walker_jax.gaits.selection.find_gaits", one)
