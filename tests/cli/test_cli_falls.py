@@ -57,7 +57,7 @@ def test_a_fall_is_answered_as_json(run, found):
 @pytest.mark.parametrize(
     "arguments, reason",
     [
-        (["--ground", "0"], "--ground must be above 0, not 0.0, or give --tilt or --push"),
+        (["--ground", "0"], "--ground must be above 0, not 0.0, unless --tilt or --push is given"),
         (["--push", "0.1", "--animate", "f.gif"], "--animate is for steps alone"),
         (["--ground", "nan"], "--ground must be at least 0, not nan"),
         (["--walker", "spatial"], "must be planar"),

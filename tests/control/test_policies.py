@@ -89,6 +89,7 @@ def test_effort_is_counted_from_the_walkers_own_values():
     np.testing.assert_allclose(effort_of(walker, actions), [0.04 + 1, 0.64, 0.0], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_the_policy_of_least_effort_spends_less(data):
     policies: list[Any] = [wj.Policy(WALKER, data), wj.Policy(WALKER, data, "least-effort")]
     captured = np.flatnonzero(data["capture"].values.ravel() > 0)

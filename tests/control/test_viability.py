@@ -190,6 +190,7 @@ def test_sets_are_within_each_other_cell_by_cell(pushed):
     assert fixed.any() and not (fixed & ~kernel).any()  # 0.02 is one of the actions
 
 
+@pytest.mark.slow
 def test_bounds_close_in_on_the_area_with_the_size_of_cells():
     """The first power of it, as boundaries are lines: half as large cells have half the gap."""
     gaps = []

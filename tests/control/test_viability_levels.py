@@ -45,6 +45,7 @@ def test_bounds_close_in_on_the_kernel_of_a_closed_form():
     assert not held[~data["outer"].values.ravel()].any()
 
 
+@pytest.mark.slow
 def test_refined_bounds_are_those_of_a_fine_grid_for_less():
     fine = wj.viable(PUSHED, oblique_grid(96), ACTIONS)
     refined = wj.viable(PUSHED, oblique_grid(24), ACTIONS, levels=2)

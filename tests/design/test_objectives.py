@@ -90,6 +90,7 @@ def test_a_band_that_ends_where_the_slope_does():
     assert np.isfinite(found.gradient).all()
 
 
+@pytest.mark.slow
 def test_the_chance_of_a_density_to_walk_and_its_derivative():
     """Against random starts of the same distribution, and a central difference."""
     mean, covariance = [0.2, -0.2], np.array([[4e-4, -3e-4], [-3e-4, 2.6e-4]])

@@ -95,7 +95,9 @@ def test_charts_that_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             wj.chart(system, bounds, gait)
-    with pytest.raises(ValueError, match="gait must be of period one, not 2"):
+    with pytest.raises(ValueError, match="gait must be one of this system"):
+        wj.chart(wj.HenonMap(0.2, 0.3), BOUNDS, gait)
+    with pytest.raises(ValueError, match="gait must be one state on the section x, y, not of"):
         other = wj.HenonMap(0.6, 0.3)
         double = wj.find_gait(other, [[0.97, -0.09], [-0.3, 0.29]], period=2)
         wj.chart(other, BOUNDS, double)

@@ -177,3 +177,24 @@ def test_wrong_events_are_refused():
         wj.continue_event(
             system, doubling._replace(states=np.array([[5.0, 9.0]])), ("a", "b"), bounds
         )
+    with pytest.raises(ValueError, match="event must be one on the section x, y"):
+        wj.continue_event(system, doubling._replace(states=np.zeros((1, 3))), ("a", "b"), bounds)
+    with pytest.raises(
+        ValueError, match=r"event must be one of this system, at a 0\.3675 and b 0\.2"
+    ):
+        wj.continue_event(wj.HenonMap(0.1, 0.2), doubling, ("a", "b"), bounds)
+
+
+def test_a_curve_that_closes_is_followed_once():
+    """Folds of x' = x + p^2 + q^2 - 1 - x^2, on the unit circle."""
+    system = wj.Map(
+        lambda x, p, q: x + p**2 + q**2 - 1 - x**2, ("x",), parameters={"p": 1.2, "q": 0.1}
+    )
+    branch = wj.continue_gait(system, "p", (0.5, 1.5), wj.find_gait(system, [[0.67]]))
+    (fold,) = branch.folds
+    bounds = {"p": (-2.0, 2.0), "q": (-2.0, 2.0)}
+    curve = wj.continue_event(system, fold, ("p", "q"), bounds)
+    assert curve.ends == ("the curve closes",) * 2
+    np.testing.assert_allclose(np.hypot(*curve.values.T), 1, atol=1e-12)
+    turned = np.unwrap(np.arctan2(*curve.values.T))
+    assert 0.9 < abs(turned[-1] - turned[0]) / (2 * np.pi) < 1.1

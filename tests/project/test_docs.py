@@ -116,6 +116,7 @@ def test_commands_of_the_pages_run_after_each_other_in_a_folder(first, monkeypat
     monkeypatch.setattr(storage, "check_picture", lambda path, request, **_: take(path, request))
     monkeypatch.setattr("walker_jax.explorer.server.run_server", begin)
     monkeypatch.setattr(wj, "walk", begin)
+    monkeypatch.setattr(wj, "most_probable_fall", begin)
     monkeypatch.setattr("walker_jax.gaits.selection.select_gaits", begin)
     for command in commands:
         monkeypatch.setattr(sys, "argv", ["walker-jax", *command.split()])

@@ -14,6 +14,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.stability.disturbed_falls import DisturbedWalks
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.nearest_points import descend, solve_nearest
+from walker_jax.stability.probable_falls import ProbableFall
 from walker_jax.stability.rays import spread_directions
 from walker_jax.walking.disturbed import follow_disturbed
 from walker_jax.walking.disturbed_margins import follow_disturbed_margins
@@ -151,6 +152,32 @@ def test_the_picture_has_the_sequence_the_path_and_the_law(fall):
 def test_wrong_arguments_are_refused(given: Any, message):
     with pytest.raises(ValueError, match=message):
         wj.most_probable_fall(WALKER, **given)
+    if "outcome" in given:
+        steep = wj.SimplestWalker(0.017)
+        twice = wj.find_gait(steep, [[0.2254, -0.2255], [0.2498, -0.2431]], period=2)
+        with pytest.raises(ValueError, match="gait must be of period one, not 2"):
+            wj.most_probable_fall(steep, gait=twice)
+
+
+def test_a_thin_finger_that_is_known_is_kept():
+    """A failure where the shorter sequence fails, though the scan of the ray steps over it."""
+    inside = lambda w: (w[:, 0] > 0.653) & (w[:, 0] < 0.65301)
+    fails = lambda w: inside(w) | (w[:, 0] > 3)
+    gradient = lambda w: np.tile([1.0, 0.0], (len(w), 1))
+    rays = np.array([[1.0, 0.0]])
+    _, lengths = descend(fails, gradient, rays, 4)
+    assert lengths[0] == pytest.approx(3, rel=1e-4)
+    _, lengths = descend(fails, gradient, rays, 4, (1, 0.653 * (1 + 1e-9)))
+    assert lengths[0] == pytest.approx(0.653, rel=1e-4)
+
+
+def test_falls_rarer_than_a_float_holds_have_a_logarithm():
+    nothing = np.zeros((1, 3))
+    fall = ProbableFall(900.0, nothing, nothing, Outcome.FORWARD, 1, np.ones(1), 1.0, 0.0)
+    assert fall.mean_strides() == np.inf
+    assert fall.log_mean_strides() == pytest.approx(900, abs=6)
+    unknown = fall._replace(flatness=np.nan)
+    assert np.isnan(unknown.mean_strides()) and np.isnan(fall._replace(flatness=-1).mean_strides())
 
 
 @pytest.mark.slow

@@ -421,6 +421,7 @@ RESPONSE = ("push", "step", both), ("time", "length", "speed", own)
 """Disturbances and indicators."""
 
 
+@pytest.mark.slow
 def test_indicators_and_disturbances_may_be_ones_own(gait):
     found = wj.gait_sensitivity(WALKER, gait, *RESPONSE)
     for matrix in (found.B, found.D):

@@ -132,6 +132,7 @@ def gait():
     return wj.find_gait(BIPED, GUESS)
 
 
+@pytest.mark.slow
 def test_stride_is_that_of_lagrange_and_scipy():
     found = wj.stride(BIPED, OTHER)
     state, time = stride(OTHER)

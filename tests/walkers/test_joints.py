@@ -99,6 +99,7 @@ def test_derivatives_of_ten_strides_are_differences():
     np.testing.assert_allclose(by_jax, by_hand, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_energy_is_constant_without_a_damper_but_for_the_spring():
     walker = LooseBody(0.004, stiffness=5.0, damping=0.0)
     x = jnp.array([0.17, -0.2, -0.02, 0.03, -0.1])

@@ -396,6 +396,7 @@ def test_feedback_on_what_is_below_its_bound_needs_bounds(level_gait):
     assert float(vars(fed)["largest_slack"]) == 0.4
 
 
+@pytest.mark.slow
 def test_feedback_acts_once_and_from_full_states_too(level_gait):
     fed = wj.Feedback(LEVEL, level_gait, {"push_off": [0.5, 0.2]})
     x = np.add(level_gait.states[0], [0.003, -0.004])

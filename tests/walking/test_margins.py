@@ -415,6 +415,7 @@ def test_uphill_that_boundary_moves_as_margins_say(slope):
     assert -by_slope / by_x[1] == pytest.approx(moves, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_margins_in_float32_end():
     x = np.array([0.2888847887516022, -0.28140076994895935], np.float32)
     found = margins(wj.PointFootWalker(0.01), x)

@@ -59,6 +59,7 @@ def onto(walker: Any, steps: np.ndarray) -> Any:
     return jax.tree.map(np.asarray, every(jnp.asarray(STARTS), jnp.asarray(steps)))
 
 
+@pytest.mark.slow
 def test_a_foot_that_lands_in_a_phase_makes_the_same_stride():
     """Onto higher and lower ground, also where it is below the level as the phase ends."""
     steps = np.concatenate([-np.geomspace(1e-5, 2e-2, 15), [0.0], np.geomspace(1e-5, 2e-3, 15)])
@@ -78,6 +79,7 @@ def test_a_foot_that_lands_in_a_phase_makes_the_same_stride():
 @pytest.mark.parametrize(
     ("name", "number"), [pytest.param("slope", 2, marks=pytest.mark.slow), ("kept", 3)]
 )
+@pytest.mark.slow
 def test_derivatives_through_the_end_of_a_phase_are_differences(name, number):
     """Of states, by the start and by a parameter."""
     walker, x = slowed(0.9), STARTS[0]

@@ -1,5 +1,6 @@
 """`walker-jax fall`."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ from walker_jax.systems.outcomes import Outcome, outcome_in_words
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import describe_in_words
 
+CONVERGED = 1e-6
+"""Angle of a sequence to the least one, above which the answer says so (rad)."""
 FRAME_INTERVAL = 0.15
 """Time between two frames of a film, as in that of a walk."""
 
@@ -43,7 +46,7 @@ class Disturbances:
         none = self.ground is None and not (self.tilt or self.push)
         ground = 2e-4 if none else self.ground or 0.0
         if not (ground or self.tilt or self.push):
-            raise WrongUse("--ground must be above 0, not 0.0, or give --tilt or --push")
+            raise WrongUse("--ground must be above 0, not 0.0, unless --tilt or --push is given")
         return wj.Disturbance(ground, self.tilt, self.push)
 
 
@@ -87,7 +90,8 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
     answer |= {name: getattr(found, name) for name in ("action", "disturbances", "strides")}
     answer |= {"outcome": found.outcome.name, "residual": found.residual}
     answer |= {"mean_strides": found.mean_strides(), "actions": found.actions}
-    lines = [*fall_in_words(walker, found, deviations)]
+    answer["log_mean_strides"] = found.log_mean_strides()
+    lines = [*fall_in_words(walker, found, deviations, chosen=way is not None)]
     shown = {"picture": pictures.figure, "film": pictures.animate}
     lines += [f"{name} {place}" for name, place in shown.items() if place is not None]
     tell(answer, lines, as_json=pictures.as_json)
@@ -106,12 +110,20 @@ def draw_film(walker: Walker, found: ProbableFall, place: Path, request: dict) -
     figures.film(motion, place, signature=storage.signature(request), progress=True)
 
 
-def fall_in_words(walker: Walker, found: ProbableFall, deviations: wj.Disturbance) -> Iterator[str]:
+def fall_in_words(
+    walker: Walker, found: ProbableFall, deviations: wj.Disturbance, *, chosen: bool
+) -> Iterator[str]:
     """The answer of `fall`."""
     yield f"Most probable fall, {describe_in_words(walker)}"
     words = outcome_in_words(found.outcome.name)
     yield f"  {words} after {found.strides} strides; action {found.action:.6g}"
-    yield f"  strides to a fall, on average: {found.mean_strides():.4g}"
+    mean = found.mean_strides()
+    rare = (
+        f"10^{found.log_mean_strides() / math.log(10):.1f}" if math.isinf(mean) else f"{mean:.4g}"
+    )
+    yield f"  strides to {'that' if chosen else 'a'} fall, on average: {rare}"
+    if not found.residual < CONVERGED:
+        yield f"  not converged: {found.residual:.2g} rad off the least one; strides are rough"
     kinds = [name for name, value in deviations._asdict().items() if value]
     yield "  " + "  ".join([f"{'stride':>6}", *(f"{name:>13}" for name in kinds)])
     for i, row in enumerate(found.disturbances, start=1):

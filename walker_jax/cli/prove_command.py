@@ -42,6 +42,7 @@ def prove(
     exclude(radius=disc.radius, theta=window.theta)
     exclude(radius=disc.radius, sum=window.sum)
     exclude(radius=disc.radius, axis=window.axis or None)
+    exclude(radius=disc.radius, at_phidot=window.at_phidot)
     axes = window.axes(walker) if disc.radius is None else {}
     request = request_for("prove", walker, radius=disc.radius, axes=axes, levels=disc.levels)
 
@@ -61,6 +62,8 @@ def proof_in_words(walker: System, answer: dict) -> Iterator[str]:
     if answer["radius"] and answer["all_walk"]:
         yield f"  theorem: every start within {answer['radius']:.9g} of the gait walks for ever"
     else:
+        if answer["radius"]:
+            yield "  not proved of the whole disc: try a smaller one, or more --levels"
         low, high = answer["area_lower"], answer["area_upper"]
         yield f"  starts that walk for ever have an area between {low:.8g} and {high:.8g}"
     yield f"  cells that walk {cells['walk']}, fall {cells['fall']}, are open {cells['open']}"

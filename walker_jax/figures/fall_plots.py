@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from walker_jax.checks import check_kind
 from walker_jax.figures.layout import figure_title, name_axes
 from walker_jax.figures.style import BASINS, INK, OTHERS, TITLE, failure_words
 from walker_jax.stability.probable_falls import ProbableFall
@@ -23,15 +24,16 @@ def probable_fall(fall: ProbableFall, *, title: bool | str = True) -> Figure:
     Above, the disturbances of each stride, and the least action of so many disturbed strides;
     below, the states just after each heel strike, theta and theta + thetadot, from the gait (the
     disc) to the last one before the fall (the cross); and the mean number of strides to a fall,
-    over action / deviation^2.
+    over action / scale^2, for deviations `scale` times those that were given.
 
     **Arguments:**
 
     - `fall`: what `walker_jax.most_probable_fall` returns.
     - `title`: whether to write one, or other words.
 
-    **Returns** the figure, of 9 by 7 inches.
+    **Returns** the figure, of 9 by 7 inches. Raises `ValueError` for anything else.
     """
+    check_kind("fall", fall, ProbableFall)
     figure = Figure(figsize=(9, 7), layout="constrained")
     (sequence, actions), (path, law) = figure.subplots(2, 2)
     draw_sequence(sequence, fall)
@@ -89,7 +91,7 @@ def draw_path(ax: Axes, fall: ProbableFall) -> None:
 
 
 def draw_law(ax: Axes, fall: ProbableFall) -> None:
-    """Mean strides to a fall over action / deviation^2, and the law without its factor."""
+    """Mean strides to a fall over action / scale^2, and the law without its factor."""
     exponent = np.linspace(ROUGHEST, np.log(LONGEST), 60)
     scales = np.sqrt(fall.action / exponent)
     means = np.array([fall.mean_strides(one) for one in scales.tolist()])
@@ -101,12 +103,12 @@ def draw_law(ax: Axes, fall: ProbableFall) -> None:
         ls="--",
         lw=1,
         color=OTHERS,
-        label="exp(action / deviation$^2$)",
+        label="exp(action / scale$^2$)",
     )
-    ax.set(xlabel="action / deviation$^2$", ylabel="strides")
+    ax.set(xlabel="action / scale$^2$", ylabel="strides")
     above = ax.secondary_xaxis("top", functions=(lambda e: e, lambda e: e))
     ticks = exponent[:: len(exponent) // 4]
     above.set_xticks(ticks, [f"{np.sqrt(fall.action / one):.2g}" for one in ticks])
-    above.set_xlabel("deviation")
+    above.set_xlabel("scale of the deviations")
     ax.legend()
     ax.set_title("Law", **TITLE)

@@ -23,7 +23,7 @@ from jaxtyping import Complex, Float
 
 from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers, short
 from walker_jax.gaits.arclength import CORRECTOR_STEPS
-from walker_jax.gaits.continuation import Path, Start, follow_branch
+from walker_jax.gaits.continuation import BRANCH_CLOSES, Path, Start, follow_branch
 from walker_jax.gaits.cycles import (
     MAX_RESIDUAL,
     Gait,
@@ -191,7 +191,9 @@ def float64_tolerance(tolerance: Real | None) -> Real:
 
 
 def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Branch:
-    """The branch of which two paths are the two sides of its start."""
+    """The branch of which two paths are the two sides of its start, or one is all of it."""
+    if forward.end == BRANCH_CLOSES:
+        backward = Path(backward.points[:1], [], forward.end)
     points = [*reversed(backward.points[1:]), *forward.points]
     if not points:
         empty = np.zeros((0, 1, size))

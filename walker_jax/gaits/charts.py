@@ -33,7 +33,10 @@ from walker_jax.systems.outcomes import Outcome, names_in
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.iteration import select_walkers, with_parameters
+from walker_jax.walking.stride import stride
 
+SAME_GAIT = 1e-6
+"""How far a stride from a gait may end from it."""
 NO_GAIT = -1
 """Fate of cells without a gait near which walkers could start."""
 SAME_CURVE = 0.01
@@ -112,8 +115,16 @@ def chart(
     tolerance = float64_tolerance(tolerance)
     gait = require_gait(system, ["gait"], tolerance=tolerance) if gait is None else gait
     check_found(gait)
-    if len(gait.states) != 1:
-        raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
+    states = np.asarray(gait.states, float)
+    if states.shape != (1, len(system.section)):
+        raise WrongUse(
+            f"gait must be one state on the section {', '.join(system.section)}, not of shape "
+            f"{states.shape}",
+            of="gait",
+        )
+    there = np.asarray(stride(system, states[0], tolerance=tolerance).state)
+    if not np.abs(there - states[0]).max() < SAME_GAIT:
+        raise WrongUse("gait must be one of this system: find_gait gives one", of="gait")
     with bar("gaits", progress):
         branches, events = follow_lines(system, names, own, ranges, gait, period_max, tolerance)
     with bar("curves", progress):

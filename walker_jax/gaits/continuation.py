@@ -16,6 +16,8 @@ HALF_PERIOD_RESOLUTION = 1e-3
 """Length of the step at which a branch ends that returns to the gait from which it doubled."""
 MAX_POINTS = 2000
 """Points on each side of a branch: with the longest steps, a hundred times the range."""
+BRANCH_CLOSES = "the branch closes"
+"""The end of a path that comes back to its start."""
 MIN_COSINE = 0.95
 """Smallest cosine of the angle between the tangents at the ends of a step, 18 degrees."""
 
@@ -100,7 +102,7 @@ def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Tas
             break
         steps = (scaled_step(point, end, width) for end in (new, first))
         if len(path.points) > 4 and passes_start(*steps):
-            end = "the branch closes"
+            end = BRANCH_CLOSES
             break
         point, direction, length = new, next_direction, min(1.5 * length, LONGEST_STEP)
     return path._replace(end=end)

@@ -18,7 +18,7 @@ from jaxtyping import Complex, Float
 from walker_jax.checks import WrongUse, check_kind, numbers, refuses_tracers, short
 from walker_jax.gaits.branches import float64_tolerance
 from walker_jax.gaits.codimension_two import CodimensionTwo
-from walker_jax.gaits.event_paths import EventPath, Ranges, first_point, follow_event
+from walker_jax.gaits.event_paths import CURVE_CLOSES, EventPath, Ranges, first_point, follow_event
 from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.normal_forms import criticality
 from walker_jax.gaits.requests import compute_responses, run_batched
@@ -88,13 +88,15 @@ def continue_event(
     check_kind("system", system, System)
     check_kind("event", event, Bifurcation)
     names, ranges = check_bounds(system, parameters, bounds)
+    if np.shape(event.states)[1:] != (len(system.section),):
+        raise WrongUse(f"event must be one on the section {', '.join(system.section)}", of="event")
     values = np.array([event.value, float(getattr(system, names[1]))])
     if not ranges.hold(values):
         raise WrongUse(
             f"bounds must hold the event, at {names[0]} {values[0]:g} and {names[1]} {values[1]:g}"
         )
     (curve,) = continue_events(system, [(values, event)], names, ranges, tolerance=tolerance)
-    if curve is None:
+    if curve is None or np.abs((curve.values - values) / ranges.widths).max(axis=1).min() > 1e-6:
         raise WrongUse(
             f"event must be one of this system, at {names[0]} {values[0]:g} and {names[1]} "
             f"{values[1]:g}: continue_gait locates them"
@@ -161,7 +163,12 @@ def continue_events(
 def join_paths(
     kind: str, names: tuple[str, str], ranges: Ranges, backward: EventPath, forward: EventPath
 ) -> EventCurve:
-    """The curve of which two paths are the two sides of its start; its ends are in the ranges."""
+    """The curve of which two paths are the two sides of its start; its ends are in the ranges.
+
+    A path that comes back to the start is the whole curve.
+    """
+    if forward.end == CURVE_CLOSES:
+        backward = backward._replace(points=backward.points[:1], special=[], end=forward.end)
     points = [*reversed(backward.points[1:]), *forward.points]
     return EventCurve(
         kind,

@@ -24,6 +24,8 @@ from walker_jax.gaits.events import crosses_half_period
 from walker_jax.gaits.normal_forms import VANISHING, find_coefficient
 from walker_jax.gaits.requests import Task
 
+CURVE_CLOSES = "the curve closes"
+"""The end of a path that comes back to its start."""
 LOCATING_STEPS = 60
 """Trials to locate a point on a step: halving alone would need as many for all digits."""
 LOCATED = 1e-13
@@ -156,7 +158,7 @@ def follow_event(kind: str, first: EventPoint, sign: float, ranges: Ranges) -> T
             return path._replace(end="the end of the range")
         steps = (ranges.step(point.unknowns, end.unknowns) for end in (new, first))
         if len(path.points) > 4 and passes_start(*steps):
-            return path._replace(end="the curve closes")
+            return path._replace(end=CURVE_CLOSES)
         direction = new.tangent * np.sign(new.tangent @ direction)
         point, length = new, min(1.5 * length, LONGEST_STEP)
     return path

@@ -42,11 +42,11 @@ class Lyapunov(NamedTuple):
     exponents: Float[np.ndarray, "*systems section"]
     """The largest first."""
     errors: Float[np.ndarray, "*systems section"]
-    """Their standard errors, from the scatter of the walks."""
+    """Their standard errors: the scatter of the walks, and 1/strides for the ends of a mean."""
     log_determinant: Float[np.ndarray, "*systems"]
     """The mean of log |det J|, which is their sum."""
     dimension: Float[np.ndarray, "*systems"]
-    """Kaplan-Yorke dimension."""
+    """Kaplan-Yorke dimension; an exponent within two errors of zero counts as zero."""
     dimension_error: Float[np.ndarray, "*systems"]
     """Its standard error."""
     states: Float[np.ndarray, "*systems walks section"]
@@ -81,8 +81,9 @@ def lyapunov(
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: label of a progress bar, which is shown on a terminal only.
 
-    **Returns** a `Lyapunov`. On a stable gait all walks are alike: the exponents are the logarithms
-    of the moduli of its multipliers over its period, and their errors say nothing.
+    **Returns** a `Lyapunov`. On a stable gait or a closed curve the walks keep step, and do not
+    scatter: their exponents are right to about 1/strides. Those of a stable gait are the logarithms
+    of the moduli of its multipliers, over its period.
 
     Raises `ValueError` for states of a wrong shape, and numbers out of range.
     """
@@ -114,6 +115,7 @@ def lyapunov(
     )
     shape = (*x.shape[:-1], walks)
     return summarise(
+        strides,
         logs.reshape(*shape, size) / strides,
         determinant.reshape(shape) / strides,
         state.reshape(*shape, size),
@@ -159,6 +161,7 @@ def follow_frames(
 
 
 def summarise(
+    strides: int,
     rates: Float[np.ndarray, "*systems walks section"],
     determinants: Float[np.ndarray, "*systems walks"],
     states: Float[np.ndarray, "*systems walks section"],
@@ -172,16 +175,18 @@ def summarise(
     with np.errstate(invalid="ignore"):
         mean = rates.mean(axis=-2) * known[..., None]
         order = np.argsort(-mean, axis=-1)
-        error = rates.std(axis=-2, ddof=1) / np.sqrt(walks) * known[..., None]
+        scatter = rates.std(axis=-2, ddof=1) / np.sqrt(walks) * known[..., None]
+        error = np.hypot(scatter, 1 / strides)
         ordered = np.take_along_axis(rates, order[..., None, :], -1)
         dimensions = kaplan_yorke(ordered)
         spread = dimensions.std(axis=-1, ddof=1) / np.sqrt(walks) * known
-    mean, error = (np.take_along_axis(values, order, -1) for values in (mean, error))
+    near = np.abs(mean) < 2 * error
+    mean, error, near = (np.take_along_axis(values, order, -1) for values in (mean, error, near))
     return Lyapunov(
         exponents=mean,
         errors=error,
         log_determinant=determinants.mean(axis=-1) * known,
-        dimension=kaplan_yorke(mean),
+        dimension=kaplan_yorke(np.where(near, 0.0, mean)),
         dimension_error=spread,
         states=states,
         outcome=outcome,

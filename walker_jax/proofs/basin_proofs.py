@@ -27,8 +27,9 @@ CELLS_OF_DISC = 16
 """Along a diameter, before they are split."""
 ROUNDING_OF_AREA = 1e-12
 """Relative: far above that of a sum of equal cells."""
-REACH = 1e-8
-"""A disc is taken larger by this part, for the rounding of distances and of the gait's state."""
+REACH, LEAST_REACH = 1e-8, 1e-12
+"""A disc is taken larger by this part and by this, for the rounding of distances and of the gait's
+state."""
 
 
 @refuses_tracers()
@@ -189,7 +190,7 @@ def window_of(grid: Grid) -> Window:
 
 def about(centre: Float[np.ndarray, " 2"], radius: float) -> Window:
     """The cells about a disc."""
-    reach = radius * (1 + 2 * REACH)
+    reach = radius * (1 + 2 * REACH) + 2 * LEAST_REACH
     return Window(centre - reach, centre + reach, (CELLS_OF_DISC, CELLS_OF_DISC), np.eye(2))
 
 
@@ -198,6 +199,6 @@ def disc(window: Window, centre: Float[np.ndarray, " 2"], radius: float) -> Call
 
     def wanted(level: int, cells: Int[np.ndarray, "cells 2"]) -> Bool[np.ndarray, " cells"]:
         apart = np.abs(window.centres(level, cells) - centre) - window.widths(level) / 2
-        return np.hypot(*np.maximum(apart, 0).T) <= radius * (1 + REACH)
+        return np.hypot(*np.maximum(apart, 0).T) <= radius * (1 + REACH) + LEAST_REACH
 
     return wanted

@@ -22,6 +22,7 @@ from walker_jax.checks import (
 )
 from walker_jax.gaits.search import find_gait
 from walker_jax.proofs.enclosures import BALLS, Enclosure, between, is_enclosure
+from walker_jax.proofs.gait_proofs import has_no_shorter_period
 from walker_jax.proofs.matrices import determinant
 from walker_jax.proofs.provable import check_provable, parameters_of
 from walker_jax.proofs.returns import Cycle, enclose_cycle, jacobian_of_return, plus_identity
@@ -89,7 +90,8 @@ def prove_doubling(
     ends, box = (at - width / 2, at + width / 2), BOX * width
     signs = [sign_at(walker, parameter, states, box, end) for end in ends]
     whole = enclose_over(walker, parameter, states, box, between(*map(np.float64, ends)))
-    if not (whole and whole.zero.proved and signs[0] * signs[1] < 0):
+    known = whole is not None and whole.zero.proved and has_no_shorter_period(whole)
+    if not (known and signs[0] * signs[1] < 0):
         raise ComputationFailed(
             f"no period doubling is proved between {parameter}={ends[0]!r} and {ends[1]!r}"
         )

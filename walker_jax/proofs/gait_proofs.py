@@ -64,11 +64,14 @@ def prove_gait(walker: System, guess: Any = None, period: int = 1) -> ProvedGait
     for radius in RADII:
         cycle = enclose_cycle(known, states, radius)
         if cycle is not None and cycle.zero.proved and has_no_shorter_period(cycle):
-            within = radius - 2 * float(spreads(cycle).max())
             if radius > RADII[0]:  # the gait is in a box that is smaller, where all is narrower
                 near = enclose_cycle(known, middles(cycle), float(spreads(cycle).max()))
                 cycle = cycle if near is None else near
-            return gait_of(cycle, within)
+            # The middle may be beside the centre of the box in which there is only one.
+            moved = float(np.abs(middles(cycle) - states).max()) + 2.0**-52 * np.abs(states).max()
+            within = float((radius - moved) * (1 - 2.0**-40))
+            if within > float(spreads(cycle).max()):
+                return gait_of(cycle, within)
     raise ComputationFailed(
         f"no gait of period {period} is proved near {states.tolist()}, {describe_in_words(walker)}"
     )

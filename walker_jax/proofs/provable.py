@@ -12,7 +12,7 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import Walker
 
-OWN_HOOKS = ("phases", "during_stride", "project", "feasible", "exchange_legs")
+OWN_HOOKS = "phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"
 """Methods that a stride rests on, and that proofs have in another form."""
 
 

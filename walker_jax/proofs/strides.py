@@ -170,7 +170,7 @@ def advance_stride(walker, parameters, method: tuple, now: Going) -> Going:
     length = choose(soon, 0.6 * step.length, step.length)
     end = choose(last, strike.latest, length)
     watch = watch_step(parameters, step, now.watch, end)
-    struck, landing = land_from(walker, strike, watch)
+    struck, landing = land_from(walker, parameters, strike, watch)
     flow = flow_at(step, length)
     fallen = has_fallen(parameters, flow, watch)
     wide = False
@@ -199,10 +199,13 @@ def advance_stride(walker, parameters, method: tuple, now: Going) -> Going:
     )
 
 
-def land_from(walker, strike: Strike, watch: Watch) -> tuple[Any, tuple]:
-    """Whether a strike leads to a next stride, and the point of the section there."""
+def land_from(walker, parameters, strike: Strike, watch: Watch) -> tuple[Any, tuple]:
+    """Whether a strike is admitted and leads to a stride, and the point of the section there."""
     lift, x, tangents = evaluate(land, walker, strike.flow)
+    there = map_enclosures(lambda one: one.range(), strike.flow.state)
     proved = strike.proved & watch.no_rise & watch.clear & (lift.lower > 0) & is_feasible(x)
+    for one in evaluate(measure, parameters, there).admits:
+        proved = proved & (one.lower > 0)
     return proved, (x, tangents)
 
 

@@ -196,6 +196,9 @@ class CrisisLaw(NamedTuple):
     """chi^2 per degree of freedom: far above 1 where there is no such law."""
 
 
+SOUGHT = -12.0, 6.0
+"""Logarithms of the distances below the first value, as shares of the span of all values, at which
+a crisis is sought."""
 RESAMPLES = 400
 """Of the lives, for the interval of an exponent."""
 
@@ -242,6 +245,9 @@ def crisis_law(
         raise WrongUse(f"crisis must be below {values[0]:g}, not {short(crisis)}")
     weights = (lives / errors) ** 2
     at, exponent, chi = fit_crisis(values, np.log(lives), weights, crisis)
+    ends = values[0] - np.exp(SOUGHT) * (values[-1] - values[0])
+    if crisis is None and not (0.99 * ends[1] + 0.01 * values[0] < at < ends[0]):
+        raise ComputationFailed("no crisis fits these lives best: give crisis", of="crisis")
     rng = np.random.default_rng(0)
     scatter = rng.normal(size=(RESAMPLES, len(values))) * errors / lives
     tried = [fit_crisis(values, np.log(lives) + one, weights, crisis)[1] for one in scatter]
@@ -266,11 +272,11 @@ def fit_crisis(
 
     if crisis is None:
         span = float(values[-1] - values[0])
-        distance: Any = minimize_scalar(
-            lambda log: line(values[0] - np.exp(log))[1],
-            bounds=(np.log(1e-4 * span), np.log(span)),
-            method="bounded",
-        )
+        misfit = lambda log: line(values[0] - np.exp(log))[1]
+        tried = np.log(span) + np.linspace(*SOUGHT, 60)
+        best = int(np.argmin([misfit(one) for one in tried]))
+        around = tried[max(0, best - 1)], tried[min(len(tried) - 1, best + 1)]
+        distance: Any = minimize_scalar(misfit, bounds=around, method="bounded")
         crisis = float(values[0] - np.exp(distance.x))
     return float(crisis), *line(crisis)
 

@@ -67,10 +67,19 @@ class NearestPoint(NamedTuple):
 
 
 def descend(
-    fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], most: int
+    fails: Fails,
+    gradient: Gradient,
+    rays: Float[np.ndarray, "n size"],
+    most: int,
+    known: tuple[int, float] = (0, np.inf),
 ) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
-    """Local minima of the distance, from the nearest failures on some rays; the nearest first."""
+    """Local minima of the distance, from the nearest failures on some rays; the nearest first.
+
+    Of the first rays, as many as `known` has, a length is known at which there is a failure.
+    """
     first = scan(fails, rays, RADII)
+    count, length = known
+    first[:count] = np.minimum(first[:count], length)
     nearest = first.argsort()[: min(most, np.isfinite(first).sum())]
     rays, lengths = rays[nearest], first[nearest]
     ended: list[tuple[float, np.ndarray]] = []
@@ -107,7 +116,8 @@ def solve_nearest(
     It ends where a step brings ray and normal no closer, or differences find no boundary.
     """
     lengths, miss = misalignment(fails, gradient, ray[None], length)
-    best = NearestPoint(ray, float(lengths[0]), float(np.linalg.norm(miss)), np.nan)
+    found = float(lengths[0]) if np.isfinite(lengths[0]) else length
+    best = NearestPoint(ray, found, float(np.linalg.norm(miss)), np.nan)
     for _ in range(NEWTON_STEPS):
         jacobian = bending(fails, gradient, best)
         if not np.isfinite(jacobian).all():

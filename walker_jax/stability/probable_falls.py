@@ -40,20 +40,22 @@ from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 
 SEARCHED = 3
 """Numbers of disturbed strides up to which random directions are searched. Longer sequences follow
-from shorter ones, with a stride more at the begin or at the end."""
+from shorter ones, with a stride more at the beginning or at the end."""
 DESCENTS = 8
 """Descents from the nearest failures found: most of them end at the same few minima."""
+KNOWN = 1e-9
+"""Relative distance beyond a boundary at which a walk certainly falls, though rounding decides."""
 FOLLOWED = 200
 """Strides after the disturbances in which a walker may return, or fall."""
 
 
 class ProbableFall(NamedTuple):
-    """The least disturbances that topple a walker, in units of their standard deviations."""
+    """The least disturbances that topple a walker."""
 
     action: float
-    """Half the sum of their squares."""
+    """Half the sum of their squares, each in units of its standard deviation."""
     disturbances: Float[np.ndarray, "strides 3"]
-    """Step, slope and push of each stride, as `Disturbance` has them."""
+    """Step (unit of length), slope (rad) and push (of thetadot) of each stride."""
     states: Float[np.ndarray, "made full"]
     """The full state just after each heel strike, from the gait to the last before the fall."""
     outcome: Outcome
@@ -73,15 +75,23 @@ class ProbableFall(NamedTuple):
             sqrt(flatness) / Phi(-sqrt(2 action) / scale)
 
         That is right to first order as the scale goes to zero. It takes the walker to be lost
-        wherever it is beyond the boundary.
+        wherever it is beyond the boundary. Where one way to fall was asked for, it is of that one,
+        as if there were no other. It is NaN where the search has not converged to a minimum, and
+        infinite beyond 1e308, where `log_mean_strides` tells it.
         """
+        with np.errstate(over="ignore"):
+            return float(np.exp(self.log_mean_strides(scale)))
+
+    def log_mean_strides(self, scale: float = 1.0) -> float:
+        """The natural logarithm of `mean_strides`, however rare a fall is."""
         from scipy.special import log_ndtr
 
         if not (is_number(scale) and 0 < scale < np.inf):
             raise WrongUse(f"scale must be a number above 0, not {short(scale)}")
+        if not self.flatness > 0:
+            return np.nan
         log_chance = float(log_ndtr(-np.sqrt(2 * self.action) / scale))
-        with np.errstate(over="ignore"):
-            return float(np.exp(np.log(self.flatness) / 2 - log_chance))
+        return float(np.log(self.flatness) / 2 - log_chance)
 
 
 @refuses_tracers()
@@ -109,10 +119,11 @@ def most_probable_fall(
     - `ground`: the standard deviation of the heights of steps; or a `Disturbance`, whose fields are
       those of steps, slope and pushes. By default 1, which gives actions in squares of the unit of
       length: strides to a fall are then those of `mean_strides(deviation)`.
-    - `gait`: a stable one; that of `find_gait` by default.
+    - `gait`: a stable one of period one; that of `find_gait` by default.
     - `strides`: in which there are disturbances, at most 32.
     - `outcome`: the fall that counts, `Outcome.BACKWARD` say; by default any.
-    - `directions`: random ones.
+    - `directions`: number of directions that are searched for each number of disturbances up to
+      three.
     - `tolerance`: of the integration, as in `stride`.
 
     Raises `ValueError` for a gait that is not stable and for arguments out of range;
@@ -129,12 +140,15 @@ def most_probable_fall(
         if outcome in (Outcome.STRIDE, Outcome.UNDECIDED):
             raise WrongUse(f"outcome must be a failure, not {outcome.name}")
     mapper = mapper_of_gait(walker, gait, FOLLOWED, tolerance)
-    start = np.stack(walker.lift(jnp.asarray(mapper.attractors[0].states[0])))
-    walks = DisturbedWalks(mapper, start, deviations, strides, outcome)
+    states = mapper.attractors[0].states
+    if len(states) != 1:
+        raise WrongUse(f"gait must be of period one, not {len(states)}", of="gait")
+    start, unit = np.stack(walker.lift(jnp.asarray(states[0]))), float(deviations.max())
+    walks = DisturbedWalks(mapper, start, deviations / unit, strides, outcome)
     found = [search(walks, None, 1, directions)]
     for count in range(2, strides + 1):
         found.append(search(walks, found[-1], count, directions))
-    return describe(walks, found)
+    return describe(walks, found, unit)
 
 
 def read_deviations(ground: float | Disturbance) -> Float[np.ndarray, " 3"]:
@@ -160,13 +174,15 @@ def search(
         rays += [np.append(none, shorter.ray), np.append(shorter.ray, none)]
     if count <= SEARCHED:
         rays += [*np.eye(size), *-np.eye(size), *spread_directions(size, directions)]
-    rays, lengths = descend(walks.fails, walks.gradient, np.stack(rays), DESCENTS)
+    # Those of the shorter sequence fail where that does, or just beyond.
+    known = (0, np.inf) if shorter is None else (2, shorter.length * (1 + KNOWN))
+    rays, lengths = descend(walks.fails, walks.gradient, np.stack(rays), DESCENTS, known)
     return solve_nearest(walks.fails, walks.gradient, rays[0], lengths[0])
 
 
-def describe(walks: DisturbedWalks, found: list[NearestPoint]) -> ProbableFall:
-    """The last one found, and the walk to its fall."""
-    best = found[-1]
+def describe(walks: DisturbedWalks, found: list[NearestPoint], unit: float) -> ProbableFall:
+    """The least one found, and the walk to its fall; `unit` is the largest standard deviation."""
+    best = min(found, key=lambda one: one.length)
     w = best.length * best.ray
     tried = BEYOND[:, None] * w
     ends = walks.follow(tried)
@@ -179,12 +195,12 @@ def describe(walks: DisturbedWalks, found: list[NearestPoint]) -> ProbableFall:
         step = jax.jit(follow_disturbed)(walker, states[-1], Disturbance(*row), integrator)
         states.append(np.asarray(step.state))
     return ProbableFall(
-        best.length**2 / 2,
+        (best.length / unit) ** 2 / 2,
         walks.rows(w[None])[0],
         np.stack(states),
         Outcome(int(ends.outcome[first])),
         made,
-        np.array([one.length**2 / 2 for one in found]),
+        np.minimum.accumulate([(one.length / unit) ** 2 / 2 for one in found]),
         best.flatness,
         best.residual,
     )
