@@ -10,26 +10,24 @@ the least disturbance.
 """
 
 import argparse
+import importlib
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
-jax.config.update("jax_enable_x64", True)
+import walker_jax as wj
+from walker_jax.proofs.boxes import PLANE, Boxes, Trap, carry
+from walker_jax.proofs.enclosures import Enclosure, monomials
+from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.strides import verify_stride
 
-import walker_jax as wj  # noqa: E402
-from walker_jax.proofs.boxes import (  # noqa: E402
-    PLANE,
-    Boxes,
-    Trap,
-    carry,
-)
-from walker_jax.proofs.enclosures import Enclosure, monomials  # noqa: E402
-from walker_jax.proofs.provable import check_provable, parameters_of  # noqa: E402
-from walker_jax.proofs.strides import verify_stride  # noqa: E402
+sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
+checker: Any = importlib.import_module("interval_checker")  # a module of the tests
+jax.config.update("jax_enable_x64", True)
 
 WALKER = wj.SimplestWalker(0.004)
 RADII = {0.004: 0.0022562, 0.009: 0.0022556}
@@ -94,19 +92,9 @@ def print_theorems(boxes: int) -> None:
 
 
 def print_checks(data, count: int) -> None:
-    from interval_checker import follow
-
-    rng, counts = np.random.default_rng(3), {"walks": 0, "falls": 0, None: 0}
-    trap = data["trap_centre"].values, data["trap_factor"].values, float(data["trap_size"])
-    width = (data["upper"] - data["lower"]).values / data["count"].values
-    for cell in rng.choice(data.sizes["cell"], min(count, data.sizes["cell"]), replace=False):
-        place = data["place"].values[cell] + rng.uniform(size=2)
-        w = data["lower"].values + place * width / 2.0 ** int(data["level"][cell])
-        counts[follow("0.004", data["shear"].values @ w, *trap)] += 1
-    print(
-        f"checker: {counts['walks']} walk as proved, {counts['falls']} fall, {counts[None]} open",
-        flush=True,
-    )
+    answers = checker.replay(data, "0.004", count, seed=3)
+    told = f"{answers['walks']} walk as proved, {answers['falls']} fall, {answers[None]} open"
+    print(f"checker: {told}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,3 +1,4 @@
+# mpmath has no types: its intervals are numbers to nobody but itself.
 # pyright: basic, reportArgumentType=false, reportAttributeAccessIssue=false
 # pyright: reportOperatorIssue=false, reportIndexIssue=false, reportCallIssue=false
 """A slow, independent checker of proofs: plain Python and `mpmath.iv`, no code of the package.
@@ -7,6 +8,9 @@ arithmetic of 40 digits: equations, series, steps, events and impact are typed a
 proved to walk must reach the trap, and one that is proved to fall must fall.
 """
 
+from collections import Counter
+
+import numpy as np
 from mpmath import iv, mp, mpf
 
 DIGITS, ORDER, STEP = 40, 30, mpf("0.25")
@@ -136,3 +140,21 @@ def follow(slope, x, centre, factor, size, most=60):
         if (first**2 + second**2).b <= mpf(float(size)) ** 2:
             return "walks"
     return None
+
+
+def replay(data, slope, count, seed):
+    """Follow one start in each of some proved cells; returns how many walk, fall or are None, open.
+
+    Raises `AssertionError` for a cell whose fate is not the proved one.
+    """
+    rng, answers = np.random.default_rng(seed), Counter()
+    trap = data["trap_centre"].values, data["trap_factor"].values, float(data["trap_size"])
+    width = (data["upper"] - data["lower"]).values / data["count"].values
+    proved = np.flatnonzero(data["proved"] != 0)
+    for cell in rng.choice(proved, min(count, len(proved)), replace=False):
+        place = data["place"].values[cell] + rng.uniform(size=2)
+        w = data["lower"].values + place * width / 2.0 ** int(data["level"][cell])
+        answer = follow(slope, data["shear"].values @ w, *trap)
+        assert answer in (None, "walks" if data["proved"][cell] == 1 else "falls"), w
+        answers[answer] += 1
+    return answers
