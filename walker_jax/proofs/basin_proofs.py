@@ -3,16 +3,17 @@
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers, short
 from walker_jax.execution.progress import bar
-from walker_jax.gaits.cycles import Gait, check_found
+from walker_jax.gaits.cycles import Gait, check_found, multiply_jacobians
+from walker_jax.gaits.derivatives import linearise
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.provable import check_provable
 from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS, Cells, Window, subdivide
@@ -20,7 +21,6 @@ from walker_jax.proofs.traps import find_trap
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of
-from walker_jax.walking.stride import stride
 
 LEAST_TRAP = 1e-7
 CELLS_OF_DISC = 16
@@ -168,11 +168,10 @@ def summarise_proof(data: xr.Dataset) -> dict[str, Any]:
 
 def jacobian_of(walker, gait: Gait) -> Float[np.ndarray, "2 2"]:
     """The Jacobian of a gait's return; not proved, as what is proved does not rest on it."""
-    result = np.eye(2)
-    for state in np.asarray(gait.states, float):
-        one = jax.jacfwd(lambda x: stride(walker, x).state)(jax.numpy.asarray(state))
-        result = np.asarray(one) @ result
-    return result
+    cycle = np.asarray(gait.states, float)[None]
+    return multiply_jacobians(linearise(walker, cycle, integrator_of(cycle.dtype, None)).jacobian)[
+        0
+    ]
 
 
 def window_of(grid: Grid) -> Window:

@@ -8,6 +8,7 @@ come back into the ellipse. None of what is proved rests on how L and the size w
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import solve_discrete_lyapunov
 
 from walker_jax.checks import ComputationFailed
 from walker_jax.proofs.boxes import TRAPPED, Boxes, Trap, boxes_of, carry, sides
@@ -28,11 +29,7 @@ def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2
     if not radius < 1:
         return None
     scaled = jacobian / ((1 + radius) / 2)
-    form, power = np.eye(2), np.eye(2)
-    for _ in range(2000):
-        power = scaled @ power
-        form = form + power.T @ power
-    factor = np.linalg.cholesky(form)
+    factor = np.linalg.cholesky(solve_discrete_lyapunov(scaled.T, np.eye(2)))
     return factor / np.sqrt(np.prod(np.diag(factor)))
 
 

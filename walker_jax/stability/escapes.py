@@ -13,10 +13,9 @@ dimensions:
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-import jax
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import minimize_scalar
 
 from walker_jax.checks import (
@@ -30,13 +29,12 @@ from walker_jax.checks import (
     refuses_tracers,
     short,
 )
-from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.stability.rough_ground import mean_life
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walking.iteration import iterate, orbits
-from walker_jax.walking.stride import follow_stride
 
 MOST_ORBITS = 500
 """Of the longest transients, those whose states are recorded."""
@@ -144,9 +142,8 @@ def exponents_along(
     system: System, paths: Sequence[Float[np.ndarray, "_ section"]], integrator: Integrator
 ) -> Float[np.ndarray, " section"]:
     """Lyapunov exponents along pieces of walks, by QR; the first fifth of each aligns the frame."""
-    arrays = jax.tree.map(lambda leaf: np.asarray(leaf, float), system)
     points = np.concatenate(paths)
-    matrices = map_cells(jacobian, (arrays, points, integrator), (False, True, False))
+    matrices = linearise(system, points[:, None], integrator).jacobian[:, 0]
     longest, size = max(map(len, paths)), points.shape[1]
     padded = np.broadcast_to(np.eye(size), (len(paths), longest, size, size)).copy()
     counted = np.zeros((len(paths), longest), bool)
@@ -163,13 +160,6 @@ def exponents_along(
             grown = np.log(np.abs(np.diagonal(upper, axis1=1, axis2=2)))
         total += grown[counted[:, stride]].sum(axis=0)
     return -np.sort(-total / counted.sum())
-
-
-def jacobian(
-    system: System, x: Float[Array, " section"], integrator: Integrator
-) -> Float[Array, "section section"]:
-    """The derivative of a stride."""
-    return jax.jacfwd(lambda x: follow_stride(system, x, integrator).state)(x)
 
 
 def dimension_of(rate: float, exponents: Float[np.ndarray, " section"]) -> float:
