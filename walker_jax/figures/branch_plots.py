@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.figures.exponent_plots import lyapunov_exponents
-from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, size_between
+from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, new_figure, size_between
 from walker_jax.figures.style import (
     BASINS,
     DASHED,
@@ -244,7 +244,7 @@ def bifurcations(data: xr.Dataset) -> Figure:
     """
     check_dataset(data, "bifurcation diagram")
     rows = 3 if "exponents" in data else 2
-    figure = Figure(figsize=(13, 4.7 * rows), layout="constrained")
+    figure = new_figure(13, 4.7 * rows)
     axes = figure.subplots(rows, 2)
     gait_branches(data, axes[0, 0], title="Gaits")
     bifurcation_diagram(data, axes[0, 1], title="Attractors")

@@ -12,14 +12,14 @@ from matplotlib.patches import Patch
 from walker_jax.figures.layout import Shown, cell_edges, dress, new_axes
 from walker_jax.figures.style import INK, PERIODS, SMALL, period_style
 from walker_jax.figures.text import count_noun, walker_title
-from walker_jax.gaits.charts import words_in
+from walker_jax.gaits.charts import NO_GAIT, words_in
 from walker_jax.gaits.normal_forms import SUBCRITICAL, criticality
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome
 
 TINTS = (0.1, *[0.45] * (len(PERIODS) - 1))
 """Shares of the colours of periods in their cells; the rest is white."""
-NO_PERIOD, NO_GAIT, FALLS = "#8f8f8f", "#ffffff", "#f8ecd4"
+NO_PERIOD, EMPTY, FALLS = "#8f8f8f", "#ffffff", "#f8ecd4"
 """Cells without a period, or with a longer one; without a gait; and where walkers fall."""
 KINDS: dict[str, dict[str, Any]] = {
     "fold": {"ls": "-", "lw": 2.0},
@@ -34,7 +34,7 @@ WORDS = {
     "neimark-sacker": "Neimark-Sacker",
     "branch point": "branch point",
 }
-CIRCLES: dict[str, Any] = {"marker": "o", "ms": 3, "mfc": "white", "mew": 0.9, "markevery": 3}
+CIRCLES: dict[str, Any] = {"marker": "o", "ms": 3, "mfc": "white", "mew": 0.9}
 """Circles along the part of a curve that is subcritical."""
 SPECIAL: dict[str, Any] = {
     "marker": "D",
@@ -102,7 +102,7 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     fate, period = data["cell_fate"].values, data["cell_period"].values
     walks = fate == Outcome.STRIDE
     image = np.full((*fate.shape, 3), to_rgb(FALLS))
-    image[fate == -1] = to_rgb(NO_GAIT)
+    image[fate == NO_GAIT] = to_rgb(EMPTY)
     handles = []
     for number in range(1, len(PERIODS) + 1):
         cells = walks & (period == number)
@@ -114,8 +114,8 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     fails = "falls" if "theta" in data.attrs["section"] else "fails"
     further = (
         ("no period, or a longer one", others, NO_PERIOD),
-        (fails, ~walks & (fate != -1), FALLS),
-        ("no gait", fate == -1, NO_GAIT),
+        (fails, ~walks & (fate != NO_GAIT), FALLS),
+        ("no gait", fate == NO_GAIT, EMPTY),
     )
     for name, cells, colour in further:
         if cells.any():
@@ -144,8 +144,8 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
         colour = period_style(period)[0]
         ax.plot(x, y, color=colour, zorder=4, **KINDS[kind])
         if subcritical.any():
-            part = np.where(subcritical, y, np.nan)
-            ax.plot(x, part, color=colour, ls="", zorder=5, **CIRCLES)
+            part = x[subcritical], y[subcritical]
+            ax.plot(*part, color=colour, ls="", zorder=5, markevery=3, **CIRCLES)
         seen |= {(kind, bool(some)) for some in subcritical.tolist()} | {(kind, False)}
     return [
         Line2D([], [], color=INK, label=WORDS[kind] + ", subcritical" * some, **sign_of(kind, some))
@@ -157,8 +157,7 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
 
 def sign_of(kind: str, subcritical: bool) -> dict[str, Any]:
     """How a curve is drawn."""
-    circles = {name: value for name, value in CIRCLES.items() if name != "markevery"}
-    return KINDS[kind] | (circles if subcritical else {})
+    return KINDS[kind] | (CIRCLES if subcritical else {})
 
 
 def draw_special(ax: Axes, data: xr.Dataset, labels: bool) -> None:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from walker_jax.checks import check_kind
-from walker_jax.figures.layout import figure_title, name_axes
+from walker_jax.figures.layout import figure_title, name_axes, new_figure
 from walker_jax.figures.style import BASINS, INK, OTHERS, TITLE, failure_words
 from walker_jax.stability.probable_falls import ProbableFall
 
@@ -34,7 +34,7 @@ def probable_fall(fall: ProbableFall, *, title: bool | str = True) -> Figure:
     **Returns** the figure, of 9 by 7 inches. Raises `ValueError` for anything else.
     """
     check_kind("fall", fall, ProbableFall)
-    figure = Figure(figsize=(9, 7), layout="constrained")
+    figure = new_figure(9, 7)
     (sequence, actions), (path, law) = figure.subplots(2, 2)
     draw_sequence(sequence, fall)
     draw_actions(actions, fall)

@@ -154,10 +154,8 @@ def locate_bifurcation(kind: str, point: Point, width: float) -> Task:
     if found is None or (kind == BRANCH and abs(found.unknowns.scalars[2]) > UNFOLDED):
         return None
     values, cycle, *_ = found.unknowns
-    if (
-        kind == BRANCH and has_shorter_period(cycle[None])[0]
-    ):  # it is that of the gait that doubles there
-        return None
+    if kind == BRANCH and has_shorter_period(cycle[None])[0]:
+        return None  # it is that of the gait that doubles there
     return Bifurcation(
         kind, float(values[0]), cycle, found.multipliers, found.vectors, found.residual
     )

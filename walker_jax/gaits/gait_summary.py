@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.gaits.charts import words_in
+from walker_jax.gaits.charts import NO_GAIT, words_in
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.defining_systems import DOUBLING, TORUS
 from walker_jax.gaits.normal_forms import criticality
@@ -89,7 +89,7 @@ def summarise_chart(data: xr.Dataset) -> dict:
     walks, short = fate == Outcome.STRIDE, (periods > 0) & (periods <= LONGEST_TOLD)
     shares = {f"period {n}": walks & (periods == n) for n in np.unique(periods[walks & short])}
     shares |= {"no period, or a longer one": walks & ~short}
-    shares |= {"fails": ~walks & (fate != -1), "no gait": fate == -1}
+    shares |= {"fails": ~walks & (fate != NO_GAIT), "no gait": fate == NO_GAIT}
     shares = {name: float(cells.mean()) for name, cells in shares.items() if cells.any()}
     return {"curves": curves, "cells": shares}
 
