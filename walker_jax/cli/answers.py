@@ -60,6 +60,12 @@ def check_suffix(figure: Path) -> None:
         raise WrongPlace(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
 
 
+def check_figure(path: Path, request: dict, *, overwrite: bool) -> None:
+    """Refuse a place where a picture cannot go."""
+    check_suffix(path)
+    storage.check_picture(path, request, overwrite=overwrite)
+
+
 def check_film(path: Path, request: dict, *, overwrite: bool) -> None:
     """Refuse a place where a film cannot go."""
     from walker_jax import figures

@@ -11,9 +11,10 @@ import numpy as np
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import check_film, check_suffix, draw, request_for, tell
+from walker_jax.cli.answers import check_figure, check_film, draw, request_for, tell
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import OUTPUT, check_finite
+from walker_jax.cli.walk_command import FRAME_INTERVAL
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.stability.probable_falls import ProbableFall
@@ -23,8 +24,6 @@ from walker_jax.walkers.parameters import describe_in_words
 
 CONVERGED = 1e-6
 """Angle of a sequence to the least one, above which the answer says so (rad)."""
-FRAME_INTERVAL = 0.15
-"""Time between two frames of a film, as in that of a walk."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +71,7 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
     about = {"deviations": list(deviations), "strides": disturbances.strides, "way": way}
     request = request_for("fall", walker, **about)
     if pictures.figure is not None:
-        check_suffix(pictures.figure)
-        storage.check_picture(pictures.figure, request, overwrite=pictures.overwrite)
+        check_figure(pictures.figure, request, overwrite=pictures.overwrite)
     if pictures.animate is not None:
         if deviations.slope or deviations.push:
             raise WrongUse("--animate is for steps alone: leave out --tilt and --push")
@@ -83,7 +81,7 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
     if pictures.figure is not None:
         from walker_jax import figures
 
-        draw(figures.probable_fall(found).axes[0], pictures.figure, request)
+        draw(figures.probable_fall(found), pictures.figure, request)
     if pictures.animate is not None:
         draw_film(walker, found, pictures.animate, request)
     answer: dict[str, Any] = {"walker": request["walker"], "deviations": deviations._asdict()}

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from walker_jax import storage
-from walker_jax.cli.answers import check_suffix, draw, listed, request_for, slope_of, tell
+from walker_jax.cli.answers import check_figure, draw, listed, request_for, slope_of, tell
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, exclude, refuse
 from walker_jax.cli.section import START, has_own_options, refuse_own, start_from, state_from
@@ -73,8 +72,7 @@ def gait(walker: System, search: Search, picture: Picture) -> None:
     guess = None if begin is None else begin.tolist()
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
     if picture.figure is not None:
-        check_suffix(picture.figure)
-        storage.check_picture(picture.figure, request, overwrite=picture.overwrite)
+        check_figure(picture.figure, request, overwrite=picture.overwrite)
     with bar("search for gaits", True):
         found = selection.select_gaits(
             walker, search.period, begin, every=search.all, instead=search.instead(walker)
