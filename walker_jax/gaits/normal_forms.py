@@ -10,8 +10,9 @@ with xi or z measured along the eigenvector of unit length at the first state of
 doubling with s > 0 a stable cycle of twice the period is born, and at a Neimark-Sacker point with
 s < 0 a stable closed curve: these are supercritical. Otherwise they are subcritical: what is born
 is unstable and encloses the cycle while that is still stable (Kuznetsov, Elements of Applied
-Bifurcation Theory, 3rd edition, equations 5.49 to 5.53). Where s is zero two parameters are
-needed to tell more.
+Bifurcation Theory, 3rd edition, equations 5.49 to 5.53). All that holds on the centre manifold, so
+what is born is stable only where all other multipliers are inside the unit circle. Where s is zero
+two parameters are needed to tell more.
 """
 
 from collections.abc import Generator
@@ -27,7 +28,8 @@ ANGLES = np.arange(4) * np.pi / 4
 as opposite ones differ by a sign only."""
 SUPERCRITICAL, SUBCRITICAL = "supercritical", "subcritical"
 VANISHING = 1e-9
-"""Size of a coefficient that is zero up to rounding errors, as all are where areas are kept."""
+"""Size of a coefficient that is zero up to rounding errors, as those of Neimark-Sacker points are
+where areas are kept."""
 
 
 def criticality(kind: str, coefficient: float) -> str:
