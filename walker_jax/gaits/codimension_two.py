@@ -8,8 +8,8 @@ form, those of the 3rd edition of Kuznetsov's Elements of Applied Bifurcation Th
                       fold-flip: chi(1)
     Neimark-Sacker:   n:m resonances, by the cosine of the angle; Chenciner: s
 
-and where a multiplier 1 or -1, or of folds and doublings a pair, is on the unit circle too. The factors of s
-cancel its poles, so that the criteria are smooth.
+and where a multiplier 1 or -1, or of folds and doublings a pair, is on the unit circle too. The
+factors of s cancel its poles, so that the criteria are smooth.
 """
 
 from typing import NamedTuple
