@@ -7,6 +7,8 @@ about a point of which only the box is known (Daza, Wagemakers, Georgeot, Guery-
 log 2.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

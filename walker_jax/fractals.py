@@ -9,6 +9,8 @@ needs labels at random points, and can look at distances far below any grid's.
 Dimensions are pure numbers; sizes and distances are in the caller's units.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import NamedTuple
 

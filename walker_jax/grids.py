@@ -6,6 +6,8 @@ coordinates of the state are fixed. Cells are half open, [low, high) along each 
 numbered from 0 with the last axis fastest (C order), by int32; -1 stands for none.
 """
 
+from __future__ import annotations
+
 import math
 import operator
 from collections.abc import Mapping

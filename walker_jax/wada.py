@@ -7,6 +7,8 @@ boundaries are the same up to a distance of cells, which a finer grid must bring
 Wada keeps its distance.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

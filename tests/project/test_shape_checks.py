@@ -4,11 +4,14 @@ Run-time checks of these rooms take an eighth of all processor time of the tests
 each of their functions thousands of times. So one process has them on, and traces everything once.
 """
 
+import inspect
 import os
 import subprocess
 import sys
 
 import pytest
+
+import walker_jax as wj
 
 ROOMS = "hybrid", "multibody", "walkers", "walking"
 PROGRAM = """
@@ -71,3 +74,12 @@ def test_strides_of_all_kinds_keep_to_their_shapes(kinds, tmp_path):
     )
     assert run.returncode == 0, run.stderr
     assert run.stdout.split() == ["TypeCheckError"], "a wrong shape is not seen"
+
+
+def test_signatures_name_types_as_the_code_does():
+    """`help` shows `ArrayLike`, not the eight types that it stands for."""
+    shown = [getattr(wj, name) for name in wj.__all__ if name[0].islower()]
+    shown += [wj.Grid, wj.SimplestWalker, wj.KneedWalker, wj.FiveLinkBiped]
+    for one in shown:
+        assert "Union[" not in str(inspect.signature(one)), one
+        assert "jaxlib" not in str(inspect.signature(one)), one

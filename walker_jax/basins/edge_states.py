@@ -6,6 +6,8 @@ the starts that lead there. Walkers on that balance, as it were: the stance leg 
 upright, or the swing foot only grazes the ground.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 

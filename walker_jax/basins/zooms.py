@@ -1,5 +1,7 @@
 """Zooms into the boundary between fates: ever narrower windows around one of its points."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import jax.numpy as jnp

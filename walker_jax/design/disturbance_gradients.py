@@ -3,6 +3,8 @@
 By the envelope theorem it changes as the nearest point of the boundary does.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple

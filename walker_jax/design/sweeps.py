@@ -1,5 +1,7 @@
 """Basins over any parameters of a walker, each with its gait, area and robustness."""
 
+from __future__ import annotations
+
 import math
 import tempfile
 from collections.abc import Mapping, Sequence

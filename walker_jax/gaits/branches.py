@@ -13,6 +13,8 @@ differentiation, and normal forms (`normal_forms`) take third ones.
 Distances along a branch are sqrt(mean |dx|^2 + (dp / width of the range)^2).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple

@@ -5,6 +5,8 @@ that double from it. The bifurcations found on these lines begin curves. Behind 
 walkers come to that start near the gait, at each cell of a grid of parameters.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple

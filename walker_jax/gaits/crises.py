@@ -1,5 +1,7 @@
 """The loss of walking, a boundary crisis: the parameter beyond which all walkers fall."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 

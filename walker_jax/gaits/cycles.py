@@ -1,5 +1,7 @@
 """A gait as a cycle of strides: its equations, their solution, its multipliers."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import jax

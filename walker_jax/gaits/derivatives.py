@@ -1,5 +1,7 @@
 """Derivatives of strides along gaits, and of gaits by a parameter of the walker."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple

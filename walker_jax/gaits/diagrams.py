@@ -5,6 +5,8 @@ each gait is born, loses its stability and ends. Walkers that start near the gai
 converge to the attractors, which are gaits or aperiodic.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any

@@ -8,6 +8,8 @@ the coefficient of the normal form is known (`normal_forms`), and points of codi
 located, where curves meet, end or change what they mean (`codimension_two`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple

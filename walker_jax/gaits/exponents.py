@@ -6,6 +6,8 @@ others 1980, Meccanica 15, 9-20). Walks that start close together are soon indep
 first exponent is positive; their scatter gives the errors.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import jax

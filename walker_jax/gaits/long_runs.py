@@ -1,5 +1,7 @@
 """The attractors that walkers converge to in thousands of strides, at many parameter values."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 

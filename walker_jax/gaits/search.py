@@ -11,6 +11,8 @@ the same for those to whom a failed search is an answer. `find_gaits` makes thou
 once.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

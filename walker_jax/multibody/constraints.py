@@ -11,6 +11,8 @@ rates that the constraints allow, so with multipliers lambda, the forces dual to
 the integration; `independent_rates` has equations that keep it to rounding.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

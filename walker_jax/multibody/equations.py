@@ -1,5 +1,7 @@
 """The equations of motion (4), solved for one state."""
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Sequence
 from typing import NamedTuple

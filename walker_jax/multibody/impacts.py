@@ -1,5 +1,7 @@
 """Impacts: contacts that close at an instant, (15) to (17)."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import NamedTuple
 

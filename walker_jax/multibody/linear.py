@@ -1,5 +1,7 @@
 """Linear equations with small symmetric positive definite matrices, entry by entry."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from typing import NamedTuple
 

@@ -1,5 +1,7 @@
 """A system of masses: where they are, their mass matrix, forces and energies."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import equinox as eqx

@@ -7,6 +7,8 @@ walker that converges to none that is known leads to a new attractor. So an attr
 its branch becomes stable, as at a fold or a period doubling, and ends where it becomes unstable.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple

@@ -1,5 +1,7 @@
 """The fractal dimension of a basin's boundary."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import count
 from typing import Any

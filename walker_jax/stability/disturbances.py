@@ -5,6 +5,8 @@ from which it does not return, or falls (the minimal fatal shock), tells more ab
 the Floquet multipliers of its gait (Schwab and Wisse 2001, section 5).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

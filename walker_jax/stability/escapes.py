@@ -10,6 +10,8 @@ dimensions:
     D = 1 - kappa / lambda_1,    D = (lambda_1 - kappa) (1 / lambda_1 + 1 / |lambda_2|)
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 

@@ -1,5 +1,7 @@
 """All measures of robustness of a gait, and their table over a parameter."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any
 

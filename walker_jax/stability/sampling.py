@@ -8,6 +8,8 @@ disturbance here is its distance from the nearest state of the gait, there by de
 centroid; and a start at the gait has no pace here, and there, up to a distance, a pace of zero.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple

@@ -10,6 +10,8 @@ The norm is that of the response of g to a unit of each disturbance during one s
     sqrt(tr D'D + sum over k >= 0 of tr(B' A'^k C'C A^k B)).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple

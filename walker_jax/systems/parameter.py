@@ -1,5 +1,7 @@
 """A parameter of a system: its name, unit, default and bounds."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import equinox as eqx

@@ -4,6 +4,8 @@ The rises of guards are looked for anew here, as the real roots of the polynomia
 that the search that decides a stride has a second opinion.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

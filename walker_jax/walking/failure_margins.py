@@ -11,6 +11,8 @@ all walkers alike (`hybrid.misses`):
 - a condition has its least value.
 """
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import jax

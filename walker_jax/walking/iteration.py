@@ -5,6 +5,8 @@ or for a number of strides. `iterate` does that for many starts at once. Two oth
 return every state: `orbits`, of many starts, and `walk`, of one that JAX may trace.
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -4,6 +4,8 @@ For pictures and films. Places are along the slope and normal to it, from where 
 the first stride is when its leg is upright.
 """
 
+from __future__ import annotations
+
 from collections import defaultdict
 from importlib.metadata import version
 from typing import Any

@@ -8,6 +8,8 @@ Conditions, such as a force that would have to pull (`RUNNING`), count in stride
 strike; but the stride of a walker that is in tension at its start is over.
 """
 
+from __future__ import annotations
+
 from functools import partial
 from typing import Any, NamedTuple
 

@@ -1,5 +1,7 @@
 """Where a walker is during a stride: states at given times, and when its phases end."""
 
+from __future__ import annotations
+
 from functools import partial
 from typing import Any
 
