@@ -54,17 +54,37 @@ def lead_of(room: str) -> str:
     return (ast.get_docstring(ast.parse(path.read_text())) or "").split("\n\n")[0]
 
 
-def is_bundle(place: str) -> bool:
-    """Whether a name is a class of results, a NamedTuple."""
+def class_at(place: str) -> ast.ClassDef | None:
+    """The source of a class, None if the place holds another thing."""
     module, _, name = place.rpartition(".")
     path = (PACKAGE.parent / module.replace(".", "/")).with_suffix(".py")
     statements = ast.parse(path.read_text()).body if path.exists() else []
-    classes = [one for one in statements if isinstance(one, ast.ClassDef) and one.name == name]
-    return any(
-        isinstance(base, ast.Name) and base.id == "NamedTuple"
-        for one in classes
-        for base in one.bases
-    )
+    return next((s for s in statements if isinstance(s, ast.ClassDef) and s.name == name), None)
+
+
+def options_of(place: str) -> dict[str, str]:
+    """How a class is shown: results with all fields, and constructors before anything else."""
+    found = class_at(place)
+    if found is None:
+        return {}
+    if any(isinstance(base, ast.Name) and base.id == "NamedTuple" for base in found.bases):
+        return {"show_if_no_docstring": "true"}  # also fields that need no sentence
+    functions = [one for one in found.body if isinstance(one, ast.FunctionDef)]
+    decorated = lambda one, name: any(getattr(d, "id", "") == name for d in one.decorator_list)
+    order = [
+        *(one.name for one in functions if decorated(one, "classmethod")),
+        *(one.name for one in functions if not one.decorator_list),
+        *(one.name for one in functions if decorated(one, "property")),
+        *(one.target.id for one in found.body if isinstance(one, ast.AnnAssign)),  # fields
+    ]
+    if not any(decorated(one, "classmethod") for one in functions):
+        return {}
+    members = [name for name in order if not name.startswith("_")]
+    return {
+        "members": f"[{', '.join(members)}]",
+        "group_by_category": "false",
+        "merge_init_into_class": "true",
+    }
 
 
 def page_of(room: str) -> str:
@@ -76,12 +96,11 @@ def page_of(room: str) -> str:
     parts = [
         f"# {title}",
         lead_of(room),
-        f"*In the room `{BESIDE.get(room, f'walker_jax.{room}')}`.*",
+        f"*In the module `{BESIDE.get(room, f'walker_jax.{room}')}`.*",
     ]
-    for shown, place in entries.items():
-        options = {"heading": shown, "toc_label": shown}
-        if is_bundle(place):  # whose fields are all of interest, also those that need no sentence
-            options["show_if_no_docstring"] = "true"
+    functions_first = sorted(entries.items(), key=lambda entry: class_at(entry[1]) is not None)
+    for shown, place in functions_first:
+        options = {"heading": shown, "toc_label": shown, **options_of(place)}
         lines = [f"::: {place}", "    options:", *(f"      {k}: {v}" for k, v in options.items())]
         parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"
