@@ -31,7 +31,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax import multibody
 from walker_jax.basins.volumes import runs_of
-from walker_jax.figures.style import BASINS, INK
+from walker_jax.figures.style import BASINS, INK, TITLE
 from walker_jax.gaits.search import search_gait
 from walker_jax.multibody.single_support import coordinates_and_rates
 from walker_jax.stability.gait_mapper import mapper_of_gait
@@ -352,9 +352,15 @@ def draw(kept: dict, place: Path) -> None:
             look = {"color": colour, "label": f"{names[legs]}, {feet}", "ms": 5}
             values, errors = (np.array([x.get(n, np.nan) for x in found]) for n in VOLUME)
             axes[0, 0].errorbar(SLOPES["default"], values, errors, None, lines[legs], **look)
-    titles = {"volume": "volume of the basin", "size": "least disturbance"}
-    titles |= {"multiplier": "largest multiplier"}
-    for ax, (name, title) in zip(axes.flat[1:], titles.items(), strict=True):
+    titles = {
+        "volume": ("Volume over the foot radius", VOLUME_LABEL),
+        "size": (
+            "Least disturbance over the foot radius",
+            "least disturbance (rad, time in √(l/g))",
+        ),
+        "multiplier": ("Largest Floquet multiplier over the foot radius", "modulus"),
+    }
+    for ax, (name, (title, label)) in zip(axes.flat[1:], titles.items(), strict=True):
         for (slope, *chosen), colour in zip(SERIES, (INK, BASINS[2]), strict=True):
             for legs in chosen:
                 found = [(r, kept.get(key(("default", legs, r, slope)), {})) for r in RADII]
@@ -364,9 +370,10 @@ def draw(kept: dict, place: Path) -> None:
                 ax.plot(radii, values, lines[legs], **look)
         if name == "volume":
             ax.set_yscale("log")
-        ax.set_xlabel("radius of the feet (legs)")
-        ax.set_ylabel(title)
-    axes[0, 0].set(xlabel="slope (rad)", ylabel="volume of the basin", ylim=(0, 0.1))
+        ax.set_title(title, **TITLE)
+        ax.set(xlabel="foot radius (leg lengths)", ylabel=label)
+    axes[0, 0].set_title("Volume of the basin over the slope", **TITLE)
+    axes[0, 0].set(xlabel="slope (rad)", ylabel=VOLUME_LABEL, ylim=(0, 0.1))
     axes[0, 0].set_xticks(SLOPES["default"])
     for ax in axes.flat:
         ax.spines[["top", "right"]].set_visible(False)
@@ -376,6 +383,7 @@ def draw(kept: dict, place: Path) -> None:
 
 
 VOLUME = "volume", "error"
+VOLUME_LABEL = "volume (rad³ g/l)"
 
 if __name__ == "__main__":
     main(*sys.argv[1:])

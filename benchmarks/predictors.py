@@ -48,6 +48,7 @@ WORDS = {
     "step sensitivity": "1 / norm of steps on time",
     "stability": "basin stability",
 }
+UNITS = {"area": "\n(rad² / √(l/g))", "disturbance": "\n(rad, time in √(l/g))"}
 RESAMPLES = 4000
 PRINTED = 0.93
 
@@ -164,23 +165,28 @@ def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
+    from walker_jax.figures.style import BASINS
+
     figure = Figure(figsize=(10.5, 6.2), layout="constrained")
+    figure.suptitle(
+        "Roughness at which a walker falls after 100 strides", x=0.01, ha="left", fontweight="bold"
+    )
     panels = figure.subplots(2, 3, sharey=True).flat
-    marks = {"point": ("o", "#2f6fb3"), "round": ("s", "#c2571a"), "feedback": ("^", "#3b8a4f")}
+    looks = {"point": (BASINS[0], "o"), "round": ("#c7691c", "s"), "feedback": (BASINS[2], "^")}
     words = {"point": "point feet", "round": "round feet", "feedback": "feedback"}
     for ax, (name, about) in zip(panels, WORDS.items(), strict=True):
-        for family, (mark, colour) in marks.items():
+        for family, (colour, mark) in looks.items():
             own = [row for row in rows if row["family"] == family and row[name] > 0]
             x, y = ([row[key] for row in own] for key in (name, "roughness"))
             ax.plot(x, y, mark, color=colour, mec="white", ms=7, label=words[family])
-        ax.set(xscale="log", yscale="log", xlabel=about)
+        ax.set(xscale="log", yscale="log", xlabel=about + UNITS.get(name, ""))
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())
         ax.grid(alpha=0.3)
     for ax in list(figure.axes)[::3]:
-        ax.set_ylabel("roughness borne (leg length)")
+        ax.set_ylabel("roughness borne (leg lengths)")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False)
     figure.savefig(path, dpi=150)
