@@ -7,7 +7,7 @@ volumes over slopes against the same volume by random starts (basin stability), 
 interval. Then the derivative of a volume on ever finer grids against a difference. Last, the change
 of the volume over the slopes against the integral of its derivative.
 
-On two busy cores (a volume takes 4.5 times as many followed cells a level; docs/accuracy.md):
+On two busy cores (a volume takes 4.5 times as many followed cells a level; docs/accuracy-basins.md):
 
 level      volume +- error      followed      runs    cpu s  wall s  peak MB (before)
     0 0.0272917 +- 3.3e-04        508032     19920      3.7     8.6      485 (477)

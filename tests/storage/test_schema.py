@@ -22,6 +22,7 @@ def tables() -> str:
     for name, kind in KINDS.items():
         base = f" It has the variables of *{kind.base}* too." * bool(kind.base)
         lines += [f"{FIRST}{name.capitalize()}", "", f"{kind.about}{base}", ""]
+        lines += ['<details markdown="1"><summary>Variables and attributes</summary>', ""]
         lines += ["| variable | dimensions | type | unit | | where |", "|---|---|---|---|---|---|"]
         lines += [
             f"| `{variable}` | {' '.join(f'`{dim}`' for dim in one.dims.split())} | {one.type} | "
@@ -33,7 +34,7 @@ def tables() -> str:
             lines += [
                 f"| `{attribute}` | {about} |" for attribute, about in kind.attributes.items()
             ]
-        lines += [""]
+        lines += ["", "</details>", ""]
     return "\n".join(lines)
 
 
