@@ -1,7 +1,5 @@
 """Feedback from stride to stride: parameters that depend on where a stride begins."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from typing import Any
