@@ -161,8 +161,7 @@ def find_cycles(
 def resolve_transients(
     image: Int32[np.ndarray, " n"], sinks: int, recurrent: Int[np.ndarray, " m"]
 ) -> tuple[Int32[np.ndarray, " n"], Int32[np.ndarray, " n"]]:
-    """Returns the first recurrent cell, or the sink, that each cell reaches, and the steps to
-    it."""
+    """Returns the first recurrent cell, or sink, that each cell reaches, and the steps to it."""
     n = image.size
     both = np.empty((n + sinks, 2), np.int32)
     both[:n, 0], both[:, 1] = image, 1

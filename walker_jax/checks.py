@@ -127,8 +127,7 @@ FLOAT64_HINT = 'turn on float64 first, by jax.config.update("jax_enable_x64", Tr
 
 
 def check_precision(dtype: Any, needed_by: str | None = None) -> None:
-    """Warns of float32 once in a process; raises `WrongUse` if `needed_by` names what needs
-    float64."""
+    """Warns of float32 once in a process; raises `WrongUse` where `needed_by` is given."""
     if np.dtype(dtype) == np.float64:
         return
     if needed_by is not None:

@@ -65,8 +65,7 @@ class Boxes(NamedTuple):
         return n, m
 
     def table(self, chosen):
-        """Returns a summed-area table: how many cells are chosen before each place, along all
-        axes."""
+        """Returns a summed-area table: the chosen cells before each place, along all axes."""
         table = np.zeros([count + 1 for count in self.counts], np.int32)
         inner = (slice(1, None),) * len(self.counts)
         table[inner] = chosen.reshape(self.counts)
@@ -138,8 +137,7 @@ def count_safe(images: Images, viable: Bool[np.ndarray, " n"]) -> Int32[np.ndarr
 
 
 def find_capture(images: Images, target: Bool[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-    """Computes the capture basin of a target: the fewest steps into it, 0 within it; -1 for
-    none."""
+    """Computes the capture basin of a target: the fewest steps into it, or -1."""
     m = images.shape[1]
     steps = np.where(target, 0, -1).astype(np.int32)
     left, made = np.flatnonzero(~target), 0

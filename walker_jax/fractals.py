@@ -59,8 +59,7 @@ class Dimension(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """The dimension of a boundary from its uncertainty exponent, and the fractions it was fitted
-    to."""
+    """The dimension of a boundary from its uncertainty exponent, and the fitted fractions."""
 
     value: float
     """The dimension, d - exponent; NaN if fewer than `MIN_SCALES` distances were used."""
@@ -146,8 +145,7 @@ def box_counting(
 def mean_box_counts(
     labels: Int[np.ndarray, "*cells"], largest: int, *, step: int = 1
 ) -> Float[np.ndarray, " k"]:
-    """Counts the boxes with several labels, of sides `SMALLEST_BOX`, twice that ... `largest`
-    cells.
+    """Counts the boxes with several labels, of sides `SMALLEST_BOX` to `largest` cells.
 
     Counts are the mean over all origins of the boxes. Of the labels in a box, every step-th along
     each axis is read.

@@ -126,8 +126,7 @@ class Grid(eqx.Module):
 
     @classmethod
     def sheared(cls, *, theta: Axis, sum: Axis, **others: Axis) -> "Grid":
-        """Makes a grid along theta and sum = theta + thetadot, for states (theta, thetadot,
-        others...).
+        """Makes a grid along theta and theta + thetadot, for states (theta, thetadot, others...).
 
         Each axis is (low, high, count); the last ones may be numbers, as in `plain`. These are the
         coordinates of Schwab and Wisse (2001), Figure 4.
@@ -261,14 +260,12 @@ class Grid(eqx.Module):
         return np.asarray(self.origin) + u @ np.asarray(self.shear).T
 
     def place(self, point: Float[np.ndarray, " s"]) -> Float[np.ndarray, " d"]:
-        """Returns the place of a point on each axis, in cells from the first centre; on the host
-        only."""
+        """Returns a point's place on each axis, in cells from the first centre; host only."""
         u = np.asarray(self.unshear) @ (point - np.asarray(self.origin))
         return (u - np.asarray(self.lower)) / np.asarray(self.spacing) - 0.5
 
     def position(self, point: Float[Array, " s"]) -> Float[Array, " d"]:
-        """Returns the place of a point on each axis, in cells from the lower end; JAX can trace
-        it."""
+        """Returns a point's place on each axis, in cells from the lower end; JAX can trace it."""
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
         u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         return (u - lower) / spacing

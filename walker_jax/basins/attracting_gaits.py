@@ -27,8 +27,7 @@ LEAD = 3.0
 
 
 def gait_of_basins(walker: System, data: xr.Dataset, tolerance: float | None) -> Gait | None:
-    """Finds the gait with the most cells in a data set of `basin` or `refine`; None if none
-    attracts."""
+    """Finds the gait with the most cells in a data set of `basin` or `refine`; None without one."""
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
         return None

@@ -34,16 +34,14 @@ class Attractor(NamedTuple):
 
 
 def capture_radius(dtype) -> float:
-    """Returns the distance, in every coordinate of the section, at which an attractor is
-    reached."""
+    """Returns the distance, in every coordinate, within which an attractor is reached."""
     return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
 
 
 def check_cycle(
     states: Float[np.ndarray, "period section"], ends: Float[np.ndarray, "period section"]
 ) -> None:
-    """Raises `WrongUse` if strides from a gait's states end elsewhere: it is another walker's
-    gait."""
+    """Raises `WrongUse` if strides from a gait's states end elsewhere, as for another walker."""
     miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
     if not miss < capture_radius(states.dtype):
         raise WrongUse(
@@ -61,8 +59,7 @@ def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period sect
 def targets_of(
     attractors: Sequence[Attractor], size: int, within: float | None = None
 ) -> tuple[Targets, Int[np.ndarray, " m"]]:
-    """Returns the capture boxes of all cycles, or cubes of a half edge, and the owner of each
-    box."""
+    """Returns the capture boxes of all cycles, or cubes of a half edge, and the owner of each."""
     states, frames, owner = [], [], []
     for number, one in enumerate(attractors):
         if one.period is None:
@@ -82,10 +79,9 @@ def match_attractor(
     attractors: Sequence[Attractor],
     within: float | None = None,
 ) -> Int[np.ndarray, " n"]:
-    """Returns the number of the cycle whose capture box holds each state, the nearest of several;
-    -1 for none.
+    """Returns the number of the cycle whose capture box holds each state; -1 for none.
 
-    With `within` the boxes are cubes of that half edge.
+    Of several boxes the nearest counts. With `within` the boxes are cubes of that half edge.
     """
     targets, owner = targets_of(attractors, x.shape[1], within)
     return owners(nearest_target(x, targets), owner)
@@ -97,7 +93,6 @@ def owners(target: Int[np.ndarray, " n"], owner: Int[np.ndarray, " m"]) -> Int[n
 
 
 def sorted_numbers(attractors: Sequence[Attractor]) -> list[int]:
-    """Returns their numbers, sorted by period, then by angle; aperiodic ones, then artefacts,
-    last."""
+    """Returns their numbers, sorted by period and angle; aperiodic ones, then artefacts, last."""
     key = [(one.artefact, one.period or np.inf, one.states[0, 0]) for one in attractors]
     return sorted(range(len(key)), key=key.__getitem__)

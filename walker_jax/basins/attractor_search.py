@@ -186,8 +186,7 @@ def still_wandering(
     cycles: Sequence[Attractor],
     integrator: Integrator,
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
-    """Returns the walkers that neither fall nor converge to a cycle in some strides, and their
-    states."""
+    """Returns the walkers that neither fall nor converge to a cycle, and their states."""
     end = iterate(walker, x, strides, integrator)
     left = np.flatnonzero(end.outcome == Outcome.STRIDE)
     left = left[match_approaching(walker, end.state[left], cycles, integrator) < 0]
@@ -228,8 +227,7 @@ def approaches(
 def attracts(
     walker: System, cycle: Float[np.ndarray, "period section"], integrator: Integrator
 ) -> bool:
-    """Returns whether walkers that start beside a cycle stay there, rather than move ever farther
-    away."""
+    """Returns whether walkers that start beside a cycle stay there, and do not move away."""
     radius = capture_radius(cycle.dtype)
     beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
     largest = largest_distances(walker, beside, cycle, integrator).max(axis=0)
@@ -242,8 +240,7 @@ def largest_distances(
     cycle: Float[np.ndarray, "period section"],
     integrator: Integrator,
 ) -> Float[np.ndarray, "n blocks"]:
-    """Returns the largest distance from a cycle in each of `BLOCKS` stretches; NaN after a
-    failure."""
+    """Returns the largest distance from a cycle in each stretch of strides; NaN after a failure."""
     largest = np.empty((len(x), BLOCKS), x.dtype)
     size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
     for start in range(0, len(x), size):
@@ -264,8 +261,7 @@ def distance_from(
 def stable_cycle(
     walker: System, start: Float[np.ndarray, " section"], period: int, integrator: Integrator
 ) -> Float[np.ndarray, "period section"] | None:
-    """Finds a stable cycle `CLOSE` to a walker, by Newton's iteration from its state; None if it
-    fails."""
+    """Finds a stable cycle `CLOSE` to a walker, by Newton's iteration; None if it fails."""
     _, cycles = cycle_guesses(walker, start[None], period, integrator)
     if len(cycles) == 0:
         return None
@@ -280,8 +276,7 @@ def stable_cycle(
 
 
 def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
-    """Returns the strides after which a walk first comes back within a distance, given all
-    distances."""
+    """Returns the strides to the first return within a distance, given all distances."""
     return int(np.flatnonzero(misses < within)[0]) + 1
 
 

@@ -66,8 +66,7 @@ def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
 
 
 def summarise_attractors(data: xr.Dataset) -> list[dict]:
-    """Returns the attractors of a basin's data set; a motion that never repeats has the period
-    None."""
+    """Returns the attractors of a basin's data set; the period is None for aperiodic ones."""
     mapped = [name for name in ("cycles", "falling") if name in data]
     return [
         {

@@ -25,8 +25,7 @@ SETTLING_PERIODS = 8
 
 
 def with_capture_boxes(mapper: Mapper) -> Mapper:
-    """Returns the mapper with capture boxes for its cycles, each found with the other boxes
-    unchanged."""
+    """Returns the mapper with capture boxes for its cycles, found with the others unchanged."""
     rng = np.random.default_rng(0)
     boxed = [
         find_capture_boxes(mapper, i, rng) if one.period else one
@@ -52,8 +51,7 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         attractors[number] = attractors[number]._replace(capture_boxes=frames)
 
     def largest(boxes: Float[np.ndarray, "tried period section section"], small: int) -> int:
-        """Returns the largest of growing boxes from which all converge; the attractor is given
-        half.
+        """Returns the largest of growing boxes from which all converge; half of it is kept.
 
         The first `small` boxes are tried at once, the others in turn: walks end in the box before.
         """

@@ -41,8 +41,7 @@ class WalkingCells(NamedTuple):
 
 
 def has_known_units(data: xr.Dataset) -> bool:
-    """Returns whether the section begins as walkers' do, so that areas and volumes have known
-    units."""
+    """Returns whether the section begins as walkers' do, which gives areas known units."""
     return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
 
 
@@ -105,8 +104,7 @@ def failing_cells(fate: Int[np.ndarray, "*shape"]) -> dict[Outcome, CellClass]:
 def along_axis(
     states: Float[np.ndarray, "... section"], section: Sequence[str], axis: str
 ) -> Float[np.ndarray, "..."]:
-    """Returns states along an axis of a grid, `sum` included; NaN along an axis outside the
-    section."""
+    """Returns states along an axis of a grid, `sum` included; NaN along a foreign axis."""
     if axis == "sum":
         return along_axis(states, section, "theta") + along_axis(states, section, "thetadot")
     if axis not in section:

@@ -103,8 +103,7 @@ class Mapper(NamedTuple):
         return match_approaching(self.walker, x, self.attractors, self.integrator)
 
     def follow_on(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        """Follows walkers further, and returns the numbers of the cycles they converge to; -1 for
-        none."""
+        """Follows walkers further; returns the numbers of the cycles they converge to, or -1."""
         number, left, made = np.full(len(x), -1, np.int32), np.arange(len(x)), 0
         while len(left) and made < self.further:
             count = min(max(made, LONGEST_PERIOD), self.further - made)
@@ -118,8 +117,7 @@ class Mapper(NamedTuple):
     def label_all(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> tuple[Labels, "Mapper"]:
-        """Labels all starts, those that remain at the end too; returns the mapper to all attractors
-        found."""
+        """Labels all starts, also those undecided; returns the mapper to all attractors found."""
         return self.complete_labels(self.follow(starts, progress=progress))
 
     def complete_labels(self, labels: Labels, most: int = SAMPLE) -> tuple[Labels, "Mapper"]:
@@ -131,8 +129,7 @@ class Mapper(NamedTuple):
     def label_remaining(
         self, x: Float[np.ndarray, "n section"], most: int = SAMPLE
     ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
-        """Finds the attractors of walkers that have made all their strides; returns the mapper to
-        all.
+        """Finds the attractors of walkers that have made all strides; returns the mapper to all.
 
         The attractor is the cycle that they approach, or one found by following some of them
         further, at most `most`. Otherwise it is the motion without a period, if there is one, even
@@ -154,8 +151,7 @@ class Mapper(NamedTuple):
         return number, mapper
 
     def with_attractors_from(self, starts: Float[np.ndarray, "n section"]) -> "Mapper":
-        """Returns the mapper that also knows the attractors to which walkers from some starts
-        converge."""
+        """Returns the mapper to the attractors of some starts too."""
         found = find_attractors(self.walker, starts, self.integrator, self.attractors)
         return self._replace(attractors=found)
 

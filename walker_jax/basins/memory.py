@@ -20,8 +20,7 @@ class TooLarge(WrongUse, MemoryError):
 
 
 def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
-    """Returns whether an axis of a grid has the place of its coordinate, or is that coordinate
-    alone."""
+    """Returns whether an axis of a grid is at its coordinate's place, or is that coordinate."""
     if place == coordinate:
         return True
     if place >= len(grid.names):
@@ -38,8 +37,7 @@ def check_grid(
     *,
     kind: str | None = None,
 ) -> None:
-    """Raises `WrongUse` for a grid outside the walker's section, or too large for this machine's
-    memory.
+    """Raises `WrongUse` for a grid outside the walker's section, or too large for the memory.
 
     The names of its axes must differ from names of arrays in the `kind` of data set to be made.
     """
@@ -76,8 +74,7 @@ def check_grid(
 
 
 def check_level(levels: int, level: int, count: int, each: int) -> None:
-    """Raises `TooLarge` for a level of refinement with more cells than fit this machine's
-    memory."""
+    """Raises `TooLarge` for a level of refinement with more cells than fit the memory."""
     needed, memory = count * each, memory_of_machine()
     if needed > memory:
         raise TooLarge(

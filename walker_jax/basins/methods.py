@@ -38,8 +38,7 @@ class Block(NamedTuple):
 def order_in_block(
     grid: Grid, block: Block | None
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Returns the order in which to compute the cells of a block, or of all: places in it, and
-    indices."""
+    """Returns the order in which to compute the cells of a block: places in it, and indices."""
     first, shape = block or (0, grid.shape)
     order = order_of_cells(shape)
     return order, order + order.dtype.type(first)
@@ -48,8 +47,7 @@ def order_in_block(
 def cell_mapping(
     walker: System, grid: Grid, integrator: Integrator, progress: bool = False
 ) -> Basins:
-    """Runs the simple cell mapping: one stride from the centre of each cell, then cells follow
-    cells."""
+    """Runs the simple cell mapping: one stride from each cell's centre, then cells follow cells."""
     ends = resolve(cell_map(walker, grid, integrator, progress=progress), sinks=len(Outcome))
     attractors, number = attractors_of_cycles(walker, grid, ends, integrator)
     return Basins(*labels_of_cells(ends, number), attractors)
@@ -83,8 +81,7 @@ def image_of_cell(shared: tuple[System, Grid, Integrator], index: Int[Array, ""]
 def labels_of_cells(
     ends: CellMap, number: Int[np.ndarray, " cycles"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the fate, attractor and strides of cells, given their ends and each cycle's
-    attractor."""
+    """Returns the fate, attractor and strides of cells, from their ends and cycles' attractors."""
     fate = np.maximum(ends.sink, Outcome.STRIDE).astype(np.int8)
     return fate, np.append(number, np.int32(-1))[ends.attractor], ends.steps
 

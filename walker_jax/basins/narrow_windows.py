@@ -97,8 +97,7 @@ def refuse_torn(
     integrator: Integrator,
     when: str,
 ) -> None:
-    """Raises `ComputationFailed` if the boundary of a failure in the next stride crosses the
-    window."""
+    """Raises `ComputationFailed` if the boundary of a failure in the next stride is too close."""
     name, margin = failing_margin(walker, points, integrator)
     if margin < BLUR or passed.any() != passed.all():
         raise ComputationFailed(

@@ -85,8 +85,7 @@ class MappedPieces(NamedTuple):
 
 
 class FollowedPieces(NamedTuple):
-    """Direct iteration: attractors before all pieces, and at the end those of the remaining
-    walkers."""
+    """Direct iteration: attractors before all pieces, then those of the remaining walkers."""
 
     walker: System
     grid: Grid
@@ -202,8 +201,7 @@ def compute_in_pieces(
 
 
 def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Returns the shape of a piece along the first axes of a grid, so that its cells are
-    neighbours.
+    """Returns the shape of a piece along the first axes of a grid; its cells are neighbours.
 
     One axis is cut into parts of equal length, each of `PIECE` cells or more.
     """

@@ -30,8 +30,7 @@ REDRAWN = 20_000
 
 
 class RefinedCells:
-    """The labels of all cells of ever finer grids, and the level on which each cell was
-    followed."""
+    """The labels of all cells of ever finer grids, and the level that each was followed on."""
 
     def __init__(
         self,
@@ -137,8 +136,7 @@ class RefinedCells:
         return cells, walks.astype(int) - cell_walks, counts
 
     def measure_variance(self, count: int) -> float:
-        """Estimates the variance of the number of walking cells: the sum of f (1 - f) over followed
-        cells.
+        """Estimates the variance of the number of walking cells: the sum of f (1 - f).
 
         The term f (1 - f) is half the chance that two points of a cell differ. One point gave the
         cell its label; a second one is drawn in some cells. If none is drawn, each cell on the

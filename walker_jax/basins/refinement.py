@@ -50,8 +50,7 @@ def refine(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Computes the basin on a grid 2^levels times as fine along each axis, following its boundary
-    only.
+    """Computes the basin on a grid 2^levels times as fine, following its boundary only.
 
     On the finest level a cell's fate is that of a random point in it, so that the area of cells on
     the boundary is right on average.

@@ -141,8 +141,7 @@ def label_of(
 def neighbours(
     cells: Int[np.ndarray, " n"], shape: tuple[int, ...]
 ) -> Iterator[Int[np.ndarray, " n"]]:
-    """Yields the neighbours of cells in each direction, corners included; at the border, cells
-    there."""
+    """Yields the neighbours of cells in each direction, corners included, within the border."""
     places = np.unravel_index(cells, shape)
     for step in np.ndindex((3,) * len(shape)):
         if step != (1,) * len(shape):
@@ -153,6 +152,5 @@ def neighbours(
 def flat_index(
     places: Sequence[Int[np.ndarray, "..."]] | Int[np.ndarray, "..."], shape: tuple[int, ...]
 ) -> Int[np.ndarray, "..."]:
-    """Returns the numbers of the cells at places on each axis; a place outside counts as the
-    border."""
+    """Returns the numbers of the cells at places on each axis; the border ends the axes."""
     return np.asarray(np.ravel_multi_index(tuple(places), shape, mode="clip"))

@@ -102,8 +102,7 @@ def add_attractors(
     cells: Int[np.ndarray, " number"],
     at_border: int,
 ) -> xr.Dataset:
-    """Adds the attractors to a data set, with the cells of each basin, and the cells at the
-    border."""
+    """Adds the attractors to a data set, with the cells of each basin and those at the border."""
     longest = max((len(one.states) for one in attractors), default=0)
     states = np.full((len(attractors), longest, grid.coordinates), np.nan)
     for one, row in zip(attractors, states, strict=True):
@@ -150,8 +149,7 @@ def arrays_to_compute(walker: System, grid: Grid) -> dict[str, xr.Variable]:
 def constant_array(
     grid: Grid, value: Any, dtype: Any, attributes: dict | None = None, *coordinate: str
 ) -> xr.Variable:
-    """Makes an array of one value, without memory, over a grid and optionally a state's
-    coordinates."""
+    """Makes an array of one value, without memory, over a grid and perhaps coordinates."""
     shape = (*grid.shape, *(grid.coordinates for _ in coordinate))
     values = np.broadcast_to(np.array(value, dtype), shape)
     return xr.Variable((*grid.names, *coordinate), values, attributes)

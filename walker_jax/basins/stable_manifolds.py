@@ -112,8 +112,7 @@ class Image(NamedTuple):
     def __call__(
         self, x: Float[np.ndarray, " section"]
     ) -> tuple[Float[np.ndarray, " section"], Float[np.ndarray, "section section"]]:
-        """Returns the end of the strides from x, and its derivatives by x; NaN where a stride
-        fails."""
+        """Returns the end of the strides from x, and its derivatives by x; NaN after a failure."""
         jacobian = np.eye(len(x))
         for _ in range(self.strides):
             local = linearise(self.walker, x[None, None], self.integrator)
@@ -199,8 +198,7 @@ def correct(
     t: float,
     tangent: Float[np.ndarray, " 2"],
 ) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "2 2"]] | None:
-    """Finds the point across the tangent at x that is mapped to the curve, and where; None if
-    none."""
+    """Finds the point across the tangent at x that is mapped to the curve, and where; or None."""
     start = x
     for _ in range(CORRECTIONS):
         if not 0 <= t <= curve.lengths[-1]:

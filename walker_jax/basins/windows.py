@@ -44,8 +44,7 @@ def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
-    """Returns axes over the region in which a system's gaits are searched for, of `cells` cells
-    each.
+    """Returns axes over the region of a system's gaits, of `cells` cells each.
 
     None where there is no such region, or it is not plain, or has not two axes.
     """
@@ -88,8 +87,7 @@ def grid_along(axes: Mapping[str, Any]) -> Grid:
 
 
 def outline(axes: Mapping[str, Any]) -> Grid:
-    """Makes a grid of these axes, with arbitrary ones where they are None, to check the given
-    ones."""
+    """Makes a grid of these axes, with arbitrary ones for None, to check the given ones."""
     return grid_along(
         {
             name: PLACEHOLDERS.get(name, ANY_AXIS) if axis is None else axis

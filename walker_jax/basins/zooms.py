@@ -68,8 +68,7 @@ def boundary_point(
 def checked_mapper(
     walker: System, grid: Grid, strides: int, tolerance: float | None, needed_by: str
 ) -> Mapper:
-    """Checks the arguments, and returns the mapper to the attractors of a grid, with capture
-    boxes."""
+    """Checks the arguments; returns the mapper to a grid's attractors, with capture boxes."""
     check_grid(walker, grid, "direct")
     check_single(walker)
     check_whole("strides", strides)
@@ -140,8 +139,7 @@ def zoom(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Computes the fates in windows from a grid's own down to one `factor` times as narrow, for a
-    film.
+    """Computes the fates in ever narrower windows of a grid, down to 1 / `factor`, for a film.
 
     ```python
     walker = wj.SimplestWalker(0.004)

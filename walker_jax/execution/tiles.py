@@ -65,8 +65,7 @@ def map_cells(
     *,
     progress: str | None = None,
 ) -> PyTree[np.ndarray]:
-    """Computes function(*args) for every cell, on all devices of the process and all cores of a
-    CPU.
+    """Computes function(*args) for every cell, on all devices and all cores of a CPU.
 
     An interrupt waits for the cells in progress. Neighbours are processed together, so cells that
     take equally long should be neighbours.
@@ -203,8 +202,7 @@ def route_here() -> Route | None:
 def run_on_gpus(
     program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
 ) -> list[np.ndarray]:
-    """Computes the cells' results by a kernel, on all GPUs. Each call has a power of two of
-    them."""
+    """Computes the cells' results by a kernel, on all GPUs, in calls of a power of two of cells."""
     least, most = GPU_CALL_CELLS
     devices = len(jax.local_devices())
     call = devices * min(most, max(least, 1 << (-(-n // devices) - 1).bit_length()))
@@ -295,16 +293,14 @@ def compile_call(
 
 
 def options_for(platform: str) -> dict:
-    """Returns the compiler's options for a platform, without those that this version of XLA
-    lacks."""
+    """Returns the compiler's options for a platform, without those that this XLA lacks."""
     options = COMPILER_OPTIONS.get(platform, {}).items()
     return {name: value for name, value in options if has_option(name, value)}
 
 
 @functools.cache
 def has_option(name: str, value: Any) -> bool:
-    """Returns whether XLA accepts an option, by a trial: it compiles nothing with an unknown
-    one."""
+    """Returns whether XLA accepts an option, by a trial: an unknown one stops the compilation."""
     try:
         jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
     except jax.errors.JaxRuntimeError:

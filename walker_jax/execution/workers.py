@@ -74,8 +74,7 @@ def compute_here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterat
 def compute_on_cluster(
     client: Any, submitted: dict[Any, Any], function: Callable[[Any], Any], items: Sequence[Any]
 ) -> Iterator[tuple[Any, Any]]:
-    """Yields each item and its result, from the workers of a Dask client; `submitted` are under
-    way."""
+    """Yields each item and its result, from the workers of a Dask client."""
     from distributed import KilledWorker, as_completed
 
     waiting, deaths = list(items)[::-1], Counter()

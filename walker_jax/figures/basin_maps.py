@@ -122,8 +122,7 @@ def basin(
 
 
 def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
-    """Draws a narrow window of a basin, and beside it the whole basin, with the place of the
-    window.
+    """Draws a narrow window of a basin, and beside it the basin with the window's place.
 
     **Arguments:**
 
@@ -241,8 +240,7 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
 
 
 def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
-    """Returns some rows and columns of a large basin, at most `most` of each: enough for a
-    picture."""
+    """Returns at most `most` rows and columns of a large basin: enough for a picture."""
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
     thinned = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
     return thinned.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
@@ -276,8 +274,7 @@ def share_drawn(data: xr.Dataset) -> int:
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """Returns at most `most` equally spaced indices, without the first and the last; all, if so
-    few."""
+    """Returns at most `most` equally spaced indices, without the ends; all, if so few."""
     if count <= most:
         return np.arange(count)
     return np.unique(np.round(np.linspace(0, count - 1, most + 2)[1:-1]).astype(int))

@@ -24,8 +24,7 @@ def lyapunov_exponents(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws Lyapunov exponents of the attractor against a parameter, with bands of two standard
-    errors.
+    """Draws Lyapunov exponents of the attractor against a parameter, with their error bands.
 
     Walking is chaotic where the first exponent is above zero. Nothing is drawn where no walker
     walks.

@@ -129,8 +129,7 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
 
 
 def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = False) -> None:
-    """Makes a film of ever narrower windows around a point of a boundary, with colours as in
-    `basin`.
+    """Makes a film of ever narrower windows around a point of a boundary.
 
     **Arguments:**
 

@@ -211,8 +211,7 @@ def size_of(ax: Axes) -> tuple[float, float]:
 
 
 def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> float:
-    """Returns the width of axes in their panel, without the space to their left and right
-    (pixels)."""
+    """Returns the width of axes in their panel, without the space at their sides (pixels)."""
     wide, _ = size_of(ax)
     spec = ax.get_subplotspec()
     if spec is None or figure_of(ax).get_layout_engine() is None:

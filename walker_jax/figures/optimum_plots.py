@@ -84,8 +84,7 @@ def optimisation(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the values of a parameter that an optimisation tried, and the objective between the
-    bounds.
+    """Draws the values of a parameter that an optimisation tried, and the objective.
 
     Dots are evaluations, joined in their order, from light and large to dark and small as the steps
     become shorter. Runs that did not lead to the optimum are faint. The broad line is the scan

@@ -39,8 +39,7 @@ def project(places: Float[np.ndarray, "n 3"], slope: float) -> Float[np.ndarray,
 
 
 def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.ndarray, " 2"]]:
-    """Draws one frame of a motion. Returns the artists, and the place on the page below the
-    walker."""
+    """Draws one frame of a motion; returns the artists, and the page's place below the walker."""
     slope, radius, length = (
         float(pose.attrs[f"walker_{name}"]) for name in ("slope", "disc_radius", "leg_length")
     )

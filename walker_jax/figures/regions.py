@@ -48,8 +48,7 @@ class Region(NamedTuple):
 
 
 def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
-    """Returns the nonempty regions of a data set, with the basins of some attractors each on its
-    own."""
+    """Returns the nonempty regions of a data set, with one for each large basin."""
     walking = walking_cells(data, large)
     found = []
     for (number, cells), colour in zip(walking.large.items(), BASINS, strict=False):
@@ -161,8 +160,7 @@ def patch_of(region: Region, label: str = "") -> Patch:
 
 
 def counted_patch(region: Region, share: int) -> Patch:
-    """Returns the sign of a region with its number of cells, of which the data has one in
-    `share`."""
+    """Returns the sign of a region with its number of cells, one in `share` of which is given."""
     count = region.of.count * share
     about = "about " * (share > 1)
     return patch_of(region, f"{region.words} ({about}{count:,} cell{'s' * (count > 1)})")

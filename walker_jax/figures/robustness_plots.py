@@ -242,8 +242,7 @@ def boundary_dimension(
 
 
 def robustness_table(data: xr.Dataset) -> Figure:
-    """Draws area, least disturbance, largest multiplier and dimension of the boundary, a panel
-    each.
+    """Draws area, least disturbance, largest multiplier and boundary dimension, a panel each.
 
     The last is the picture `boundary_dimension`. The band around the area is twice its standard
     error. Where the nearest start that does not return converges to another attractor, the nearest
@@ -316,8 +315,7 @@ def draw_band(ax: Axes, data: xr.Dataset, scale: float = 1) -> None:
 
 
 def draw_falls(ax: Axes, data: xr.Dataset, scale: float = 1) -> list[Line2D]:
-    """Draws the least disturbance after which a walker falls, where a smaller one leads
-    elsewhere."""
+    """Draws the least disturbance that causes a fall, where a smaller one leads elsewhere."""
     values, _ = table_axis(data)
     farther = data["least_fall"].values > data["least_disturbance"].values
     if not farther.any():
@@ -329,8 +327,7 @@ def draw_falls(ax: Axes, data: xr.Dataset, scale: float = 1) -> list[Line2D]:
 
 
 def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
-    """Returns the values of a table's parameter, and its name; raises `WrongUse` for another data
-    set."""
+    """Returns the values of a table's parameter, and its name, after a check of the data set."""
     check_dataset(data, "robustness table")
     parameter = str(data["total_area"].dims[0])
     return data[parameter].values, parameter

@@ -97,8 +97,7 @@ def viability(
 
 
 def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, str]:
-    """Returns the plane of a data set that is drawn, and its place; of three axes, the middle
-    one."""
+    """Returns the plane of a data set that is drawn, and its place among three axes."""
     shown = data[name]
     if shown.ndim not in (2, 3) or min(shown.shape[:2]) < 2:
         raise WrongUse(

@@ -49,8 +49,7 @@ MARGIN = 0.05
 
 
 def volume(data: xr.Dataset) -> Figure:
-    """Draws the basin of attraction in three dimensions: slices through the attractor, and its
-    surface.
+    """Draws the basin of attraction in three dimensions: slices, and its surface.
 
     Three slices, each along two axes of the grid, go through the first state of the attractor with
     the largest basin. The fourth picture shows the surface of all basins in parallel projection,
@@ -109,8 +108,7 @@ def volume(data: xr.Dataset) -> Figure:
 def walking_places(
     data: xr.Dataset, large: list[int]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Returns the centres of cells that converge, and their colours: places in `large`, or one
-    more."""
+    """Returns the centres of cells that converge, and their colours, by place in `large`."""
     names = data["axis"].values.tolist()
     shape = tuple(data.sizes[name] for name in names)
     first, attractor = data["first_cell"].values, data["run_attractor"].values

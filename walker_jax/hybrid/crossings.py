@@ -117,8 +117,7 @@ def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
 
 
 def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
-    """Returns the sum over k >= 2 of |c_k| length^k, a bound on the nonlinear part of a
-    function."""
+    """Returns the sum over k >= 2 of |c_k| length^k, a bound on the nonlinear part."""
     return evaluate_polynomial(sizes(series)[2:], length) * length**2
 
 

@@ -229,8 +229,7 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
 
 
 def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
-    """Returns whether a guard is below zero as a step begins, by its side or, at first, its
-    value."""
+    """Returns whether a guard is below zero as a step begins, by its side or first value."""
     return jnp.where(side == 0, begins_below(value), side < 0)
 
 

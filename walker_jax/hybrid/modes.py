@@ -95,8 +95,7 @@ class Mode(NamedTuple):
         return [*(one.leads_to for one in self.guards), *(one.outcome for one in conditions)]
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
-        """Returns the value of each guard and the functions that admit it; all of these if
-        `whole`."""
+        """Returns the value of each guard and the functions that admit it; all if `whole`."""
         return [
             [one.value, *one.admits, *(one.admits_at_rise if whole else ())] for one in self.guards
         ]

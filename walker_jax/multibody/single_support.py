@@ -61,8 +61,7 @@ class SingleSupport(VirtualPower):
 
 
 def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
-    """Returns q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin; or its
-    rates.
+    """Returns q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin.
 
     For a phase, it returns q from the phase's coordinates.
     """
@@ -79,8 +78,7 @@ def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, 
 
 @jax.jit
 def accelerations_and_forces(walker: HasSystem, state: Any) -> tuple[list[Scalar], list[Scalar]]:
-    """Computes accelerations of a walker on its stance foot, and the forces that hold u and v,
-    (4)."""
+    """Computes accelerations on the stance foot, and the forces that hold u and v, (4)."""
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)

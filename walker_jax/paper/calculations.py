@@ -132,8 +132,7 @@ def areas_over_slopes(size: Size) -> xr.Dataset:
 
 
 def surviving_cells(size: Size) -> xr.Dataset:
-    """Section 5.2: number of cells that converge to an attractor by cell mapping, over steep
-    slopes.
+    """Section 5.2: cells that converge to an attractor by cell mapping, over steep slopes.
 
     It is computed on the paper's own grid, and on grids shifted by parts of a cell.
     """

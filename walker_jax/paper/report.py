@@ -69,8 +69,7 @@ def picture(title: str, png: bytes, caption: str) -> str:
 
 
 def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Makes a table, whose rows are stacked on a narrow page. Cells that say `differs` stand
-    out."""
+    """Makes a table; a narrow page stacks its rows, and cells that say `differs` stand out."""
 
     def cell(name: str, text: str) -> str:
         label = f' data-head="{escape(name)}"' * bool(name)

@@ -283,8 +283,7 @@ def assemble(
 
 
 def summarise_fractions(data: xr.Dataset) -> dict:
-    """Returns the attractors of `continue_basins` and the bifurcations of their branches, for
-    JSON."""
+    """Returns the attractors of `continue_basins` and their bifurcations, for JSON."""
     fraction = data["fraction"].values
     attractors = [
         {

@@ -143,8 +143,7 @@ def boundary(
 
 
 def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
-    """Returns the place, in cells, of the first attractor's first state; the middle if it is
-    outside."""
+    """Returns the place, in cells, of the first attractor's first state, or the middle."""
     middle = (np.array(grid.shape) - 1) / 2
     if data.sizes["number"] == 0 or len(grid.names) < grid.coordinates:
         return middle
@@ -155,8 +154,7 @@ def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
 def touching_cells(
     label: Int[np.ndarray, "*cells"], pair: tuple[int, int], near: Float[np.ndarray, " axes"]
 ) -> Int[np.ndarray, "2 axes"] | None:
-    """Returns two neighbouring cells with these labels, the nearest to a place; None if there are
-    none."""
+    """Returns two neighbouring cells with these labels, the nearest to a place; or None."""
     found = []
     for axis in range(label.ndim):
         swapped = np.moveaxis(label, axis, 0)

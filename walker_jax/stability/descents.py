@@ -76,8 +76,7 @@ def turn(
     lengths: Float[np.ndarray, " n"],
     halvings: int = FINE,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Takes one step of each descent: to the shortest of some rays between its own and the
-    normal."""
+    """Takes one step of each descent, to the shortest of some rays towards the normal."""
     tried = turned_rays(gradient, basis, rays, lengths, TURNS)
     flat = tried.reshape(-1, rays.shape[1]) @ basis
     reached = shorten(fails, flat, np.repeat(lengths, len(TURNS)), halvings)

@@ -51,8 +51,7 @@ def boundary_dimension(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> Uncertainty:
-    """Estimates the dimension of the boundary of the basins in a region, by the uncertainty
-    exponent.
+    """Estimates the dimension of the basins' boundary in a region, by the uncertainty exponent.
 
     A start is uncertain at a distance if a walker at that distance, on either side in a random
     direction, converges to another attractor, or to none. Starts are drawn from the cells with a

@@ -69,8 +69,7 @@ def least_disturbance(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastDisturbance:
-    """Finds the nearest point of the section from which a walker does not return to its gait, or
-    falls.
+    """Finds the least disturbance after which a walker does not return to its gait, or falls.
 
     From that point it may converge to another attractor: then the `failure` is `STRIDE`, and the
     nearest point from which it falls, found with `fall`, is farther. Otherwise the two points are

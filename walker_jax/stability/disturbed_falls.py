@@ -54,8 +54,7 @@ class DisturbedWalks(NamedTuple):
         return walker, self.mapper.integrator.in_dtype(dtype)
 
     def follow(self, w: Float[np.ndarray, "n size"]) -> WalkEnd:
-        """Follows walks until they fall, or are in a capture box of the gait after the
-        disturbances."""
+        """Follows walks until they fall, or return to the gait after the disturbances."""
         (walker, integrator), rows = self.arrays(), self.rows(w)
         targets, _ = targets_of(self.mapper.attractors, len(self.mapper.walker.section))
         limit = np.int32(rows.shape[1] + self.mapper.strides)
@@ -73,8 +72,7 @@ class DisturbedWalks(NamedTuple):
         return self.falls(self.follow(w))
 
     def gradient(self, w: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:
-        """Returns derivatives of the margins of the falls that end the walks; NaN where they do not
-        fall."""
+        """Returns derivatives of the margins of the falls that end walks; NaN without a fall."""
         end, rows = self.follow(w), self.rows(w)
         fallen, (walker, integrator) = self.falls(end), self.arrays()
         rows = np.concatenate([rows, np.zeros((len(rows), 1, 3))], axis=1)

@@ -58,7 +58,6 @@ def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> 
 
 
 def failure_test(fall: bool) -> Callable[[Labels], Bool[np.ndarray, " n"]]:
-    """Returns a test of labels: whether walkers fall or, unless `fall`, fail to return to gait
-    0."""
+    """Returns a test of labels: whether walkers fall or, unless `fall`, do not return."""
     check_kind("fall", fall, bool)
     return lambda labels: labels.fallen if fall else labels.attractor != 0

@@ -144,8 +144,7 @@ def robustness(
 def measure_gait(
     walker: System, grid: Grid, gait: Gait, disturbances: float, seed: int, about: dict[str, Any]
 ) -> tuple[Gait, dict[str, Any]]:
-    """Measures a gait; returns it from its state nearest to the least disturbance on, and its
-    variables.
+    """Measures a gait; returns it from its state nearest to failure on, and its variables.
 
     `about` holds the arguments that all measures take: strides, and the tolerance.
     """
@@ -216,9 +215,7 @@ def robustness_table(
 
     ```python
     grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
-    table = wj.robustness_table(
-        wj.SimplestWalker(0.004), [0.004, 0.009], grid=grid, levels=1, check=1000
-    )
+    table = wj.robustness_table(wj.SimplestWalker(0.004), [0.004, 0.009], grid=grid, check=1000)
     table.least_disturbance.values  # one for each slope
     ```
 
@@ -250,8 +247,7 @@ def robustness_table(
 def join_rows(
     rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str
 ) -> xr.Dataset:
-    """Joins all rows into one table, with NaN where the row of a walker without a gait lacks a
-    value."""
+    """Joins all rows into one table, with NaN for the missing values of a row."""
     where = xr.DataArray(values, dims=parameter, name=parameter)
     plain = [row.reset_coords().drop_attrs() for row in rows]
     return xr.concat(

@@ -60,8 +60,7 @@ class LinearMetric(NamedTuple):
 
 
 class CurvedMetric(NamedTuple):
-    """Sizes by a function that grows along every ray; a disturbance is parallel to its coordinates
-    y."""
+    """Sizes by a function that grows along every ray; disturbances are parallel to y."""
 
     distance: DistanceFunction
     basis: Float[np.ndarray, "rank section"]
@@ -92,8 +91,7 @@ class CurvedMetric(NamedTuple):
         unit: Float[np.ndarray, "n section"],
         size: Float[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Calls `solve_lengths` with the last ray repeated up to a power of two, to compile few
-        programs."""
+        """Calls `solve_lengths` on a power of two of rays, to compile few programs."""
         number = np.minimum(np.arange(1 << max(0, len(size) - 1).bit_length()), len(size) - 1)
         found = solve_lengths(AsItIs(self.distance), jnp.asarray(state), unit[number], size[number])
         length, error = (np.asarray(one)[: len(size)] for one in found)
@@ -134,8 +132,7 @@ def solve_lengths(
     unit: Float[Array, "n section"],
     size: Float[Array, " n"],
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Solves f(r u) = size for lengths r, by Newton's iteration on log f over log r; also its
-    error."""
+    """Solves f(r u) = size for lengths r, by Newton's iteration on log f over log r."""
 
     def solve(u, target):
         def error_at(length):

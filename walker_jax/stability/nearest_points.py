@@ -72,8 +72,7 @@ def descend(
     most: int,
     known: tuple[int, float] = (0, np.inf),
 ) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
-    """Finds local minima of the distance, from the nearest failures on some rays; the nearest
-    first.
+    """Finds local minima of the distance, from the nearest failures on some rays.
 
     `known` is a number of first rays, and a length at which these fail.
     """
@@ -159,8 +158,7 @@ def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.nd
 def misalignment(
     fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
-    """Returns the length of each ray up to the boundary, near a known length, and F = nu - u
-    there."""
+    """Returns the length of each ray up to the boundary, and F = nu - u there."""
     tried = length * np.stack([1 - REACHES, 1 + REACHES])
     points = tried[..., None] * rays[:, None, None]
     before, after = np.moveaxis(

@@ -31,8 +31,7 @@ def has_plane_disturbance(data: xr.Dataset) -> bool:
 
 
 def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
-    """Returns the nearest start that does not return and, where it differs, the nearest that
-    falls."""
+    """Returns the nearest start that does not return, and the nearest that falls, if another."""
     nearest = NearestStart(
         data["gait_state"].values,
         float(data["least_disturbance"]),

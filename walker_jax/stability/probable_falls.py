@@ -115,7 +115,7 @@ def most_probable_fall(
     each search. A narrow finger of failures may be missed.
 
     ```python
-    fall = wj.most_probable_fall(wj.SimplestWalker(0.004), 1e-4, strides=4)
+    fall = wj.most_probable_fall(wj.SimplestWalker(0.004), 1e-4, strides=2, directions=60)
     fall.disturbances[:, 0]  # heights of the steps
     fall.log_mean_strides()  # natural logarithm of the mean number of strides to a fall
     ```

@@ -275,8 +275,7 @@ def fan(
 def local_minima(
     rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float, most: int
 ) -> Int[np.ndarray, " m"]:
-    """Returns indices of the unit vectors of smallest length within an angle, the shortest
-    first."""
+    """Returns indices of the vectors of smallest length within an angle, the shortest first."""
     order = lengths.argsort()
     rays = rays[order]
     minima = (i for i in range(len(order)) if (rays[:i] @ rays[i] <= np.cos(angle)).all())

@@ -112,8 +112,7 @@ def variables_of_gait(gait: Gait) -> dict[str, Any]:
 
 
 def variables_of_steps(down: LeastStepDown, fall: LeastStepDown) -> dict[str, Any]:
-    """Returns the variables of the least step down, and of the least one from which the walker
-    falls."""
+    """Returns the variables of the least step down, and of the least one that causes a fall."""
     about = {"step_down": down.size, "step_down_failure": down.failure}
     return variables(STEP_DOWN, about | {"step_down_fall": fall.size})
 

@@ -84,7 +84,7 @@ def steps_to_fall(
     derivative; `gait_sensitivity` and the least disturbance have one.
 
     ```python
-    walks = wj.steps_to_fall(wj.SimplestWalker(0.004), 3e-4, n=100, limit=1000)
+    walks = wj.steps_to_fall(wj.SimplestWalker(0.004), 2e-4, n=100, limit=1000)
     walks.mean, walks.low, walks.high
     walks.ended.mean()  # the share that fell
     ```

@@ -50,8 +50,7 @@ def least_step_down(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastStepDown:
-    """Finds the least height of a step down from which a walker does not return to its gait, or
-    falls.
+    """Finds the least step down after which a walker does not return to its gait, or falls.
 
     One heel strike is on lower ground (`step_down`), and so are all that follow. The search tries
     `HEIGHTS` heights up to the least one; it may miss failures in narrower ranges. Arguments and

@@ -84,7 +84,7 @@ def metastability(
     The cost hardly depends on how rare falls are. The method is independent of `steps_to_fall`.
 
     ```python
-    data = wj.metastability(wj.SimplestWalker(0.004), 3e-4, walkers=20_000, repetitions=2)
+    data = wj.metastability(wj.SimplestWalker(0.004), 2e-4, walkers=20_000, repetitions=2)
     float(data.mean_strides), float(data.mean_strides_error)
     ```
 

@@ -76,8 +76,7 @@ def tipping_probability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> Tipping:
-    """Estimates the chance to end elsewhere after a parameter jumps from the walker's value to
-    another.
+    """Estimates the chance to end elsewhere after a parameter jumps to another value.
 
     P(i -> j) = |B_i(p-) and B_j(p+)| / |B_i(p-)|
 

@@ -97,8 +97,7 @@ def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool
 
 
 def gait_strip(slope: ArrayLike, hip_stiffness: ArrayLike = 0.0) -> Grid:
-    """Returns a strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others
-    1998).
+    """Returns a strip of the section that shrinks like slope^{1/3} (Garcia and others 1998).
 
     At its widest, the upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta
     - slope) / 2). The lower edge follows the leg, which a spring swings in a shorter time, to first

@@ -11,8 +11,7 @@ def named(state: Any) -> str:
 
 
 def check_full_state(kind: Any, start: Any) -> None:
-    """Raises `WrongUse` for a class of walkers whose `lift` returns something else than its
-    `state`.
+    """Raises `WrongUse` for a class of walkers whose `lift` does not return its `state`.
 
     The same holds for methods inherited from a walker of the package with another state, unless
     that walker has joints: its methods take any number of them.

@@ -154,7 +154,6 @@ def pendulum_region(
 def swing_foot_at(
     walker: HeavyLegWalker, theta: Scalar | float, joints: Scalar | float
 ) -> Float[Array, " 2"]:
-    """Returns (u, v) of the swing foot with phi = 2 theta, as at heel strike, and all joints
-    equal."""
+    """Returns (u, v) of the swing foot at heel strike, phi = 2 theta, with all joints equal."""
     theta = jnp.asarray(theta, walker.slope.dtype)
     return walker.swing_foot(with_joints(walker, theta, 2 * theta, joints))

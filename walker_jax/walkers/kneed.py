@@ -212,8 +212,7 @@ class KneedWalker(HeavyLegWalker):
         return System(lambda q: bent.transfer(straight(q)), bent.masses, bent.forces)
 
     def bent_swing_foot(self, q: Float[Array, " 5"]) -> Float[Array, " 2"]:
-        """Returns (u, v) of the swing foot: of the arc's centre, as if that foot had rolled
-        there."""
+        """Returns (u, v) of the swing foot's arc's centre, as if that foot had rolled there."""
         *_, centre = self.places(q)
         angle, radius = q[2] - q[3] - q[4], self.foot_radius
         return centre + jnp.stack([radius * angle, -radius])

@@ -162,8 +162,7 @@ def rates_and_impulses(walker: MultibodyMotion, state: Any) -> tuple[list[Scalar
 
 
 def gravity(slope: Scalar, masses: Float[Array, " x"], turns: int = 0) -> Float[Array, " x"]:
-    """Returns gravity, (6), on points in the plane, whose coordinates come before `turns`
-    angles."""
+    """Returns gravity, (6), on points in the plane, whose coordinates precede `turns` angles."""
     points = (len(masses) - turns) // 2
     down = jnp.stack([jnp.sin(slope), -jnp.cos(slope)])
     return masses * jnp.concatenate([*[down] * points, jnp.zeros(turns, masses.dtype)])

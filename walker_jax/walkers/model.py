@@ -49,8 +49,7 @@ touches."""
 
 
 class Walker(HybridSystem):
-    """A walker, as strides know it. Its fields are its parameters, all scalars, and static
-    options."""
+    """A walker, as strides know it: its fields are its parameters, scalars, and options."""
 
     state: ClassVar[type] = State
     """The `NamedTuple` of full states during the swing, with at least the fields of `State`."""
@@ -111,8 +110,7 @@ class Walker(HybridSystem):
         return region_of_starts(self, axes, rate)
 
     def phases(self) -> tuple[Phase, ...]:
-        """Returns the phases of a stride before its last, the swing, in order. By default there are
-        none."""
+        """Returns the phases of a stride before its last, the swing; by default there are none."""
         return ()
 
     def modes(self) -> tuple[Mode, ...]:
@@ -161,8 +159,7 @@ class Walker(HybridSystem):
 
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
-        """Returns the force (Q_u, Q_v) of the ground on the stance foot, along and normal to the
-        slope."""
+        """Returns the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
 
     def during_stride(self, x: Float[Array, " section"]) -> "Walker":
         """Returns the walker during the stride from x: its parameters may depend on the start.
@@ -173,16 +170,14 @@ class Walker(HybridSystem):
         return self
 
     def driven_by_gravity(self) -> bool:
-        """Returns whether gravity alone does work, so that a step loses the energy that the slope
-        gives.
+        """Returns whether gravity alone does work: a step loses the energy that the slope gives.
 
         By default that is not known.
         """
         return False
 
     def motor_work(self, start: State, end: State) -> Scalar | None:
-        """Returns the work of motors in a step, per unit of the walker's weight, in the unit of
-        length.
+        """Returns the work of motors in a step, per unit of weight, in the unit of length.
 
         The states are those just after a heel strike and just before the next. The method is called
         where `driven_by_gravity` is false. None, the default, means unknown.
@@ -203,8 +198,7 @@ class Walker(HybridSystem):
 
     @abc.abstractmethod
     def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
-        """Returns the velocity (u, v) of the trailing foot and the state after impact, legs not
-        exchanged.
+        """Returns the trailing foot's velocity (u, v) and the state after impact, legs as before.
 
         The argument is the state at heel strike, before the impact. With the legs exchanged, the
         state after it must be on the section; construction raises `WrongUse` otherwise.
@@ -226,8 +220,7 @@ class Walker(HybridSystem):
         return state.phi - 2 * state.theta
 
     def is_ahead(self, state: Any) -> Scalar:
-        """Returns a number, positive where the swing foot is ahead, so that coming down is heel
-        strike.
+        """Returns a positive number where the swing foot is ahead: coming down is heel strike.
 
         Elsewhere coming down is scuffing, which a stride ignores. By default the foot is ahead past
         mid-stance.
@@ -259,8 +252,7 @@ class Walker(HybridSystem):
         return None
 
     def exchange_legs(self, state: State) -> State:
-        """Returns the state with the swing leg as the new stance leg, (21) and its time
-        derivative."""
+        """Returns the state with the swing leg as the new stance leg, (21) and its derivative."""
         theta, phi, thetadot, phidot = (getattr(state, name) for name in State._fields)
         return state._replace(
             theta=theta - phi, phi=-phi, thetadot=thetadot - phidot, phidot=-phidot
@@ -339,8 +331,7 @@ def check_lands_on_section(walker: Walker) -> None:
 
 @jax.jit
 def landing(walker: Walker) -> tuple[State, State, State]:
-    """Returns a heel strike, the state after it with legs exchanged, and its place on the
-    section."""
+    """Returns a heel strike, the state after it, legs exchanged, and its place on the section."""
     to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
     walker = jax.tree.map(to_array, walker)
     start = walker.lift(

@@ -45,8 +45,7 @@ def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
 
 
 def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[Described, ...]:
-    """Returns the descriptions of one kind among a walker's fields: those parameters have
-    bounds."""
+    """Returns the descriptions of one kind among a walker's fields, which have bounds."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
 
@@ -154,8 +153,7 @@ def slopes_of(kind: type[System]) -> tuple[float, float]:
 
 
 def check_parameter(walker: System, parameter: str, *values: float) -> None:
-    """Raises `WrongUse` for a parameter the walker lacks, and values that its constructor
-    refuses."""
+    """Raises `WrongUse` for a parameter the walker lacks, or values that it refuses."""
     check_kind("walker", walker, System)
     if not isinstance(parameter, str) or parameter not in numbers_of(walker):
         names = ", ".join(numbers_of(walker))
@@ -175,8 +173,7 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
 def parameter_directions(
     walker: AnySystem, parameters: Sequence[str], dtype, rows: int = 1
 ) -> AnySystem:
-    """Returns a walker with a row of numbers for every parameter: the directions of some
-    parameters.
+    """Returns a walker with a row of numbers for each parameter: directions of some of them.
 
     In the row of one of these its own number is 1, and all others are 0. The rows of other
     parameters are 0.
@@ -188,6 +185,5 @@ def parameter_directions(
 
 
 def with_parameter(walker: AnySystem, parameter: str, value) -> AnySystem:
-    """Returns the walker with another value of one parameter, unchecked; an array makes many
-    walkers."""
+    """Returns the walker with another value of one parameter; an array makes many walkers."""
     return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)

@@ -46,8 +46,7 @@ class Phase(eqx.Module):
 
     @abc.abstractmethod
     def begin(self, state: State) -> Any:
-        """Returns its own state, from the `State` at the start of a stride; released parts are at
-        rest."""
+        """Returns its own state at the start of a stride; released parts are at rest."""
 
     @abc.abstractmethod
     def vector_field(self, state: Any) -> Any:
@@ -55,13 +54,11 @@ class Phase(eqx.Module):
 
     @abc.abstractmethod
     def contact_force(self, state: Any) -> tuple[Scalar, Scalar]:
-        """Returns the force (Q_u, Q_v) of the ground on the stance foot, along and normal to the
-        slope."""
+        """Returns the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
 
     @abc.abstractmethod
     def event(self, state: Any) -> Scalar:
-        """Returns a number that is negative before the end of the phase, and rises through zero
-        there."""
+        """Returns a number that is negative in the phase, and rises through zero at its end."""
 
     @abc.abstractmethod
     def end(self, state: Any) -> Any:
@@ -71,8 +68,7 @@ class Phase(eqx.Module):
         """
 
     def clearance(self, state: Any) -> Scalar | None:
-        """Returns the height of the swing foot above the slope, if it must not come down in this
-        phase.
+        """Returns the height of the swing foot above the slope, if it must not come down here.
 
         By default it may.
         """
@@ -132,8 +128,7 @@ def is_of_package(kind: type, method: str) -> bool:
 
 
 def conditions_of(part: Any) -> dict[int, Function]:
-    """Returns its conditions, the contact force Q_v among them, by the outcome if one is
-    violated."""
+    """Returns its conditions, Q_v among them, by the outcome if one is violated."""
     walker = getattr(part, "walker", part)
     others = {int(walker.failure(name)): one for name, one in part.conditions().items()}
     return {int(Outcome.RUNNING): lambda state: part.contact_force(state)[1]} | others

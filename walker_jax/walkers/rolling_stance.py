@@ -102,8 +102,7 @@ class RollingStance(ConstrainedPower):
         return 2, 3, 4, 5
 
     def rates(self, q, u):
-        """Rates of the coordinates: the contact moves along the disc as the leg turns about the
-        axle."""
+        """Rates of the coordinates: the contact moves along the disc as the leg turns."""
         rolled = self.rolled(u)
         return [rolled * jnp.cos(q[2]), rolled * jnp.sin(q[2]), *u]
 
@@ -176,8 +175,7 @@ class RollingStance(ConstrainedPower):
         return unroll(flat)(self, q, u, momentum, momentum_rates)
 
     def moments(self, lean: list[Scalar], whole: Vector, swing: Vector) -> list[Scalar]:
-        """Returns the power of moments, on both legs and on the swing leg, at unit rate of each of
-        u."""
+        """Returns the power of moments, on both legs and the swing leg, at unit rate of each u."""
         (c, s), (along, sideways, up) = lean, whole
         return [sideways * s + up * c, along, -sideways, swing[1]]
 

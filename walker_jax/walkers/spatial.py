@@ -144,8 +144,7 @@ class SpatialWalker(Walker):
     # disc's centre, at its lowest point.
 
     def axle(self, q: Float[Array, " 7"]) -> Float[Array, "3 3"]:
-        """Returns the frame of the axle: its directions forward, along the axle to the left, and
-        up."""
+        """Returns the frame of the axle: directions forward, along the axle to the left, and up."""
         return rotation_about(2, q[3]) @ rotation_about(0, q[4])
 
     def rotation(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, "3 3"]:
@@ -276,8 +275,7 @@ class SpatialWalker(Walker):
         return sole_of(self, state)[2]
 
     def reach(self, state: Any):
-        """Distance down the slope, from the first place of the stance disc to the swing disc's
-        sole."""
+        """Distance down the slope, from the stance disc's first place to the swing disc's sole."""
         return state.x + sole_of(self, state)[0]
 
     def conditions(self):
@@ -334,8 +332,7 @@ def sole_of(walker: SpatialWalker, state: Any) -> list[Scalar]:
 
 @jax.jit
 def rates_after_impact(walker: SpatialWalker, state: Any) -> list[Scalar]:
-    """Returns rates after the impact in which the swing disc sticks: old sole forward and up, and
-    u."""
+    """Returns rates after the swing disc sticks: of the old sole forward and up, and u."""
 
     def flat(walker, state):
         q, qdot = all_coordinates(walker, state)

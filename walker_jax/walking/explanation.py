@@ -124,8 +124,7 @@ def format_point(values: Float[np.ndarray, " n"]) -> str:
 def explain(
     walker: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
 ) -> Explanation:
-    """Explains why the stride from x ends as it does, and checks that the parts of a model fit
-    together.
+    """Explains why the stride from x ends as it does, and checks that a model fits together.
 
     For each mode it reports each guard that rose through zero, with its time and whether it was
     admitted, and how near the others came. It reports about the least values of conditions, and the
@@ -241,8 +240,7 @@ def check_landing(system: HybridSystem, landed: Any) -> list[str]:
 def record_modes(
     system: HybridSystem, x: Any, integrator: Integrator
 ) -> tuple[list[ModeRecord], Any]:
-    """Records each mode up to its end, and the state in which the next stride begins; None if it
-    does not."""
+    """Records each mode up to its end, and the state of the next stride's start, or None."""
     state, records = full_state(system, x), []
     modes = modes_from(system, x)
     for number, mode in enumerate(modes):
@@ -327,12 +325,10 @@ def record_mode(
 
 
 def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Callable, Callable]:
-    """Makes two functions: a step of a mode with all that is recorded, and its part up to a
-    time."""
+    """Makes two functions: a recorded step of a mode, and its part up to a time."""
 
     def look(state, series, time):
-        """Returns the end of a step up to a time, the guards there, and the conditions on the
-        way."""
+        """Returns a step's end at a time, the guards there, and the conditions on the way."""
         ways = [method.state_at(state, series, part * time) for part in PARTS]
         values = [guard.value(ways[-1]) for guard in mode.guards]
         return ways[-1], values, [[value(y) for y in ways] for value in conditions]
@@ -347,8 +343,7 @@ def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Calla
 
 
 def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[float, bool]]:
-    """Returns when a guard rises in a step, by its polynomials, and whether each rise is
-    admitted."""
+    """Returns when a guard rises in a step, and whether each rise is admitted."""
     holds = lambda one, when: np.polyval(np.array(one)[::-1], when) > 0
     times = rises_of(np.array(value), length, below)
     return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
@@ -370,8 +365,7 @@ def values_at_end(mode: Mode, state: Any, failures: tuple[str, ...]) -> dict[str
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:
-    """Returns the times in a step at which a polynomial rises through zero, from all its real
-    roots."""
+    """Returns the times at which a polynomial rises through zero in a step, from all real roots."""
     scaled = coefficients * length ** np.arange(len(coefficients))
     roots = np.roots(np.trim_zeros(scaled[::-1], "f"))
     real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)

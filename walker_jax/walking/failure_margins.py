@@ -60,8 +60,7 @@ WAYS = {
 
 
 class Margins(NamedTuple):
-    """A stride, and the margins by which it misses each way to fail; NaN for those that never came
-    up.
+    """A stride, and the margins by which it misses each way to fail; NaN where none applies.
 
     A failure's own margin is negative. Margins of falls that did not happen before it are positive,
     and margins of conditions are known where there was a heel strike.
@@ -119,8 +118,7 @@ def margins_of_many(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Margins:
-    """Computes `margins` for each of n starts, and one walker or n, as in `strides`; NumPy
-    arrays."""
+    """Computes `margins` for each of n starts, with one walker or n, as in `strides`."""
     return for_each_start(follow_margins, walker, xs, tolerance, progress=progress)
 
 
@@ -174,8 +172,7 @@ def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
 def judged_ends(
     walker: HybridSystem, parts: tuple[Part, ...], struck: Bool[Array, ""], lift: Scalar
 ) -> list[tuple[int, Array, Scalar]]:
-    """Returns the outcome of each condition of a mode's end, whether it was reached, and the
-    value."""
+    """Returns each condition of a mode's end: its outcome, whether it was reached, its value."""
     judged: list[tuple[int, Array, Scalar]] = []
     for i, part in enumerate(parts):
         ended = part.end.guard == len(part.mode.guards) - 1
@@ -274,8 +271,7 @@ def lesser_known(one: Scalar, other: Scalar) -> Scalar:
 
 
 def time_scale(walker: HybridSystem, state: Any) -> Scalar:
-    """Returns the time in which a walker topples, legs together, to first order; 1 for other
-    systems."""
+    """Returns the time in which a walker topples, to first order; 1 for other systems."""
     if not isinstance(walker, Walker):
         return zero_at(state) + 1
     in_space = isinstance(walker, SpatialWalker)
@@ -395,6 +391,5 @@ def force_at_start(parts: tuple[Part, ...]) -> Scalar:
 
 
 def not_above_zero(margin: Scalar) -> Scalar:
-    """Removes the positive part of a margin that has failed, due to rounding; keeps the
-    derivative."""
+    """Removes the positive rounding error of a failed margin, and keeps the derivative."""
     return margin - lax.stop_gradient(jnp.maximum(margin, 0))

@@ -51,8 +51,7 @@ more targets, the host tests them after each stride."""
 
 
 class Targets(NamedTuple):
-    """Ends of walks: the states x with |frame (x - state)| < 1 in all coordinates, for any
-    target."""
+    """Ends of walks: the states x with |frame (x - state)| < 1 in all coordinates."""
 
     states: Float[Any, "m section"]
     frames: Float[Any, "m section section"]
@@ -159,8 +158,7 @@ def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) ->
 
 
 def check_parameter_arrays(walker: System, n: int) -> None:
-    """Raises `WrongUse` for parameters that are neither one number nor n, or that are out of
-    range."""
+    """Raises `WrongUse` for parameters that are neither one number nor n, or out of range."""
     for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
@@ -339,8 +337,7 @@ def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
 
 
 def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[np.ndarray, " n"]:
-    """Returns the number of the target within reach of each state, the nearest of several; -1 for
-    none."""
+    """Returns the number of the nearest target within reach of each state; -1 for none."""
     number, smallest = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, (state, frame) in enumerate(zip(*targets, strict=True)):
         distance = np.abs((x - state) @ frame.T).max(axis=1)
@@ -354,8 +351,7 @@ def orbits(
     count: int,
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "n states section"], Int[np.ndarray, " n"]]:
-    """Returns all states of `count` strides from each of n starts, and the outcome of the last
-    stride.
+    """Returns all states of `count` strides from each of n starts, and the last outcomes.
 
     States after a failure are NaN. The walker's parameters may be arrays of n.
     """
@@ -379,8 +375,7 @@ def orbits(
 def record_walk(
     walker: System, x: Float[Array, " section"], limit: Int[Array, ""], integrator: Integrator
 ) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
-    """Returns the states of `RECORDED` strides, NaN after a failure or the limit, and the last
-    outcome."""
+    """Returns the states of `RECORDED` strides, NaN from the end on, and the last outcome."""
 
     def unfinished(walk):
         made, _, outcome, _ = walk

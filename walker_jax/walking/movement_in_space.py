@@ -37,8 +37,7 @@ def move_in_space(
 def places_of(
     walker: SpatialWalker, state: SpatialState
 ) -> tuple[Float[jax.Array, "places 3"], Float[jax.Array, " 3"]]:
-    """Returns centres of both discs, both ends of the axle and its direction; the swing disc's
-    sole."""
+    """Returns both discs' centres, the axle's ends and direction; and the swing disc's sole."""
     q, shank = on_ground(jnp.stack(state[:6])), walker.leg_length - walker.disc_radius
     discs = [walker.disc(q, swing) for swing in (False, True)]
     ends = [

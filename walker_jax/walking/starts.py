@@ -45,8 +45,7 @@ def prepare(
 
 
 def sizes_of_starts(walker: System) -> tuple[int, ...]:
-    """Returns the sizes of a point of the section, and of the full states a walker may start
-    from."""
+    """Returns the sizes of a section's point, and of the full states a walker may start from."""
     full = state_kinds(walker) if isinstance(walker, Walker) else []
     return len(walker.section), *(len(kind._fields) for kind in full)
 
@@ -76,8 +75,7 @@ def during_stride(walker: AnySystem, x: Float[Array, " coordinates"]) -> AnySyst
 
 
 def state_kinds(walker: Walker) -> list[type]:
-    """Returns the kinds of full states for a start: the walker's own, and that of its first
-    phase."""
+    """Returns the kinds of full states for a start: the walker's, and its first phase's."""
     if not (phases := walker.phases()):
         return [walker.state]
     number: Any = jax.ShapeDtypeStruct((), jnp.asarray(0.0).dtype)

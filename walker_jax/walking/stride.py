@@ -291,8 +291,7 @@ def judging_mode(walker: HybridSystem, modes: list[Mode]) -> Mode:
 
 
 def begin_next(walker: HybridSystem, last: Mode, state: Any) -> tuple[Scalar, Any]:
-    """Returns how fast a walker's trailing foot lifts after heel strike, and the next stride's
-    start.
+    """Returns the speed at which the trailing foot lifts, and the next stride's start.
 
     The start follows from the state in which the last mode has ended. The speed is 1 for systems
     without feet.

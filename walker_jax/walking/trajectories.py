@@ -71,8 +71,7 @@ def state_after(
     time: Scalar,
     integrator: Integrator,
 ) -> Any:
-    """Computes the state a time after the start of a stride; of the first phase, if there are
-    any."""
+    """Computes the state a time after the start of a stride; of the first phase, if any."""
     walker = during_stride(walker, x)
     start, now = full_state(walker, x), jnp.zeros_like(time)
     *phases, swing = walker.modes()
