@@ -1,9 +1,9 @@
 """Grids of cells: affine images of boxes divided into equal cells.
 
-A point has box coordinates u, along which the cells lie, and state coordinates x = origin + shear @
-u. If the box has fewer coordinates than the state, the grid is a slice, on which some coordinates
-of the state are fixed. Cells are half open, [low, high) along each box axis. They are numbered from
-0 with the last axis fastest (C order), by int32; -1 stands for none.
+A point has box coordinates u, along which the cells lie, and state coordinates
+x = origin + shear @ u. If the box has fewer coordinates than the state, the grid is a slice, on
+which some coordinates of the state are fixed. Cells are half open, [low, high) along each box axis.
+They are numbered from 0 with the last axis fastest (C order), by int32; -1 stands for none.
 """
 
 import math

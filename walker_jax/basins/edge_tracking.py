@@ -107,7 +107,7 @@ def bring_together(
 
 
 def first_change(labels: Int[np.ndarray, " n"], first: int, last: int) -> int:
-    """Returns the first change from the first label to the last, or to any label."""
+    """Returns the first change from the first label to the last; without one, to any label."""
     leaves: Bool[np.ndarray, " n-1"] = (labels[:-1] == first) & (labels[1:] != first)
     direct = leaves & (labels[1:] == last)
     return int((direct if direct.any() else leaves).argmax())

@@ -1,7 +1,7 @@
 """The basin of attraction on fine grids, where only cells on a boundary are followed.
 
-A coarse grid is followed directly. Then every cell with a neighbour of another fate is cut into 2 x
-2, or 2 x 2 x 2, parts, and the parts are followed; parts of all other cells inherit. Where parts
+A coarse grid is followed directly. Then every cell with a neighbour of another fate is halved along
+each axis, and its parts are followed; parts of all other cells inherit their fates. Where parts
 show a boundary to cells that inherited, those are followed too, and so on: a tail found anywhere is
 followed to its end. Random starts among the cells that inherited find further tails, which are
 followed too. A second set of random starts corrects the area, and gives its standard error.

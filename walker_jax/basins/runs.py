@@ -134,7 +134,7 @@ def join_runs(
 def label_of(
     fate: Int[np.ndarray, "*n"], attractor: Int[np.ndarray, "*n"]
 ) -> Int[np.ndarray, "*n"]:
-    """Returns one number for the fate and the attractor of each cell; -1 means no attractor."""
+    """Returns one number for the fate and the attractor of each cell; attractor -1 means none."""
     return np.where(attractor >= 0, len(Outcome) + attractor, fate)
 
 

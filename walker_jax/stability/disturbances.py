@@ -71,9 +71,9 @@ def least_disturbance(
 ) -> LeastDisturbance:
     """Finds the least disturbance after which a walker does not return to its gait, or falls.
 
-    From that point it may converge to another attractor: then the `failure` is `STRIDE`, and the
-    nearest point from which it falls, found with `fall`, is farther. Otherwise the two points are
-    the same.
+    The result is the nearest such point to the gait, on the section. From there the walker may
+    converge to another attractor: then the `failure` is `STRIDE`, and the nearest point from which
+    it falls, found with `fall`, is farther. Otherwise the two points are the same.
 
     The search follows rays from the gait outwards, all at once, to the first distance from which
     the walker does not return. It then follows closer rays, up to the smallest of these distances.

@@ -59,8 +59,8 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
     def contact_force(self, state):
         """(8). For an inverted pendulum, Q_v > 0 over a stride if it holds at both its ends.
 
-        thetadot^2 / 2 + cos(theta - slope) is a constant E, and Q_v has the sign of 3 cos(theta -
-        slope) - 2 E. On any interval of theta that is least at one end.
+        thetadot^2 / 2 + cos(theta - slope) is a constant E, and Q_v has the sign of
+        3 cos(theta - slope) - 2 E. On any interval of theta that is least at one end.
         """
         tension = state.thetadot**2 - jnp.cos(state.theta - self.slope)
         return jnp.sin(state.theta) * tension, -jnp.cos(state.theta) * tension
@@ -99,10 +99,11 @@ def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool
 def gait_strip(slope: ArrayLike, hip_stiffness: ArrayLike = 0.0) -> Grid:
     """Returns a strip of the section that shrinks like slope^{1/3} (Garcia and others 1998).
 
-    At its widest, the upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta
-    - slope) / 2). The lower edge follows the leg, which a spring swings in a shorter time, to first
-    order 2 h = pi / sqrt(1 + hip_stiffness). A walker of constant speed v = -thetadot makes a step
-    2 theta = 2 h v, and its gain on the slope equals the loss at heel strike, slope = theta v^2:
+    At its widest, the upper edge is where walkers begin to fall backward,
+    thetadot = -2 sin((theta - slope) / 2). The lower edge follows the leg, which a spring swings in
+    a shorter time, to first order 2 h = pi / sqrt(1 + hip_stiffness). A walker of constant speed
+    v = -thetadot makes a step 2 theta = 2 h v, and its gain on the slope equals the loss at heel
+    strike, slope = theta v^2:
 
         theta = slope^{1/3} h^{2/3},    v = slope^{1/3} h^{-1/3}.
     """

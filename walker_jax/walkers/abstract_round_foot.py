@@ -31,8 +31,8 @@ FOOT_RADIUS = Parameter(
 class AbstractRoundFootWalker(HeavyLegWalker):
     """Two rigid legs, alike, on feet that roll: arcs of a circle, centred on the legs.
 
-    While the coordinate u of a rolling foot is held, the centre of its arc is at u - foot_radius
-    theta.
+    While the coordinate u of a rolling foot is held, the centre of its arc is at
+    u - foot_radius theta.
     """
 
     leg_mass: eqx.AbstractVar[Scalar]

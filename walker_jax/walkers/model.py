@@ -8,8 +8,8 @@ and the leg's length. Times are in sqrt(unit of length / gravity), angles in rad
 - `theta`: of the stance leg, from the normal of the slope, positive before mid-stance;
 - `phi`: between the legs, from the stance leg to the swing leg.
 
-A stride begins just after heel strike, on the Poincaré section, with both feet on the slope (phi =
-2 theta), and ends at the next heel strike.
+A stride begins just after heel strike, on the Poincaré section, with both feet on the slope
+(phi = 2 theta), and ends at the next heel strike.
 """
 
 import abc

@@ -93,8 +93,8 @@ class PoweredWalker(AbstractMasslessFootWalker):
     def impact(self, state):
         """(18) as if thetadot were thetadot + P tan(phi).
 
-        The hip's velocity along the new stance leg is lost. Across that leg it is cos(phi) thetadot
-        + P sin(phi) before heel strike, and all else follows from that.
+        The hip's velocity along the new stance leg is lost. Across that leg it is
+        cos(phi) thetadot + P sin(phi) before heel strike, and all else follows from that.
         """
         gain = self.push_off * jnp.sin(state.phi) / jnp.cos(state.phi)
         return super().impact(state._replace(thetadot=state.thetadot + gain))

@@ -30,8 +30,8 @@ class RoundFootWalker(AbstractRoundFootWalker):
     - `slope`: of the ground (rad), above 0 and below pi/2.
     - `hip_mass`: a point mass at the hip, not negative.
     - `leg_mass`, `leg_inertia`: of each leg, above 0; about its centre of mass, not negative.
-    - `leg_length`: from the hip to the sole, above 0. The arc's centre is at leg_length -
-      foot_radius from the hip.
+    - `leg_length`: from the hip to the sole, above 0. The arc's centre is at
+      leg_length - foot_radius from the hip.
     - `com_from_hip`, `com_offset`: the place of a leg's centre of mass, down the leg and forward.
     - `foot_radius`: not negative, and less than the length of the leg.
 

@@ -23,11 +23,11 @@ class SpringWalker(AbstractMasslessFootWalker):
 
     A spring of stiffness K exerts the torque -K phi on the swing leg, and the opposite one on the
     stance leg. In the limit of vanishing foot mass m it acts on the swing leg alone, provided that
-    K vanishes in proportion: with K = m g l hip_stiffness, (4) divided by m has the limit phiddot =
-    sin(phi) (thetadot^2 - cos(theta - slope)) + sin(theta - slope) - hip_stiffness phi. The leg
-    then swings like a pendulum whose gravity is larger by a factor 1 + hip_stiffness. The spring
-    exerts no impulse, so impact and contact force are as without it. Such a spring makes steps
-    shorter and faster (Kuo 2002, J. Biomech. Eng. 124:113-120).
+    K vanishes in proportion: with K = m g l hip_stiffness, (4) divided by m has the limit
+    phiddot = sin(phi) (thetadot^2 - cos(theta - slope)) + sin(theta - slope) - hip_stiffness phi.
+    The leg then swings like a pendulum whose gravity is larger by a factor 1 + hip_stiffness. The
+    spring exerts no impulse, so impact and contact force are as without it. Such a spring makes
+    steps shorter and faster (Kuo 2002, J. Biomech. Eng. 124:113-120).
 
     **Arguments:**
 
