@@ -53,7 +53,7 @@ def least_between(
     """
     before, after, time = lax.stop_gradient((before, after, time))
     below, beyond, zero = at(before)[1], at(after)[1], jnp.zeros_like(time)
-    # a finer one would never be reached
+    # A finer resolution would never be reached.
     resolution = max(resolution, 8 * float(jnp.finfo(time.dtype).eps))
 
     def unfinished(carry):

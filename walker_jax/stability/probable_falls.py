@@ -8,8 +8,8 @@ Wentzell (2012, Random Perturbations of Dynamical Systems):
     action = min |w|^2 / 2,  log(mean strides to a fall) ~ action / sigma^2
 
 The set of sequences that topple the walker has a boundary, and the least sequence is its point
-nearest to no disturbance at all (`nearest_points`). Such a sequence ends in each stride with the same chance, the
-chance to be beyond this boundary. This gives the prefactor too.
+nearest to no disturbance at all (`nearest_points`). Such a sequence ends in each stride with the
+same chance, the chance to be beyond this boundary. This gives the prefactor too.
 """
 
 from typing import NamedTuple

@@ -96,9 +96,9 @@ def stride(
 
     - `walker`: any walker or other system; derivatives with respect to its parameters are right
       too.
-    - `x`: the start, on the walker's section just after heel strike; or a full state (theta, phi,
-      thetadot, phidot), for a launch or after a push. A full state is feasible if it is finite and
-      the stance leg stands, |theta| < pi/2.
+    - `x`: the start, on the walker's section just after heel strike; or a full state
+      (theta, phi, thetadot, phidot), for a launch or after a push. A full state is feasible if it
+      is finite and the stance leg stands, |theta| < pi/2.
     - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
       length; by default 0. The swing foot comes down there ahead of the other, with a straight
       knee; if it does not rise that high, the walker falls. Scuffing is judged by the present
@@ -106,8 +106,8 @@ def stride(
       one foot is lower. `stride` takes it from there, on a slope through the standing foot.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
       rate (`integrators.taylor_steps.step_length`), or of the error that another solver estimates.
-      By default 1e-12 in float64 and 1e-6 in float32. A stride amplifies errors, up to 1e5 times
-      near falling backward.
+      By default 1e-12 in float64 and 1e-6 in float32. A stride amplifies this error, up to 1e5
+      times near falling backward.
     - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
       of the Taylor series. It does not know where a vector field has kinks.
 
