@@ -231,7 +231,7 @@ def home_of(definition: Any) -> types.ModuleType | None:
     if isinstance(definition, types.ModuleType):
         return definition
     name = getattr(definition, "__module__", None)
-    # a decorated function has the name of another module
+    # A decorated function has the name of another module.
     if isinstance(definition, types.FunctionType):
         name = definition.__globals__.get("__name__")
     return sys.modules.get(str(name)) or sys.modules.get(str(name).partition(".")[0])

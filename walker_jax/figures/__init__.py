@@ -3,10 +3,10 @@
 Each function draws a data set of a kind that `walker_jax.storage.schema` lists, and computes
 nothing but the layout. It draws on `ax`, or on a new figure outside any window and outside pyplot:
 `figures.basin(data).figure.savefig("basin.png", dpi=150)`. Sizes of text are those of matplotlib's
-`rcParams`. Given axes need a figure with a layout, as from `plt.subplots(1, 2,
-layout="constrained")`. Angles are in rad and times in sqrt(l / g), with leg length l and gravity g.
-Colours differ in lightness as well as hue, so that they can be told apart in grey print and by the
-colour-blind.
+`rcParams`. Given axes need a figure with a layout, as from
+`plt.subplots(1, 2, layout="constrained")`. Angles are in rad and times in sqrt(l / g), with leg
+length l and gravity g. Colours differ in lightness as well as hue, so that they can be told apart
+in grey print and by the colour-blind.
 """
 
 from walker_jax.figures.basin_maps import basin as basin

@@ -26,8 +26,8 @@ def lyapunov_exponents(
 ) -> Axes:
     """Draws Lyapunov exponents of the attractor against a parameter, with their error bands.
 
-    Walking is chaotic where the first exponent is above zero. Nothing is drawn where no walker
-    walks.
+    Bands are twice the standard error on each side. Walking is chaotic where the first exponent is
+    above zero. Nothing is drawn where no walker walks.
 
     **Arguments:**
 

@@ -131,6 +131,8 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
 def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = False) -> None:
     """Makes a film of ever narrower windows around a point of a boundary.
 
+    Colours are as in `basin`.
+
     **Arguments:**
 
     - `data`: what `walker_jax.zoom` returns, over two dimensions. Each frame is shown for 1/20 s.

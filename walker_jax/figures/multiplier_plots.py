@@ -108,7 +108,7 @@ def draw_rim(ax: Axes, rim: Rim, labels: bool) -> None:
     """Draws a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
     figure = figure_of(ax)
     inwards = -1 if (rim.x >= 0) == (abs(rim.x) > RIM / 2) else 1
-    # so that both sides of a small frame differ in height
+    # Zero counts by x, so that the two sides of a small frame differ in height.
     above = rim.y > 0 or (rim.y == 0 and rim.x > 0)
     up = 1 if above == (abs(rim.y) < RIM / 2) else -1
     shown = rim.members if len(rim.members) <= ROWS else rim.members[: ROWS - 1]

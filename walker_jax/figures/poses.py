@@ -167,7 +167,7 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
         at = middle + size * length * np.array([np.cos(half), np.sin(half)])
         centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "large"}
         ax.annotate(text, at, away, textcoords="offset points", **centred)
-    # its legs have no mass, and its feet are points
+    # The paper's model has legs without mass, and point feet.
     paper = radius == 0 and "swing_knee" not in pose
     words = [
         (hip, (13, 6), "hip" + ", mass $M$" * paper),

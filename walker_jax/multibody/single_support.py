@@ -63,7 +63,7 @@ class SingleSupport(VirtualPower):
 def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
     """Returns q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin.
 
-    For a phase, it returns q from the phase's coordinates.
+    It also converts rates. For a phase, it returns q from the phase's coordinates.
     """
     zero = jnp.zeros_like(legs[0])
     return jnp.stack([zero, zero, *legs])

@@ -74,7 +74,7 @@ def descend(
 ) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
     """Finds local minima of the distance, from the nearest failures on some rays.
 
-    `known` is a number of first rays, and a length at which these fail.
+    The nearest comes first. `known` is a number of first rays, and a length at which these fail.
     """
     first = scan(fails, rays, RADII)
     count, length = known
@@ -158,7 +158,7 @@ def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.nd
 def misalignment(
     fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
-    """Returns the length of each ray up to the boundary, and F = nu - u there."""
+    """Returns the length of each ray up to the boundary, near a known one, and F = nu - u."""
     tried = length * np.stack([1 - REACHES, 1 + REACHES])
     points = tried[..., None] * rays[:, None, None]
     before, after = np.moveaxis(

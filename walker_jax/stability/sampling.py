@@ -200,7 +200,7 @@ def starts_about(
     rng: np.random.Generator,
     samples: int,
 ) -> Callable[[Any], Float[np.ndarray, "n section"]]:
-    """Returns a function from a state to the starts around it."""
+    """Returns a function from a state to starts; those of a grid or a function are fixed."""
     if not is_number(disturbances):
         starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
         return lambda state: starts

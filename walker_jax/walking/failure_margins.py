@@ -74,8 +74,7 @@ class Margins(NamedTuple):
     """The least of three: the depth to which the swing foot passes the contact, -h; how far ahead
     it comes down (`is_ahead`); and how far the leg then is from the ground, theta + pi/2."""
     running: Float[Array, "*cells"]
-    """The least contact force Q_v up to heel strike; or the force at the start, if it is
-    negative."""
+    """The least contact force Q_v up to heel strike; or that at the start, if it is negative."""
     stopping: Float[Array, "*cells"]
     """Velocity v of the trailing foot after the impact."""
     landing: Float[Array, "*cells"]
@@ -118,7 +117,13 @@ def margins_of_many(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Margins:
-    """Computes `margins` for each of n starts, with one walker or n, as in `strides`."""
+    """Computes `margins` for each of n starts, with one walker or n, as in `strides`.
+
+    ```python
+    found = wj.margins_of_many(wj.SimplestWalker(0.004), [(0.2, -0.2), (0.2, -0.25)])
+    found.stride.outcome, found.forward  # the second walker falls forward
+    ```
+    """
     return for_each_start(follow_margins, walker, xs, tolerance, progress=progress)
 
 
