@@ -1,4 +1,4 @@
-"""The public names, each of which `__init__.py` loads from here when it is first used."""
+"""The public names; `__init__.py` loads each from here on its first use."""
 
 from walker_jax.basins.computation import basin as basin
 from walker_jax.basins.computation import compare_methods as compare_methods

@@ -1,9 +1,9 @@
 """The simple cell map of Hsu (1987, Cell-to-Cell Mapping, Springer).
 
-It replaces a map of points by a map of cells: a cell goes where its centre goes. All points off the
-grid, and those that the map does not send anywhere, are gathered in a few sink cells, which stay
-where they are: the n cells of the grid are 0 ... n - 1, and sink s is n + s. By convention s is the
-code of what went wrong; code 0 means success, so sink 0 is never used.
+A simple cell map sends each cell to the cell that holds the image of its centre. The n cells of the
+grid are numbered 0 ... n - 1. Images off the grid, and centres without an image, go to sinks, which
+map to themselves: sink s has the number n + s. By convention s is the code of what went wrong; code
+0 means success, so sink 0 is never used.
 
 Indices are int32 throughout; -1 stands for none.
 """
@@ -21,18 +21,19 @@ from walker_jax.checks import WrongUse
 from walker_jax.grids import MAX_SINKS, MAX_SIZE, Grid, cell_slices
 
 CANDIDATE_SHARE = 2**-10
-"""A share of all cells that is quickly followed one by one."""
+"""Share of all cells that is small enough to follow one by one."""
 
 
 def cell_image(
     grid: Grid, point: Float[Array, " s"], outcome: Int[ArrayLike, ""], *, leave: int
 ) -> Int32[Array, ""]:
-    """Where the simple cell map sends a cell, given what became of its centre.
+    """Returns the image of a cell under the simple cell map, given what became of its centre.
 
-    That is the cell of `point` where `outcome` is 0, sink `leave` where that point is off the grid
-    or not finite, and sink `outcome` where that is not 0; sink s has the index size + s. One cell:
-    `jax.vmap` it over a grid, and give the result to `resolve`, with sinks numbered up to the
-    greatest of the outcomes and `leave`.
+    The image is the cell that holds `point` where `outcome` is 0, sink `leave` where `point` is off
+    the grid or not finite, and sink `outcome` otherwise. Sink s has the index size + s.
+
+    The function takes one cell: `jax.vmap` it over a grid, and give the result to `resolve`, with
+    sinks numbered up to the greatest of the outcomes and `leave`.
     """
     outcome = jnp.asarray(outcome).astype(jnp.int32)
     cell = grid.cell(point)
@@ -42,15 +43,16 @@ def cell_image(
 
 
 class CellMap(NamedTuple):
-    """Where every cell of a simple cell map ends."""
+    """The attractor or sink that every cell of a simple cell map reaches."""
 
     end: Int32[np.ndarray, " n"]
     """Number of the attractor the cell converges to; -1 - s where it ends in sink s."""
     steps: Int32[np.ndarray, " n"]
-    """Steps until the cell is on its attractor, 0 if it is; or those before the one into a sink."""
+    """Steps until the cell is on its attractor, 0 if it is on it; or steps before the one into a
+    sink."""
     attractors: tuple[Int[np.ndarray, " _period"], ...]
-    """The cells of each cycle as they are visited, from the smallest index on. Sorted by period,
-    then by that index. Sinks are not among them."""
+    """The cells of each cycle in the order of visits, from the smallest index on. Cycles are sorted
+    by period, then by their smallest index. Sinks are not among them."""
 
     @property
     def attractor(self) -> Int32[np.ndarray, " n"]:
@@ -63,24 +65,25 @@ class CellMap(NamedTuple):
         return np.maximum(-1 - self.end, -1)
 
     def part(self, cells: slice) -> "CellMap":
-        """The same of some of the cells."""
+        """Returns the rows of some of the cells."""
         return self._replace(end=self.end[cells], steps=self.steps[cells])
 
 
 def resolve(image: ArrayLike, sinks: int) -> CellMap:
-    """Attractors, basins and transients of a simple cell map.
+    """Finds the attractors, basins and transients of a simple cell map.
 
-    `image`, integers of shape (n,), holds the cell that each cell is sent to, 0 ... n - 1, or
-    n + s for sink s, of which there are `sinks`. Called on the host. Pointers are doubled, with
-    f^(j + k) = f^j(f^k), so that the number of rounds goes with the logarithm of the longest
-    transient; and in place, so that nine bytes are needed for each cell beside the image, and more
-    for those of cycles. What is returned takes eight. Maps without attraction, such as
+    `image`, integers of shape (n,), holds the image of each cell: a cell 0 ... n - 1, or n + s for
+    sink s. There are `sinks` sinks. Runs on the host.
+
+    Pointers are doubled, f^(j + k) = f^j(f^k), so the number of rounds grows with the logarithm of
+    the longest transient. Doubling is in place: it takes nine bytes for each cell beside the image,
+    and a little more for cells of cycles. The result takes eight. Maps without attraction, such as
     permutations, are followed cell by cell.
 
-    Raises ValueError where `image` is not of that form or points to a cell that does not exist.
+    Raises ValueError where `image` has another form or points to a cell that does not exist.
 
-    Source: the problem is that of Hsu (1987), whose algorithm follows one sequence of cells after
-    the other (Schwab and Wisse 2001, section 4.3); the results are the same.
+    Source: Hsu (1987) poses the problem. His algorithm follows one sequence of cells after the
+    other (Schwab and Wisse 2001, section 4.3); the results are the same.
     """
     image = np.asarray(image)
     check_image(image, sinks)
@@ -101,7 +104,7 @@ def resolve(image: ArrayLike, sinks: int) -> CellMap:
 
 
 def check_image(image: np.ndarray, sinks: Any) -> None:
-    """Refuse what is no map of cells."""
+    """Raises `WrongUse` unless `image` is a map of cells."""
     if image.ndim != 1 or image.size == 0 or not np.issubdtype(image.dtype, np.integer):
         raise WrongUse(
             f"image of shape {image.shape} and type {image.dtype}: must be integers of shape (n,)"
@@ -117,10 +120,10 @@ def check_image(image: np.ndarray, sinks: Any) -> None:
 
 
 def cycle_candidates(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
-    """Whether cells are reached after many steps. From these all cycles can be found.
+    """Marks the cells that are reached after many steps; they include every cycle.
 
-    Each cell goes its own number of steps, for those before it in its part have gone already. That
-    takes those of a cycle round it, and all others nearer to one.
+    Parts are updated in place, one after the other, so cells advance by different numbers of steps.
+    That does no harm: cells of a cycle stay on it, and all others come closer to one.
     """
     n = image.size
     ahead = np.concatenate([image, np.arange(n, n + sinks, dtype=np.int32)])
@@ -129,7 +132,7 @@ def cycle_candidates(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndar
         before = count
         reached[:] = False
         for part in cell_slices(n):
-            for _ in range(2):  # as marking takes as long
+            for _ in range(2):  # marking takes as long as two steps
                 ahead[part] = ahead.take(ahead[part])
             reached[ahead[part]] = True
         count = np.count_nonzero(reached[:n])
@@ -139,8 +142,8 @@ def cycle_candidates(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndar
 def find_cycles(
     image: Int32[np.ndarray, " n"], starts: Bool[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " _period"], ...]:
-    """The cycles to which cells converge, one sequence after the other."""
-    following = image.data  # a memoryview, whose items are read faster than an array's
+    """Finds the cycles that the starts lead to, one sequence of cells after the other."""
+    following = image.data  # a memoryview, whose items are faster to read than an array's
     visited, found = bytearray(image.size), []
     numbers = ((np.flatnonzero(starts[part]) + part.start).data for part in cell_slices(image.size))
     for here in itertools.chain.from_iterable(numbers):
@@ -158,16 +161,16 @@ def find_cycles(
 def resolve_transients(
     image: Int32[np.ndarray, " n"], sinks: int, recurrent: Int[np.ndarray, " m"]
 ) -> tuple[Int32[np.ndarray, " n"], Int32[np.ndarray, " n"]]:
-    """The first recurrent cell, or the sink, that each cell reaches, and the steps to it."""
+    """Returns the first recurrent cell, or sink, that each cell reaches, and the steps to it."""
     n = image.size
     both = np.empty((n + sinks, 2), np.int32)
     both[:n, 0], both[:, 1] = image, 1
-    for ends in (recurrent, np.arange(n, n + sinks)):  # which the other cells reach
+    for ends in (recurrent, np.arange(n, n + sinks)):  # they map to themselves
         both[ends, 0], both[ends, 1] = ends, 0
     pairs = both.view(np.int64)[:, 0]  # both in one read
     ahead, steps = both[:n].T
 
-    def goes_on(part: slice) -> bool:
+    def advance(part: slice) -> bool:
         here = ahead[part].copy()
         there = pairs.take(here).view(np.int32).reshape(-1, 2)
         there[:, 1] += steps[part]
@@ -176,5 +179,5 @@ def resolve_transients(
 
     moving = cell_slices(n)
     while moving:
-        moving = [part for part in moving if goes_on(part)]
+        moving = [part for part in moving if advance(part)]
     return ahead, steps

@@ -1,4 +1,4 @@
-"""Arguments that many functions take, checked: one line that names the argument and the value.
+"""Checks of arguments that many functions take: one line names the argument and the value.
 
 The errors themselves are in `refusals.py`, which loads without JAX.
 """
@@ -25,11 +25,11 @@ from walker_jax.refusals import WrongUse as WrongUse
 P = ParamSpec("P")
 T = TypeVar("T")
 MAX_COUNT = 2**31 - 1
-"""Strides, starts and cells are counted in 32 bits."""
+"""Largest count of strides, starts or cells: counts have 32 bits."""
 
 
 def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) -> int:
-    """The value as an `int`; raises `WrongUse` unless it is a whole number in the range."""
+    """Returns the value as an `int`; raises `WrongUse` unless it is a whole number in the range."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -66,12 +66,12 @@ def check_confidence(value: Any) -> None:
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Whether a value is one number, and no truth value."""
+    """Returns whether a value is one number, booleans excluded."""
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
 
 
 def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
-    """The values as an array of float64; raises `WrongUse` unless they are real numbers."""
+    """Returns the values as an array of float64; raises `WrongUse` unless they are real numbers."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
@@ -79,7 +79,7 @@ def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
 
 
 def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
-    """An array of any kind; rows of different lengths are refused."""
+    """Returns the values as an array; raises `WrongUse` for rows of different lengths."""
     try:
         return np.asarray(values)
     except ValueError:
@@ -87,14 +87,14 @@ def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
 
 
 def is_traced(tree: Any) -> bool:
-    """Whether JAX traces any leaf."""
+    """Returns whether JAX traces any leaf."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def refuses_tracers(
     instead: str = "call it outside of them",
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """For a function that JAX cannot trace: it refuses tracers, and says what to do `instead`."""
+    """Makes a function that JAX cannot trace refuse tracers, and say what to do `instead`."""
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         names = inspect.signature(function).parameters
@@ -115,7 +115,7 @@ def refuses_tracers(
 
 
 def short(value: Any) -> str:
-    """A value on one line, the beginning of a long one."""
+    """Returns a value on one line, cut after 60 characters."""
     return " ".join(repr(value).split())[:60]
 
 
@@ -127,7 +127,7 @@ FLOAT64_HINT = 'turn on float64 first, by jax.config.update("jax_enable_x64", Tr
 
 
 def check_precision(dtype: Any, needed_by: str | None = None) -> None:
-    """Warn of float32, once in a process; or refuse it, where something needs float64."""
+    """Warns of float32 once in a process; raises `WrongUse` where `needed_by` is given."""
     if np.dtype(dtype) == np.float64:
         return
     if needed_by is not None:

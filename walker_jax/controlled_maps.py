@@ -1,10 +1,10 @@
-"""Cell maps with a choice: where each of several actions leads from each cell.
+"""Cell maps with a choice of actions: each cell has one image for each action.
 
-As in `cellmaps`, cells of a grid are numbered 0 ... n - 1, and what leads off the grid, or fails,
-leads to a sink, n + s for the one with the code s. But a cell has a row of images here, one for
-each action. Cells from which some choice of actions stays on the grid for ever are the *viability
-kernel* (Aubin 1991, Viability Theory, Birkhauser). Cells from which some choice leads into a target
-are its *capture basin*.
+Cells of a grid are numbered 0 ... n - 1, as in `cellmaps`. An action that leads off the grid or
+fails has a sink as its image, n + s for the sink with code s. The *viability kernel* is the set of
+cells from which some choice of actions stays on the grid for ever (Aubin 1991, Viability Theory,
+Birkhauser). The *capture basin* of a target is the set of cells from which some choice of actions
+leads into it.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from walker_jax.grids import CELLS_PER_PART
 
 
 class Points(NamedTuple):
-    """Images that are cells: those of the cells' centres."""
+    """Images that are single cells: the images of the cells' centres."""
 
     image: Int32[np.ndarray, "n m"]
 
@@ -28,27 +28,31 @@ class Points(NamedTuple):
         return n, m
 
     def table(self, chosen: Bool[np.ndarray, " n"]) -> Any:
-        """A choice of cells in the form that `within` reads."""
+        """Returns a set of cells in the form that `within` reads."""
         return np.append(chosen, False)
 
     def within(self, table: Any, cells: Int[np.ndarray, " k"], actions: Any) -> Any:
-        """Whether the choice holds the images of cells by actions: by one for each cell, of shape
-        (k,), or by all for `slice(None)`, of shape (k, m)."""
+        """Returns whether the set holds the images of cells under actions.
+
+        `actions` is one for each cell, for a result of shape (k,), or `slice(None)` for all of
+        them, of shape (k, m).
+        """
         return table[np.minimum(self.image[cells, actions], len(table) - 1)]
 
 
 class Boxes(NamedTuple):
-    """Images that are boxes of cells, for bounds on what cells do as a whole.
+    """Images that are boxes of cells: bounds on the image of a cell as a whole.
 
-    With `every`, a choice holds an image if it holds all of its cells: if boxes hold all that cells
-    do, a viable cell is then viable from each of its points. Otherwise it holds an image if it
-    holds one of its cells: a cell that is not viable is then viable from none of its points.
+    With `every`, a set holds an image if it holds all cells of the box. If boxes hold the images of
+    whole cells, a viable cell is then viable from each of its points. Without `every`, a set holds
+    an image if it holds any cell of the box. A cell that is not viable is then viable from none of
+    its points.
     """
 
     low: Int[np.ndarray, "n m d"]
     """First place of the box on each axis of the grid."""
     high: Int[np.ndarray, "n m d"]
-    """The last one."""
+    """Last place of the box on each axis."""
     valid: Bool[np.ndarray, "n m"]
     """Whether there is an image."""
     counts: tuple[int, ...]
@@ -61,7 +65,7 @@ class Boxes(NamedTuple):
         return n, m
 
     def table(self, chosen):
-        """How many cells are chosen before each place, along all axes: a summed-area table."""
+        """Returns a summed-area table: the chosen cells before each place, along all axes."""
         table = np.zeros([count + 1 for count in self.counts], np.int32)
         inner = (slice(1, None),) * len(self.counts)
         table[inner] = chosen.reshape(self.counts)
@@ -94,11 +98,12 @@ def find_viable(
     cells: Int[np.ndarray, " n"] | None = None,
     alive: Bool[np.ndarray, " all"] | None = None,
 ) -> Int32[np.ndarray, " n"]:
-    """The viability kernel: how many steps each cell can make at most; -1 where for ever.
+    """Computes the viability kernel: the most steps each cell can make; -1 for ever.
 
-    Each round removes the cells that no action takes to a cell that is left. A cell keeps a
-    witness, an action that does, and the others are tried only when the witness fails. All cells
-    have images, or only some of those `alive` at first: the others of these stay.
+    Each round removes the cells without an action that leads to a remaining cell. Each cell keeps
+    one such action as its witness; the others are tried only when the witness fails.
+
+    `cells` are the cells with images, by default all. Other cells of `alive` always remain.
     """
     n, m = images.shape
     lasting = np.full(n, -1, np.int32)
@@ -124,7 +129,7 @@ def find_viable(
 
 
 def count_safe(images: Images, viable: Bool[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-    """By how many actions each viable cell stays viable; 0 for others."""
+    """Counts the actions by which each viable cell stays viable; 0 for others."""
     table, count = images.table(viable), np.zeros(len(viable), np.int32)
     for cells in parts(np.flatnonzero(viable), images.shape[1]):
         count[cells] = images.within(table, cells, slice(None)).sum(axis=1)
@@ -132,7 +137,7 @@ def count_safe(images: Images, viable: Bool[np.ndarray, " n"]) -> Int32[np.ndarr
 
 
 def find_capture(images: Images, target: Bool[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-    """The capture basin of a target: the fewest steps into it, 0 within it; -1 for none."""
+    """Computes the capture basin of a target: the fewest steps into it, or -1."""
     m = images.shape[1]
     steps = np.where(target, 0, -1).astype(np.int32)
     left, made = np.flatnonzero(~target), 0
@@ -149,7 +154,7 @@ def find_capture(images: Images, target: Bool[np.ndarray, " n"]) -> Int32[np.nda
 
 
 def best_action(points: Points, value: Int[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-    """The action that leads to the cell of the greatest value; -1 where none is positive."""
+    """Returns the action to the image of the greatest value; -1 where no value is positive."""
     n, m = points.shape
     best, action = np.append(value, 0), np.full(n, -1, np.int32)
     for cells in parts(np.arange(n), m):
@@ -160,10 +165,10 @@ def best_action(points: Points, value: Int[np.ndarray, " n"]) -> Int32[np.ndarra
 
 
 def unavoidable_failure(points: Points, lasting: Int32[np.ndarray, " n"]) -> Int8[np.ndarray, " n"]:
-    """The sink in which the longest walk from a cell ends; 0 for viable cells.
+    """Returns the sink in which the longest walk from a cell ends; 0 for viable cells.
 
-    If several actions make as many steps, the first counts; if none makes a step, the sink to which
-    most actions lead.
+    If several actions make as many steps, the first counts. If none makes a step, the sink of most
+    actions counts.
     """
     n, m = points.shape
     failure, most = np.zeros(n, np.int8), int(lasting.max(initial=-1))
@@ -181,7 +186,7 @@ def unavoidable_failure(points: Points, lasting: Int32[np.ndarray, " n"]) -> Int
 
 
 def parts(cells: Int[np.ndarray, " n"], actions: int) -> Iterator[Int[np.ndarray, " k"]]:
-    """Cells in parts whose images stay in the cache; one at least."""
+    """Splits cells into parts whose images stay in the cache; yields at least one."""
     size = max(1, 4 * CELLS_PER_PART // actions)
     for start in range(0, max(1, len(cells)), size):
         yield cells[start : start + size]

@@ -1,10 +1,9 @@
-"""How unpredictable labels are on a small scale: the basin entropy, and that of the boundary.
+"""Basin entropy and boundary entropy: how unpredictable labels are on a small scale.
 
 Labels say, for instance, which attractor each point of a region goes to. The region is covered with
-boxes; in each the labels of the points are drawn at random, and their entropy is the uncertainty
-about a point of which only the box is known (Daza, Wagemakers, Georgeot, Guery-Odelin and Sanjuan
-2016, Scientific Reports 6, 31416). Entropies are in nats: a box with two labels, half of each, has
-log 2.
+boxes. The entropy of the labels in a box is the uncertainty of the label of a point when only its
+box is known (Daza, Wagemakers, Georgeot, Guery-Odelin and Sanjuan 2016, Scientific Reports 6,
+31416). Entropies are in nats: a box with two labels in equal shares has log 2.
 """
 
 from __future__ import annotations
@@ -17,49 +16,56 @@ from jaxtyping import Array, Float, Int, Real, Shaped
 from walker_jax.checks import WrongUse, array, check_whole, refuses_tracers, short
 
 BOX = 5
-"""Cells along a side of a box: 25 points in two dimensions, which the authors recommend or more."""
+"""Cells along a side of a box: 25 points in two dimensions, the least that the authors
+recommend."""
 
 
 class BasinEntropy(NamedTuple):
-    """The entropy of labels in boxes: the mean over all, and over those on the boundary."""
+    """The entropy of labels in boxes: the mean over all boxes, and over boxes on the boundary."""
 
     value: float
-    """Mean over all boxes: 0 where all labels are the same, log of their number at most."""
+    """Mean over all boxes: 0 where all labels are the same, at most the log of their number."""
     boundary: float
-    """Mean over the boxes with more than one label; NaN without any."""
+    """Mean over the boxes with more than one label; NaN without such boxes."""
     boundary_error: float
-    """Its standard error, from boxes that have no cell in common; NaN with less than two."""
+    """Its standard error, from boxes without common cells; NaN with fewer than two."""
     boxes: int
-    """Boxes, one at each place where one fits."""
+    """Number of boxes; a box begins at each cell where it fits."""
     mixed: int
-    """Those with more than one label."""
+    """Number of boxes with more than one label."""
     crowded: int
-    """Those with more than two labels."""
+    """Number of boxes with more than two labels."""
     fractal: bool
-    """Whether the boundary exceeds log 2 by two standard errors, in these boxes and in smaller ones
-    of about half the side.
+    """Whether the boundary entropy exceeds log 2 by two standard errors, in these boxes and in
+    boxes of about half the side.
 
-    Where two smooth pieces at most meet in a box, boxes have log 2 at most on average. So what
-    exceeds it is fractal, if its smooth pieces are wide beside the boxes: stripes of a cell or less
-    exceed it too, and the smaller boxes show those that are wider. A fractal boundary may have
-    less.
+    If at most two smooth pieces met in each box, the mean would be at most log 2. A larger mean
+    shows a fractal boundary, provided that smooth pieces are wide beside the boxes. Stripes of a
+    cell or less exceed log 2 too; the smaller boxes reveal stripes that are wider. A fractal
+    boundary may have a lower entropy.
     """
 
 
 @refuses_tracers()
 def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -> BasinEntropy:
-    """The basin entropy of labels on a grid, and that of their boundary.
+    """Computes the basin entropy of labels on a grid, and the entropy of their boundary.
 
     S = -sum_k p_k log p_k, averaged over boxes
 
-    with p_k the share of label k among the cells of a box. The mean is over the boxes at all
-    places, so that it does not depend on where the first one begins.
+    with p_k the share of label k among the cells of a box. Boxes begin at every cell, so the mean
+    does not depend on the place of the first one.
 
     **Arguments:**
 
-    - `labels`: at regularly spaced points, in any number of dimensions; a box that holds a negative
-      one, or NaN, is not counted.
+    - `labels`: at regularly spaced points, in any number of dimensions. A box with a negative label
+      or NaN is not counted.
     - `side`: cells along each side of a box.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
+    data = wj.basin(wj.SimplestWalker(0.004), grid)
+    wj.basin_entropy(data.fate.values).boundary  # log 2 = 0.69 at most, if the boundary is smooth
+    ```
 
     Raises ValueError for labels that are not numbers, and for a box that does not fit.
     """
@@ -89,7 +95,7 @@ def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -
 def entropy_of_boxes(
     labels: Shaped[np.ndarray, "*cells"], side: int
 ) -> tuple[Float[np.ndarray, "*places"], Int[np.ndarray, "*places"]]:
-    """The entropy of the labels in each box, and their number; 0 where a cell has no label."""
+    """Returns the entropy of the labels in each box, and their number; 0 if a cell has no label."""
     none = ~(labels >= 0)  # NaN is no label either
     whole = box_means(none.astype(float), side) == 0
     entropy, count = np.zeros(whole.shape), np.zeros(whole.shape, int)
@@ -102,7 +108,7 @@ def entropy_of_boxes(
 
 
 def boundary_entropy(entropy: Float[np.ndarray, "*places"], side: int) -> tuple[float, float]:
-    """The mean over boxes with more than one label, and its standard error; NaN for too few."""
+    """Returns the mean over boxes with several labels, and its standard error; NaN for too few."""
     mixed = entropy[entropy > 0]
     apart = entropy[(slice(None, None, side),) * entropy.ndim]
     apart = apart[apart > 0]
@@ -111,7 +117,7 @@ def boundary_entropy(entropy: Float[np.ndarray, "*places"], side: int) -> tuple[
 
 
 def box_means(values: Float[np.ndarray, "*cells"], side: int) -> Float[np.ndarray, "*places"]:
-    """The mean of whole numbers over each box of `side` cells, exact before the division."""
+    """Computes the mean of whole numbers over each box of `side` cells; the sums are exact."""
     for axis in range(values.ndim):
         values = np.moveaxis(values, axis, 0)
         total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])

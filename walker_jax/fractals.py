@@ -1,10 +1,11 @@
-"""How fine-grained the boundary between regions of different label is: its fractal dimension.
+"""Fractal dimension of the boundary between regions of different label.
 
-The boundary is that of labels in d dimensions, say which attractor a point goes to. Two methods.
-Box counting takes labels on a regular grid: boxes of size s that the boundary passes through number
-s^-D. The uncertainty exponent takes any function that labels points: the fraction of points whose
-label an error of size eps may change is eps^(d - D). Box counting needs a fine grid; the other only
-needs labels at random points, and can look at distances far below any grid's.
+Labels are given in d dimensions, for example the attractor that each point goes to. There are two
+methods. Box counting takes labels on a regular grid: the boundary passes through about s^-D boxes
+of size s. The uncertainty exponent takes any function that labels points: an error of size eps may
+change the label of a share eps^(d - D) of the points. Box counting needs a fine grid. The
+uncertainty exponent needs labels at random points only, and reaches distances far below the spacing
+of any grid.
 
 Dimensions are pure numbers; sizes and distances are in the caller's units.
 """
@@ -29,80 +30,86 @@ from walker_jax.checks import (
 )
 
 SMALLEST_BOX = 4
-"""Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
+"""Cells along a side of the smallest box: smaller boxes miss detail finer than a cell."""
 LARGEST_BOX_SHARE = 1 / 4
-"""Of the shortest axis, at most: the side of the largest box."""
+"""Largest side of a box, as a share of the shortest axis."""
 MIN_BOXES = 30
-"""Boxes counted, at least, of the largest size."""
+"""Fewest boxes counted of the largest size."""
 MIN_UNCERTAIN = 10
-"""Uncertain points, at least, at a distance that is used."""
+"""Fewest uncertain points at a distance that is used."""
 MIN_SCALES = 3
-"""Sizes or distances, at least, for a fit: with two there is no scatter to tell the error from."""
+"""Fewest sizes or distances for a fit: two leave no scatter from which to estimate the error."""
 
 POINTS_PER_BOX = 16
-"""Points in a box that has any, on average and at least, of an information dimension."""
+"""Fewest points in an occupied box, on average, for an information dimension."""
 COARSE_OCTAVES = 3
-"""Sizes of boxes that are left out of it: half the extent of the points, a quarter, and so on."""
+"""Largest sizes of boxes, left out of an information dimension: half the extent, a quarter ..."""
 
 
 class Dimension(NamedTuple):
-    """The dimension of a boundary by counting boxes, or of points, and what it was fitted to."""
+    """The dimension of a boundary or a set of points, and the counts of boxes it was fitted to."""
 
     value: float
-    """Minus the slope of log(counts) against log(sizes); NaN without boundary enough to count."""
+    """Minus the slope of log(counts) against log(sizes); NaN with too little boundary to count."""
     low: float
     high: float
-    """The confidence interval; NaN as the value."""
+    """Ends of the confidence interval; NaN where the value is NaN."""
     sizes: Float[np.ndarray, " k"]
-    """Sides of the boxes used, each twice that before; none if the value is NaN."""
+    """Sides of the boxes used, each twice the one before; empty if the value is NaN."""
     counts: Float[np.ndarray, " k"]
     """Boxes the boundary passes through: the mean over all origins, corrected for the spacing."""
 
 
 class Uncertainty(NamedTuple):
-    """The dimension of a boundary from its uncertainty exponent, and what that was fitted to."""
+    """The dimension of a boundary from its uncertainty exponent, and the fitted fractions."""
 
     value: float
     """The dimension, d - exponent; NaN if fewer than `MIN_SCALES` distances were used."""
     low: float
     high: float
-    """The confidence interval of the dimension; NaN as the value."""
+    """Ends of the confidence interval of the dimension; NaN where the value is NaN."""
     exponent: float
     """The slope of log(fractions) against log(distances); its interval is as wide."""
     distances: Float[np.ndarray, " k"]
-    """Those used: where at least `MIN_UNCERTAIN` points were uncertain."""
+    """Distances used: those with at least `MIN_UNCERTAIN` uncertain points."""
     fractions: Float[np.ndarray, " k"]
-    """Of the points, those that were uncertain."""
+    """Fraction of the points that were uncertain, at each distance."""
 
 
 @refuses_tracers()
 def box_counting(
     labels: Int[np.ndarray | Array, "*cells"], *, spacing: float = 1.0, confidence: float = 0.95
 ) -> Dimension:
-    """The dimension D of the boundary between labels, from the number of boxes it passes through.
+    """Estimates the dimension D of the boundary between labels by counting boxes.
 
     counts ~ sizes^-D
 
-    A box of m = 2^k cells a side has a label at each of its (m + 1)^d corners of cells, those on
-    its faces included, and is counted if they are not all the same. Counts are the mean over all
-    m^d origins of the boxes, whose centres cover the same part of the array for every size: half
-    the largest box is left off at each end of each axis, so axes may have any lengths. That is the
-    volume, over m^d, of what is within m / 2 of the boundary in every coordinate: D is
-    Minkowski's dimension too.
+    A box of m = 2^k cells a side has a label at each of its (m + 1)^d corners of cells, including
+    those on its faces. It is counted if the labels differ. Counts are the mean over all m^d origins
+    of the boxes. For every size the centres of the boxes cover the same part of the array: half the
+    largest box is left off at each end of each axis, so axes may have any lengths. The counts times
+    m^d are then the volume within m / 2 of the boundary in every coordinate, so D is the Minkowski
+    dimension too.
 
     Detail between the points of the grid is missed: a fraction c / m of the boxes, for fractals.
-    Grids of every second point miss 2 c / m; so counts are extrapolated to a spacing of zero.
+    Grids of every second point miss 2 c / m, so counts are extrapolated to a spacing of zero.
 
-    Sizes go in octaves from `SMALLEST_BOX` cells to the largest of which `MIN_BOXES` are counted,
-    at most `LARGEST_BOX_SHARE` of the shortest axis. The value is the mean of the slopes between
-    successive octaves, and the interval Student's t of these. They show noise, but also a slope
-    that drifts or oscillates with the size, which the scatter about one line would hide.
+    Sizes double from `SMALLEST_BOX` cells to the largest with `MIN_BOXES` boxes counted, at most
+    `LARGEST_BOX_SHARE` of the shortest axis. The value is the mean of the slopes between successive
+    octaves, with Student's t interval of these slopes. The slopes show noise, and also a drift or
+    an oscillation with the size, which the scatter about one line would hide.
 
     **Arguments:**
 
     - `labels`: at regularly spaced points, in any number of dimensions.
     - `spacing`: distance of two neighbouring points, the same along all axes.
-    - `confidence`: that the dimension is in the interval.
+    - `confidence`: probability that the interval holds the dimension.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
+    data = wj.basin(wj.SimplestWalker(0.004), grid)
+    wj.box_counting(data.fate.values).value  # the dimension of the boundary between fates
+    ```
 
     Raises ValueError if labels are not numbers, the array is too small for `MIN_SCALES` sizes, or
     an option is out of range.
@@ -126,7 +133,7 @@ def box_counting(
         if largest < smallest:
             return Dimension(np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
     coarse = mean_box_counts(labels, largest, step=2)
-    coarse = np.maximum(coarse, fine / 2)  # a pattern of single cells would have none
+    coarse = np.maximum(coarse, fine / 2)  # never zero, as for a pattern of single cells
     counts = fine**2 / coarse
     slopes = -np.diff(np.log2(counts))
     value = slopes.mean()
@@ -140,16 +147,17 @@ def box_counting(
 def mean_box_counts(
     labels: Int[np.ndarray, "*cells"], largest: int, *, step: int = 1
 ) -> Float[np.ndarray, " k"]:
-    """Boxes that hold several labels, of sides `SMALLEST_BOX`, twice that ... `largest` cells.
+    """Counts the boxes with several labels, of sides `SMALLEST_BOX` to `largest` cells.
 
-    The mean over all origins of the boxes; of the labels in them, every step-th along each axis.
+    Counts are the mean over all origins of the boxes. Of the labels in a box, every step-th along
+    each axis is read.
     """
     low = high = labels
     size, counts = 0, []
     while size < largest:
-        shift = max(size, step)  # two boxes make one of twice the size
+        shift = max(size, step)  # two boxes join into one of twice the size
         size += shift
-        for _ in labels.shape:  # each pass joins along the first axis, and puts that last
+        for _ in labels.shape:  # each pass joins along the first axis, then moves it last
             low = np.moveaxis(np.minimum(low[:-shift], low[shift:]), 0, -1)
             high = np.moveaxis(np.maximum(high[:-shift], high[shift:]), 0, -1)
         if size >= SMALLEST_BOX:
@@ -164,19 +172,26 @@ def mean_box_counts(
 def information_dimension(
     points: Float[np.ndarray | Array, "n d"], *, confidence: float = 0.95
 ) -> Dimension:
-    """The information dimension D of a set of which points are known, such as an attractor.
+    """Estimates the information dimension D of a set of points, such as an attractor.
 
-    The entropy of how the points share out over boxes grows as -D log(size). Boxes divide the
-    extent of the points along each axis into 2^k parts. As long as a box with points holds
-    `POINTS_PER_BOX` of them on average, its octave counts, but not the first `COARSE_OCTAVES`,
-    whose boxes see the shape of the whole. Half a box with points for each point corrects the
-    entropy for their finite number (Miller 1955). The interval is Student's t of the slopes between
-    octaves. For an attractor the value is that of Kaplan and Yorke, as they conjectured.
+    The entropy of the distribution of points over boxes grows as -D log(size). Boxes divide the
+    extent of the points along each axis into 2^k parts. An octave counts as long as occupied boxes
+    hold `POINTS_PER_BOX` points on average. The first `COARSE_OCTAVES` are left out: their boxes
+    see the shape of the whole. The entropy is corrected for the finite number of points by half the
+    number of occupied boxes over the number of points (Miller 1955). The interval is Student's t of
+    the slopes between octaves. Kaplan and Yorke conjectured that D of an attractor equals its
+    Lyapunov dimension.
 
-    **Returns** a `Dimension`, with the exponential of the entropy for counts, and sizes in
-    extents of the points; NaN where there are too few.
+    **Returns** a `Dimension`: its counts are exponentials of the entropy, its sizes are in extents
+    of the points. It is NaN for too few points.
 
-    Raises `ValueError` for what are no points, and a confidence out of range.
+    ```python
+    walk = wj.walk(wj.HenonMap(), (0.1, 0.1), 20_000)
+    found = wj.information_dimension(walk.states[100:])
+    found.value, found.low, found.high
+    ```
+
+    Raises `ValueError` for an array that is not of finite points, and a confidence out of range.
     """
     points, upper = numbers("points", points), upper_probability(confidence)
     if points.ndim != 2 or not len(points) or not np.isfinite(points).all():
@@ -214,27 +229,34 @@ def uncertainty_exponent(
     seed: int = 0,
     confidence: float = 0.95,
 ) -> Uncertainty:
-    """The dimension D of the boundary between labels, from how often a small error changes a label.
+    """Estimates the dimension D of the boundary from how often a small error changes a label.
 
     fractions ~ distances^(d - D)
 
-    A point x is uncertain at a distance eps if the label of x + eps u or of x - eps u is not that
-    of x, with u a random direction (Grebogi, McDonald, Ott and Yorke 1983, Physics Letters A 99,
-    415). Each distance has points of its own, so its fraction is an independent binomial. The line
-    is fitted by weighted least squares to the logs of the fractions, which have variance
-    (1 - f) / (n f). The interval is that variance's, or Student's t of the scatter about the line
-    where that is wider, as it is where the points are so many that the line is not quite straight.
+    A point x is uncertain at a distance eps if x + eps u or x - eps u has another label than x,
+    with u a random direction (Grebogi, McDonald, Ott and Yorke 1983, Physics Letters A 99, 415).
+    Each distance has its own points, so its fraction is an independent binomial. The line is fitted
+    by weighted least squares to the logs of the fractions, which have variance (1 - f) / (n f). The
+    interval follows from that variance, or from Student's t of the scatter about the line where
+    that is wider. The scatter is wider with so many points that the line is not quite straight.
 
     **Arguments:**
 
-    - `label_of`: labels of points; called once for each distance, with three times `pairs` points,
-      of which some are outside the region, by up to the distance.
-    - `draw`: that many uniformly random points of the region, from a generator.
+    - `label_of`: a function from points to labels. It is called once for each distance, with three
+      times `pairs` points; some of these are outside the region, by up to the distance.
+    - `draw`: a function from a generator and a number to that many uniformly random points of the
+      region.
     - `distances`: at least `MIN_SCALES`, all different, small beside the region and its large
       features.
-    - `pairs`: points x for each distance.
+    - `pairs`: number of points x for each distance.
     - `seed`: of the generator.
-    - `confidence`: that the dimension is in the interval.
+    - `confidence`: probability that the interval holds the dimension.
+
+    ```python
+    draw = lambda generator, count: generator.random((count, 2))
+    above = lambda points: (points[:, 1] > points[:, 0]).astype(int)
+    wj.uncertainty_exponent(above, draw, (0.003, 0.01, 0.03)).value  # about 1, for a line
+    ```
 
     Raises ValueError if an argument is out of range, or the functions return wrong shapes.
     """
@@ -273,7 +295,7 @@ def uncertainty_exponent(
 def sort_distances(
     distances: Float[np.ndarray | Array, " k"], pairs: int
 ) -> Float[np.ndarray, " k"]:
-    """The distances, sorted; ValueError for what `uncertainty_exponent` cannot use."""
+    """Returns the distances, sorted; raises `WrongUse` for distances that cannot be fitted."""
     distances = np.sort(np.atleast_1d(numbers("distances", distances)))
     if distances.ndim != 1 or len(np.unique(distances)) < max(MIN_SCALES, distances.size):
         shown = format_numbers(distances)
@@ -285,18 +307,18 @@ def sort_distances(
 
 
 def format_numbers(values: Float[np.ndarray, "..."]) -> str:
-    """Numbers on one line."""
+    """Formats numbers on one line."""
     return np.array2string(values, threshold=6, edgeitems=3, max_line_width=200).replace("\n", " ")
 
 
 def fit_power(
     x: Float[np.ndarray, " k"], hits: Float[np.ndarray, " k"], tries: int, upper: float
 ) -> tuple[float, float]:
-    """The power of x that the chance of a hit goes with, and half the width of its interval."""
+    """Fits the chance of a hit as a power of x; returns the power and half its interval."""
     x = np.log(x)
     seen = np.log((hits + 0.5) / (tries + 1))  # the half makes the log unbiased to first order
     line = seen
-    for _ in range(3):  # weights from the line: those from the data favour what is high by chance
+    for _ in range(3):  # from the line: weights from the data favour values high by chance
         chance = np.minimum(np.exp(line), 1 - 0.5 / tries)
         weights = tries * chance / (1 - chance)
         deviation = x - np.average(x, weights=weights)
@@ -312,6 +334,6 @@ def fit_power(
 
 
 def upper_probability(confidence: float) -> float:
-    """The probability below the upper end of a two-sided interval."""
+    """Returns the probability below the upper end of a two-sided interval."""
     check_confidence(confidence)
     return (1 + confidence) / 2

@@ -1,9 +1,9 @@
 """Grids of cells: affine images of boxes divided into equal cells.
 
 A point has box coordinates u, along which the cells lie, and state coordinates
-x = origin + shear @ u. Where the box has fewer of them than the state, the grid is a slice: some
-coordinates of the state are fixed. Cells are half open, [low, high) along each box axis, and
-numbered from 0 with the last axis fastest (C order), by int32; -1 stands for none.
+x = origin + shear @ u. If the box has fewer coordinates than the state, the grid is a slice, on
+which some coordinates of the state are fixed. Cells are half open, [low, high) along each box axis.
+They are numbered from 0 with the last axis fastest (C order), by int32; -1 stands for none.
 """
 
 from __future__ import annotations
@@ -39,31 +39,37 @@ Axis = Any
 class Grid(eqx.Module):
     """Equal cells of a box, and of its image x = origin + shear @ u.
 
-    `Grid.plain` and `Grid.sheared` make the usual ones; `Grid(axes, shear, origin)` any other.
-    Everything but the names is an array leaf: a jitted function of a grid is not compiled again for
-    another window or count.
+    `Grid.plain` and `Grid.sheared` make the usual grids; `Grid(axes, shear, origin)` makes any
+    other. All fields but the names are array leaves, so a jitted function of a grid is not compiled
+    again for another window or count.
 
-    Raises ValueError for no axes, an axis that is not (low, high, count) with finite low < high
-    and count >= 1, a shear that is not an (s, d) matrix of rank d, an origin that is not s finite
+    ```python
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 200), sum=(-0.02, 0.02, 100))
+    grid.shape  # (200, 100); each cell is 0.001 by 0.0004
+    window = grid.zoom((0.2, -0.2), 10)  # a tenth as wide, around a state
+    ```
+
+    Raises ValueError for no axes, an axis that is not (low, high, count) with finite low < high and
+    count >= 1, a shear that is not an (s, d) matrix of rank d, an origin that is not s finite
     numbers, or more than `MAX_SIZE` cells.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the box coordinates u."""
     fixed: tuple[str, ...] = eqx.field(static=True)
-    """Names of the last coordinates of the state, where a slice holds them fixed."""
+    """Names of the last coordinates of the state, which a slice holds fixed; empty otherwise."""
     lower: Float[np.ndarray | Array, " d"]
     """Lower ends of the axes."""
     upper: Float[np.ndarray | Array, " d"]
-    """Upper ends of the axes, outside the grid."""
+    """Upper ends of the axes; they lie outside the grid."""
     counts: Int32[np.ndarray | Array, " d"]
     """Cells along each axis."""
     shear: Float[np.ndarray | Array, "s d"]
-    """State coordinates from box coordinates, x = origin + shear @ u."""
+    """Matrix from box coordinates to state coordinates, x = origin + shear @ u."""
     unshear: Float[np.ndarray | Array, "d s"]
-    """Its inverse, u = unshear @ (x - origin); of a slice, for points in it."""
+    """Its inverse, u = unshear @ (x - origin). For a slice it holds for points in the slice."""
     origin: Float[np.ndarray | Array, " s"]
-    """The point of the state where u is zero."""
+    """The state at which u is zero."""
 
     def __init__(
         self,
@@ -103,7 +109,7 @@ class Grid(eqx.Module):
         if self.origin.shape != (size,) or not np.isfinite(self.origin).all():
             raise WrongUse(f"origin={self.origin.tolist()}: must be {size} finite numbers")
         try:
-            # Exact, without rounding, for the shears below. Adding zero turns -0 into 0.
+            # The inverse is exact for the shears below. Adding zero turns -0 into 0.
             square = self.shear.T @ self.shear if size > count else self.shear
             inverse = np.linalg.inv(square) + 0.0
             self.unshear = inverse @ self.shear.T if size > count else inverse
@@ -112,19 +118,19 @@ class Grid(eqx.Module):
 
     @classmethod
     def plain(cls, **axes: Axis) -> "Grid":
-        """A grid along the state's own axes, x = u.
+        """Makes a grid along the state's own axes, x = u.
 
-        Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`. The last ones may be
-        numbers: then the grid is a slice, on which those coordinates have these values.
+        Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`. The last axes may be
+        numbers: the grid is then a slice, on which those coordinates have these values.
         """
         along, values = split_axes(axes)
         return cls(along, np.eye(len(axes), len(along)), values, tuple(axes)[len(along) :])
 
     @classmethod
     def sheared(cls, *, theta: Axis, sum: Axis, **others: Axis) -> "Grid":
-        """A grid along theta and sum = theta + thetadot, for states (theta, thetadot, others...).
+        """Makes a grid along theta and theta + thetadot, for states (theta, thetadot, others...).
 
-        Each axis is (low, high, count), or for the last ones a number, as in `plain`. The
+        Each axis is (low, high, count); the last ones may be numbers, as in `plain`. These are the
         coordinates of Schwab and Wisse (2001), Figure 4.
         """
         axes = {"theta": theta, "sum": sum, **others}
@@ -135,10 +141,11 @@ class Grid(eqx.Module):
 
     @classmethod
     def through(cls, point: Mapping[str, float], **axes: Axis) -> "Grid":
-        """A slice along any coordinates of the state, through a point that has the others' values.
+        """Makes a slice through a point, along any coordinates of the state.
 
-        `point` names all coordinates in their order, as `dict(zip(walker.section, state))` does;
-        each axis is (low, high, count) of one of them.
+        `point` names all coordinates in their order, as `dict(zip(walker.section, state))` does.
+        Each axis is (low, high, count) of one coordinate; the others keep their values at the
+        point.
         """
         check_kind("point", point, Mapping)
         unknown = [name for name in axes if name not in point]
@@ -153,10 +160,10 @@ class Grid(eqx.Module):
         return cls(axes, shear, np.where(shear.any(axis=1), 0.0, values))
 
     def zoom(self, centre: Float[ArrayLike, " s"], factor: float | int) -> "Grid":
-        """The grid of as many cells in a window `factor` times as narrow, around a point.
+        """Returns a grid of as many cells in a window around a point, `factor` times as narrow.
 
-        Its box coordinates are offsets from that point, which is its origin: they stay exact where
-        those of the point have no digits left.
+        Its box coordinates are offsets from that point, which is its origin. They stay exact where
+        coordinates of the point have no digits left.
 
         Raises ValueError for a centre that is not s finite numbers, or a factor that is not
         positive.
@@ -220,54 +227,53 @@ class Grid(eqx.Module):
         } | self.fixed_values
 
     def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " s"]:
-        """Centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
+        """Returns the centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
 
-        i is its place on each axis.
-        The index is 0 ... size - 1.
+        The index is 0 ... size - 1, and i is the place of the cell on each axis.
         """
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
         u = lower + (self.cell_place(index).astype(lower.dtype) + 0.5) * spacing
         return jnp.asarray(self.origin) + multiply(self.shear, u)
 
     def centres(self, indices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
-        """Centres of many cells, as `centre` has them; on the host only."""
-        dtype = jnp.asarray(0.0).dtype  # where nothing is compiled for so little
-        cell_slices = (self.lower, self.spacing, self.shear, self.origin)
-        lower, spacing, shear, origin = (np.asarray(part, dtype) for part in cell_slices)
+        """Returns the centres of many cells; on the host only."""
+        dtype = jnp.asarray(0.0).dtype  # on the host, to compile nothing for so little work
+        fields = (self.lower, self.spacing, self.shear, self.origin)
+        lower, spacing, shear, origin = (np.asarray(part, dtype) for part in fields)
         found = np.zeros((len(indices), len(origin)), dtype)
-        # Axis by axis, as NumPy sums over short rows ten times as slowly.
+        # Axis by axis: NumPy takes ten times as long to sum over short rows.
         for axis, places in enumerate(np.unravel_index(indices, self.counts)):
             u = lower[axis] + (places.astype(dtype) + dtype.type(0.5)) * spacing[axis]
             found += shear[:, axis] * u[:, None]
         return origin + found
 
     def contains(self, points: Float[np.ndarray, "*n s"]) -> Bool[np.ndarray, "*n"]:
-        """Whether a cell holds a point; on the host only."""
-        cell_slices = (self.lower, self.upper, self.unshear, self.origin)
-        lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in cell_slices)
-        with np.errstate(invalid="ignore"):  # of a point that is not finite
+        """Returns whether each point lies in a cell; on the host only."""
+        fields = (self.lower, self.upper, self.unshear, self.origin)
+        lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in fields)
+        with np.errstate(invalid="ignore"):  # raised by points that are not finite
             u = np.sum(unshear * (points - origin)[..., None, :], axis=-1)
         return ((lower <= u) & (u < upper)).all(axis=-1)
 
     def points_at(self, shares: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
-        """Points at shares, from 0 to 1, of the length of each axis; on the host only."""
+        """Returns points at shares, from 0 to 1, of the length of each axis; on the host only."""
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         u = lower + (upper - lower) * shares
         return np.asarray(self.origin) + u @ np.asarray(self.shear).T
 
     def place(self, point: Float[np.ndarray, " s"]) -> Float[np.ndarray, " d"]:
-        """The place of a point on each axis, in cells from the first centre; on the host only."""
+        """Returns a point's place on each axis, in cells from the first centre; host only."""
         u = np.asarray(self.unshear) @ (point - np.asarray(self.origin))
         return (u - np.asarray(self.lower)) / np.asarray(self.spacing) - 0.5
 
     def position(self, point: Float[Array, " s"]) -> Float[Array, " d"]:
-        """The place of a point on each axis, in cells from the lower end, for JAX to trace."""
+        """Returns a point's place on each axis, in cells from the lower end; JAX can trace it."""
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
         u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         return (u - lower) / spacing
 
     def cell_place(self, index: Int[ArrayLike, ""]) -> Int32[Array, " d"]:
-        """The place of a cell on each axis, from 0; the index is 0 ... size - 1."""
+        """Returns the place of a cell on each axis, from 0; the index is 0 ... size - 1."""
         places = []
         for count in self.counts[::-1]:
             index, place = jnp.divmod(jnp.asarray(index).astype(jnp.int32), count)
@@ -275,7 +281,7 @@ class Grid(eqx.Module):
         return jnp.stack(places)
 
     def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
-        """Index of the cell that holds a point x, -1 where none does or x is not finite.
+        """Returns the index of the cell that holds x; -1 where none does or x is not finite.
 
         Raises ValueError for a slice, in which hardly any point lies.
         """
@@ -283,7 +289,7 @@ class Grid(eqx.Module):
             raise WrongUse(f"fixed={self.fixed}: a slice has no cell for a point")
         lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
         u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
-        inside = jnp.all((lower <= u) & (u < upper))  # not so for NaN
+        inside = jnp.all((lower <= u) & (u < upper))  # False for NaN
         places = jnp.floor(jnp.where(inside, u - lower, 0) / spacing).astype(jnp.int32)
         places = jnp.minimum(places, self.counts - 1)  # the quotient may round up to the count
         index = jnp.int32(0)
@@ -293,7 +299,7 @@ class Grid(eqx.Module):
 
 
 def split_axes(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
-    """The axes that are not numbers, and an origin with those that are, which must be the last."""
+    """Splits axes into those with cells, and an origin with the fixed values of the last ones."""
     single: list[bool] = [is_number(axis) for axis in axes.values()]
     count = len(axes) - sum(single)
     if count == 0:
@@ -309,7 +315,7 @@ def split_axes(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndar
 
 
 def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
-    """The three parts of an axis, checked."""
+    """Returns the three parts of an axis, checked."""
     try:
         low, high, count = axis
         low, high, count = float(low), float(high), operator.index(count)
@@ -334,19 +340,19 @@ def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
 def multiply(
     matrix: Float[np.ndarray | Array, "m n"], vector: Float[Array, " n"]
 ) -> Float[Array, " m"]:
-    """matrix @ vector, which some accelerators would round to a shorter type."""
+    """Returns matrix @ vector as a sum, which no accelerator computes in a shorter type."""
     return jnp.sum(jnp.asarray(matrix) * vector, axis=1)
 
 
 def cell_slices(size: int) -> list[slice]:
-    """Slices that cover an array, each of a part that stays in the cache."""
+    """Returns slices that cover an array, each of a part that stays in the cache."""
     return [
         slice(start, min(start + CELLS_PER_PART, size)) for start in range(0, size, CELLS_PER_PART)
     ]
 
 
 def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
-    """Whether a cell has a neighbour, corners included, with another label."""
+    """Returns whether each cell has a neighbour, corners included, with another label."""
     most, least = label, label
     for axis in range(label.ndim):
         most = among_neighbours(np.maximum, most, axis)
@@ -355,7 +361,7 @@ def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
 
 
 def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarray:
-    """The largest, or least, of each value and its two neighbours along an axis."""
+    """Picks the largest, or least, of each value and its two neighbours along an axis."""
     picked = values.copy()
     here, there = (np.moveaxis(array, axis, 0) for array in (picked, values))
     pick(here[1:], there[:-1], out=here[1:])
@@ -364,7 +370,10 @@ def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarra
 
 
 def axes_around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
-    """Axes of a window around a gait's state; with phidot and joints among them, a slice there."""
+    """Returns the axes of a window around a gait's state.
+
+    Where the state has phidot and joints too, they are fixed at their values there.
+    """
     theta, thetadot, *others = map(float, np.asarray(state))
     middle = theta + thetadot if names[1] == "sum" else thetadot
     below, above = (0.5, 0.3) if "phidot" in names else (0.25, 0.1)

@@ -1,14 +1,15 @@
-"""Is this the same code? One walk over it, for programs in memory and on disk, and for stores.
+"""Identity of code: whether a function, a class or a value is the same as before.
 
-A program is made of functions as they are when they are traced, a stored result by the code that
-computed it. Each is used again only for the same code, which reads the same values. What counts:
+A compiled program depends on its functions as they were when JAX traced them, a stored result on
+the code that computed it. Each is used again only while the code is the same, which means:
 
-- of a function its code, defaults and closure, and the globals that it reads, those of modules too;
-- of a class its bases and attributes; of what is made of functions, such as a bound method, these;
-- of containers, arrays and plain values what they hold.
+- for a function, its code, defaults and closure, and the globals it reads, in modules too;
+- for a class, its bases and attributes;
+- for an object made of functions, such as a bound method, those functions;
+- for containers, arrays and plain values, their contents.
 
-So it is with a user's own code; that of Python, of this package or installed counts by its name.
-`Walk` is for programs of this process, `ForStores` for stores, and `program_cache.Reach` for
+All this holds for a user's own code; code of Python, of this package or installed counts by name.
+`Describer` serves programs of this process, `StoreDescriber` stores, and `program_cache.Reach`
 programs on disk.
 """
 
@@ -32,40 +33,40 @@ import numpy as np
 
 PACKAGE = __name__.partition(".")[0]
 USED = "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy", "llvmlite"
-"""Packages on whose version a program depends."""
+"""Packages whose version a program depends on."""
 KNOWN = {PACKAGE, *USED, *sys.builtin_module_names, "collections"}
-"""Where code comes from that versions tell apart."""
+"""Origins of code that versions identify."""
 FOLDER, STANDARD = Path(__file__).parent, Path(os.__file__).parent
 PLAIN = {str, bytes, bool, int, float, complex, range, slice, type(None), type(...)}
-"""Types of values that their words tell from all others."""
+"""Types whose values are identified by their `repr`."""
 LARGEST = 2**16
-"""Bytes of an array that a process compares by its values; a larger one is equal to itself."""
+"""Bytes of the largest array that is compared by its values; a larger one equals only itself."""
 MOST = 4096
-"""Codes, trees, modules and files of which it is remembered what they are, each."""
+"""Size of each cache of descriptions: of codes, trees, modules and files."""
 PARTS = "__wrapped__ __func__ __self__ fget func args keywords fun jvp fwd bwd".split()
-"""Attributes that hold what something is made of, a function among them."""
+"""Attributes that hold the parts of an object made of functions."""
 DERIVED = set(
     "__dict__ __weakref__ __doc__ _abc_impl __annotations__ __module__ __annotate_func__ "
     "__annotations_cache__ __static_attributes__ __firstlineno__ __dataclass_params__ "
     "__parameters__ __orig_bases__".split()
 )
-"""Attributes of classes that Python derives from the others, or takes from the lines of a file."""
+"""Attributes of classes that Python derives from the others, or from the lines of a file."""
 DEFINED = types.FunctionType | type
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 token_of_process = secrets.token_hex()
-"""It stands for what cannot be told from something else."""
+"""Identifies this process, for objects that cannot be described in another one."""
 
 
 class AsItIs:
     """A user's function, equal to another one of the same code that reads the same values.
 
-    As a static argument of `jax.jit` it is traced again where what it reads has changed.
+    As a static argument of `jax.jit` it is traced again when the values that it reads have changed.
     """
 
     def __init__(self, function: Any, state: Hashable = None):
         self.function = function
-        self.state = Walk().describe(function) if state is None else state
+        self.state = Describer().describe(function) if state is None else state
 
     def __call__(self, *args):
         return self.function(*args)
@@ -77,31 +78,31 @@ class AsItIs:
         return hash(self.state)
 
 
-class Walk:
-    """Describes code so that equal descriptions, within a process, are of the same code."""
+class Describer:
+    """Describes code so that, within a process, equal descriptions mean the same code."""
 
     largest = LARGEST
 
     def __init__(self):
         self.found: list[Any] = []
-        """Things with a description of their own, kept so that their ids stay their own."""
+        """Objects with their own description; keeping them keeps their ids from being reused."""
         self.numbers: dict[int, int] = {}
 
     def describe(self, *values: Any) -> tuple[Hashable, ...]:
-        """The words of values, and then of all that these refer to, each thing once."""
+        """Describes values, and then every object that these refer to, once each."""
         words = tuple(map(self.words, values))
-        return words, *map(self.describe_found, self.found)  # to which more is added meanwhile
+        return words, *map(self.describe_found, self.found)  # the list grows meanwhile
 
     def words(self, value: Any) -> Hashable:
-        """A value in words, or the number of its description."""
+        """Returns a hashable form of a value, or the number of its description."""
         if type(value) in PLAIN:
             return None if value is None else (type(value).__name__, repr(value))
         if id(value) in self.numbers:
             return self.numbers[id(value)]
         if isinstance(value, types.CodeType):
-            return words_of_code(value)
+            return hash_of_code(value)
         if isinstance(value, types.CellType):
-            with contextlib.suppress(ValueError):  # it may be empty
+            with contextlib.suppress(ValueError):  # the cell may be empty
                 return self.words(value.cell_contents)
             return ()
         if isinstance(value, tuple):
@@ -141,7 +142,7 @@ class Walk:
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
         read = ((name, self.words(value)) for name, value in globals_of(function).items())
-        return words_of_code(function.__code__), *read
+        return hash_of_code(function.__code__), *read
 
     def describe_class(self, kind: type) -> Hashable:
         if not self.opens(kind):
@@ -150,15 +151,15 @@ class Walk:
         return self.name(kind), self.words(kind.__bases__), *named
 
     def opens(self, definition: Any) -> bool:
-        """Whether more counts of a definition than its name."""
+        """Returns whether a definition counts by more than its name."""
         return is_own(home_of(definition))
 
     def name(self, definition: Any) -> Hashable:
-        """The name by which a definition counts: within a process it is itself."""
+        """Returns the name by which a definition counts; within a process, the object itself."""
         return AsItIs(definition, id(definition))
 
     def describe_thing(self, value: Any) -> Hashable:
-        """Within a process a thing is itself, or what it says that it is equal to."""
+        """Returns the object, or any other that it is equal to, within a process."""
         alike = type(value).__eq__ is not object.__eq__
         with contextlib.suppress(Exception):  # whatever its class raises
             hash(value)
@@ -167,39 +168,39 @@ class Walk:
 
 
 def parts_of(value: Any) -> list[Any]:
-    """The parts of something that is made of functions; none of anything else."""
+    """Returns the parts of an object that is made of functions; none of any other."""
     parts = [getattr(value, name, None) for name in PARTS]
     made = any(part is not None for part in parts) and any(map(callable, (value, *parts)))
     return parts if made else []
 
 
 def values_in(value: Any, largest: int) -> Hashable:
-    """The values of an array; None for anything else, and for a larger one."""
+    """Identifies an array by its values; None for anything else, and for a larger array."""
     if isinstance(value, np.ndarray | np.generic | jax.Array):
-        with contextlib.suppress(TypeError):  # of a tracer, or of a key
+        with contextlib.suppress(TypeError):  # raised by tracers and keys
             if value.dtype != object and value.nbytes <= largest:
-                return str(value.dtype), value.shape, digest_of(np.asarray(value).tobytes())
+                return str(value.dtype), value.shape, sha256_of(np.asarray(value).tobytes())
     return None
 
 
-def digest_of(content: Any) -> str:
+def sha256_of(content: Any) -> str:
     content = content if isinstance(content, bytes) else repr(content).encode()
     return hashlib.sha256(content).hexdigest()
 
 
 @functools.lru_cache(MOST)
-def words_of_code(code: types.CodeType) -> str:
-    """A hash of what a code does, wherever it stands in its file."""
+def hash_of_code(code: types.CodeType) -> str:
+    """Hashes what a code object does, wherever it stands in its file."""
     names = code.co_qualname, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
-    words = code.co_code, code.co_exceptiontable, names, counts, Walk().words(code.co_consts)
-    return digest_of(words)
+    words = code.co_code, code.co_exceptiontable, names, counts, Describer().words(code.co_consts)
+    return sha256_of(words)
 
 
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
-    """Values that a function reads by the names around it, and within modules among these.
+    """Returns the globals that a function reads, also as attributes of modules.
 
-    What is installed does not change. Of this package's own names those in lower case do.
+    Left out are installed modules, which do not change, and this package's lower-case variables.
     """
     found, own, inside = {}, is_own(home_of(function)), names_used(function.__code__)
     read = names_used(function.__code__, *READING) if own else inside
@@ -217,7 +218,7 @@ def globals_of(function: types.FunctionType) -> dict[str, Any]:
 
 @functools.lru_cache(MOST)
 def names_used(code: types.CodeType, *how: str) -> list[str]:
-    """The names that a code and those within it use, by some instructions or by any."""
+    """Returns the names in a code object and those within it, by some instructions or by any."""
     names = set(code.co_names)
     if how:
         names = {one.argval for one in dis.get_instructions(code) if one.opname in how}
@@ -226,50 +227,51 @@ def names_used(code: types.CodeType, *how: str) -> list[str]:
 
 
 def home_of(definition: Any) -> types.ModuleType | None:
-    """The module of a definition; of a compiled package that names modules freely, the package."""
+    """Returns the module of a definition; the package, if a compiled one names modules freely."""
     if isinstance(definition, types.ModuleType):
         return definition
     name = getattr(definition, "__module__", None)
-    if isinstance(definition, types.FunctionType):  # a decorator's has the names of another one
+    # A decorated function has the name of another module.
+    if isinstance(definition, types.FunctionType):
         name = definition.__globals__.get("__name__")
     return sys.modules.get(str(name)) or sys.modules.get(str(name).partition(".")[0])
 
 
 def top_of(home: types.ModuleType | None) -> str:
-    """The package that a module is in."""
+    """Returns the name of the package that a module is in."""
     return getattr(home, "__name__", "").partition(".")[0]
 
 
 def file_of(home: types.ModuleType | None) -> Path | None:
-    """The file of a module's code, if there is one."""
+    """Returns the file of a module's code, if there is one."""
     path = Path(str(getattr(home, "__file__", None)))
     return path if path.name.endswith((*all_suffixes(),)) and path.is_file() else None
 
 
 def root_of(home: types.ModuleType, path: Path) -> Path:
-    """The folder in which a module of this file is, or the package that it is in."""
+    """Returns the folder that holds a module of this file, or its top package."""
     spec = getattr(home, "__spec__", None)
-    name = home.__name__ if spec is None else spec.name  # that of a program is __main__
+    name = home.__name__ if spec is None else spec.name  # a program's own name is __main__
     depth = name.count(".") + (path.name == "__init__.py")
     return path.parents[min(depth, len(path.parents) - 1)]
 
 
 @functools.lru_cache(MOST)
 def is_own(home: types.ModuleType | None) -> bool:
-    """Whether a module is of a user's own: not known, and not installed."""
+    """Returns whether a module is the user's own: neither known nor installed."""
     path = file_of(home)
     installed = home is not None and path is not None and holds_packages(root_of(home, path))
     return not is_known(home) and not installed
 
 
 def is_known(home: types.ModuleType | None) -> bool:
-    """Whether a module is of this package, of one that it uses, or of Python."""
+    """Returns whether a module is part of this package, of one that it uses, or of Python."""
     path = file_of(home)
     return top_of(home) in KNOWN or (path is not None and is_known_file(path))
 
 
 def is_known_file(path: Path) -> bool:
-    """Whether a file is of this package or of the standard library."""
+    """Returns whether a file is part of this package or of the standard library."""
     if path.is_relative_to(STANDARD):
         return path.relative_to(STANDARD).parts[0] not in ("site-packages", "dist-packages")
     return path.is_relative_to(FOLDER)
@@ -277,27 +279,26 @@ def is_known_file(path: Path) -> bool:
 
 @functools.cache
 def holds_packages(folder: Path) -> bool:
-    """Whether packages are installed in a folder: they are not of one project."""
+    """Returns whether a folder holds installed packages, rather than one project."""
     return folder == STANDARD or any(folder.glob("*.dist-info"))
 
 
 def code_fingerprint(kind: type, parts: tuple = ()) -> str:
-    """A hash of the code of a system's class, and of other parts of it, such as the function of a
-    map; empty for a class of the package without them.
+    """Hashes the code of a system's class, and other parts, such as the function of a map.
 
-    It covers the files of the class and of its bases, and what these import from the same folder or
-    package, as they were when they were loaded. Where a class has no file, it covers its functions
-    and what they use. Data that the code reads from other files is not covered.
+    The hash is empty for a class of the package without other parts. It covers the files of the
+    class and its bases, and their imports from the same folder or package, as loaded; without a
+    file, the functions and what they use. It does not cover data in other files.
     """
-    walk = ForStores(kind)
-    if not walk.bases and not parts:
+    describer = StoreDescriber(kind)
+    if not describer.bases and not parts:
         return ""
-    described = walk.describe(*walk.bases, *parts)
-    return digest_of([described, sorted(walk.sources.items())])[:16]  # alike once in 2^64
+    described = describer.describe(*describer.bases, *parts)
+    return sha256_of([described, sorted(describer.sources.items())])[:16]  # alike once in 2^64
 
 
-class ForStores(Walk):
-    """Describes code for other processes: its files, as they were loaded; what it is without."""
+class StoreDescriber(Describer):
+    """Describes code for other processes: by its files, as loaded, or else by its parts."""
 
     largest = sys.maxsize
 
@@ -305,7 +306,7 @@ class ForStores(Walk):
         super().__init__()
         self.bases = [one for one in kind.__mro__ if not is_known(home_of(one))]
         self.sources: dict[str, bytes] = {}
-        """Contents of files, by their paths from the folder in which their module or package is."""
+        """Contents of files, by their paths from the folder that holds their module or package."""
         for one in self.bases:
             self.add_file_of(one)
 
@@ -326,19 +327,19 @@ class ForStores(Walk):
         return super().describe_code(function)
 
     def describe_class(self, kind: type) -> Hashable:
-        """One that a function makes may hold what is in no file."""
+        """A class that a function makes may depend on more than its file."""
         in_file = "<locals>" not in kind.__qualname__ and self.add_file_of(kind)
         return self.name(kind) if in_file else super().describe_class(kind)
 
     def describe_thing(self, value: Any) -> Hashable:
-        """As pickle does. What cannot be pickled is equal to nothing in another process."""
+        """Describes an object as pickle does; without a pickle, it equals nothing elsewhere."""
         try:
             return self.words(value.__reduce_ex__(2))
         except Exception:  # whatever its class raises
             return token_of_process, id(value)
 
     def add_file_of(self, definition: Any) -> bool:
-        """Add the file of a definition that is looked at; whether there is one."""
+        """Adds the file of a definition that is described; returns whether there is one."""
         home = home_of(definition)
         path = file_of(home) if self.opens(definition) else None
         if home is not None and path is not None:
@@ -346,13 +347,13 @@ class ForStores(Walk):
         return path is not None
 
     def add_file(self, path: Path, root: Path) -> None:
-        """Add a file, and what it imports from below the root; if installed, of its package."""
+        """Adds a file, and what it imports from below the root; if installed, from its package."""
         name, own = path.relative_to(root).as_posix(), path.relative_to(root).with_suffix("").parts
         if name in self.sources or is_known_file(path):
             return
         self.sources[name] = source = read_loaded(path)
         imports = imports_in(source) if path.suffix == ".py" else []
-        for level, words in [(0, own), *imports]:  # to import a module is to import its packages
+        for level, words in [(0, own), *imports]:  # importing a module imports its packages
             base = path.parents[level - 1] if level else root
             within = level > 0 or words[0] == own[0] or not holds_packages(root)
             if within and base.is_relative_to(root):
@@ -361,15 +362,15 @@ class ForStores(Walk):
 
 
 kept: dict[Path, tuple[object, bytes]] = {}
-"""Contents of files, and what stood for their modules then: a file in use may be edited."""
+"""Contents of files, and the spec of their modules at that time: a file in use may be edited."""
 
 
 def read_loaded(path: Path) -> bytes:
-    """The content of a module's file when that was loaded last, or at the first call after that."""
+    """Returns a module's file as it was at its last loading, or at the first call after that."""
     modules = ((str(getattr(one, "__file__", "")), one) for one in [*sys.modules.values()])
     same = (one for file, one in modules if file.endswith(path.name) and Path(file) == path)
     module = next(same, None)
-    loaded = getattr(module, "__spec__", None) or module  # to load it anew makes another
+    loaded = getattr(module, "__spec__", None) or module  # reloading makes another spec
     if loaded is None or path not in kept or kept[path][0] is not loaded:
         kept[path] = loaded, path.read_bytes()
     return kept[path][1]
@@ -377,9 +378,9 @@ def read_loaded(path: Path) -> bytes:
 
 @functools.lru_cache(MOST)
 def imports_in(source: bytes) -> list[tuple[int, Sequence[str]]]:
-    """Imports of a program, anywhere in it: the dots before a name, and its words."""
+    """Returns all imports of a program: the dots before a name, and the parts of the name."""
     found: list[tuple[int, Sequence[str]]] = []
-    with contextlib.suppress(SyntaxError, ValueError):  # it cannot be imported either
+    with contextlib.suppress(SyntaxError, ValueError):  # such a file cannot be imported either
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.Import):
                 found += [(0, one.name.split(".")) for one in node.names]
@@ -390,7 +391,7 @@ def imports_in(source: bytes) -> list[tuple[int, Sequence[str]]]:
 
 
 def located(folder: Path, words: Sequence[str]) -> Iterator[Path]:
-    """Files that are run to import a name from a folder; its last words may be within a module."""
+    """Yields the files that an import from a folder runs; the name may end within a module."""
     for word in words:
         for path in (folder / word / "__init__.py", folder / f"{word}.py"):
             if path.is_file():

@@ -1,11 +1,11 @@
-"""The errors that the package raises: for wrong use, and for a computation that failed."""
+"""The errors that the package raises, for wrong use and for failed computations."""
 
 
 class Refusal(Exception):
     """An error of one line, in one part or two: what is wrong, and what to do.
 
-    It is `of` arguments, whose names have spaces between them: the last part says each, last as a
-    word of its own. The command line puts its options in their places.
+    `of` names the arguments at fault, separated by spaces. The last part of the message contains
+    each name as a word; the command line puts its options in their places.
     """
 
     def __init__(self, *said: str, of: str = ""):
@@ -19,17 +19,18 @@ class Refusal(Exception):
 class WrongUse(Refusal, ValueError):
     """An argument is refused. The package raises no other `ValueError` of its own.
 
-    So one that is no `WrongUse` comes from within a computation, as NumPy's `LinAlgError` does.
+    A `ValueError` that is no `WrongUse` comes from within a computation, as NumPy's `LinAlgError`
+    does.
     """
 
 
 class WrongPlace(WrongUse):
-    """A place on disk is refused: what is wrong there, and perhaps the arguments that help."""
+    """A place on disk is refused: the message says what is wrong, and which arguments may help."""
 
 
 class ComputationFailed(Refusal, RuntimeError):
-    """A computation came to no answer, for the reason given, though its arguments are right."""
+    """A computation failed, for the reason given, though its arguments are right."""
 
 
 class NotWritten(ComputationFailed):
-    """The system refuses to write a result: where and why, and how it is resumed."""
+    """The system refused to write a result: the message says where, why, and how to resume."""

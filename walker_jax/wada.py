@@ -1,10 +1,10 @@
-"""Whether three regions or more have one boundary in common: the Wada property, by merging.
+"""The Wada property: whether three regions or more share one boundary.
 
 A boundary is Wada if every point of it is a boundary point of all regions. Merge all regions but
-one: the boundary between that one and the rest is the same, whichever is left out, if and only if
-the boundary is Wada (Daza, Wagemakers and Sanjuan 2018, Scientific Reports 8, 9954). On a grid two
-boundaries are the same up to a distance of cells, which a finer grid must bring down: what is not
-Wada keeps its distance.
+one: the boundary between that region and the rest is the same for every choice of the region if and
+only if the boundary is Wada (Daza, Wagemakers and Sanjuan 2018, Scientific Reports 8, 9954). On a
+grid, two boundaries agree only up to a distance of some cells. That distance shrinks on finer grids
+if the boundary is Wada, and stays otherwise.
 """
 
 from __future__ import annotations
@@ -17,42 +17,42 @@ from jaxtyping import Array, Bool, Float, Int
 from walker_jax.checks import WrongUse, array, check_number, check_whole, refuses_tracers, short
 
 MIN_REGIONS = 3
-"""Regions that a boundary can be common to in the sense of Wada: two always have theirs."""
+"""Fewest regions for the Wada property: two regions always share their boundary."""
 RADIUS = 5.0
-"""Cells within which two boundaries count as one by default."""
+"""Default distance, in cells, within which two boundaries count as one."""
 HALVINGS = 3
-"""Coarser grids that are compared by default."""
+"""Default number of coarser grids to compare."""
 SHRINKS = 0.75
-"""Largest ratio of the mean distances of Wada boundaries on a grid and on one twice as coarse. It
-is 0.39 to 0.56 for those of Newton's method, and 0.92 to 1.37 for two curves a few cells apart."""
+"""Largest ratio of mean distances on successive grids of a Wada boundary. The ratio is 0.39 to 0.56
+for basins of Newton's method, and 0.92 to 1.37 for two curves a few cells apart."""
 
 
 class Wada(NamedTuple):
-    """How far the boundary of each region is from that of each other one, on several grids."""
+    """Distances between the boundaries of regions, on several grids."""
 
     labels: Float[np.ndarray, " n"]
-    """Of the regions."""
+    """Labels of the regions."""
     spacings: Int[np.ndarray, " grids"]
-    """Of the points of each grid, in cells of the finest: 1, 2, 4 ..."""
+    """Spacing of the points of each grid, in cells of the finest: 1, 2, 4 ..."""
     distances: Float[np.ndarray, "grids n n"]
-    """[g, j, k]: of all points of the boundary of region j, how far the farthest is from that of
-    region k, in cells of the finest grid; infinite where k has none. NaN where j has none, and on a
-    grid whose points miss one of the regions."""
+    """[g, j, k]: largest distance of a point on the boundary of region j from the boundary of
+    region k, in cells of the finest grid. Infinite where k has no boundary; NaN where j has none,
+    and on a grid whose points miss one of the regions."""
     beyond: Float[np.ndarray, "grids n n"]
-    """[g, j, k]: share of the boundary of j farther than the radius from that of k, the radius in
-    points of this grid."""
+    """[g, j, k]: share of the boundary of j farther than the radius from that of k. The radius is
+    in points of this grid."""
     mean_distances: Float[np.ndarray, "grids n n"]
-    """[g, j, k]: the mean where `distances` has the largest."""
+    """[g, j, k]: the mean distance, where `distances` has the largest."""
 
     @property
     def wada(self) -> bool:
-        """Whether all boundaries are the same within the radius, the closer the finer the grid.
+        """Whether all boundaries agree within the radius, and agree better on the finest grid.
 
-        All regions have a boundary on the finest grid, nowhere farther than the radius from that of
-        each other one, and the mean distance is `SHRINKS` of that on the next grid, or less; so it
-        is False without a coarser grid. Boundaries that are truly apart keep their distance. Many
-        thin regions one beside the other, of a cell or less, are like Wada's on a grid, and so is
-        noise: only a finer grid tells.
+        All regions must have a boundary on the finest grid, and no point of it may be farther than
+        the radius from any other boundary. The mean distance must be at most `SHRINKS` times that
+        on the next grid, so the answer is False without a coarser grid. Boundaries that are truly
+        apart keep their distance. Thin regions side by side, a cell wide or less, look like a Wada
+        boundary on a grid, and so does noise: only a finer grid tells.
         """
         if len(self.spacings) == 1 or not (self.beyond[0] == 0).all():
             return False
@@ -63,8 +63,8 @@ class Wada(NamedTuple):
     def share(self) -> Float[np.ndarray, " grids"]:
         """The largest share of a boundary that another boundary lacks, on each grid.
 
-        It is zero, or falls towards zero on finer grids, if the boundary is Wada; but also if
-        boundaries are merely near each other, as those of thin regions are.
+        If the boundary is Wada, it is zero or falls towards zero on finer grids. It also falls if
+        boundaries are merely close, as those of thin regions are.
         """
         return np.fmax.reduce(self.beyond, axis=(1, 2))
 
@@ -76,19 +76,25 @@ def merge_regions(
     *,
     halvings: int = HALVINGS,
 ) -> Wada:
-    """The boundaries of regions, each against all others merged: are they one, as Wada's are?
+    """Compares the boundary of each region, all others merged, to test the Wada property.
 
-    A point of the grid is on the boundary of a region if of it and its neighbours, corners
-    included, one is in the region and one is in another. Distances are Chebyshev's, the largest of
-    the axes. The grids of every second, fourth ... point show how distances and shares go with the
-    resolution.
+    A point of the grid is on the boundary of a region if one of it and its neighbours, corners
+    included, is in the region and another is in a different region. Distances are Chebyshev
+    distances, the largest over the axes. Grids of every second, fourth ... point show how distances
+    and shares change with the resolution.
 
     **Arguments:**
 
     - `labels`: of `MIN_REGIONS` regions or more, at regularly spaced points; negative where a point
       is in no region.
     - `radius`: distance, in points of a grid, at which boundaries still count as one.
-    - `halvings`: how many coarser grids are compared too.
+    - `halvings`: number of coarser grids that are compared too.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
+    data = wj.basin(wj.SimplestWalker(0.004), grid)
+    wj.merge_regions(data.fate.values).wada  # do all fates share one boundary?
+    ```
 
     Raises ValueError for fewer regions, and for grids too small to be made coarser that often.
     """
@@ -127,7 +133,7 @@ def merge_regions(
 
 
 def check_radius(radius: float | int) -> None:
-    """Refuse what is no distance."""
+    """Raises `WrongUse` unless the radius is a distance."""
     check_number("radius", radius)
     if not 0 <= radius < np.inf:
         raise WrongUse(f"radius={radius}: must be zero or more, and finite")
@@ -136,14 +142,14 @@ def check_radius(radius: float | int) -> None:
 def boundary_of(
     inside: Bool[np.ndarray, "*cells"], outside: Bool[np.ndarray, "*cells"]
 ) -> Bool[np.ndarray, "*cells"]:
-    """The points of which, and of their neighbours, some are inside and some outside."""
+    """Marks the points where, of the point and its neighbours, one is inside and one outside."""
     from scipy.ndimage import maximum_filter
 
     return np.logical_and(maximum_filter(inside, 3), maximum_filter(outside, 3))
 
 
 def distance_from(points: Bool[np.ndarray, "*cells"]) -> Float[np.ndarray, "*cells"]:
-    """Chebyshev's distance of each cell from the nearest of some; infinite without any."""
+    """Returns the Chebyshev distance of each cell from the nearest point; infinite without any."""
     from scipy.ndimage import distance_transform_cdt
 
     if not points.any():

@@ -161,9 +161,9 @@ def test_starts_of_one_fate_are_told_what_it_hides():
 
 
 def test_of_all_margins_that_nearest_to_zero_is_named(monkeypatch):
-    made_up = np.full((len(edge_states.WAYS), 2), np.nan)
+    made_up = np.full((len(edge_states.MARGIN_NAMES), 2), np.nan)
     made_up[1], made_up[4, 0] = (-0.3, 0.2), 1e-12
-    found = SimpleNamespace(**dict(zip(edge_states.WAYS, made_up, strict=True)))
+    found = SimpleNamespace(**dict(zip(edge_states.MARGIN_NAMES, made_up, strict=True)))
     monkeypatch.setattr(edge_states, "for_each_start", lambda *args: found)
     nearest = edge_states.failing_margin(WALKER, np.zeros((2, 2)), Integrator(1e-12))
     assert nearest == ("landing", 1e-12)

@@ -251,10 +251,10 @@ def test_a_session_is_described_alike_in_another_process(fingerprint):
     )
     program = f"""
 import walker_jax as wj
-from walker_jax.identity import ForStores
+from walker_jax.identity import StoreDescriber
 names = {{"__name__": "console", "wj": wj}}
 exec({source!r}, names)
-found = ForStores().describe(names["helper"], names["Inner"], names["W"].impact)
+found = StoreDescriber().describe(names["helper"], names["Inner"], names["W"].impact)
 """
     names: dict[str, Any] = {}
     given = {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1", "PYTHONHASHSEED": "1"}

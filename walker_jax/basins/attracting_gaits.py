@@ -1,6 +1,6 @@
-"""The gait that attracts: the cycle with the largest basin, as Newton's iteration finds it.
+"""The attracting gait: the cycle with the largest basin, as Newton's iteration finds it.
 
-Measures that stand beside a basin, such as the speed, are those of this gait. A search without a
+Measures reported beside a basin, such as the speed, are measures of this gait. A search without a
 guess may end in another gait, unstable or with a smaller basin.
 """
 
@@ -19,14 +19,15 @@ from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.system import System
 
 STARTS = 2**11, 2**13, 2**15
-"""Sizes of the samples of a grid by which its gait is found, each where the one before has not told
-which basin is the largest. A basin of 1 % of the cells has twenty starts of the first."""
+"""Sizes of the samples of a grid in which its gait is looked for. A larger sample follows if the
+one before does not tell which basin is the largest. A basin of 1 % of the cells has about twenty
+starts in the first."""
 LEAD = 3.0
-"""Standard errors by which the largest basin of a sample must lead the next."""
+"""Standard errors by which the largest basin of a sample must exceed the next."""
 
 
 def gait_of_basins(walker: System, data: xr.Dataset, tolerance: float | None) -> Gait | None:
-    """The gait with the most cells in a data set of `basin` or `refine`; None if none attracts."""
+    """Finds the gait with the most cells in a data set of `basin` or `refine`; None without one."""
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
         return None
@@ -36,19 +37,19 @@ def gait_of_basins(walker: System, data: xr.Dataset, tolerance: float | None) ->
 
 
 def gait_of_grid(walker: System, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
-    """The gait to which most walkers converge from a sample of a grid's cells; None if none do."""
+    """Finds the gait to which most of a sample of a grid's cells converge; None if none do."""
     integrator = integrator_of(jnp.asarray(0.0).dtype, tolerance)
     largest = None
     for count in STARTS:
         starts = grid.centres(sample_indices(grid.size, count))
-        # The first stands for all motions without a period: whether they last does not matter.
+        # The first attractor stands for all motions without a period, whether they last or not.
         mapper = Mapper(walker, [Attractor(None, starts[:1])], integrator, strides)
         mapper = mapper.with_attractors_from(starts)
         labels = mapper(starts)
         sizes = np.bincount(labels.attractor[labels.converged], minlength=2)
         if sizes.any():
             largest = mapper.attractors[int(sizes.argmax())].states
-        elif len(labels.remaining):  # on a motion without a period
+        elif len(labels.remaining):  # a motion without a period
             return None
         *_, second, first = np.sort(sizes)
         if count >= grid.size or first - second > LEAD * np.sqrt(first + second):
@@ -59,13 +60,13 @@ def gait_of_grid(walker: System, grid: Grid, strides: int, tolerance: float | No
 def stable_gait(
     walker: System, states: Float[np.ndarray, "period section"], tolerance: float | None
 ) -> Gait | None:
-    """The gait of an attractor with these states; None where Newton's iteration finds it not."""
+    """Finds the stable gait of an attractor with these states; None if Newton's iteration fails."""
     gait = search_gait(walker, states, len(states), tolerance=tolerance)
     return gait if gait.found and gait.stable else None
 
 
 def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
-    """How the gait of a search without a guess differs from that which attracts; empty if not.
+    """Says how a gait found without a guess differs from the attracting one; empty if it does not.
 
     Where none attracts, a search that finds no stable gait agrees.
     """
@@ -87,7 +88,7 @@ def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
 
 
 def is_same_cycle(one: Gait, other: Gait) -> bool:
-    """Whether two gaits have the same states, from whichever they begin."""
+    """Returns whether two gaits have the same states, whichever comes first."""
     states, others = np.asarray(one.states), np.asarray(other.states)
     radius = capture_radius(states.dtype)
     rotations = (np.roll(others, shift, axis=0) for shift in range(len(others)))

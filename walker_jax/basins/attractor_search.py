@@ -1,4 +1,4 @@
-"""The search for attractors: cycles of strides, and sets that never repeat."""
+"""The search for attractors: cycles of strides, and attracting sets that never repeat."""
 
 from collections.abc import Sequence
 
@@ -20,40 +20,43 @@ from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate, orbits
 
 SAMPLE = 2**14
-"""Starts that are followed in search of attractors."""
+"""Number of starts that are followed in search of attractors."""
 SCOUTS = 2**8
-"""Starts that are followed first: on what they find, most of the others end."""
+"""Number of starts that are followed first; most of the others end on the cycles that these
+find."""
 LONGEST_PERIOD = 64
-"""Strides in the longest cycle that is recognised as one."""
+"""Longest cycle, in strides, that is recognised as one."""
 PATIENCE = 8
-"""Times `LONGEST_PERIOD`: strides in which a walker is to converge to a cycle."""
+"""Rounds of `LONGEST_PERIOD` strides in which a walker is to converge to a cycle."""
 ATTEMPTS = 8
-"""Walkers that have not, for which a cycle is solved for."""
+"""Number of undecided walkers from which Newton's iteration solves for a cycle."""
 NEARLY = 1e-4
-"""Distance to which a walker has come back by then if it approaches a cycle, however slowly: at a
-period doubling it approaches like the inverse square root of the strides, and after n of them
-comes back to n^-3/2. On a motion without a period it comes back to a 64th of that, some 1e-3."""
+"""Distance to which a walker that approaches a cycle, however slowly, has returned after those
+rounds. At a period doubling the distance from the cycle falls like n^-1/2 after n strides, and the
+distance of a return like n^-3/2. A motion without a period returns to about 1e-3, the best of 64
+tries."""
 
 
 BLOCKS = 4
-"""Stretches of `LONGEST_PERIOD` strides, over which walkers come nearer to a cycle or leave it."""
+"""Number of stretches of `LONGEST_PERIOD` strides, over which walkers come nearer to a cycle or
+leave it."""
 MAX_DISTANCES = 2**24
-"""Most distances from the states of a cycle at once, an eighth of a gigabyte."""
+"""Most distances from the states of a cycle that are held at once: an eighth of a gigabyte."""
 WITNESSES = 128
-"""Walkers that are followed to see whether a motion without a period goes on."""
+"""Number of walkers followed to see whether a motion without a period lasts."""
 SURVIVAL = 1000, 2000
-"""Strides after which all of them are on it, and strides in which none may fall or converge to a
-cycle then: a transient with a mean life of less than some 85,000 strides is told from an
-attractor."""
+"""Strides after which all of these walkers are on it, and further strides in which none may fall or
+converge to a cycle. This tells an attractor from a transient whose mean life is below some 85,000
+strides."""
 
 
 def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
-    """Some of many points, evenly spread over their order."""
+    """Returns some of many points, evenly spread over their order."""
     return x[sample_indices(len(x), most)]
 
 
 def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
-    """Indices of a sample of n things, evenly spread over their order."""
+    """Returns the indices of a sample of n items, evenly spread over their order."""
     return np.linspace(0, n - 1, min(n, most)).astype(int)
 
 
@@ -63,18 +66,18 @@ def find_attractors(
     integrator: Integrator,
     known: Sequence[Attractor] = (),
 ) -> list[Attractor]:
-    """The known attractors, and those to which walkers converge that start at x.
+    """Finds the attractors to which walkers converge from x, and adds them to the known ones.
 
-    Walkers are followed until each has failed, or repeats itself to rounding. For those that do
-    neither in some hundred strides, as close to a period doubling, a stable cycle is solved for.
-    Where there is none, and none of them falls or converges to a cycle for long, they are on an
-    attractor without a period; one is added for them all.
+    Walkers are followed until each has failed, or repeats itself to rounding. Some do neither in
+    some hundred strides, as close to a period doubling: for these a stable cycle is solved for. If
+    there is none, and none of these walkers falls or converges to a cycle for long, they are on an
+    attractor without a period. One such attractor is added for them all.
     """
     found = list(known)
     if len(x) > SCOUTS:
         add_cycles(walker, sample(x, SCOUTS), found, integrator)
         if any(one.period for one in found):
-            x = x[not_on(found, walker, x, integrator)]
+            x = x[stay_undecided(found, walker, x, integrator)]
     x, solved = add_cycles(walker, x, found, integrator)
     if len(x) and not solved and all(one.period for one in found):
         wandering = on_lasting_motion(walker, x[:WITNESSES], found, integrator)
@@ -89,10 +92,10 @@ def add_cycles(
     found: list[Attractor],
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "m section"], bool]:
-    """Add the cycles to which walkers converge.
+    """Adds the cycles to which walkers converge.
 
-    Returns where walkers are that neither failed nor came to a cycle, and whether some of them
-    approach one that was solved for.
+    Returns the states of walkers that neither failed nor came to a cycle, and whether some of them
+    approach a cycle that was solved for.
     """
     x, period, nearest = add_repeated(walker, x, found, integrator)
     slow = np.flatnonzero(nearest < NEARLY)[:ATTEMPTS]
@@ -113,10 +116,10 @@ def add_repeated(
     found: list[Attractor],
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "m section"], Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Add the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
+    """Adds the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
 
-    Returns where walkers are that neither failed nor came to a cycle, after how many strides each
-    came nearest to where it is, and how near.
+    For walkers that neither failed nor came to a cycle, it returns their states, the strides after
+    which each came nearest to its present state, and that distance.
     """
     exact = 1e3 * np.finfo(x.dtype).eps
     starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
@@ -129,11 +132,15 @@ def add_repeated(
         for start, path, miss in zip(
             starts[repeated], back[repeated], misses[repeated], strict=True
         ):
-            # a slow approach that alternates comes close to itself after two strides before one
+            # A slow approach that alternates returns close after two strides before it does after
+            # one.
             count = first_period(miss, capture_radius(x.dtype))
             cycle = new_cycle(path[:count][::-1], found)
-            # who started on an unstable cycle repeats itself too; who came to it was attracted
-            if cycle and (came_to(cycle, start) or attracts(walker, cycle.states, integrator)):
+            # A walker started on an unstable cycle repeats itself too; one that arrived there was
+            # attracted.
+            if cycle and (
+                began_elsewhere(cycle, start) or attracts(walker, cycle.states, integrator)
+            ):
                 found.append(cycle)
         x = back[:, 0]
         left = ~repeated & (match_attractor(x, found) < 0)
@@ -144,13 +151,13 @@ def add_repeated(
     return x, period, nearest
 
 
-def not_on(
+def stay_undecided(
     found: Sequence[Attractor],
     walker: System,
     x: Float[np.ndarray, "n section"],
     integrator: Integrator,
 ) -> Bool[np.ndarray, " n"]:
-    """Whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
+    """Returns whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
     targets, _ = targets_of(found, x.shape[1])
     end = iterate(walker, x, PATIENCE * LONGEST_PERIOD, integrator, targets)
     return (end.outcome == Outcome.STRIDE) & (end.target < 0)
@@ -162,9 +169,9 @@ def on_lasting_motion(
     cycles: Sequence[Attractor],
     integrator: Integrator,
 ) -> Int[np.ndarray, " m"]:
-    """Indices of the walkers on a motion that goes on, none if there is no such motion.
+    """Returns the indices of the walkers on a motion that lasts; none if there is no such motion.
 
-    They neither fall nor converge to a cycle for long, and later none of them does either.
+    They neither fall nor converge to a cycle for long, and none of them does so later either.
     """
     early, late = SURVIVAL
     left, x = still_wandering(walker, x, early, cycles, integrator)
@@ -179,7 +186,7 @@ def still_wandering(
     cycles: Sequence[Attractor],
     integrator: Integrator,
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
-    """The walkers that neither fall nor converge to a cycle in some strides, and their states."""
+    """Returns the walkers that neither fall nor converge to a cycle, and their states."""
     end = iterate(walker, x, strides, integrator)
     left = np.flatnonzero(end.outcome == Outcome.STRIDE)
     left = left[match_approaching(walker, end.state[left], cycles, integrator) < 0]
@@ -192,7 +199,7 @@ def match_approaching(
     attractors: Sequence[Attractor],
     integrator: Integrator,
 ) -> Int[np.ndarray, " n"]:
-    """Numbers of the cycles that walkers come ever nearer to, -1 for none."""
+    """Returns the numbers of the cycles that walkers come ever nearer to; -1 for none."""
     number = match_attractor(x, attractors, CLOSE)
     for i in np.unique(number[number >= 0]).tolist():
         near = np.flatnonzero(number == i)
@@ -207,10 +214,10 @@ def approaches(
     cycle: Float[np.ndarray, "period section"],
     integrator: Integrator,
 ) -> Bool[np.ndarray, " n"]:
-    """Whether walkers that are `CLOSE` to a cycle come ever nearer to it.
+    """Returns whether walkers that are `CLOSE` to a cycle come ever nearer to it.
 
-    The largest distance from the cycle falls from one stretch of strides to the next, or they
-    arrive. A walker on another motion, which passes by, goes away again.
+    They do if the largest distance from the cycle falls from one stretch of strides to the next, or
+    if they arrive. A walker on another motion, which passes by, moves away again.
     """
     largest = largest_distances(walker, x, cycle, integrator)
     nearer = (largest[:, 0] < 2 * CLOSE) & (np.diff(largest, axis=1) < 0).all(axis=1)
@@ -220,11 +227,11 @@ def approaches(
 def attracts(
     walker: System, cycle: Float[np.ndarray, "period section"], integrator: Integrator
 ) -> bool:
-    """Whether walkers that start beside a cycle stay there: they do not go ever farther away."""
+    """Returns whether walkers that start beside a cycle stay there, and do not move away."""
     radius = capture_radius(cycle.dtype)
     beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
     largest = largest_distances(walker, beside, cycle, integrator).max(axis=0)
-    return bool(largest[-1] < max(radius, 1.5 * largest[1]))  # else NaN: one has failed
+    return bool(largest[-1] < max(radius, 1.5 * largest[1]))  # False for NaN, after a failure
 
 
 def largest_distances(
@@ -233,7 +240,7 @@ def largest_distances(
     cycle: Float[np.ndarray, "period section"],
     integrator: Integrator,
 ) -> Float[np.ndarray, "n blocks"]:
-    """How far walkers go away from a cycle in each of `BLOCKS` stretches; NaN after a failure."""
+    """Returns the largest distance from a cycle in each stretch of strides; NaN after a failure."""
     largest = np.empty((len(x), BLOCKS), x.dtype)
     size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
     for start in range(0, len(x), size):
@@ -247,21 +254,21 @@ def largest_distances(
 def distance_from(
     cycle: Float[np.ndarray, "period section"], x: Float[np.ndarray, "*n section"]
 ) -> Float[np.ndarray, "*n"]:
-    """The largest difference in a coordinate from the nearest state of a cycle."""
+    """Returns the largest difference in a coordinate from the nearest state of a cycle."""
     return np.abs(x[..., None, :] - cycle).max(axis=-1).min(axis=-1)
 
 
 def stable_cycle(
     walker: System, start: Float[np.ndarray, " section"], period: int, integrator: Integrator
 ) -> Float[np.ndarray, "period section"] | None:
-    """The states of a stable cycle that a walker is `CLOSE` to, by Newton's iteration from it."""
+    """Finds a stable cycle `CLOSE` to a walker, by Newton's iteration; None if it fails."""
     _, cycles = cycle_guesses(walker, start[None], period, integrator)
     if len(cycles) == 0:
         return None
     gait = gait_at(iterate_newton(walker, cycles, integrator), 0)
     states = np.asarray(gait.states)
     exact = gait.residual < 1e3 * np.finfo(start.dtype).eps
-    stable = exact and np.abs(gait.multipliers[0]) < 1  # neither if NaN
+    stable = exact and np.abs(gait.multipliers[0]) < 1  # both False for NaN
     if not stable or not np.abs(states[0] - start).max() < CLOSE:
         return None
     misses = np.abs(np.roll(states, -1, axis=0) - states[0]).max(axis=1)
@@ -269,18 +276,18 @@ def stable_cycle(
 
 
 def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
-    """After how many strides a walk first comes back within a distance, given all distances."""
+    """Returns the strides to the first return within a distance, given all distances."""
     return int(np.flatnonzero(misses < within)[0]) + 1
 
 
 def new_cycle(
     states: Float[np.ndarray, "period section"], known: Sequence[Attractor]
 ) -> Attractor | None:
-    """A cycle, from its state of the smallest angle on; none if it is known."""
+    """Makes a cycle, from its state of the smallest angle on; None if it is known."""
     states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
     return None if match_attractor(states[:1], known)[0] >= 0 else Attractor(len(states), states)
 
 
-def came_to(cycle: Attractor, start: Float[np.ndarray, " section"]) -> bool:
-    """Whether a walk that ended on a cycle began elsewhere."""
+def began_elsewhere(cycle: Attractor, start: Float[np.ndarray, " section"]) -> bool:
+    """Returns whether a walk that ended on a cycle began elsewhere."""
     return bool(distance_from(cycle.states, start[None])[0] > capture_radius(start.dtype))

@@ -1,4 +1,4 @@
-"""A basin's data set summarised: cells by their fate, and its attractors."""
+"""Summary of a basin's data set: cells by their fate, and its attractors."""
 
 from typing import NamedTuple
 
@@ -12,22 +12,22 @@ from walker_jax.basins.volumes import runs_of
 from walker_jax.systems.outcomes import Outcome, failures_of, names_of_outcomes
 
 CELLS_AT_ONCE = 2**22
-"""Cells that are counted together, some 40 MB: a large data set does not fit into memory."""
+"""Cells that are counted together, some 40 MB: a large data set exceeds the memory."""
 
 
 class Tally(NamedTuple):
-    """Cells of a data set, counted."""
+    """Counts of the cells of a data set."""
 
     fates: Int[np.ndarray, " outcomes"]
     """Cells of each `Outcome`."""
     unmatched: int
     """Cells that walk on without coming near a known attractor."""
     strides: int
-    """Strides made from all cells, the failing ones among them."""
+    """Strides made from all cells, including the failing strides."""
 
 
 def tally(data: xr.Dataset) -> Tally:
-    """Count the cells of a basin's data set by their fate."""
+    """Counts the cells of a basin's data set by their fate."""
     if "run_fate" in data:
         fate, lengths = data["run_fate"].values, runs_of(data).lengths
         fates = np.bincount(fate, lengths, minlength=len(Outcome)).astype(int)
@@ -46,9 +46,10 @@ def tally(data: xr.Dataset) -> Tally:
 
 
 def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
-    """Cells, area, attractors and fates of a basin's data set, in what JSON can hold.
+    """Returns the cells, area, attractors and fates of a basin's data set, as JSON can hold them.
 
-    A refined basin has the error of its area too; over three dimensions both are of its `volume`.
+    A refined basin has the error of its area too. Over three dimensions the keys are `volume` and
+    `volume_error`.
     """
     names = names_of_outcomes(failures_of(data))
     size = {"area": float(data["area"].sum())}
@@ -65,7 +66,7 @@ def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
 
 
 def summarise_attractors(data: xr.Dataset) -> list[dict]:
-    """The attractors of a basin's data set; a motion that never repeats has the period None."""
+    """Returns the attractors of a basin's data set; the period is None for aperiodic ones."""
     mapped = [name for name in ("cycles", "falling") if name in data]
     return [
         {

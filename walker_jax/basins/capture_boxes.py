@@ -1,7 +1,7 @@
-"""Capture boxes: regions about the states of a cycle from which all walkers converge to it.
+"""Capture boxes: regions around the states of a cycle from which all walkers converge to it.
 
-Walkers need be followed only until they are in one. That all converge from there is seen on a
-sample of starts, and not proved: a box is half as large as the largest from which all of these do.
+A walker is followed only until it is in such a box. Convergence is checked on a sample of starts,
+and not proved; so a box is half as large as the largest from which the whole sample converges.
 """
 
 import numpy as np
@@ -12,20 +12,20 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.walking.iteration import iterate
 
 HALF_EDGES = 1e-5 * 1.5 ** np.arange(20)
-"""Of the cubes that are tried, in all coordinates, up to 0.022."""
+"""Half edges of the cubes that are tried, up to 0.022 in all coordinates."""
 STRETCHES = 1.5 ** np.arange(12)
-"""How many times as long boxes are made in one direction."""
+"""Factors by which boxes are stretched along one direction."""
 STARTS, FEWEST_STARTS = 1000, 100
-"""Random starts in the boxes of a cycle, and at least in each of them."""
+"""Number of random starts in the boxes of a cycle, and the fewest in each box."""
 STARTS_IN_SPACE, PLAIN_SECTION = 300, 3
-"""The same on sections of more coordinates than a planar walker's, whose strides take longer: boxes
+"""Number of starts on sections with more coordinates than this, where strides take longer. Boxes
 then cost about what they save to a few thousand walks."""
 SETTLING_PERIODS = 8
-"""Periods after which walkers are left in the directions in which they approach a cycle last."""
+"""Periods after which walkers are left in the directions along which they approach a cycle last."""
 
 
 def with_capture_boxes(mapper: Mapper) -> Mapper:
-    """The mapper, with capture boxes for its cycles, each found with the others as they were."""
+    """Returns the mapper with capture boxes for its cycles, found with the others unchanged."""
     rng = np.random.default_rng(0)
     boxed = [
         find_capture_boxes(mapper, i, rng) if one.period else one
@@ -35,10 +35,10 @@ def with_capture_boxes(mapper: Mapper) -> Mapper:
 
 
 def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) -> Attractor:
-    """An attractor with the largest of growing boxes from which all of a sample converge to it.
+    """Grows capture boxes for an attractor, as long as a sample of starts in them converges to it.
 
-    The boxes lie along the directions in which walkers approach the cycle last: first cubes, then
-    as long in each direction as may be. Half edges are the rows of a matrix.
+    Boxes are cubes at first. They then lie along the directions in which walkers approach the cycle
+    last, and are stretched along each. Half edges are the rows of a matrix.
     """
     attractors = list(mapper.attractors)
     cycle = attractors[number].states
@@ -51,9 +51,9 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         attractors[number] = attractors[number]._replace(capture_boxes=frames)
 
     def largest(boxes: Float[np.ndarray, "tried period section section"], small: int) -> int:
-        """The last of growing boxes from which all converge, of which the attractor is given half.
+        """Returns the largest of growing boxes from which all converge; half of it is kept.
 
-        A number of small ones are tried at once, the others in turn: walks end in the one before.
+        The first `small` boxes are tried at once, the others in turn: walks end in the box before.
         """
         best = -1
         for tried in (boxes[:small], *boxes[small:, None]):

@@ -11,44 +11,45 @@ from walker_jax.basins.schema import artefacts
 from walker_jax.systems.outcomes import Outcome
 
 LARGE = 0.1
-"""Share of the cells that converge to attractors, above which a basin is large. Of smaller ones,
-such as those of a few cells near a bifurcation, no more than their number is worth telling."""
+"""Share of the walking cells from which on a basin is large. Of smaller basins, such as those of a
+few cells near a bifurcation, only the number is reported."""
 
 
 class CellClass(NamedTuple):
-    """Cells of a grid with something in common."""
+    """Cells of a grid with a common property."""
 
     cells: Bool[np.ndarray, "*shape"]
-    """Whether each cell is among them."""
+    """Whether each cell belongs to the class."""
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of cells in the class."""
         return int(np.count_nonzero(self.cells))
 
 
 class WalkingCells(NamedTuple):
-    """The cells from which a walker never falls, by what it converges to."""
+    """The cells from which a walker never falls, by the attractor it converges to."""
 
     large: dict[int, CellClass]
-    """The basins of some attractors, by their numbers."""
+    """The large basins, by the numbers of their attractors."""
     others: CellClass
-    """Those of all other attractors together."""
+    """The cells of all other attractors together."""
     artefacts: CellClass
-    """Cells in cycles that cell mapping makes up."""
+    """Cells in artefacts of cell mapping."""
     unmatched: CellClass
     """Cells that converge to no known attractor."""
 
 
 def has_known_units(data: xr.Dataset) -> bool:
-    """Whether the section begins as walkers' do, so that areas and volumes have known units."""
+    """Returns whether the section begins as walkers' do, which gives areas known units."""
     return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
 
 
 def fixed_coordinates(data: xr.Dataset) -> dict[str, float]:
-    """The coordinates of the section that a slice holds at one value, and these values.
+    """Returns the coordinates of the section that a slice holds fixed, with their values.
 
-    Those behind the axes are coordinates of the data set; those before one are in its origin.
+    Fixed coordinates after the axes are coordinates of the data set; those before an axis are in
+    its origin.
     """
     section, origin = [*data.attrs["section"]], data.attrs.get("origin")
     fixed = {name: float(data[name]) for name in section if name in data and not data[name].ndim}
@@ -61,12 +62,12 @@ def fixed_coordinates(data: xr.Dataset) -> dict[str, float]:
 
 
 def total_area(data: xr.Dataset) -> float:
-    """The area of all basins together."""
+    """Returns the area of all basins together."""
     return float(data["area"].sum())
 
 
 def large_basins(data: xr.Dataset, most: int) -> list[int]:
-    """Numbers of the attractors whose basins are large, `most` of them, the largest first."""
+    """Returns the numbers of at most `most` attractors with large basins, the largest first."""
     walks = data["fate"].values == Outcome.STRIDE
     numbers, cells = np.unique(data["attractor"].values[walks], return_counts=True)
     real = np.isin(numbers, np.flatnonzero(~artefacts(data)))
@@ -76,7 +77,7 @@ def large_basins(data: xr.Dataset, most: int) -> list[int]:
 
 
 def walking_cells(data: xr.Dataset, large: Sequence[int]) -> WalkingCells:
-    """The cells that never fall, those of the `large` attractors each in a class of its own."""
+    """Sorts the cells that never fall into classes, one for each of the `large` attractors."""
     attractor = data["attractor"].values
     walks = data["fate"].values == Outcome.STRIDE
     made_up = walks & np.isin(attractor, np.flatnonzero(artefacts(data)))
@@ -91,19 +92,19 @@ def walking_cells(data: xr.Dataset, large: Sequence[int]) -> WalkingCells:
 def unmatched_cells(
     fate: Int[np.ndarray, "*shape"], attractor: Int[np.ndarray, "*shape"]
 ) -> Bool[np.ndarray, "*shape"]:
-    """The cells that walk on without coming near a known attractor."""
+    """Marks the cells that walk on without coming near a known attractor."""
     return (fate == Outcome.STRIDE) & (attractor < 0)
 
 
 def failing_cells(fate: Int[np.ndarray, "*shape"]) -> dict[Outcome, CellClass]:
-    """The cells of each failure."""
+    """Returns the cells of each failure."""
     return {outcome: CellClass(fate == outcome) for outcome in Outcome if outcome != Outcome.STRIDE}
 
 
 def along_axis(
     states: Float[np.ndarray, "... section"], section: Sequence[str], axis: str
 ) -> Float[np.ndarray, "..."]:
-    """States along an axis of a grid, `sum` among these; NaN along what is not of the section."""
+    """Returns states along an axis of a grid, `sum` included; NaN along a foreign axis."""
     if axis == "sum":
         return along_axis(states, section, "theta") + along_axis(states, section, "thetadot")
     if axis not in section:

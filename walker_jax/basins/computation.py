@@ -1,11 +1,12 @@
 """The basin of attraction: the fate of every start in a region of the Poincaré section.
 
-Two methods. Cell mapping (Hsu 1987; Schwab and Wisse 2001, section 4.3) makes one stride from the
-centre of every cell, sends each cell to the cell where that ends, and follows the cells. Direct
-iteration follows every centre itself, stride by stride. Direct iteration is exact up to its number
-of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell. It shows
-cycles of cells where no attractor is, and several for one attractor. So walkers are also followed
-from the centres of the cells of each cycle, to the attractor that they converge to.
+There are two methods. Cell mapping (Hsu 1987; Schwab and Wisse 2001, section 4.3) makes one stride
+from the centre of every cell, sends the cell to the cell where the stride ends, and follows the
+cells. Direct iteration follows every centre itself, stride by stride. Direct iteration is exact up
+to its number of strides. Cell mapping costs one stride a cell, and its errors are of the size of a
+cell: it may show cycles of cells where no attractor is, and several cycles for one attractor. So
+walkers from the centres of each cycle's cells are also followed, to the attractor that they
+converge to.
 """
 
 from pathlib import Path
@@ -27,7 +28,7 @@ from walker_jax.integrators.integrator import AnySolver, integrator_of
 from walker_jax.systems.system import System
 
 BYTES_STORED = {"cell-map": 16, "direct": 0}
-"""Peak memory in bytes for each cell, as `BYTES_PER_CELL`, where the result goes into a store."""
+"""Peak memory in bytes for each cell, as `BYTES_PER_CELL`, if the result goes into a store."""
 
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")
@@ -45,55 +46,61 @@ def basin(
     overwrite: bool = False,
     cluster: Any = None,
 ) -> xr.Dataset:
-    """Fate of every cell of a grid on the walker's section.
+    """Computes the fate of every cell of a grid on the walker's section.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
+    data = wj.basin(wj.SimplestWalker(0.004), grid)
+    float(data.area.sum())  # of all attractors, in rad^2 per unit of time
+    ```
 
     **Arguments:**
 
     - `walker`: its parameters are used in float64 if JAX has that turned on.
-    - `grid`: its state coordinates are those of the section. It may be a slice. A window narrower
-      than 1e-9, down to 1e-15, keeps its digits by direct iteration: its centre is followed, with
-      the Jacobian, until the window is wide enough (`Grid.zoom` makes one).
+    - `grid`: its state coordinates are those of the section. It may be a slice. A window of a width
+      from 1e-15 to 1e-9 keeps its digits by direct iteration: its centre is followed, with the
+      Jacobian, until the window is wide enough (`Grid.zoom` makes one).
     - `method`: "cell-map" or "direct"; for a slice, "direct" only.
-    - `strides`: how many of them direct iteration follows a walker for. Undecided walks continue
-      for some 16,000 more, if a cycle is known, only to identify their attractor.
+    - `strides`: number of strides for which direct iteration follows a walker. Undecided walks
+      continue for some 16,000 more, if a cycle is known, only to identify their attractor.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
     - `progress`: whether to show a progress bar on a terminal.
-    - `out`: a place on disk, a Zarr store, into which the result is written piece by piece: only
-      one piece is in memory at a time, but the cell map takes 12 bytes for each cell at the end.
-      A run that was interrupted is resumed from there, with the same result to the last bit. Until
-      it has ended, cells of missing pieces have a fate of -1. The data set that is returned reads
-      its arrays from there when they are used.
+    - `out`: a place on disk, a Zarr store, into which the result is written piece by piece. Only
+      one piece is in memory at a time, but the cell map takes 12 bytes for each cell at the end. An
+      interrupted run is resumed from there, with the same result to the last bit. Until it has
+      ended, cells of missing pieces have a fate of -1. The returned data set reads its arrays from
+      the store when they are used.
     - `request`: by which the stored result is recognised; by default, all that it depends on.
     - `overwrite`: whether to remove another result that stands there.
-    - `cluster`: who computes the pieces, as in `execution.workers.open_workers`: a number of
-      worker processes on this machine, the address of a Dask scheduler, or a Dask client.
+    - `cluster`: who computes the pieces, as in `execution.workers.open_workers`: a number of worker
+      processes on this machine, the address of a Dask scheduler, or a Dask client.
 
-    **Returns** a data set over the grid's axes:
+    **Returns** a data set. Over the grid's axes it has
 
     - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it converges to an
       attractor, or walks to the last stride (direct);
-    - `attractor`: number of the attractor it converges to, -1 for none; by direct iteration, that
-      of a motion without a period for all walks that go on after `strides`, a few of which may
-      still fall or converge to a cycle;
-    - `strides`: strides completed before that, or before the failure;
+    - `attractor`: number of the attractor it converges to, -1 for none. If direct iteration finds a
+      motion without a period, all walks that go on after `strides` have its number; a few of these
+      may still fall or converge to a cycle;
+    - `strides`: strides completed before the walker converges or fails.
 
-    and over the attractors, numbered by period, then by the angle of their first state (the one
-    of the smallest angle), then those found only from walkers still going at the end: `period` (0
-    where the motion does not repeat itself), `states` (NaN after the period), and of the basin
-    within the grid `cells` and `area` (rad^2 per unit of time; over three dimensions it is a
-    volume). `at_border` is how many cells of basins are at the border of the grid: beyond it the
-    basin may go on. Attributes say what was computed.
+    Over the attractors it has `period` (0 where the motion does not repeat itself) and `states`
+    (NaN after the period), and for the basin within the grid `cells` and `area` (rad^2 per unit of
+    time; over three dimensions a volume). Attractors are numbered by period, then by the angle of
+    their first state, which is their smallest one. Attractors found only from walkers still going
+    at the end come last. `at_border` counts the basins' cells at the border of the grid: the basin
+    may go on beyond. Attributes say what was computed.
 
     The attractors of a cell map are those to which walkers converge from the centres of the cells
     in its cycles. If walkers from most of the centres of a cycle converge to one attractor, the
-    cycle belongs to it, with all cells that lead there. Any other is an `artefact` of the cells:
-    its period and states are those of cells and their centres, and it comes after all
-    attractors. Further arrays are `cycles`, how many cycles of cells belong to each, and
-    `falling`, from how many centres of their cells a walker falls.
+    cycle belongs to it, with all cells that lead there. Any other cycle is an `artefact` of the
+    cells: its period and states are those of cells and their centres, and it comes after all
+    attractors. Further arrays are `cycles`, the number of cycles of cells that belong to each
+    attractor, and `falling`, the number of their cells' centres from which a walker falls.
 
-    Raises `ValueError` for an unknown method, for a grid that does not fit the section or that this
-    machine has not the memory for, and for a place where something else stands, that cannot be
-    written to, or that another run is writing to.
+    Raises `ValueError` for an unknown method, for a grid that does not fit the section or the
+    memory of this machine, and for a place that holds something else, cannot be written to, or is
+    in use by another run.
     """
     if not isinstance(method, str) or method not in METHODS:
         raise WrongUse(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
@@ -135,14 +142,20 @@ def basin(
 def compare_methods(
     walker: System, grid: Grid, *, strides: int = 200, tolerance: float | None = None
 ) -> xr.Dataset:
-    """Cell mapping against direct iteration on one grid: where they differ, and the artefacts.
+    """Compares cell mapping with direct iteration on one grid: differences and artefacts.
 
     Arguments and errors are those of `basin`.
 
-    **Returns** a data set over the grid's axes with `mapped` and `direct`, whether a cell has an
-    attractor by either method; and over the attractors of cell mapping `cells`, `period`,
-    `cycles`, `artefact` and `falling`, as `basin` gives them. `direct_attractors` is how many
-    direct iteration finds.
+    **Returns** a data set with `mapped` and `direct` over the grid's axes: whether a cell has an
+    attractor by either method. Over the attractors of cell mapping it has `cells`, `period`,
+    `cycles`, `artefact` and `falling`, as in `basin`. `direct_attractors` is the number that direct
+    iteration finds.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.04, 0.01, 60))
+    found = wj.compare_methods(wj.SimplestWalker(0.004), grid)
+    float((found.mapped != found.direct).mean())  # the share of cells where they differ
+    ```
     """
     mapped = basin(walker, grid, strides=strides, tolerance=tolerance)
     direct = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)

@@ -1,9 +1,9 @@
-"""Edge states, which walkers approach that start exactly on the boundary between two fates.
+"""Edge states: the states approached by walkers started exactly on the boundary between two fates.
 
-On a smooth boundary that is a saddle, an unstable gait whose stable manifold the boundary is. But
-the stride function is not continuous: the boundary may also be one of a stride's own failures, or
-the starts that lead there. Walkers on that balance, as it were: the stance leg comes to rest
-upright, or the swing foot only grazes the ground.
+On a smooth boundary the edge state is a saddle: an unstable gait whose stable manifold is the
+boundary. But the stride function is not continuous. The boundary may also be the boundary of a
+stride's own failure, or the starts that lead there. Walkers on it are just balanced: the stance leg
+comes to rest upright, or the swing foot only grazes the ground.
 """
 
 from __future__ import annotations
@@ -38,34 +38,36 @@ from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.iteration import strides as take_strides
 
 LONGEST_PERIOD = 16
-"""Strides of the longest cycle that is recognised as one."""
+"""Longest cycle, in strides, that is recognised as one."""
 NEAR = 1e-4
-"""Distance from the end of the path, at most, of the saddle that Newton's iteration finds there."""
-WAYS = Margins._fields[1:]
+"""Largest distance between the end of the path and the saddle that Newton's iteration finds
+there."""
+MARGIN_NAMES = Margins._fields[1:]
 """The margins of a stride, in the order in which ties are decided."""
 ZERO = 1e-8
-"""Size of a margin, at most, that is zero where the path is torn apart: starts 1e-13 beside the
-boundary have about 1e-13 of it, or more where its slope is steep."""
+"""Largest size of a margin that counts as zero where the path is torn apart. Starts 1e-13 beside
+the boundary have a margin of about 1e-13, or more where it changes steeply."""
 SAMPLE = 257
-"""Starts between the two, to whose attractors walkers are followed."""
+"""Number of starts between a and b whose attractors are looked for."""
 
 
 class EdgeState(NamedTuple):
     """The state or set to which the boundary between two fates leads."""
 
     kind: str
-    """"saddle", an unstable gait; the name of a margin that is zero there, for the boundary of a
-    stride's own failure: "backward" (the stance leg comes to rest upright), "forward" (the swing
-    foot grazes the ground), or another one of `Margins`; or "" where neither shows."""
+    """"saddle" for an unstable gait. For the boundary of a stride's own failure, the name of the
+    margin that is zero there: "backward" (the stance leg comes to rest upright), "forward" (the
+    swing foot grazes the ground), or another one of `Margins`. "" where neither shows."""
     saddle: Gait | None
     """The gait, with its multipliers; None unless `kind` is "saddle"."""
     path: Float[np.ndarray, "n section"]
-    """Points of the boundary, each a stride after the one before."""
+    """Points of the boundary, each one stride after the previous one."""
     fates: tuple[Outcome, Outcome]
-    """Of walkers just beside the path, on both sides, at its end: the fates of a and b, unless a
-    third is between these everywhere. `STRIDE` for walkers that converge to an attractor."""
+    """Fates of walkers just beside the path's end, on both sides: the fates of a and b, unless a
+    third fate lies between these everywhere. `STRIDE` for walkers that converge to an attractor."""
     margin: float
-    """The smallest size of a margin at the path's end, in the unit of that margin; else NaN."""
+    """The smallest size of a margin at the path's end, in the unit of that margin; NaN
+    otherwise."""
 
 
 @refuses_tracers("the saddle is a gait, which find_gait follows under transformations")
@@ -78,23 +80,30 @@ def edge_state(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> EdgeState:
-    """The state to which the boundary between two starts of different fates leads.
+    """Finds the state to which the boundary between two starts of different fates leads.
 
-    By edge tracking: bisection finds a point of the boundary between a and b, to 1e-13; a stride
-    moves the two starts beside it, and bisection brings these together again; and so on, until the
-    path repeats itself, or a stride tears the two apart. Where the path repeats itself, Newton's
-    iteration finds the gait. A boundary that is fractal has many edge states, and the path comes
-    to one of them, or to none.
+    The method is edge tracking. Bisection finds a point of the boundary between a and b, to 1e-13.
+    A stride moves the two starts beside it, and bisection brings these together again. This repeats
+    until the path repeats itself, or a stride tears the two apart. Where the path repeats itself,
+    Newton's iteration finds the gait. A fractal boundary has many edge states: the path comes to
+    one of them, or to none.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    state = wj.edge_state(walker, (0.2, -0.2), (0.2, -0.15))  # one start walks, one falls
+    state.kind, state.path[-1]
+    ```
 
     **Arguments:**
 
-    - `walker`: of one kind, with numbers for parameters.
-    - `a`, `b`: starts on the section, of different fates, or that converge to different attractors.
-    - `rounds`: strides of the path, at most.
+    - `walker`: one walker, with numbers for parameters.
+    - `a`, `b`: starts on the section with different fates, or that converge to different
+      attractors.
+    - `rounds`: most strides of the path.
     - `strides`: number of strides for which a walker is followed to its fate.
     - `tolerance`: of the integration, as in `stride`.
 
-    Raises `ValueError` for starts of one fate, or that are not feasible, and in float32;
+    Raises `ValueError` for starts of one fate, for starts that are not feasible, and in float32;
     `ComputationFailed` where rounding loses the boundary.
     """
     check_kind("walker", walker, System)
@@ -148,12 +157,12 @@ def edge_state(
 
 
 def fate_of(label: int) -> Outcome:
-    """The fate of walkers with a label."""
+    """Returns the fate of walkers with a label."""
     return Outcome(label) if label < len(Outcome) else Outcome.STRIDE
 
 
 def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
-    """A fate that two starts share, and what to try instead of them."""
+    """Names a fate that two starts share, and suggests other starts."""
     name = name_of_outcome(fate_of(label), failures)
     if label == Outcome.UNDECIDED:
         return f"{name}: the integration gave no answer; try another tolerance, or other starts"
@@ -164,8 +173,8 @@ def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
 def failing_margin(
     walker: System, x: Float[np.ndarray, "n section"], integrator: Integrator
 ) -> tuple[str, float]:
-    """The margin that is nearest to zero in the strides from some starts, and its size."""
+    """Returns the margin that is nearest to zero in the strides from some starts, and its size."""
     found = for_each_start(follow_margins, walker, x, integrator.tolerance, integrator.solver)
-    sizes = np.array([np.abs(getattr(found, name)) for name in WAYS])
+    sizes = np.array([np.abs(getattr(found, name)) for name in MARGIN_NAMES])
     sizes = np.nanmin(np.where(np.isnan(sizes), np.inf, sizes), axis=1)
-    return WAYS[int(sizes.argmin())], float(sizes.min())
+    return MARGIN_NAMES[int(sizes.argmin())], float(sizes.min())

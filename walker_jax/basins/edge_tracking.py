@@ -1,9 +1,10 @@
-"""Edge tracking: along the boundary between two labels, by a map that keeps labels.
+"""Edge tracking along the boundary between two labels, by a map that keeps labels.
 
-Two points on both sides of the boundary are brought together by bisection. The map moves both; they
-stay on both sides, and part along what is unstable. So they are brought together again, and move
-along the boundary to what attracts within it (Battelino and others 1988, Physica D 32, 296; Skufca,
-Yorke and Eckhardt 2006, Physical Review Letters 96, 174101). This file knows no walker.
+Bisection brings two points on both sides of the boundary together. The map moves both; they stay on
+both sides, and part along the unstable direction. Bisection brings them together again. So they
+move along the boundary to what attracts within it (Battelino and others 1988, Physica D 32, 296;
+Skufca, Yorke and Eckhardt 2006, Physical Review Letters 96, 174101). This module knows nothing of
+walkers.
 """
 
 from collections.abc import Callable
@@ -15,27 +16,29 @@ from jaxtyping import Bool, Float, Int
 from walker_jax.checks import ComputationFailed
 
 POINTS = 33
-"""Points of a segment that are labelled at once; the next segment is between two neighbours."""
+"""Number of points of a segment that are labelled at once; the next segment joins two
+neighbours."""
 TOGETHER = 1e-13
-"""Distance, in every coordinate, of two points on both sides: some hundred rounding errors."""
+"""Largest distance, in every coordinate, of two points brought together: some hundred rounding
+errors."""
 TORN = 1e-4
-"""Distance of their images from which on the map has torn them apart: it amplifies a billion times,
-as it does only where it is not continuous."""
+"""Distance of their images from which on the map has torn them apart. It has then stretched their
+distance a billion times, which only a discontinuity does."""
 REPEATED = 1e-6
-"""Distance at which an edge that repeats itself may have come to a cycle, from which Newton's
-iteration converges; a tenth of it each time that it had not."""
+"""Distance at which a path that repeats itself may have come to a cycle, from which Newton's
+iteration converges. Each time that the path has not, the distance becomes a tenth."""
 
 LabelOf = Callable[[Float[np.ndarray, "n d"]], Int[np.ndarray, " n"]]
 Map = Callable[[Float[np.ndarray, "n d"]], Float[np.ndarray, "n d"]]
 
 
 class Track(NamedTuple):
-    """A boundary that was followed."""
+    """The path of an edge along a boundary."""
 
     path: Float[np.ndarray, "n d"]
-    """Points of the boundary, each near the image of the one before."""
+    """Points of the boundary, each near the image of the previous one."""
     sides: Float[np.ndarray, "2 d"]
-    """The last two points, on both sides."""
+    """The last two points, one on each side."""
     labels: tuple[int, int]
     """Their labels."""
     period: int
@@ -54,12 +57,12 @@ def follow_edge(
     longest: int,
     is_cycle: Callable[[Float[np.ndarray, "period d"]], bool] = lambda points: True,
 ) -> Track:
-    """Follow the boundary between two points of different labels.
+    """Follows the boundary between two points of different labels.
 
-    Ends where the path repeats itself after at most `longest` points, if `is_cycle` of these: it
-    repeats itself far from a cycle that attracts slowly along the boundary. Else ends where the map
-    tears the two apart, or after a number of rounds. Raises `ComputationFailed` where rounding
-    gives both images one label.
+    The path ends where it repeats itself after at most `longest` points and `is_cycle` confirms
+    these. Confirmation is needed because a cycle that attracts slowly along the boundary makes a
+    path repeat itself far away. The path also ends where the map tears the two points apart, or
+    after `rounds` rounds. Raises `ComputationFailed` where rounding gives both images one label.
     """
     path, pair, within = [], np.stack([a, b]), REPEATED
     for _ in range(rounds):
@@ -73,7 +76,7 @@ def follow_edge(
                 return Track(np.array(path), pair, labels, period, torn=False)
             within /= 10
         images = image(pair)
-        if not np.abs(images[1] - images[0]).max() < TORN:  # nor where one is NaN
+        if not np.abs(images[1] - images[0]).max() < TORN:  # True also for NaN
             return Track(np.array(path), pair, labels, 0, torn=True)
         pair = images
     return Track(np.array(path), pair, labels, 0, torn=False)
@@ -82,11 +85,11 @@ def follow_edge(
 def bring_together(
     label_of: LabelOf, pair: Float[np.ndarray, "2 d"]
 ) -> tuple[Float[np.ndarray, "2 d"], tuple[int, int]]:
-    """Two points on both sides of the boundary on a segment, and their labels.
+    """Returns two points on both sides of the boundary on a segment, and their labels.
 
-    Of several changes of label it takes the first between those of the two ends. Where there is
-    none, as another label is in between everywhere, it takes the first change from that of the
-    first end.
+    Of several changes of label it takes the first one between the labels of the two ends. If there
+    is none, another label lies in between everywhere; it then takes the first change from the label
+    of the first end.
     """
     share = np.linspace(0, 1, POINTS)[:, None]
     while True:
@@ -104,7 +107,7 @@ def bring_together(
 
 
 def first_change(labels: Int[np.ndarray, " n"], first: int, last: int) -> int:
-    """Where labels change from the first to the last; else, where they leave the first."""
+    """Returns the first change from the first label to the last; without one, to any label."""
     leaves: Bool[np.ndarray, " n-1"] = (labels[:-1] == first) & (labels[1:] != first)
     direct = leaves & (labels[1:] == last)
     return int((direct if direct.any() else leaves).argmax())

@@ -25,8 +25,8 @@ from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate
 
 FURTHER = 2**14
-"""Strides for which walkers that remain are followed on to a cycle: of a transient with a mean life
-of 1000 strides, all but one in ten million end in them, and half where it is 24,000."""
+"""Further strides for which undecided walkers are followed to a cycle. They end all but one in ten
+million transients with a mean life of 1000 strides, and half of those with 24,000."""
 
 
 class Labels(NamedTuple):
@@ -37,9 +37,9 @@ class Labels(NamedTuple):
     attractor: Int[np.ndarray, " n"]
     """Number of the attractor that it converges to; -1 for none."""
     strides: Int[np.ndarray, " n"]
-    """Strides completed before it has converged, or before the failure."""
+    """Strides completed before it converged or failed."""
     states: Float[np.ndarray, "n section"]
-    """Where it was then; NaN after a failure."""
+    """State at that time; NaN after a failure."""
 
     @property
     def converged(self) -> Bool[np.ndarray, " n"]:
@@ -47,41 +47,42 @@ class Labels(NamedTuple):
 
     @property
     def fallen(self) -> Bool[np.ndarray, " n"]:
-        """Mark the walks that are known to have failed."""
+        """Marks the walks that are known to have failed."""
         return ~np.isin(self.fate, (Outcome.STRIDE, Outcome.UNDECIDED))
 
     @property
     def remaining(self) -> Int[np.ndarray, " left"]:
-        """Indices of those that neither failed nor converged."""
+        """Indices of walks that neither failed nor converged."""
         return np.flatnonzero((self.fate == Outcome.STRIDE) & ~self.converged)
 
     @property
     def total_strides(self) -> int:
-        """Strides that were computed, the failing ones among them."""
+        """Number of strides computed, including the failing strides."""
         return int(self.strides.sum() + np.sum(self.fate != Outcome.STRIDE))
 
 
 class Mapper(NamedTuple):
-    """Maps starts to the attractors that a walker converges to from there: labels = mapper(starts).
+    """Maps starts to the attractors to which walkers converge: labels = mapper(starts).
 
-    A walker has converged to a cycle once it is in one of its capture boxes, or where it has made
-    all its strides and comes ever nearer to the cycle (`attractor_search.approaches`). Where
-    walkers that remain are labelled too, they are followed on, each to its cycle.
+    A walker has converged to a cycle once it is in one of its capture boxes. After all its strides,
+    it has also converged if it comes ever nearer to the cycle (`attractor_search.approaches`). To
+    label the remaining walkers too, they are followed further, each to its cycle.
     """
 
     walker: System
-    """Of one kind, with numbers for parameters."""
+    """One walker, with numbers for parameters."""
     attractors: list[Attractor]
     integrator: Integrator
     strides: int
-    """For which a walker is followed, at most."""
+    """Most strides for which a walker is followed."""
     further: int = FURTHER
-    """For which those that remain are followed on, to their cycles; a fall there is no fate."""
+    """Further strides for which the remaining walkers are followed to their cycles; a later fall
+    does not count."""
 
     def __call__(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> Labels:
-        """Follow walkers until they fail, or converge to one of the attractors."""
+        """Follows walkers until they fail, or converge to one of the attractors."""
         labels = self.follow(starts, progress=progress)
         remaining = labels.remaining
         labels.attractor[remaining] = self.match_approaching(labels.states[remaining])
@@ -90,7 +91,7 @@ class Mapper(NamedTuple):
     def follow(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> Labels:
-        """Follow walkers until they fail, or are in a capture box."""
+        """Follows walkers until they fail, or are in a capture box."""
         targets, owner = targets_of(self.attractors, starts.shape[1])
         end = iterate(
             self.walker, starts, self.strides, self.integrator, targets, progress=progress
@@ -98,11 +99,11 @@ class Mapper(NamedTuple):
         return Labels(end.outcome, owners(end.target, owner), end.strides, end.state)
 
     def match_approaching(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        """Numbers of the cycles that walkers come ever nearer to, -1 for none."""
+        """Returns the numbers of the cycles that walkers come ever nearer to; -1 for none."""
         return match_approaching(self.walker, x, self.attractors, self.integrator)
 
     def follow_on(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        """Numbers of the cycles that walkers converge to when they are followed on, -1 for none."""
+        """Follows walkers further; returns the numbers of the cycles they converge to, or -1."""
         number, left, made = np.full(len(x), -1, np.int32), np.arange(len(x)), 0
         while len(left) and made < self.further:
             count = min(max(made, LONGEST_PERIOD), self.further - made)
@@ -116,11 +117,11 @@ class Mapper(NamedTuple):
     def label_all(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> tuple[Labels, "Mapper"]:
-        """The same, and labels also for those that remain; the mapper to the attractors of all."""
+        """Labels all starts, also those undecided; returns the mapper to all attractors found."""
         return self.complete_labels(self.follow(starts, progress=progress))
 
     def complete_labels(self, labels: Labels, most: int = SAMPLE) -> tuple[Labels, "Mapper"]:
-        """Label the walkers that remain too; returns the mapper to the attractors of all."""
+        """Labels the walkers that remain, and returns the mapper to all attractors found."""
         remaining = labels.remaining
         labels.attractor[remaining], mapper = self.label_remaining(labels.states[remaining], most)
         return labels, mapper
@@ -128,11 +129,12 @@ class Mapper(NamedTuple):
     def label_remaining(
         self, x: Float[np.ndarray, "n section"], most: int = SAMPLE
     ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
-        """The attractors of walkers that have made all their strides, and the mapper to all.
+        """Finds the attractors of walkers that have made all strides; returns the mapper to all.
 
-        That is the cycle that they approach, or one that is found by following some of them
-        further, at `most`; else the motion without a period, if there is one, of those too that
-        have yet to fall; else the cycle that they converge to later, or -1.
+        The attractor is the cycle that they approach, or one found by following some of them
+        further, at most `most`. Otherwise it is the motion without a period, if there is one, even
+        for walkers that have yet to fall. Otherwise it is the cycle that they converge to later, or
+        -1.
         """
         number, mapper = self.match_approaching(x), self
         unmatched = number < 0
@@ -149,14 +151,14 @@ class Mapper(NamedTuple):
         return number, mapper
 
     def with_attractors_from(self, starts: Float[np.ndarray, "n section"]) -> "Mapper":
-        """The mapper that also knows the attractors to which walkers converge from some starts."""
+        """Returns the mapper to the attractors of some starts too."""
         found = find_attractors(self.walker, starts, self.integrator, self.attractors)
         return self._replace(attractors=found)
 
     def without_unseen_motion(self, number: Int[np.ndarray, " n"]) -> "Mapper":
-        """The mapper without its attractor without a period, if none of these walkers is on it.
+        """Drops the attractor without a period if none of these walkers is on it.
 
-        That attractor is the last, as none is sought once it is known.
+        That attractor is the last: none is sought once it is known.
         """
         last = len(self.attractors) - 1
         if last < 0 or self.attractors[last].period or (number == last).any():
@@ -164,6 +166,6 @@ class Mapper(NamedTuple):
         return self._replace(attractors=self.attractors[:last])
 
     def with_sorted_attractors(self) -> "Mapper":
-        """The same, with the attractors in the order in which a basin numbers them."""
+        """Returns the mapper with its attractors in the order in which a basin numbers them."""
         order = sorted_numbers(self.attractors)
         return self._replace(attractors=[self.attractors[i] for i in order])

@@ -1,4 +1,4 @@
-"""Attractors of different walkers, matched: the same number for those that are near."""
+"""Matching of attractors of different walkers: near ones have the same number."""
 
 from collections.abc import Sequence
 
@@ -6,19 +6,19 @@ import numpy as np
 from jaxtyping import Float, Int
 
 NONE = -1
-"""Number of a cycle that matches none."""
+"""Number of a cycle without a match."""
 NEIGHBOURS_APART = 0.1
-"""Distance within which cycles of neighbouring walkers count as one: half the distance between the
-two states of the simplest walker's gaits of period one and two, and more than a gait moves between
-values of a parameter that are worth a row of basins."""
+"""Distance within which cycles of neighbouring walkers count as one. It is half the distance
+between the two states of the simplest walker's gaits of period one and two. It exceeds the change
+of a gait between two values of a parameter that deserve separate basins."""
 
 
 def cycle_distance(
     one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "other section"]
 ) -> float:
-    """Largest difference of any coordinate of two cycles; infinite where their periods differ.
+    """Returns the largest difference of a coordinate of two cycles; infinite for different periods.
 
-    The cycles are turned so that it is smallest. That of two without a state is 0.
+    The cycles are rotated so that it is smallest. It is 0 for two cycles without a state.
     """
     if one.shape != other.shape:
         return np.inf
@@ -31,7 +31,7 @@ def match_cycles(
     known: Sequence[Float[np.ndarray, "_ section"]],
     within: float,
 ) -> list[int]:
-    """Find the nearest known cycle of each cycle: its index, each taken once; -1 for none."""
+    """Finds the index of the nearest known cycle of each cycle, each taken once; -1 for none."""
     matches = [NONE] * len(cycles)
     pairs = [
         (cycle_distance(cycle, one), i, k)
@@ -48,21 +48,21 @@ def number_alike(
     periods: Int[np.ndarray, "*walkers number"],
     states: Float[np.ndarray, "*walkers number phase section"],
 ) -> Int[np.ndarray, "*walkers number"]:
-    """Common numbers of the attractors of a grid of walkers, -1 where there are fewer.
+    """Gives the attractors of a grid of walkers common numbers; -1 where there are fewer.
 
-    `periods` are -1 where there are fewer, and 0 where the motion has none: a walker has one such
-    attractor at most, and all of these have one number. A cycle has the number of the cycle of the
-    same period that is nearest, within `NEIGHBOURS_APART`, among those of the nearest walker that
-    has each number; or a new one.
+    `periods` are -1 where there are fewer, and 0 where the motion has no period. A walker has at
+    most one attractor without a period, and all of these share one number. For each number, a cycle
+    is compared with the cycle of the nearest walker that has it. It takes the number of the nearest
+    such cycle of the same period within `NEIGHBOURS_APART`, or a new one.
     """
     shape, most = periods.shape[:-1], periods.shape[-1]
     numbers = np.full((*shape, most), NONE)
-    last: list[dict[tuple[int, ...], np.ndarray]] = []  # of each number: cycles by place
+    last: list[dict[tuple[int, ...], np.ndarray]] = []  # for each number, cycles by place
     for place in np.ndindex(*shape):
         apart = lambda at, place=place: np.abs(np.subtract(at, place)).sum()
         known = [cycles[min(cycles, key=apart)] for cycles in last]
         own = np.flatnonzero(periods[place] >= 0)
-        # of a motion without a period no state is a cycle's: all are the same empty one
+        # A motion without a period has no states of a cycle: all such motions are one empty cycle.
         cycles = [states[place][i, : periods[place][i]] for i in own]
         matches = match_cycles(cycles, known, NEIGHBOURS_APART)
         for i, cycle, match in zip(own, cycles, matches, strict=True):

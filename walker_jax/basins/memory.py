@@ -1,4 +1,4 @@
-"""Whether a grid or a state fits a walker's section, and a grid the memory of the machine."""
+"""Checks that a grid or a state fits a walker's section, and a grid the memory of the machine."""
 
 import os
 from typing import Any
@@ -12,7 +12,7 @@ from walker_jax.storage.schema import names_in_use
 from walker_jax.systems.system import System
 
 BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
-"""Memory at its peak, for each cell of a grid."""
+"""Peak memory in bytes, for each cell of a grid."""
 
 
 class TooLarge(WrongUse, MemoryError):
@@ -20,7 +20,7 @@ class TooLarge(WrongUse, MemoryError):
 
 
 def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
-    """Whether an axis of a grid is where its coordinate is, or is that coordinate alone."""
+    """Returns whether an axis of a grid is at its coordinate's place, or is that coordinate."""
     if place == coordinate:
         return True
     if place >= len(grid.names):
@@ -37,9 +37,9 @@ def check_grid(
     *,
     kind: str | None = None,
 ) -> None:
-    """Refuse a grid that is not of the walker's section, or too large for this machine's memory.
+    """Raises `WrongUse` for a grid outside the walker's section, or too large for the memory.
 
-    Its axes must not have names that the arrays have of the `kind` of data set that is made.
+    The names of its axes must differ from names of arrays in the `kind` of data set to be made.
     """
     check_kind("walker", walker, System)
     check_kind("grid", grid, Grid)
@@ -74,7 +74,7 @@ def check_grid(
 
 
 def check_level(levels: int, level: int, count: int, each: int) -> None:
-    """Refuse a level of refinement with more cells than this machine has memory for."""
+    """Raises `TooLarge` for a level of refinement with more cells than fit the memory."""
     needed, memory = count * each, memory_of_machine()
     if needed > memory:
         raise TooLarge(
@@ -85,7 +85,7 @@ def check_level(levels: int, level: int, count: int, each: int) -> None:
 
 
 def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " section"]:
-    """A state on the walker's section, as float64; refuses any other argument of that name."""
+    """Returns a state on the walker's section as float64; raises `WrongUse` for any other value."""
     values = numbers(name, x)
     if values.shape != (len(walker.section),) or not np.isfinite(values).all():
         section = ", ".join(walker.section)
@@ -94,7 +94,7 @@ def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " sectio
 
 
 def memory_of_machine() -> float:
-    """Bytes of memory; without bound where the system does not say."""
+    """Returns the bytes of memory; infinite where the system does not say."""
     try:
         return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError):  # not a POSIX system

@@ -1,16 +1,16 @@
 """Windows so narrow that float64 hardly tells their starts apart.
 
-Starts in such a window differ in their last digits, which a stride's rounding errors blur. But as
-long as the window is narrow, a stride is linear in it: the starts are c + d with one centre c, and
-after a stride they are S(c) + J d. So only the centre is followed, with the product P of the
-Jacobians, up to where the window P d is wide enough; from there each start is followed itself. Two
-starts then differ by P d, which has no rounding errors but those of the Jacobians.
+Starts in such a window differ in their last digits, which a stride's rounding errors blur. But a
+stride is linear in a narrow window: the starts are c + d with one centre c, and after a stride they
+are S(c) + J d. So only the centre is followed, with the product P of the Jacobians, until the
+window P d is wide enough. From there each start is followed itself. Two starts then differ by P d,
+which has no rounding errors but those of the Jacobians.
 
-What the picture shows is exact up to its place: the centre of the window is one that float64 holds,
-and the orbit of the centre has rounding errors, as if it had begun some 1e-16 beside. Where the
-window ends on the boundary of a failure in the next stride, before it is `LINEAR` wide, starts are
-followed from there on all the same, and rounding errors show: in windows 2e-13 wide on such a
-boundary 1.2 % of the cells had another fate than in arithmetic of 60 digits.
+The picture is exact up to a shift. The centre of the window is a number that float64 holds, and the
+orbit of the centre has rounding errors, as if it had begun about 1e-16 from the requested point. If
+the window meets the boundary of a failure in the next stride before it is `LINEAR` wide, starts are
+followed from there all the same, and rounding errors show. In windows 2e-13 wide on such a
+boundary, 1.2 % of the cells had another fate than in arithmetic of 60 digits.
 """
 
 import numpy as np
@@ -27,27 +27,30 @@ from walker_jax.walking.iteration import strides as take_strides
 
 LINEAR = 1e-9
 """Width, in the largest coordinate, from which on starts are followed themselves. Rounding errors,
-1e-15, are then a millionth of it; and a stride is linear to the second derivative times 1e-9."""
+1e-15, are then a millionth of the width, and a stride is linear up to 1e-9 of its second
+derivative."""
 NARROWEST = 32
-"""Rounding units of the centre across a window, at least: with less, float64 does not say where the
-window is."""
+"""Fewest rounding units of the centre across a window: with fewer, float64 cannot place the
+window."""
 BLUR = 1e-14
 """Size of a margin that rounding errors of a stride may turn over."""
 CURVED = 1e-4
-"""Share of a window by which a stride may differ from a linear one, at most."""
+"""Largest difference between a stride and a linear one, as a share of the window."""
 ROUNDING = 1e-13
-"""Error of the end of a stride, that a test of linearity allows for."""
+"""Error of the end of a stride that a test of linearity allows for."""
 
 
 def follow_window(
     walker: System, grid: Grid, integrator: Integrator, limit: int
 ) -> tuple[Grid, int]:
-    """The grid that a narrow window has become after some strides, and how many they are.
+    """Follows a narrow window until it is wide; returns the resulting grid and the strides made.
 
-    It is the same grid, and none, for a window that is not narrow. At most `limit` - 1 strides are
-    made. A window that is never wide enough, as its walkers converge, is left where it is widest.
-    Raises `WrongUse` for a window too narrow for its centre to be known in it; `ComputationFailed`
-    where the window is torn apart before it is wide enough.
+    A window that is not narrow is returned as it is, after no stride. At most `limit` - 1 strides
+    are made. If walkers converge, so that the window never is wide enough, it is returned where it
+    is widest.
+
+    Raises `WrongUse` for a window too narrow to place its centre; `ComputationFailed` where the
+    window is torn apart before it is wide enough.
     """
     half = np.asarray(grid.upper - grid.lower, float) / 2
     middle = np.asarray(grid.lower, float) + half
@@ -94,7 +97,7 @@ def refuse_torn(
     integrator: Integrator,
     when: str,
 ) -> None:
-    """Refuse a window that the boundary of a failure in the next stride passes, so near as this."""
+    """Raises `ComputationFailed` if the boundary of a failure in the next stride is too close."""
     name, margin = failing_margin(walker, points, integrator)
     if margin < BLUR or passed.any() != passed.all():
         raise ComputationFailed(
@@ -105,12 +108,12 @@ def refuse_torn(
 
 
 def widths(shear: Float[np.ndarray, "s d"], half: Float[np.ndarray, " d"]) -> np.ndarray:
-    """The width of a window along each coordinate of the state."""
+    """Returns the width of a window along each coordinate of the state."""
     return 2 * np.abs(shear) @ half
 
 
 def check_cells(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:
-    """Refuse a window that is wide along one axis, and along another too narrow to tell cells."""
+    """Raises `WrongUse` for a window wide along one axis, with cells too narrow along another."""
     shear = np.asarray(grid.shear, float)
     reach = np.abs(centre) + widths(shear, half) / 2
     cells = 2 * np.abs(shear) * half / np.array(grid.shape)
@@ -124,7 +127,7 @@ def check_cells(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndar
 
 
 def check_width(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:
-    """Refuse a window in which its own centre, or its axes, have no digits."""
+    """Raises `WrongUse` for a window in which its own centre, or its axes, have no digits."""
     least = NARROWEST * np.spacing(np.abs(centre[: len(grid.names)]).max())
     narrow = widths(np.asarray(grid.shear, float), half)[: len(grid.names)].min()
     if narrow < least:

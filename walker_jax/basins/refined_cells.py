@@ -1,8 +1,8 @@
-"""The cells of ever finer grids, of which only those on a boundary are followed.
+"""The cells of ever finer grids: only cells on a boundary are followed.
 
-What is not followed inherits the label of the cell that it is a part of. All that is kept is the
-runs of equal labels and the cells that were followed on the last level, so memory follows the
-boundary, in two dimensions as in three.
+All other cells inherit the label of the cell that they are part of. Memory holds only the runs of
+equal labels and the cells followed on the last level. So memory grows with the boundary, in two
+dimensions as in three.
 """
 
 import numpy as np
@@ -14,22 +14,23 @@ from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
 from walker_jax.grids import Grid
 
 BYTES_PER_FOLLOWED_CELL = 150
-"""Memory at its peak, for each cell that is followed on one level (benchmarks/volumes.py)."""
+"""Peak memory in bytes, for each cell followed on one level (benchmarks/volumes.py)."""
 CELLS_TOGETHER = 2**21
-"""Cells that are followed in one call, which bounds what their states take of memory."""
+"""Cells followed in one call, which bounds the memory of their states."""
 
 SPREAD = 1 / 12
-"""Variance that a cell beside one of another fate brings to the area, in cells, where it is not
-measured. A part f of it in the basin brings f (1 - f), 1/6 on average; half of these cells or more
-have no part in both. Right of a line; where a boundary fills cells it may be three times more. Of
-the simplest walker it is 0.06 to 0.094, at slopes from 0.004 to 0.0165."""
+"""Variance, in cells, that a cell beside one of another fate adds to the area if it is not
+measured. A cell of which a part f is in the basin adds f (1 - f), 1/6 on average; at least half of
+these cells lie on one side only. The value holds for a line; where a boundary fills cells the
+variance may be three times as large. For the simplest walker it is 0.06 to 0.094, at slopes from
+0.004 to 0.0165."""
 REDRAWN = 20_000
-"""Starts by which the variance of what walks in followed cells is measured, at most. Its root
-scattered by 1 to 3 % over seeds, in two dimensions and in three."""
+"""Most starts from which the variance of the followed cells is measured. Its root scattered by 1 to
+3 % over seeds, in two dimensions and in three."""
 
 
 class RefinedCells:
-    """The labels of all cells of ever finer grids, and on which level each cell was followed."""
+    """The labels of all cells of ever finer grids, and the level that each was followed on."""
 
     def __init__(
         self,
@@ -40,7 +41,7 @@ class RefinedCells:
         rng: np.random.Generator,
         progress: str | None,
     ):
-        """On the finest of the levels a cell's label may be that of its centre, too."""
+        """On the finest level, `by_centres` gives cells the labels of their centres."""
         self.grid, self.levels, self.by_centres = grid, levels, by_centres
         self.mapper, self.rng, self.progress = mapper, rng, progress
         self.total_strides = 0
@@ -49,18 +50,18 @@ class RefinedCells:
         self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
 
     def subdivide(self) -> None:
-        """Cut all cells in two along each axis; the parts inherit labels."""
+        """Halves all cells along each axis; the parts inherit labels."""
         self.runs = self.runs.subdivide()
         self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
 
     def random_places(self, count: int) -> Float[np.ndarray, "n axes"]:
-        """Random places within cells, from 0 to 1 along each axis."""
+        """Draws random places within cells, from 0 to 1 along each axis."""
         return self.rng.uniform(size=(count, len(self.runs.shape)))
 
     def map(
         self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n axes"] | None = None
     ) -> Labels:
-        """The labels of cells, by points at some places within them, or by their centres."""
+        """Labels cells by points at some places within them, or by their centres."""
         parts = []
         for first in range(0, max(1, len(cells)), CELLS_TOGETHER):
             part = slice(first, first + CELLS_TOGETHER)
@@ -69,11 +70,11 @@ class RefinedCells:
             x = self.grid.points_at(places / np.array(self.runs.shape))
             found, self.mapper = self.mapper.label_all(x, progress=self.progress)
             self.total_strides += found.total_strides
-            parts.append(found._replace(states=found.states[:0]))  # nobody asks for them
+            parts.append(found._replace(states=found.states[:0]))  # the states are not needed
         return Labels(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:
-        """Follow cells, and then those beside them where that shows a boundary, until none is."""
+        """Follows cells, then their neighbours where labels differ, until no new boundary shows."""
         while cells.size:
             check_level(self.levels, level, len(self.cells) + len(cells), BYTES_PER_FOLLOWED_CELL)
             anywhere = level == self.levels and not self.by_centres
@@ -90,9 +91,9 @@ class RefinedCells:
             cells = merge(unlike)
 
     def on_boundary(self, values: Shaped[np.ndarray, " runs"]) -> Bool[np.ndarray, " n"]:
-        """Mark the cells followed on this level that have a neighbour in a run of another value.
+        """Marks the cells followed on this level that have a neighbour in a run of another value.
 
-        Others have none: where labels differ, both cells have been followed.
+        Other cells have no such neighbour: where labels differ, both cells have been followed.
         """
         own, found = values[self.runs.of_cells(self.cells)], np.zeros(len(self.cells), bool)
         for beside in neighbours(self.cells, self.runs.shape):
@@ -100,7 +101,7 @@ class RefinedCells:
         return found
 
     def children(self, cells: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
-        """The parts of cells of the level before, in ascending order."""
+        """Returns the parts of cells of the level before, in ascending order."""
         shape = self.runs.shape
         places = 2 * np.stack(np.unravel_index(cells, tuple(count // 2 for count in shape)))
         steps = np.indices((2,) * len(shape)).reshape(len(shape), -1)
@@ -108,16 +109,16 @@ class RefinedCells:
         return np.sort(flat_index(parts, shape), axis=None, kind="stable")
 
     def inherited(self) -> Float[np.ndarray, " levels"]:
-        """How many cells inherited their labels from each level."""
+        """Counts the cells that inherited their labels from each level."""
         return self.runs.count_levels(self.levels).astype(float)
 
     def compare(
         self, shares: Float[np.ndarray, " levels"], check: int
     ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
-        """Random points in cells that inherited, against the labels of these.
+        """Compares random points in cells that inherited with the labels of these cells.
 
-        Returns the cells, in ascending order; 1 where the point walks and the cell does not, -1
-        where the cell does alone, else 0; and how many cells are of each level.
+        Returns the cells, in ascending order; 1 where only the point walks, -1 where only the cell
+        does, else 0; and the number of cells from each level.
         """
         counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
         counts = np.maximum(counts, (shares > 0) & (check > 0))
@@ -135,10 +136,11 @@ class RefinedCells:
         return cells, walks.astype(int) - cell_walks, counts
 
     def measure_variance(self, count: int) -> float:
-        """The variance of how many followed cells walk: the sum of f (1 - f) over all of them.
+        """Estimates the variance of the number of walking cells: the sum of f (1 - f).
 
-        That is half the chance that two points of one differ, of which one gave the cell its label;
-        further points are drawn in some cells. If none is, each cell on the boundary has `SPREAD`.
+        The term f (1 - f) is half the chance that two points of a cell differ. One point gave the
+        cell its label; a second one is drawn in some cells. If none is drawn, each cell on the
+        boundary has `SPREAD`.
         """
         walks = self.runs.attractor >= 0
         if count == 0 or len(self.cells) == 0:
@@ -146,5 +148,6 @@ class RefinedCells:
         drawn = np.sort(self.rng.choice(self.cells, count))
         points_walk = self.map(drawn, self.random_places(count)).converged
         differ = np.count_nonzero(points_walk != walks[self.runs.of_cells(drawn)])
-        # as if one more differed than do, lest none be taken for certainty
+        # One more counts as different than was found, so that a lack of differences is not
+        # certainty.
         return len(self.cells) * (differ + 1) / (2 * count)

@@ -1,9 +1,9 @@
-"""The basin of attraction on fine grids, of which only cells on a boundary are followed.
+"""The basin of attraction on fine grids, where only cells on a boundary are followed.
 
-A coarse grid is followed directly. Then every cell that has a neighbour of another fate is cut into
-2 x 2, or 2 x 2 x 2, and the parts are followed; the parts of all others inherit. Where parts show a
-boundary to cells that inherited, those are followed too, and so on: a tail that is found
-anywhere is followed to its end. Random starts among the cells that inherited find others, which are
+A coarse grid is followed directly. Then every cell with a neighbour of another fate is halved along
+each axis, and its parts are followed; parts of all other cells inherit their fates. Where parts
+show a boundary to cells that inherited, those are followed too, and so on: a tail found anywhere is
+followed to its end. Random starts among the cells that inherited find further tails, which are
 followed too. A second set of random starts corrects the area, and gives its standard error.
 """
 
@@ -33,9 +33,9 @@ from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.system import System
 
 BYTES_PER_REFINED_CELL = 40
-"""Memory at its peak, for each cell of the finest grid."""
+"""Peak memory in bytes, for each cell of the finest grid."""
 FINEST = 30
-"""Levels, at most: memory ends far below."""
+"""Largest number of levels; memory ends far below."""
 
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")
@@ -50,21 +50,27 @@ def refine(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Fate of every cell of a grid that is 2^levels times as fine along each axis.
+    """Computes the basin on a grid 2^levels times as fine, following its boundary only.
 
     On the finest level a cell's fate is that of a random point in it, so that the area of cells on
     the boundary is right on average.
 
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 100))
+    data = wj.refine(wj.SimplestWalker(0.004), grid, levels=2, check=10_000)
+    float(data.total_area), float(data.total_area_error)
+    ```
+
     **Arguments:**
 
     - `walker`: as in `basin`.
-    - `grid`: the coarse grid, or slice, to start from. Its cells should be smaller than what the
-      basin's parts are apart.
-    - `levels`: how many times cells are cut; none gives the coarse grid.
-    - `strides`: how many of them a walker is followed for.
-    - `check`: starts drawn among the cells that inherited their fate, twice; and once, up to
-      20,000, among those that were followed, for the error that these bring.
-    - `seed`: of what is drawn.
+    - `grid`: the coarse grid, or slice, to start from. Its cells should be smaller than the gaps
+      between parts of the basin.
+    - `levels`: number of times cells are halved along each axis; 0 gives the coarse grid.
+    - `strides`: number of strides for which a walker is followed.
+    - `check`: starts drawn among the cells that inherited their fate, twice. Up to 20,000 are also
+      drawn among the followed cells, to estimate their error.
+    - `seed`: of the random numbers.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress bars on a terminal.
 
@@ -72,19 +78,20 @@ def refine(
 
     - `total_area`: of all attractors together, corrected by the check, and its standard error
       `total_area_error`, NaN where nothing is checked;
-    - over the levels, `followed`: cells that were followed, and `boundary`: cells that have a
-      neighbour of another fate;
-    - `checked`, `mistaken`: starts of the second check, and those that fall where their cell
-      walks, or the other way round; `strides_made`: in all.
+    - over the levels, `followed`: cells that were followed, and `boundary`: cells with a neighbour
+      of another fate;
+    - `checked`, `mistaken`: starts of the second check, and those that fall where their cell walks,
+      or the other way round;
+    - `strides_made`: the number of all strides.
 
     `strides` are counted for cells that were followed, and 0 for others. Strides are made for the
-    boundary alone; the arrays that are returned take the memory of the finest grid.
+    boundary alone; the returned arrays take the memory of the finest grid.
 
-    Over three dimensions areas are volumes, and memory follows the boundary too: in place of arrays
-    over the grid the data set has runs of cells that are alike, of which `slice_basin` makes arrays
+    Over three dimensions areas are volumes, and memory grows with the boundary only: in place of
+    arrays over the grid the data set has runs of equal cells, from which `slice_basin` makes arrays
     in two dimensions.
 
-    `ValueError` as for `basin`, and where a level needs more memory than there is.
+    Raises `ValueError` as `basin` does, and where a level needs more memory than there is.
     """
     found = refine_cells(
         walker,
@@ -116,30 +123,30 @@ class Refined(NamedTuple):
     """The result of `refine`."""
 
     grid: Grid
-    """The finest."""
+    """The finest grid."""
     runs: Runs
     """The labels of its cells."""
     cells: Int[np.ndarray, " n"]
     """The cells of the finest grid that were followed, in ascending order."""
     made: Int[np.ndarray, " n"]
-    """Strides from these cells."""
+    """Strides made from these cells."""
     mapper: Mapper
-    """To the attractors that were found."""
+    """Maps starts to the attractors that were found."""
     area: float
-    """Of all attractors together; over three dimensions a volume."""
+    """Area of all attractors together; over three dimensions a volume."""
     area_error: float
     followed: list[int]
     boundary: list[int]
     checked: int
     mistakes: Int[np.ndarray, " m"]
-    """Cells in which the check found that a random point fares unlike the cell."""
+    """Cells in which the check found a random point with another fate than the cell."""
     missing: Float[np.ndarray, " m"]
-    """How many cells each stands for; below 0 where the cell walks and the point does not."""
+    """Number of cells each stands for; negative where the cell walks and the point does not."""
     total_strides: int
 
     @property
     def mistaken(self) -> int:
-        """How many mistakes the check found."""
+        """Number of mistakes the check found."""
         return len(self.mistakes)
 
     @property
@@ -149,7 +156,7 @@ class Refined(NamedTuple):
 
 
 def dataset_of_cells(walker: System, found: Refined, settings: dict) -> xr.Dataset:
-    """The data set of a basin, with arrays over the finest grid."""
+    """Makes the data set of a basin, with arrays over the finest grid."""
     runs, strides = found.runs, np.zeros(found.runs.size, np.int32)
     strides[found.cells] = found.made
     fate = runs.spread(runs.fate).ravel()
@@ -158,7 +165,7 @@ def dataset_of_cells(walker: System, found: Refined, settings: dict) -> xr.Datas
 
 
 def dataset_of_runs(walker: System, found: Refined, settings: dict) -> xr.Dataset:
-    """The same with the runs of cells in place of arrays over the grid."""
+    """Makes the data set with the runs of cells in place of arrays over the grid."""
     runs = found.runs
     strides = np.zeros(len(runs.first), np.int32)
     basins = Basins(runs.fate, runs.attractor, strides, found.mapper.attractors).sorted()
@@ -192,7 +199,7 @@ def refine_cells(
     progress: bool = False,
     by_centres: bool = False,
 ) -> Refined:
-    """The work of `refine`. Cells of the finest grid may have the fates of their centres."""
+    """Does the work of `refine`. Cells of the finest grid may have the fates of their centres."""
     check_refinement(walker, grid, {"levels": levels, "check": check, "seed": seed}, strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
@@ -218,10 +225,10 @@ def refine_cells(
     missing = (weight[depth] * excess)[excess != 0]
     walks = cells.runs.attractor >= 0
     area = (cells.runs.lengths[walks].sum() + missing.sum()) * finest.cell_area
-    # searches for an optimum ask often for areas by centres, and need no more than a rough error
+    # Searches for an optimum often ask for areas by centres, and need only a rough error.
     measured = not by_centres or len(grid.names) > 2
     variance = cells.measure_variance(min(check, REDRAWN) if measured else 0)
-    # as if there were one mistake more than were found, lest none be taken for certainty
+    # One more mistake counts than was found, so that a lack of mistakes is not certainty.
     mistakes = np.bincount(depth[excess != 0], minlength=levels)
     variance += ((mistakes + 1) * weight**2).sum()
     variance = np.nan if check == 0 and levels else variance * finest.cell_area**2
@@ -243,7 +250,7 @@ def refine_cells(
 
 
 def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides: int) -> None:
-    """Refuse a grid that does not fit, and numbers out of range."""
+    """Raises `WrongUse` for a grid that does not fit, and for numbers out of range."""
     kind = "refined volume" if len(getattr(grid, "names", ())) == 3 else "refined basin"
     check_grid(walker, grid, "direct", kind=kind)
     for name, count in counts.items():
@@ -254,10 +261,10 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
 def check_twice(
     cells: RefinedCells, levels: int, check: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
-    """A second check: cells, by how much each is mistaken, and checks of each level.
+    """Checks cells twice: follows what the first check finds; the second estimates what is left.
 
-    What a first check finds is followed to its end; the second one tells how much is left. Shares
-    are those of least variance, (mistakes + 1) (size / count)^2 summed over the levels.
+    Returns the cells, the mistake in each, and the number of checks of each level. Shares of the
+    levels minimise the variance, the sum of (mistakes + 1) (size / count)^2.
     """
     drawn, excess, _ = cells.compare(cells.inherited() ** (2 / 3), check)
     mistakes = np.bincount(cells.runs.levels_of(drawn[excess != 0]), minlength=levels)
@@ -266,7 +273,7 @@ def check_twice(
 
 
 def check_finest(walker: System, grid: Grid, levels: int) -> Grid:
-    """The finest grid; refuses one whose arrays this machine has not the memory for.
+    """Returns the finest grid; raises `TooLarge` if its arrays exceed this machine's memory.
 
     Over three dimensions no array has all of its cells.
     """
@@ -277,7 +284,7 @@ def check_finest(walker: System, grid: Grid, levels: int) -> Grid:
 
 
 def finer(grid: Grid, level: int) -> Grid:
-    """The grid with its cells cut in two along each axis, `level` times over."""
+    """Returns the grid with its cells halved along each axis, `level` times."""
     ends = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
     axes = {name: (low, high, count * 2**level) for name, low, high, count in ends}
     return Grid(axes, grid.shear, grid.origin, grid.fixed)

@@ -1,8 +1,8 @@
-"""The labels of a grid's cells, stored as runs of neighbours along the last axis that are alike.
+"""The labels of a grid's cells, stored as runs of equal neighbours along the last axis.
 
-A label is one number for the fate and the attractor of a cell. Rows of cells that all have one
-label cost one run each, so memory follows the boundary between labels, not the volume of the grid.
-A run never goes on from one row to the next. Cells are numbered as in `Grid`, but by 64 bits.
+A label is one number for the fate and the attractor of a cell. A row of cells with one label costs
+one run, so memory grows with the boundary between labels, not with the volume of the grid. A run
+never continues from one row to the next. Cells are numbered as in `Grid`, but by 64 bits.
 """
 
 import math
@@ -19,7 +19,7 @@ class Runs(NamedTuple):
     """The label of each cell, and the level of refinement on which it was followed."""
 
     shape: tuple[int, ...]
-    """Of the grid."""
+    """Shape of the grid."""
     first: Int[np.ndarray, " runs"]
     """The first cell of each run; the run ends before the next one."""
     label: Int[np.ndarray, " runs"]
@@ -29,7 +29,7 @@ class Runs(NamedTuple):
     def from_cells(
         cls, label: Int[np.ndarray, "*shape"], level: Int[np.ndarray, "*shape"]
     ) -> "Runs":
-        """The runs of cells that all have a label and a level."""
+        """Makes the runs of cells with given labels and levels."""
         first = np.arange(label.size)
         return join_runs(label.shape, first, label.ravel(), level.ravel())
 
@@ -54,21 +54,21 @@ class Runs(NamedTuple):
         return np.where(self.label < len(Outcome), -1, self.label - len(Outcome)).astype(np.int32)
 
     def of_cells(self, cells: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-        """Numbers of the runs that cells are in."""
+        """Returns the numbers of the runs that cells are in."""
         return np.searchsorted(self.first, cells, "right") - 1
 
     def levels_of(self, cells: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """The levels on which cells were followed, or what they inherited was."""
+        """Returns the level on which each cell, or the one it inherited from, was followed."""
         return self.level[self.of_cells(cells)]
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """An array over the grid with the value of each run in all of its cells."""
+        """Returns an array over the grid with the value of each run in all of its cells."""
         return np.repeat(values, self.lengths).reshape(self.shape)
 
     def with_cells(
         self, cells: Int[np.ndarray, " n"], label: Int[np.ndarray, " n"], level: int
     ) -> "Runs":
-        """The same with labels of some cells, in ascending order, that were followed on a level."""
+        """Returns the runs after some cells, in ascending order, were followed on a level."""
         ends = cells[cells + 1 < self.size] + 1
         first = merge([self.first, cells, ends])
         before, place = self.of_cells(first), np.searchsorted(first, cells)
@@ -77,7 +77,7 @@ class Runs(NamedTuple):
         return join_runs(self.shape, first, labels, levels)
 
     def subdivide(self) -> "Runs":
-        """The runs of the cells cut in two along each axis."""
+        """Returns the runs of the cells halved along each axis."""
         shape = tuple(2 * count for count in self.shape)
         places = 2 * np.stack(np.unravel_index(self.first, self.shape))
         steps = np.indices((*[2] * (len(shape) - 1), 1)).reshape(len(shape), -1)
@@ -88,12 +88,12 @@ class Runs(NamedTuple):
         return Runs(shape, first[order], self.label[run], self.level[run])
 
     def count_levels(self, levels: int) -> Int[np.ndarray, " levels"]:
-        """How many cells were followed on each of the first levels."""
+        """Counts the cells that were followed on each of the first levels."""
         counts = [self.lengths[self.level == level].sum() for level in range(levels)]
         return np.array(counts, int)
 
     def count_at_border(self, chosen: Bool[np.ndarray, " runs"]) -> int:
-        """How many cells of some runs are at the border of the grid."""
+        """Counts the cells of some runs that are at the border of the grid."""
         *places, begins = np.unravel_index(self.first[chosen], self.shape)
         lengths = self.lengths[chosen]
         ends = 1 * (begins == 0) + (begins + lengths == self.shape[-1])
@@ -103,7 +103,7 @@ class Runs(NamedTuple):
         return int(np.where(outer, lengths, np.minimum(ends, lengths)).sum())
 
     def cells_of_level(self, level: int, number: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """The cells of a level, in ascending order, that have these numbers from 0 on."""
+        """Returns the cells of a level with given ranks, from 0 on, in ascending order of cells."""
         own = np.flatnonzero(self.level == level)
         ends = np.cumsum(self.lengths[own])
         place = np.searchsorted(ends, number, "right")
@@ -111,9 +111,9 @@ class Runs(NamedTuple):
 
 
 def merge(sequences: Sequence[Int[np.ndarray, "..."]]) -> Int[np.ndarray, " n"]:
-    """The numbers that sequences, each in about ascending order, hold together, each once.
+    """Merges sequences of numbers, each in about ascending order; each number is kept once.
 
-    A stable sort finds what is in order already: it is a hundred times as fast as `np.unique`.
+    A stable sort profits from that order: it is a hundred times as fast as `np.unique`.
     """
     numbers = np.sort(np.concatenate(sequences), kind="stable")
     return numbers[np.diff(numbers, prepend=-1) > 0]
@@ -125,7 +125,7 @@ def join_runs(
     label: Int[np.ndarray, " n"],
     level: Int[np.ndarray, " n"],
 ) -> Runs:
-    """Runs, those joined that are alike and in the same row."""
+    """Joins equal runs in the same row."""
     begins = first % shape[-1] == 0
     begins[1:] |= (label[1:] != label[:-1]) | (level[1:] != level[:-1])
     return Runs(shape, first[begins], label[begins].astype(np.int32), level[begins].astype(np.int8))
@@ -134,14 +134,14 @@ def join_runs(
 def label_of(
     fate: Int[np.ndarray, "*n"], attractor: Int[np.ndarray, "*n"]
 ) -> Int[np.ndarray, "*n"]:
-    """One number for the fate and the attractor of each cell, which converges if it has one."""
+    """Returns one number for the fate and the attractor of each cell; attractor -1 means none."""
     return np.where(attractor >= 0, len(Outcome) + attractor, fate)
 
 
 def neighbours(
     cells: Int[np.ndarray, " n"], shape: tuple[int, ...]
 ) -> Iterator[Int[np.ndarray, " n"]]:
-    """The neighbours of cells in each direction, corners included, which the border repeats."""
+    """Yields the neighbours of cells in each direction, corners included, within the border."""
     places = np.unravel_index(cells, shape)
     for step in np.ndindex((3,) * len(shape)):
         if step != (1,) * len(shape):
@@ -152,5 +152,5 @@ def neighbours(
 def flat_index(
     places: Sequence[Int[np.ndarray, "..."]] | Int[np.ndarray, "..."], shape: tuple[int, ...]
 ) -> Int[np.ndarray, "..."]:
-    """Numbers of the cells at these places on each axis, or of those at the border next to them."""
+    """Returns the numbers of the cells at places on each axis; the border ends the axes."""
     return np.asarray(np.ravel_multi_index(tuple(places), shape, mode="clip"))

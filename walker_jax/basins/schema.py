@@ -16,13 +16,13 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of
 
 NOT_COMPUTED = -1
-"""The fate of a cell whose piece has not been computed."""
+"""Fate of a cell whose piece has not been computed."""
 ARRAYS = "fate", "attractor", "strides"
 """Names of the arrays over a grid."""
 
 
 def attributes_of_arrays(failures: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The attributes of these arrays, of a system with failures of its own."""
+    """Returns the attributes of these arrays, for a system with failures of its own."""
     names = names_of_outcomes(failures)
     return {
         "fate": {"flag_values": list(map(int, names)), "flag_meanings": " ".join(names.values())},
@@ -32,7 +32,7 @@ def attributes_of_arrays(failures: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 class Basins(NamedTuple):
-    """The label of each of a grid's cells, in the order of their indices, and the attractors."""
+    """The label of each cell of a grid, in the order of their indices, and the attractors."""
 
     fate: Int[np.ndarray, " n"]
     attractor: Int[np.ndarray, " n"]
@@ -40,21 +40,21 @@ class Basins(NamedTuple):
     attractors: list[Attractor]
 
     def sorted(self) -> "Basins":
-        """The same, attractors numbered in order."""
+        """Returns the basins with attractors numbered in order."""
         order = sorted_numbers(self.attractors)
-        number = np.full(len(order) + 1, -1, np.int32)  # the last is that of no attractor
+        number = np.full(len(order) + 1, -1, np.int32)  # the last stands for no attractor
         number[order] = np.arange(len(order))
         attractors = [self.attractors[i] for i in order]
         return self._replace(attractor=number[self.attractor], attractors=attractors)
 
 
 def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
-    """Mark the attractors that are artefacts of cells; none where a data set does not tell."""
+    """Marks the attractors that are artefacts of cells; none if the data set does not say."""
     return data["artefact"].values if "artefact" in data else np.zeros(data.sizes["number"], bool)
 
 
 def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr.Dataset:
-    """The data set that `basin` returns; the settings of the method are among its attributes."""
+    """Makes the data set that `basin` returns; settings of the method are among its attributes."""
     reached = basins.attractor[basins.attractor >= 0]
     cells = np.bincount(reached, minlength=len(basins.attractors))
     about = attributes_of_arrays(walker.failures)
@@ -68,7 +68,7 @@ def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr
 
 
 def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
-    """The axes of a grid; as attributes, the walker and how its basins are computed."""
+    """Makes a data set of a grid's axes; attributes name the walker and the computation."""
     about = {
         "walker": walker.label(),
         **attributes_of(walker),
@@ -81,12 +81,12 @@ def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
 
 
 def is_centred(grid: Grid) -> bool:
-    """Whether the box coordinates of a grid are offsets from its origin."""
+    """Returns whether the box coordinates of a grid are offsets from its origin."""
     return bool(np.any(np.asarray(grid.origin)[: grid.coordinates - len(grid.fixed)]))
 
 
 def count_at_border(grid: Grid, attractor: Int[np.ndarray, " n"], first: int = 0) -> int:
-    """How many cells of basins are at the border of the grid, of n from the first on."""
+    """Counts the cells of basins at the border of the grid, among n cells from the first on."""
     count = 0
     for part in cell_slices(len(attractor)):
         cells = first + part.start + np.flatnonzero(attractor[part] >= 0)
@@ -102,8 +102,7 @@ def add_attractors(
     cells: Int[np.ndarray, " number"],
     at_border: int,
 ) -> xr.Dataset:
-    """The same with the attractors, how many cells belong to the basin of each, and how many of
-    all of these are at the border of the grid."""
+    """Adds the attractors to a data set, with the cells of each basin and those at the border."""
     longest = max((len(one.states) for one in attractors), default=0)
     states = np.full((len(attractors), longest, grid.coordinates), np.nan)
     for one, row in zip(attractors, states, strict=True):
@@ -127,7 +126,7 @@ def add_attractors(
 
 
 def request_of(about: xr.Dataset, grid: Grid) -> dict:
-    """All that a basin depends on, by which a stored one is recognised."""
+    """Returns all that a basin depends on, by which a stored one is recognised."""
     return {
         **{str(name): value for name, value in about.attrs.items()},
         "axes": grid.box,
@@ -138,7 +137,7 @@ def request_of(about: xr.Dataset, grid: Grid) -> dict:
 
 
 def arrays_to_compute(walker: System, grid: Grid) -> dict[str, xr.Variable]:
-    """The arrays over a grid before anything is computed."""
+    """Returns the arrays over a grid before anything is computed."""
     about = attributes_of_arrays(walker.failures)
     return {
         "fate": constant_array(grid, NOT_COMPUTED, np.int8, about["fate"]),
@@ -150,7 +149,7 @@ def arrays_to_compute(walker: System, grid: Grid) -> dict[str, xr.Variable]:
 def constant_array(
     grid: Grid, value: Any, dtype: Any, attributes: dict | None = None, *coordinate: str
 ) -> xr.Variable:
-    """An array over a grid, and over a state's coordinates too, of one value and no memory."""
+    """Makes an array of one value, without memory, over a grid and perhaps coordinates."""
     shape = (*grid.shape, *(grid.coordinates for _ in coordinate))
     values = np.broadcast_to(np.array(value, dtype), shape)
     return xr.Variable((*grid.names, *coordinate), values, attributes)

@@ -1,11 +1,11 @@
 """The stable manifold of a saddle: the starts that converge to an unstable gait.
 
-It begins along the stable direction of the saddle, and is a curve that the stride function maps
-into itself: S(x) = c(t) for every point x of the curve c, with c(t) nearer to the saddle, along the
-curve. So what is known of the curve determines its next point: this is the pseudo-arclength
-continuation of x and t together (the idea of England, Krauskopf and Osinga 2004, SIAM Journal on
-Applied Dynamical Systems 3, 161). It goes on where the stride function folds the section and t
-turns back, as it does for walkers.
+The manifold begins along the stable direction of the saddle. It is a curve c that the stride
+function maps into itself: S(x) = c(t) for every point x of the curve, with c(t) nearer to the
+saddle along the curve. So the known part of the curve determines its next point. This is a
+pseudo-arclength continuation of x and t together (the idea of England, Krauskopf and Osinga 2004,
+SIAM Journal on Applied Dynamical Systems 3, 161). It also passes places where the stride function
+folds the section and t turns back, as it does for walkers.
 """
 
 from bisect import bisect_right
@@ -30,17 +30,17 @@ from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.systems.system import System
 
 FIRST = 1e-5
-"""Distance from the saddle up to which the manifold is taken for straight: it bends by 1e-10."""
+"""Distance from the saddle up to which the manifold counts as straight: it bends by 1e-10."""
 CORRECTIONS = 8
-"""Newton steps to a point of the curve, from one beside it; a shorter step is tried after them."""
+"""Newton steps to a point of the curve from one beside it; a shorter step is tried after them."""
 EXACT = 1e-10
-"""Residual of a point, at most, along the curve that it is mapped to and across."""
+"""Largest residual of a point, along the curve that it is mapped to and across."""
 SHORTEST = 1e-7
-"""Length of a step, at least: where none so short succeeds the curve ends."""
+"""Shortest step: the curve ends where no longer step succeeds."""
 GROWTH = 1.5
-"""Of a step after one that succeeds."""
+"""Growth of the step after one that succeeds."""
 SHARPEST = 0.9
-"""Cosine of the angle between two steps, at least."""
+"""Least cosine of the angle between two steps."""
 
 
 @refuses_tracers()
@@ -52,17 +52,23 @@ def stable_manifold(
     points: int = 1000,
     tolerance: float | None = None,
 ) -> list[Float[np.ndarray, "n section"]]:
-    """The stable manifold of an unstable gait on a section of two coordinates: two curves.
+    """Computes the stable manifold of an unstable gait on a section of two coordinates: two curves.
 
-    Each goes out from the gait's first state, and ends where the stride function does, or where it
-    leads to the other curve. Between its points a curve is taken for a cubic.
+    Each curve starts at the gait's first state. It ends where the stride function does, or where it
+    leads to the other curve. Between its points a curve is approximated by a cubic.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    saddle = next(gait for gait in wj.find_gaits(walker) if not gait.stable)
+    one, other = wj.stable_manifold(walker, saddle)  # arrays of shape (n, 2)
+    ```
 
     **Arguments:**
 
-    - `walker`: that of the gait.
+    - `walker`: the walker of the gait.
     - `gait`: a saddle, with one multiplier outside the unit circle and one inside.
-    - `spacing`: of the points of a curve, at most, in the coordinates of the section.
-    - `points`: of a curve, at most.
+    - `spacing`: largest distance of neighbouring points, in the coordinates of the section.
+    - `points`: most points of a curve.
     - `tolerance`: of the integration, as in `stride`.
 
     Raises `ValueError` for another gait or section, a gait of another walker, and in float32.
@@ -88,7 +94,7 @@ def stable_manifold(
     values, vectors = np.linalg.eig(jacobian)
     at = int(np.abs(values).argmin())
     direction = np.real(vectors[:, at])
-    # twice round where the two halves of the manifold change places
+    # Two periods, if one exchanges the two halves of the manifold.
     strides = len(states) * (1 if np.real(values[at]) > 0 else 2)
     image = Image(walker, strides, integrator)
     return [
@@ -106,7 +112,7 @@ class Image(NamedTuple):
     def __call__(
         self, x: Float[np.ndarray, " section"]
     ) -> tuple[Float[np.ndarray, " section"], Float[np.ndarray, "section section"]]:
-        """The end of the strides from x, and its derivatives by x; NaN where one fails."""
+        """Returns the end of the strides from x, and its derivatives by x; NaN after a failure."""
         jacobian = np.eye(len(x))
         for _ in range(self.strides):
             local = linearise(self.walker, x[None, None], self.integrator)
@@ -117,24 +123,24 @@ class Image(NamedTuple):
 ImageOf = Callable[
     [Float[np.ndarray, " 2"]], tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 2"]]
 ]
-"""A map with its derivatives, as `Image` is."""
+"""A map with its derivatives, such as `Image`."""
 
 
 class Curve:
-    """A curve that grows point by point: cubics between them, by their tangents."""
+    """A curve that grows point by point: cubics with given tangents join its points."""
 
     def __init__(self, first: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]):
         self.points, self.tangents, self.lengths = [first], [tangent], [0.0]
 
     def add(self, point: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]) -> None:
-        """Add a point at the end."""
+        """Adds a point at the end."""
         gap = float(np.linalg.norm(point - self.points[-1]))
         self.points.append(point)
         self.tangents.append(tangent)
         self.lengths.append(self.lengths[-1] + gap)
 
     def at(self, t: float) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
-        """The point at a length t, and its derivative by t (Hermite's interpolation)."""
+        """Returns the point at a length t, and its derivative by t (Hermite's interpolation)."""
         i = min(max(bisect_right(self.lengths, t) - 1, 0), len(self.points) - 2)
         h = self.lengths[i + 1] - self.lengths[i]
         u = (t - self.lengths[i]) / h
@@ -151,7 +157,7 @@ def follow_manifold(
     spacing: float,
     points: int,
 ) -> Float[np.ndarray, "n 2"]:
-    """One half of the stable manifold of a fixed point of a map, from the saddle on."""
+    """Follows one half of the stable manifold of a fixed point of a map, from the saddle on."""
     curve = Curve(saddle, direction)
     x, along, step = saddle + FIRST * direction, direction, FIRST
     curve.add(x, along)
@@ -178,7 +184,7 @@ def tangent_of(
     slope: Float[np.ndarray, " 2"],
     along: Float[np.ndarray, " 2"],
 ) -> tuple[Float[np.ndarray, " 2"], float]:
-    """The direction dx, of length one and not against `along`, and dt with J dx = slope dt."""
+    """Returns a direction dx of length one, not against `along`, and dt with J dx = slope dt."""
     null = np.cross(*np.column_stack([jacobian, -slope]))
     null = null / np.linalg.norm(null[:2])
     null = null if null[:2] @ along >= 0 else -null
@@ -192,7 +198,7 @@ def correct(
     t: float,
     tangent: Float[np.ndarray, " 2"],
 ) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "2 2"]] | None:
-    """The point across the tangent at x that is mapped to the curve, at a length; None for none."""
+    """Finds the point across the tangent at x that is mapped to the curve, and where; or None."""
     start = x
     for _ in range(CORRECTIONS):
         if not 0 <= t <= curve.lengths[-1]:

@@ -1,4 +1,4 @@
-"""A refined basin of three dimensions, and its slices along the axes of the grid."""
+"""Refined basins of three dimensions, and their slices along the axes of the grid."""
 
 import numpy as np
 import xarray as xr
@@ -13,19 +13,25 @@ from walker_jax.systems.outcomes import failures_of
 
 @refuses_tracers()
 def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
-    """The slice of a refined basin of three dimensions at one value of one axis.
+    """Returns the slice of a refined basin of three dimensions at one value of one axis.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 1.4, 28), sum=(-1, 0.2, 24), phidot=(-2.5, 1, 28))
+    data = wj.refine(wj.RoundFootWalker(0.04), grid, levels=0, check=100)
+    plane = wj.slice_basin(data, "phidot", -0.5)
+    ```
 
     **Arguments:**
 
-    - `data`: what `refine` returns over three dimensions.
+    - `data`: a data set of `refine` over three dimensions.
     - `axis`: the name of an axis of its grid, such as "phidot".
-    - `value`: on it; the slice is that of the finest cells that hold the value.
+    - `value`: a value on that axis; the slice consists of the finest cells that hold the value.
 
     **Returns** a data set like that of `basin` over the other two axes; all its `strides` are 0.
     `cells`, `area` and `at_border` are those of the slice.
 
     Raises `ValueError` for another data set, for an axis that it does not have, and for a value
-    that is not on the axis.
+    outside the axis.
     """
     check_kind("data", data, xr.Dataset)
     check_dataset(data, "refined volume")
@@ -65,7 +71,7 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
 
 
 def grid_of(data: xr.Dataset) -> Grid:
-    """The finest grid of a refined basin of three dimensions."""
+    """Returns the finest grid of a refined basin of three dimensions."""
     names = data["axis"].values.tolist()
     ends = zip(data["lower"].values, data["upper"].values, strict=True)
     axes = {
@@ -76,7 +82,7 @@ def grid_of(data: xr.Dataset) -> Grid:
 
 
 def runs_of(data: xr.Dataset) -> Runs:
-    """The runs of its cells: labels are those of the data set, levels are not kept."""
+    """Returns the runs of its cells, for their places only: labels and levels are 0."""
     shape = tuple(data.sizes[name] for name in data["axis"].values.tolist())
     first = data["first_cell"].values
     label = np.zeros(len(first), np.int32)

@@ -1,4 +1,4 @@
-"""Windows of the section around the basin of a gait, where nothing else is asked for."""
+"""Default windows of the section, around the basin of a gait."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -19,20 +19,20 @@ from walker_jax.walkers.simplest import SimplestWalker
 PAPER_WINDOW = {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
 """The window of Schwab and Wisse (2001), Figure 4."""
 WHOLE_SECTION = {"theta": (0.0, 1.4, 84), "sum": (-1.0, 0.2, 72), "phidot": (-2.5, 1.0, 84)}
-"""A window that holds the basin of walkers like the default ones, with legs of length 1."""
+"""A window that holds the basin of walkers similar to the default ones, with legs of length 1."""
 PLACEHOLDERS = {"phidot": 0.0}
-"""Of axes that a gait is still to give; any other may be `ANY_AXIS`."""
+"""Values of axes that a gait is still to give; any other is `ANY_AXIS`."""
 ANY_AXIS = (0.0, 1.0, 2)
 
 
 def fill_from_paper(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
-    """The axes; for the simplest walker, those that are None are those of the paper's window."""
+    """Fills axes that are None with those of the paper's window, for the simplest walker."""
     known = PAPER_WINDOW if moves_like(walker, SimplestWalker) else {}
     return {name: known.get(name) if axis is None else axis for name, axis in axes.items()}
 
 
 def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
-    """The axes; those that are None lie around the walker's gait.
+    """Fills axes that are None around the walker's gait.
 
     Raises `ComputationFailed` where such a gait is needed and not found.
     """
@@ -44,9 +44,9 @@ def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
-    """Axes over the region in which a system's gaits are searched for, of so many cells each.
+    """Returns axes over the region of a system's gaits, of `cells` cells each.
 
-    None where there is no such region, or it is not plain, or not of two axes.
+    None where there is no such region, or it is not plain, or has not two axes.
     """
     region = walker.gait_region() if has_gait_region(walker) else None
     if region is None or region.names != walker.section or len(region.names) != 2:
@@ -58,11 +58,11 @@ def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
 
 
 def whole_section(walker: Walker) -> dict[str, Any]:
-    """The axes of a window of three dimensions that holds the whole basin of a walker, or most.
+    """Returns the axes of a window of three dimensions that holds most of a walker's basin, or all.
 
-    It is `WHOLE_SECTION`, with rates in units of 1 / sqrt(leg length).
+    The window is `WHOLE_SECTION`, with rates in units of 1 / sqrt(leg length).
     """
-    angle = 1e-4  # so small that a step is 2 angle leg lengths long, on round feet too
+    angle = 1e-4  # so small that a step is 2 angle leg lengths long, also on round feet
     start = walker.lift(jnp.array([angle, -angle, 0.0]))
     unit = round(float(2 * angle / walker.reach(walker.exchange_legs(start))) ** 0.5, 6)
     (narrowest, widest, _), (low, high, count) = WHOLE_SECTION["theta"], WHOLE_SECTION["sum"]
@@ -76,7 +76,7 @@ def whole_section(walker: Walker) -> dict[str, Any]:
 
 
 def grid_along(axes: Mapping[str, Any]) -> Grid:
-    """A sheared grid where an axis is `sum`, else a plain one. Axes that are numbers fix theirs."""
+    """Makes a sheared grid if an axis is `sum`, else a plain one; numbers fix their coordinates."""
     if "sum" in axes:
         return Grid.sheared(**axes)
     ranges = {name: axis for name, axis in axes.items() if not is_number(axis)}
@@ -87,7 +87,7 @@ def grid_along(axes: Mapping[str, Any]) -> Grid:
 
 
 def outline(axes: Mapping[str, Any]) -> Grid:
-    """A grid of these axes, with arbitrary ones where they are None: it checks those given."""
+    """Makes a grid of these axes, with arbitrary ones for None, to check the given ones."""
     return grid_along(
         {
             name: PLACEHOLDERS.get(name, ANY_AXIS) if axis is None else axis
@@ -97,7 +97,7 @@ def outline(axes: Mapping[str, Any]) -> Grid:
 
 
 def film_window(walker: Walker, x: Float[ArrayLike, " section"]) -> Grid:
-    """The paper's window for the simplest walker; any other's around its gait, or around x."""
+    """Returns the paper's window for the simplest walker, else one around the gait, or around x."""
     if moves_like(walker, SimplestWalker):
         return grid_along(PAPER_WINDOW)
     gait = search_gait(walker)

@@ -41,10 +41,17 @@ def boundary_point(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> Float[np.ndarray, " section"]:
-    """A point of the boundary between two fates, to the last digit of float64.
+    """Finds a point of the boundary between two fates, to the last digit of float64.
 
-    The grid is followed directly. Of its cells beside one of another fate or attractor, the nearest
-    to a point is taken, and bisection goes on between the two centres until no number is between.
+    The grid is followed directly. Among its cells beside one of another fate or attractor, the
+    nearest to a point is taken. Bisection between the two centres continues until no number lies
+    between.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 100))
+    point = wj.boundary_point(walker, grid, near=(0.2, -0.2))
+    ```
 
     **Arguments:**
 
@@ -63,7 +70,7 @@ def boundary_point(
 def checked_mapper(
     walker: System, grid: Grid, strides: int, tolerance: float | None, needed_by: str
 ) -> Mapper:
-    """The mapper to the attractors of a grid, with their capture boxes; arguments are checked."""
+    """Checks the arguments; returns the mapper to a grid's attractors, with capture boxes."""
     check_grid(walker, grid, "direct")
     check_single(walker)
     check_whole("strides", strides)
@@ -76,7 +83,7 @@ def checked_mapper(
 def find_boundary_point(
     mapper: Mapper, grid: Grid, near: Float[np.ndarray, " section"] | None = None
 ) -> Float[np.ndarray, " section"]:
-    """`boundary_point`, by a mapper."""
+    """Finds `boundary_point`, by a mapper."""
     labels, mapper = mapper.label_all(grid.centres(np.arange(grid.size)))
     label_starts = lambda x: label_of(*mapper.label_all(x)[0][:2])
     label = label_of(*labels[:2]).reshape(grid.shape)
@@ -102,9 +109,9 @@ def bisect_to_last_digit(
     label_starts: Callable[[Float[np.ndarray, "n section"]], Int[np.ndarray, " n"]],
     ends: Float[np.ndarray, "2 section"],
 ) -> Float[np.ndarray, " section"]:
-    """The point at which the label of the first end is lost, on a segment: one rounding beside.
+    """Bisects a segment; returns the first number with another label than its first end.
 
-    Raises `ComputationFailed` where both ends have one label, and all between.
+    Raises `ComputationFailed` where both ends have one label, and all points between.
     """
     while True:
         share = np.linspace(0, 1, POINTS)[:, None]
@@ -134,23 +141,30 @@ def zoom(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Fates in windows from a grid's own down to one `factor` times as narrow, for a film.
+    """Computes the fates in ever narrower windows of a grid, down to 1 / `factor`, for a film.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
+    data = wj.zoom(walker, grid, 1e4, frames=5)
+    ```
 
     **Arguments:**
 
     - `walker`: as in `basin`.
     - `grid`: the size of the first window, of two dimensions or more, and the cells of each.
-    - `factor`: of the last window; each window is narrower than the one before by the same ratio.
+    - `factor`: by which the last window is narrower than the first; successive windows narrow by
+      one ratio.
     - `centre`: point of the section in the middle of all windows, by default a `boundary_point`.
     - `frames`: number of windows.
     - `strides`, `tolerance`: as in `basin`.
     - `progress`: whether to show a progress bar on a terminal.
 
-    **Returns** a data set over `frame` and the grid's axes, whose coordinates are those of the last
-    window times its factor: `fate`, and `attractor`; over `frame` alone, `factor`, and `ahead`, the
-    strides by which the centre was followed before all starts were.
+    **Returns** a data set of `fate` and `attractor` over `frame` and the grid's axes, whose
+    coordinates are those of the last window times its factor. Over `frame` alone it has `factor`,
+    and `ahead`, the strides by which the centre was followed before all starts were.
 
-    Raises `ValueError` as `basin` does, also for windows narrower than float64 tells.
+    Raises `ValueError` as `basin` does, also for windows narrower than float64 resolves.
     """
     check_number("factor", factor)
     if not 1 <= factor < np.inf:
@@ -162,13 +176,13 @@ def zoom(
     middle = find_boundary_point(mapper, grid) if middle is None else middle
     factors = factor ** np.linspace(0, 1, frames)
     windows = [grid.zoom(middle, one) for one in factors.tolist()]
-    # the last window first, as it may be too narrow
+    # The last window first: it may be too narrow.
     ahead_of = [follow_window(walker, one, mapper.integrator, strides) for one in windows[::-1]]
     cells = np.arange(grid.size)
     fate, attractor, ahead = [], [], []
     for followed, made in track(ahead_of[::-1], "windows", progress):
         left = mapper._replace(strides=strides - made)
-        found, mapper = left.label_all(followed.centres(cells))  # all frames have its numbers
+        found, mapper = left.label_all(followed.centres(cells))  # all frames share its numbers
         fate.append(found.fate.reshape(grid.shape))
         attractor.append(found.attractor.reshape(grid.shape))
         ahead.append(made)

@@ -1,6 +1,6 @@
 """The progress of a computation, shown on a terminal, on request.
 
-A computation within another adds a line to what the other one shows.
+A nested computation adds a line to the display of the outer one.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -14,22 +14,22 @@ from rich.text import Text
 
 T = TypeVar("T")
 SMOOTHING_SECONDS = 600.0
-"""Time over which the speed is averaged that tells how much time is left."""
+"""Time over which the speed is averaged to estimate the time left."""
 quiet = False
-"""Whether nothing is shown in this process, even on request."""
+"""Whether this process shows nothing, even on request."""
 current: Progress | None = None
-"""What is shown at present."""
+"""The present display."""
 
 
 class Percentage(ProgressColumn):
-    """The share that is done, where it is known."""
+    """The completed share, where it is known."""
 
     def render(self, task: Task) -> Text:
         return Text("" if task.total is None else f"{task.percentage:>3.0f}%")
 
 
 class Times(ProgressColumn):
-    """The time that has passed, and the time that is left if the work goes on as fast."""
+    """The time that has passed, and the time that is left at the present speed."""
 
     def render(self, task: Task) -> Text:
         passed = in_words(task.elapsed or 0.0)
@@ -40,20 +40,20 @@ class Times(ProgressColumn):
 
 
 def in_words(seconds: float) -> str:
-    """A time in the largest unit that says it well."""
+    """Formats a time in a suitable unit."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def be_quiet() -> None:
-    """Show nothing from now on, in this process."""
+    """Shows nothing from now on, in this process."""
     global quiet
     quiet = True
 
 
 def progress_console(wanted: bool) -> Console:
-    """Standard error, if it is a terminal and `wanted`; otherwise a quiet console."""
+    """Returns standard error, if it is a terminal and `wanted`; otherwise a quiet console."""
     terminal = Console(stderr=True)
     terminal.quiet = quiet or not (wanted and terminal.is_terminal)
     return terminal
@@ -63,9 +63,9 @@ def progress_console(wanted: bool) -> Console:
 def bar(
     label: str, progress: bool, total: int | None = None, done: int = 0
 ) -> Iterator[Callable[[int], None]]:
-    """Show a bar while the work within lasts; gives the function that says how much is done.
+    """Shows a bar during the work within; yields the function that sets the completed amount.
 
-    It begins where `done` of `total` were there before. Without a total it tells the time alone.
+    It starts at `done` of `total`. Without a total it shows the time alone.
     """
     global current
     shown = progress_console(progress)
@@ -90,7 +90,7 @@ def bar(
 def line(
     shown: Progress, label: str, total: int | None, done: int
 ) -> Iterator[Callable[[int], None]]:
-    """One line of what is shown."""
+    """Shows one line of the display."""
     task = shown.add_task(label, total=total, completed=done)
     try:
         yield lambda completed: shown.update(task, completed=completed)
@@ -100,13 +100,13 @@ def line(
 
 
 def track(
-    things: Iterable[T], label: str, progress: bool, total: int | None = None, done: int = 0
+    items: Iterable[T], label: str, progress: bool, total: int | None = None, done: int = 0
 ) -> Iterator[T]:
-    """The things, one after the other, with a progress bar.
+    """Yields the items, one after the other, with a progress bar.
 
-    It begins where `done` of `total` were there before.
+    The bar starts at `done` of `total`.
     """
-    with bar(label, progress, total or length_hint(things) or None, done) as update:
-        for count, thing in enumerate(things, done + 1):
-            yield thing
+    with bar(label, progress, total or length_hint(items) or None, done) as update:
+        for count, item in enumerate(items, done + 1):
+            yield item
             update(count)

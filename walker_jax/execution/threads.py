@@ -1,7 +1,7 @@
 """Independent computations side by side, each in a thread.
 
-A kernel uses all cores by itself. What a computation does between kernels, in Python and NumPy, is
-done by one core: another computation keeps the others busy meanwhile.
+A kernel uses all cores by itself. Between kernels, in Python and NumPy, a computation uses one
+core; another computation keeps the others busy meanwhile.
 """
 
 from collections.abc import Callable, Generator, Iterable
@@ -12,26 +12,26 @@ from typing import TypeVar
 from walker_jax.execution.tiles import cores, stopping
 from walker_jax.kernels.program import apply_settings, current_settings
 
-Thing = TypeVar("Thing")
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 def side_by_side(
-    function: Callable[[Thing], Result], things: Iterable[Thing]
+    function: Callable[[Item], Result], items: Iterable[Item]
 ) -> Generator[Result, None, None]:
-    """function(thing) for each of the things, in their order, as many at a time as there are cores.
+    """Yields function(item) for each item, in order, as many at a time as there are cores.
 
-    Where one raises, or the iterator is closed, the others stop before their next kernel.
+    If one raises, or the iterator is closed, the others stop before their next kernel.
     """
     settings, stop, outer = current_settings(), Event(), stopping.get()
 
-    def as_here(thing: Thing) -> Result:
+    def as_here(item: Item) -> Result:
         stopping.set((*outer, stop))
         with apply_settings(settings):
-            return function(thing)
+            return function(item)
 
     with ThreadPoolExecutor(cores()) as pool:
         try:
-            yield from pool.map(as_here, things)
+            yield from pool.map(as_here, items)
         finally:
             stop.set()

@@ -1,11 +1,10 @@
 """A function of one cell over millions of them: kernels, tiles, devices, cores, progress.
 
-On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`), and on a GPU
-where kernels run there. A function that no kernel can do, and any on another accelerator, is mapped
-over tiles of cells by XLA. On a CPU a
-tile is small enough to stay in the cache, and ends when its own slowest cell does; on a GPU it is
-large enough to fill the card. Either way the results are the same to the last bit, however many
-cores or devices share the work.
+On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`); on a GPU too,
+where kernels run there. XLA maps any other function over tiles of cells, and any function on other
+accelerators. On a CPU a tile is small enough to stay in the cache, and ends when its own slowest
+cell does; on a GPU it is large enough to fill the card. Either way the results are the same to the
+last bit, however many cores or devices share the work.
 """
 
 import functools
@@ -44,16 +43,16 @@ CALL_SHAPES = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
 SMALL_CALL_SHAPE = (64, 8)
 """The same, where there are few cells for a CPU."""
 KERNEL_CALL_CELLS = (512, 2**15)
-"""Cells that a core works on without a break, by a kernel, at least and at most."""
+"""Fewest and most cells that a core processes by a kernel without a break."""
 GPU_CALL_CELLS = (2**15, 2**20)
-"""The same of a GPU. An H100 works on 33,792 at once, so that fewer take as long."""
+"""The same for a GPU. An H100 processes 33,792 at once, so fewer cells take as long."""
 
 
 # A library may set these for its own calls. 512-bit vectors where the processor has them; elsewhere
 # they change little: strides and their Jacobians take 0.94 to 1.01 times as long by jax 0.10, 0.12.
 # And the older of XLA's two ways to emit a fusion, which jax 0.12 no longer has: by jax 0.10 it
-# takes 1.1 to 1.2 times as long for these two, but it does not repeat what derivatives of
-# derivatives, or long expressions, have in common: that makes them a hundred times as fast.
+# takes 1.1 to 1.2 times as long for these two, but it does not repeat common parts of derivatives
+# of derivatives, or of long expressions, which are then a hundred times as fast.
 COMPILER_OPTIONS = {
     "cpu": {"xla_cpu_prefer_vector_width": 512, "xla_cpu_use_fusion_emitters": False}
 }
@@ -66,10 +65,10 @@ def map_cells(
     *,
     progress: str | None = None,
 ) -> PyTree[np.ndarray]:
-    """function(*args) for every cell, on all devices of the process and all cores of a CPU.
+    """Computes function(*args) for every cell, on all devices and all cores of a CPU.
 
-    An interrupt waits for the cells that are being worked on. Neighbours are worked on together:
-    cells that take equally long should be neighbours.
+    An interrupt waits for the cells in progress. Neighbours are processed together, so cells that
+    take equally long should be neighbours.
 
     **Arguments:**
 
@@ -78,7 +77,7 @@ def map_cells(
     - `args`: PyTrees of arrays.
     - `mapped`: for each of them, whether it has the cells along the first axis of its arrays, any
       number of them; others are the same for all cells. By default the second of two.
-    - `progress`: what to call the work in a progress bar, shown on a terminal only.
+    - `progress`: label of a progress bar, shown on a terminal only.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """
@@ -116,15 +115,15 @@ def map_cells(
     run = compile_call(function, states, mapped, platform, tile, tiles)
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
-        """The results of at most one call, in which each device has an equal share of the cells."""
+        """Computes at most one call, in which each device has an equal share of the cells."""
         chunk = jax.tree.map(lambda leaf: pad(leaf[start:stop], call), cells)
         left = stop - start - tile * tiles * np.arange(len(devices))
         done = run(shared, chunk, -(-np.clip(left, 0, tile * tiles) // tile))
         return jax.tree.map(lambda leaf: np.array(leaf[: stop - start]), jax.device_get(done))
 
-    if n <= call and progress is None:  # no threads for it
+    if n <= call and progress is None:  # needs no threads
         return work(0, n)
-    first = work(0, 0)  # compiles, and works through no tile
+    first = work(0, 0)  # compiles only, without any tile
     results = jax.tree.map(lambda leaf: np.empty((n, *leaf.shape[1:]), leaf.dtype), first)
 
     def put(start: int, stop: int) -> None:
@@ -139,7 +138,7 @@ def map_cells(
 def run_in_threads(
     work: Callable[[int, int], None], n: int, call: int, workers: int, progress: str | None
 ) -> None:
-    """work(start, stop) for n cells, `call` of them at a time, in as many threads."""
+    """Calls work(start, stop) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
     settings = current_settings()
 
@@ -163,17 +162,17 @@ def run_in_threads(
 
 core_limit: int | None = None
 stopping: ContextVar[tuple[Event, ...]] = ContextVar("stopping", default=())
-"""Any of these stops the computation of this thread, before its next kernel."""
+"""Any of these events stops the computation of this thread, before its next kernel."""
 
 
 def limit_cores(most: int | None) -> None:
-    """Let `map_cells` use no more cores of a CPU than so many, in this process."""
+    """Limits the cores of a CPU that `map_cells` uses, in this process."""
     global core_limit
     core_limit = most
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """Returns the number of processor cores that this process may use."""
     number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(number or 1, core_limit or number or 1)
 
@@ -181,12 +180,12 @@ def cores() -> int:
 def run_kernel(
     program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
 ) -> list[np.ndarray]:
-    """The cells' results by a kernel, on all cores."""
+    """Computes the cells' results by a kernel, on all cores."""
     assert program.compiled is not None
     run, results = program.compiled.bind(operands, mapped, n)
     workers = cores()
     least, most = KERNEL_CALL_CELLS
-    # Several for each core, so that all end at about the same time.
+    # Several calls for each core, so that all end at about the same time.
     call = min(most, max(least, -(-n // (4 * workers))))
     if n <= least and progress is None:
         run(0, n)
@@ -196,14 +195,14 @@ def run_kernel(
 
 
 def route_here() -> Route | None:
-    """The route by which kernels run on the devices of this process, if these are GPUs."""
+    """Returns the route by which kernels run on the devices of this process, if these are GPUs."""
     return route_in_use() if jax.local_devices()[0].platform == "gpu" else None
 
 
 def run_on_gpus(
     program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
 ) -> list[np.ndarray]:
-    """The cells' results by a kernel, on all GPUs. Each call has a power of two of them."""
+    """Computes the cells' results by a kernel, on all GPUs, in calls of a power of two of cells."""
     least, most = GPU_CALL_CELLS
     devices = len(jax.local_devices())
     call = devices * min(most, max(least, 1 << (-(-n // devices) - 1).bit_length()))
@@ -220,13 +219,13 @@ def run_on_gpus(
     if 0 < n <= call and progress is None:
         put(0, n)
     else:
-        run_in_threads(put, n, call, 2, progress)  # two at a time, as of XLA's calls
+        run_in_threads(put, n, call, 2, progress)  # two at a time, as for XLA's calls
     return results
 
 
 @functools.lru_cache(MAX_PROGRAMS)
 def compile_kernel_call(program: Program, mapped: tuple[int, ...]) -> Callable:
-    """The jitted function of the arrays of a call, of whose cells each GPU has an equal share."""
+    """Returns the jitted function of the arrays of a call, whose cells the GPUs share equally."""
     mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
     specs = tuple(each if one else P() for one in mapped)
     run = lambda *operands: kernel_p.bind(*operands, program=program, mapped=mapped)
@@ -234,7 +233,7 @@ def compile_kernel_call(program: Program, mapped: tuple[int, ...]) -> Callable:
 
 
 def abstract_value(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
-    """Type of a leaf, and its shape in one cell."""
+    """Returns the type of a leaf, and its shape in one cell."""
     plain = type(leaf) in (bool, int, float, complex)
     dtype = jax.dtypes.canonicalize_dtype(
         type(leaf) if plain else leaf.dtype, allow_extended_dtype=True
@@ -246,7 +245,7 @@ def abstract_value(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
 
 
 def pad(values: np.ndarray, size: int) -> np.ndarray:
-    """values made up to `size` with copies of the last, which no tile waits for."""
+    """Pads values to `size` with copies of the last, which no tile waits for."""
     if len(values) == size:
         return values
     last = values[-1:] if len(values) else np.zeros_like(values, shape=(1, *values.shape[1:]))
@@ -262,9 +261,9 @@ def compile_call(
     tile: int,
     tiles: int,
 ) -> Callable:
-    """The jitted function of (shared, cells of one call, how many tiles each device does of it).
+    """Returns the jitted function of (shared, cells of one call, how many tiles each device does).
 
-    There is one for each of the `states` in which code that it runs has been.
+    There is one for each of the `states` of the code that it runs.
     """
 
     def run(shared, cells, count):
@@ -285,7 +284,7 @@ def compile_call(
         results = lax.fori_loop(0, count[0], advance, empty)
         return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
-    # One program for all devices, which need nothing of each other.
+    # One program for all devices, which are independent of each other.
     mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
     shares = jax.shard_map(
         run, mesh=mesh, in_specs=(P(), each, each), out_specs=each, check_vma=False
@@ -294,14 +293,14 @@ def compile_call(
 
 
 def options_for(platform: str) -> dict:
-    """The compiler's options for a platform, without those that this version of XLA lacks."""
+    """Returns the compiler's options for a platform, without those that this XLA lacks."""
     options = COMPILER_OPTIONS.get(platform, {}).items()
     return {name: value for name, value in options if has_option(name, value)}
 
 
 @functools.cache
 def has_option(name: str, value: Any) -> bool:
-    """Whether XLA has an option, which is asked of XLA: it compiles nothing with an unknown one."""
+    """Returns whether XLA accepts an option, by a trial: an unknown one stops the compilation."""
     try:
         jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
     except jax.errors.JaxRuntimeError:
@@ -310,9 +309,10 @@ def has_option(name: str, value: Any) -> bool:
 
 
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
-    """Flat indices of a grid's cells, in the order in which to give them to `map_cells`.
+    """Returns flat indices of a grid's cells, in the order in which to give them to `map_cells`.
 
-    Neighbours are together in what waits for its slowest cell: a tile, or a block of threads.
+    Neighbours are together in a unit that waits for its slowest cell: a tile, or a block of
+    threads.
     """
     if jax.local_devices()[0].platform != "cpu":
         return compact_order(shape, THREADS if route_here() else CALL_SHAPES["gpu"][0])
@@ -323,7 +323,7 @@ def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
 def compact_order(
     shape: tuple[int, ...], tile: int = CALL_SHAPES["gpu"][0]
 ) -> Int[np.ndarray, " n"]:
-    """Flat indices of a grid's cells, in an order in which a tile's cells lie close together.
+    """Returns flat indices of a grid's cells, in an order that keeps a tile's cells close together.
 
     The grid is cut into cubes of about `tile` cells, one after the other.
     """

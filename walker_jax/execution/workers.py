@@ -1,8 +1,8 @@
-"""Pieces of a large computation, here or on a Dask cluster.
+"""Pieces of a large computation, on this machine or on a Dask cluster.
 
-A worker computes a piece with all devices, or all cores, that it may use, and sends back what it
-found; it writes nothing, and needs no disk in common with others. One that dies costs the pieces
-that it was at, which others compute again.
+A worker computes a piece with all devices, or all cores, that it may use, and sends back the
+result. It writes nothing, and shares no disk with others. If a worker dies, others compute its
+pieces again.
 """
 
 import logging
@@ -21,88 +21,87 @@ from walker_jax.kernels.program import MODES
 from walker_jax.storage.pieces import Pieces
 
 PIECES_PER_WORKER = 2
-"""Pieces that each worker has been given, so that it need not wait for the next."""
+"""Pieces queued for each worker, so that it need not wait for the next."""
 MAX_DEATHS = 10
-"""Times that Dask may give a piece up, as it does when several workers have died over it."""
+"""Times that Dask may give up a piece, as it does when several workers have died over it."""
 MAX_LOCAL_WORKERS = 1024
-"""Worker processes on this machine, at most."""
+"""Most worker processes on this machine."""
 CONNECT_SECONDS = 10
 """Seconds to wait for a scheduler."""
 Compute = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
 
 
 def check_cluster(cluster: Any, out: Any) -> None:
-    """Refuse a cluster without a place for the pieces that it computes."""
+    """Raises `WrongUse` for a cluster without a place for the pieces that it computes."""
     if cluster is not None and out is None:
         raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
 
 
 @contextmanager
 def open_workers(cluster: Any = None) -> Iterator[Compute]:
-    """Something that computes function(thing) for each thing: gives both, as they are done.
+    """Yields a function that computes function(item) for each item; it yields both when done.
 
-    The function may be pickled, and gives the same wherever it is computed; things are hashable.
+    The function must be picklable, and give the same result wherever it is computed; items are
+    hashable.
 
     **Arguments:**
 
-    - `cluster`: none to compute here, one after the other; a number of worker processes to start on
+    - `cluster`: None to compute here, one after the other; a number of worker processes to start on
       this machine, which share its cores; the address of a Dask scheduler, such as
-      "tcp://10.0.0.1:8786"; or a `dask.distributed.Client`, whose workers are left in the modes of
+      "tcp://10.0.0.1:8786"; or a `dask.distributed.Client`, whose workers then keep the modes of
       this process.
 
-    `ValueError` for a cluster that cannot be reached, or where Dask is not installed.
+    Raises `ValueError` for a cluster that cannot be reached, or where Dask is not installed.
     """
     if cluster is None:
         yield compute_here
         return
-    asked: dict[Any, Any] = {}
+    submitted: dict[Any, Any] = {}
     with connect(cluster) as client:
         try:
-            yield partial(compute_on_cluster, client, asked)
+            yield partial(compute_on_cluster, client, submitted)
         finally:
-            if client is cluster:  # others end here
-                client.cancel([*asked])
+            if client is cluster:  # other clients end here
+                client.cancel([*submitted])
 
 
-def compute_here(
-    function: Callable[[Any], Any], things: Sequence[Any]
-) -> Iterator[tuple[Any, Any]]:
-    """Each thing and its result, from this process."""
-    for thing in things:
-        yield thing, function(thing)
+def compute_here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+    """Yields each item and its result, from this process."""
+    for item in items:
+        yield item, function(item)
 
 
 def compute_on_cluster(
-    client: Any, asked: dict[Any, Any], function: Callable[[Any], Any], things: Sequence[Any]
+    client: Any, submitted: dict[Any, Any], function: Callable[[Any], Any], items: Sequence[Any]
 ) -> Iterator[tuple[Any, Any]]:
-    """Each thing and its result, from the workers of a Dask client; those asked for meanwhile."""
+    """Yields each item and its result, from the workers of a Dask client."""
     from distributed import KilledWorker, as_completed
 
-    waiting, deaths = list(things)[::-1], Counter()
+    waiting, deaths = list(items)[::-1], Counter()
     done = as_completed()
 
-    def ask_more() -> None:
-        """As many as there are workers for by now."""
+    def submit_more() -> None:
+        """Submits as many items as the present workers need."""
         workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-        while waiting and len(asked) < PIECES_PER_WORKER * workers:
-            thing = waiting.pop()
-            future = client.submit(function, thing, pure=False)
-            asked[future] = thing
+        while waiting and len(submitted) < PIECES_PER_WORKER * workers:
+            item = waiting.pop()
+            future = client.submit(function, item, pure=False)
+            submitted[future] = item
             done.add(future)
 
-    ask_more()
-    while asked:
+    submit_more()
+    while submitted:
         future = next(done)
-        thing = asked.pop(future)
+        item = submitted.pop(future)
         found = []
         try:
-            found.append((thing, future.result()))
+            found.append((item, future.result()))
         except KilledWorker:
-            deaths[thing] += 1
-            if deaths[thing] > MAX_DEATHS:
+            deaths[item] += 1
+            if deaths[item] > MAX_DEATHS:
                 raise
-            waiting.append(thing)
-        ask_more()
+            waiting.append(item)
+        submit_more()
         yield from found
 
 
@@ -110,20 +109,20 @@ def missing_pieces(
     place: Pieces,
     each: Compute,
     function: Callable[[Any], Any],
-    thing_of: Callable[[int], Any],
+    item_of: Callable[[int], Any],
     label: str,
     progress: bool,
 ) -> Iterator[tuple[int, Any]]:
-    """Each piece that a data set on disk lacks, and function(thing_of(piece)), as they are done."""
-    number = {thing_of(piece): piece for piece in place.missing()}
+    """Yields each piece that a data set on disk lacks, and function(item_of(piece)), when done."""
+    number = {item_of(piece): piece for piece in place.missing()}
     found, done = each(function, [*number]), place.count - len(number)
-    for thing, values in track(found, label, progress, place.count, done):
-        yield number[thing], values
+    for item, values in track(found, label, progress, place.count, done):
+        yield number[item], values
 
 
 @contextmanager
 def connect(cluster: Any) -> Iterator[Any]:
-    """A client of a cluster, whose workers compute as this process does."""
+    """Yields a client of a cluster, whose workers compute as this process does."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:
@@ -161,12 +160,12 @@ def connect(cluster: Any) -> Iterator[Any]:
 
 
 def configure_worker(modes: dict[str, Any], cores: int | None, dask_worker: Any) -> None:
-    """Let a worker compute in the modes of another process, on so many cores."""
+    """Makes a worker compute in the modes of another process, on a number of cores."""
     for mode, value in modes.items():
         jax.config.update(mode, value)
     tiles.limit_cores(cores)
-    # Its profiler looks at the frames of all threads, over which Python before 3.12 may come to a
-    # standstill when garbage is collected meanwhile.
+    # Its profiler reads the frames of all threads. Before Python 3.12 that may deadlock during a
+    # garbage collection.
     for name in ("profile", "profile-cycle"):
         if name in dask_worker.periodic_callbacks:
             dask_worker.periodic_callbacks[name].stop()

@@ -1,12 +1,12 @@
 """Pictures of results: one function per picture, which draws a data set and returns its Axes.
 
-Each draws a data set of a kind that `walker_jax.storage.schema` lists, and computes nothing but the
-layout. It draws on `ax`, or on a figure of its own that no window, and no state of pyplot, knows
-of: `figures.basin(data).figure.savefig("basin.png", dpi=150)`. Sizes of text are those of
-matplotlib's `rcParams`; axes that are given need a figure with a layout, as
-`plt.subplots(1, 2, layout="constrained")`. Angles are in rad and times in
-sqrt(l / g), with leg length l and gravity g. Colours differ in lightness as well as hue, so that
-they are told apart in grey print and by the colour-blind.
+Each function draws a data set of a kind that `walker_jax.storage.schema` lists, and computes
+nothing but the layout. It draws on `ax`, or on a new figure outside any window and outside pyplot:
+`figures.basin(data).figure.savefig("basin.png", dpi=150)`. Sizes of text are those of matplotlib's
+`rcParams`. Given axes need a figure with a layout, as from
+`plt.subplots(1, 2, layout="constrained")`. Angles are in rad and times in sqrt(l / g), with leg
+length l and gravity g. Colours differ in lightness as well as hue, so that they can be told apart
+in grey print and by the colour-blind.
 """
 
 from walker_jax.figures.basin_maps import basin as basin

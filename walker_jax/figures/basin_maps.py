@@ -48,7 +48,7 @@ from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, failures_of
 
 PANELS = 6
-"""Slices in a picture of a basin of three dimensions, at most."""
+"""Most slices in a picture of a basin of three dimensions."""
 
 
 def basin(
@@ -60,22 +60,22 @@ def basin(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The basin of attraction and the ways to fall around it, over a grid of two dimensions.
+    """Draws the basin of attraction and the ways to fall around it, over a grid of two dimensions.
 
-    Figures 2 (plain axes) and 4 (sheared ones) of Schwab and Wisse (2001). Each fate has a pale
-    colour and each basin a dark one. The basins of a few cells share a colour, and so do artefacts
-    of cell mapping. A region is labelled where there is room in it, and in the legend otherwise,
-    with the number of its cells. Dots are the attractors of the large basins.
+    Figures 2 (plain axes) and 4 (sheared axes) of Schwab and Wisse (2001). Each fate has a pale
+    colour and each basin a dark one. Basins of a few cells share a colour, and so do artefacts of
+    cell mapping. A region is labelled where it has room, and in the legend otherwise, with the
+    number of its cells. Dots are the attractors of the large basins.
 
     **Arguments:**
 
     - `data`: what `walker_jax.basin` returns. The first dimension is drawn along the x axis.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
-    **Returns** the axes. Raises `ValueError` for a data set that is not of two dimensions, with
-    two cells or more along each.
+    **Returns** the axes. Raises `ValueError` for a data set that is not of two dimensions, with two
+    cells or more along each.
     """
     check_dataset(data, "basin")
     fate = data["fate"]
@@ -108,7 +108,7 @@ def basin(
         if not named or region.counted:
             patches.append(counted_patch(region, share))
     if "origin" in data.attrs:
-        ax.yaxis.get_offset_text().set_x(-0.1)  # the note stands at its usual place
+        ax.yaxis.get_offset_text().set_x(-0.1)  # put the offset in its usual place
     dress(
         ax,
         Shown(title, subtitle, legend, labels),
@@ -122,7 +122,7 @@ def basin(
 
 
 def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
-    """A narrow window of a basin, and beside it the basin around, with the place of the window.
+    """Draws a narrow window of a basin, and beside it the basin with the window's place.
 
     **Arguments:**
 
@@ -148,9 +148,9 @@ def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
 
 
 def basin_slices(data: xr.Dataset) -> Figure:
-    """The basin of attraction over a grid of three dimensions, in slices across the last.
+    """Draws the basin of attraction over a grid of three dimensions, in slices across the last.
 
-    Colours as in `basin`. Attractors are drawn in the slice that is nearest to them.
+    Colours are as in `basin`. Each attractor is drawn in the slice nearest to it.
 
     **Arguments:**
 
@@ -201,7 +201,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
 
 
 def basins_in_a_row(data: xr.Dataset) -> Figure:
-    """Basins of attraction at several slopes, side by side, with colours as in `basin`.
+    """Draws basins of attraction at several slopes, side by side, with colours as in `basin`.
 
     Figure 7 of Schwab and Wisse (2001).
 
@@ -240,19 +240,19 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
 
 
 def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
-    """Some rows and columns of a basin of many cells, `most` of each: enough for a picture."""
+    """Returns at most `most` rows and columns of a large basin: enough for a picture."""
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
     thinned = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
     return thinned.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
 
 
 def offset_label(data: xr.Dataset, axis: str) -> str:
-    """The label of an axis, which may have offsets from the middle of the picture."""
+    """Returns the label of an axis, which may have offsets from the middle of the picture."""
     return f"offset of {axis_label(axis)}" if middle_of(data, axis) else axis_label(axis)
 
 
 def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
-    """A line on where the middle of the picture is, to all digits, if its axes have offsets."""
+    """Returns a line with the middle of the picture, to all digits, if its axes have offsets."""
     middle = {axis: middle_of(data, axis) for axis in axes}
     if not any(middle.values()):
         return ""
@@ -261,7 +261,7 @@ def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
 
 
 def middle_of(data: xr.Dataset, axis: str) -> float:
-    """The value from which offsets along an axis are measured; 0 where they are none."""
+    """Returns the value from which offsets along an axis are measured; 0 if it has none."""
     if "origin" not in data.attrs:
         return 0.0
     origin = np.asarray(data.attrs["origin"])[None]
@@ -269,19 +269,19 @@ def middle_of(data: xr.Dataset, axis: str) -> float:
 
 
 def share_drawn(data: xr.Dataset) -> int:
-    """How many cells of the whole basin each one of the data stands for."""
+    """Returns the number of cells of the whole basin that each cell of the data stands for."""
     return int(data.attrs.get("thinned", 1))
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """At most `most` equally spaced indices, without the first and the last; all, if so few."""
+    """Returns at most `most` equally spaced indices, without the ends; all, if so few."""
     if count <= most:
         return np.arange(count)
     return np.unique(np.round(np.linspace(0, count - 1, most + 2)[1:-1]).astype(int))
 
 
 def slicing_hint(fate: xr.DataArray) -> str:
-    """Say what to do with a basin of three dimensions where one of two is drawn."""
+    """Says how to draw a basin of three dimensions, where two are expected."""
     others = [name for name in fate.dims if name not in ("theta", "thetadot", "sum")]
     if fate.ndim != 3 or len(others) != 1:
         return ""

@@ -34,7 +34,7 @@ ENDS = {
     "scuffing": "leads to a bent leg's foot that scuffs",
     "": "comes to no cycle",
 }
-"""What an edge leads to that is no saddle."""
+"""Words for an edge state that is no saddle."""
 
 
 def boundary(
@@ -46,13 +46,13 @@ def boundary(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The basin, the saddles on its boundary, and the stable manifolds of these.
+    """Draws the basin, the saddles on its boundary, and their stable manifolds.
 
     **Arguments:**
 
     - `data`: what `walker_jax.boundary` returns, over two dimensions.
     - `ax`: where to draw; by default, on a new figure of 7 by 6.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
@@ -106,12 +106,12 @@ def boundary(
 
 
 def name_of(outcome: int, data: xr.Dataset) -> str:
-    """A region in a word or two."""
+    """Names a region in a word or two."""
     return failure_words(outcome, failures_of(data))
 
 
 def saddle_phrase(one: xr.Dataset) -> str:
-    """A saddle with its multipliers."""
+    """Describes a saddle with its multipliers."""
     period = int(one["edge_period"])
     values = one["edge_multipliers"].values
     numbers = [complex(*value) for value in values[np.isfinite(values).all(axis=1)]]
@@ -120,7 +120,7 @@ def saddle_phrase(one: xr.Dataset) -> str:
 
 
 def entropy_phrase(data: xr.Dataset) -> str:
-    """The entropies of a basin, and the log 2 test."""
+    """States the entropies of a basin, and the result of the log 2 test."""
     value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
     fractal = "fractal by log 2" if data["boundary_fractal"] else "log 2 test not passed"
     value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"

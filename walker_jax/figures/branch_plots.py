@@ -42,14 +42,14 @@ TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mfc": "white", "mew": 1.2, "ls
 DOUBLING: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
 OPEN: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 1.2, "ls": ""}
 CLOSED_TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mec": "white", "mew": 0.5, "ls": ""}
-"""Signs of bifurcations; `OPEN` of subcritical doublings, `CLOSED_TORUS` of Neimark-Sacker points
-that are known to be supercritical."""
+"""Signs of bifurcations: `OPEN` for subcritical doublings, `CLOSED_TORUS` for Neimark-Sacker points
+known to be supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 HIGHEST = 2
-"""Largest modulus of a multiplier in a picture of it against a parameter."""
+"""Largest modulus of a multiplier that is drawn against a parameter."""
 FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
-"""Lines of unstable gaits of long periods, which are many."""
+"""Lines of unstable gaits of long periods, of which there are many."""
 
 
 def gait_branches(
@@ -61,19 +61,19 @@ def gait_branches(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """All gaits against a parameter: the first coordinate at the start of each of their strides.
+    """Draws all gaits against a parameter: the first coordinate at the start of each stride.
 
-    Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours tell periods. Lines are
+    Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours show periods. Lines are
     solid where a gait is stable and dashed where it is not. Triangles are folds, where two gaits
-    are born, dots are period doublings, circles those that are subcritical, and squares are
-    Neimark-Sacker points, filled where they are supercritical. Step times of the
-    gaits of period one at the end of the range are written at the right.
+    are born. Dots are period doublings, and circles subcritical ones. Squares are Neimark-Sacker
+    points, filled where they are supercritical. At the right are the step times of the gaits of
+    period one at the end of the range.
 
     **Arguments:**
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
@@ -133,17 +133,17 @@ def largest_multiplier(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Modulus of the largest Floquet multiplier against a parameter, along the main cascade.
+    """Draws the largest Floquet multiplier's modulus against a parameter, along the main cascade.
 
     The left axis of Figure 8 of Schwab and Wisse (2001), for the most stable gait of period one,
-    the gaits of period two that leave it, and so on. A gait is stable, and its line solid, where
-    the modulus is below one.
+    the gaits of period two that branch off it, and so on. A gait is stable, and its line solid,
+    where the modulus is below one.
 
     **Arguments:**
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
@@ -189,17 +189,17 @@ def bifurcation_diagram(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The attractors against a parameter: the first coordinate at the start of each stride.
+    """Draws the attractors against a parameter: the first coordinate at the start of each stride.
 
-    A dot is a recorded state of a walker that does not fall. Dashed lines show where the gait of
-    period one is unstable from which the cascade of period doublings starts. A vertical line stands
-    in the middle of the interval in which walking is lost.
+    A dot is a recorded state of a walker that does not fall. Dashed lines are unstable parts of the
+    gait of period one from which the cascade of period doublings starts. A vertical line marks the
+    middle of the interval in which walking is lost.
 
     **Arguments:**
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set without gaits and attractors.
@@ -215,7 +215,7 @@ def bifurcation_diagram(
     if np.isfinite(lost):
         ax.axvline(lost, color=LOSS, lw=1, zorder=3)
         low, high = data["lost"].values.tolist()
-        digits = max(5, 1 - math.floor(math.log10(high - low)))  # which tell the two apart
+        digits = max(5, 1 - math.floor(math.log10(high - low)))  # enough to tell the two apart
         note = f"walking is lost between {low:.{digits}f} and {high:.{digits}f}"
     dress(
         ax,
@@ -229,11 +229,11 @@ def bifurcation_diagram(
 
 
 def bifurcations(data: xr.Dataset) -> Figure:
-    """Gaits, their largest multiplier and the attractors, over a range of a parameter.
+    """Draws gaits, their largest multiplier and the attractors, over a range of a parameter.
 
-    The pictures `gait_branches`, above `largest_multiplier`, and `bifurcation_diagram`, above
-    `lyapunov_exponents`, where the data set has them; below, the part of these between the first
-    period doubling of the cascade and the loss of walking, if any.
+    The pictures are `gait_branches` above `largest_multiplier`, and `bifurcation_diagram` above
+    `lyapunov_exponents`, if the data set has exponents. At the bottom is the part of these between
+    the first period doubling of the cascade and the loss of walking, if any.
 
     **Arguments:**
 
@@ -271,7 +271,7 @@ def bifurcations(data: xr.Dataset) -> Figure:
 
 
 def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
-    """Coefficients of normal forms; NaN in data sets of before these."""
+    """Returns coefficients of normal forms; NaN in older data sets without them."""
     if f"{name}_coefficient" in data:
         return data[f"{name}_coefficient"].values
     return np.full(len(data[f"{name}_value"]), np.nan)
@@ -280,7 +280,7 @@ def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
 def draw_curve(
     ax: Axes, curve: Curve, heights: Float[np.ndarray, "n k"], *, stable: bool = True
 ) -> None:
-    """Draw lines along a curve: dashed where it is unstable, and solid where it is `stable`."""
+    """Draws lines along a curve: dashed where it is unstable, and solid where it is `stable`."""
     solid = curve.stable_intervals
     changes = np.flatnonzero(solid[1:] != solid[:-1]) + 1
     colour, _ = period_style(curve.period)
@@ -293,7 +293,7 @@ def draw_curve(
 
 
 def draw_multiplier(ax: Axes, curve: Curve) -> None:
-    """Draw the modulus of the largest multiplier along a curve."""
+    """Draws the modulus of the largest multiplier along a curve."""
     fine = interpolate_multipliers(curve)
     draw_curve(ax, fine, fine.spectral_radius[:, None])
 
@@ -305,14 +305,14 @@ def draw_event(
     period: int,
     sign: dict[str, Any],
 ) -> None:
-    """Draw the signs of a bifurcation; those of long periods, which are many, are smaller."""
+    """Draws the signs of a bifurcation; for long periods, which are many, they are smaller."""
     colour, _ = period_style(period)
     smaller = {} if period < 3 else {"ms": 0.7 * sign["ms"], "mew": 0.7 * sign["mew"]}
     ax.plot(values, heights, color=colour, zorder=7 - period / 100, **sign | smaller)
 
 
 def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
-    """Limits of the picture around the states of the cascade; none where there are none."""
+    """Returns limits of the picture around the states of the cascade; None without a cascade."""
     interval = cascade_interval(data)
     if interval is None:
         return None
@@ -327,7 +327,7 @@ def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None
 
 
 def write_step_times(ax: Axes, data: xr.Dataset) -> None:
-    """Write the step times of the gaits of period one at the end of the range beside the axes."""
+    """Writes the step times of the gaits of period one at the end of the range beside the axes."""
     heights, times = final_gaits(data)
     _, size = size_between(ax)
     line = 1.4 * points_of(SMALL) / size * np.ptp(ax.get_ylim())
@@ -360,14 +360,14 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
 def spread_apart(
     heights: Float[np.ndarray, " n"], gap: float, top: float
 ) -> Float[np.ndarray, " n"]:
-    """Ascending heights, moved until all are apart by a gap, up where they stay below a top."""
+    """Moves ascending heights apart by a gap: upwards, as far as they stay below a top."""
     places, steps = heights.copy(), gap * np.arange(len(heights))
     places = np.maximum.accumulate(places - steps) + steps
     return np.minimum(places, top - steps[::-1])
 
 
 def set_range(ax: Axes, data: xr.Dataset) -> None:
-    """Let the axes have the range of the parameter."""
+    """Sets the x limits to the range of the parameter."""
     samples = data["sample_value"].values if "sample_value" in data else []
     values = np.concatenate([data["value"].values, samples])
     if len(values) and np.ptp(values) > 0:
@@ -375,12 +375,12 @@ def set_range(ax: Axes, data: xr.Dataset) -> None:
 
 
 def first_name(data: xr.Dataset) -> str:
-    """The name of the first coordinate of the section."""
+    """Returns the name of the first coordinate of the section."""
     return str(data.attrs["section"][0])
 
 
 def period_lines(drawn: list[Curve]) -> list[Line2D]:
-    """The signs of periods in a legend, the shortest first."""
+    """Returns the signs of periods in a legend, the shortest first."""
     return [
         Line2D([], [], color=period_style(period)[0], lw=3, label=f"period {period}")
         for period in sorted({curve.period for curve in drawn})

@@ -1,4 +1,4 @@
-"""How large basins are, and how large they could be: nested sets in one picture."""
+"""Pictures of nested sets: how large basins are, and how large they could be."""
 
 from collections.abc import Mapping
 
@@ -19,11 +19,11 @@ from walker_jax.figures.viability_plots import actions_in_words, draw_boundary, 
 from walker_jax.storage.schema import check_dataset
 
 MOST_STRIDES = 3
-"""Strides that have one colour with all that are more."""
+"""Fewest strides with one colour for them and all higher numbers."""
 SHADES = [to_hex(one) for one in colormaps["cividis"]([0.0, 0.45, 0.7, 0.88, 1.0])]
 COLOURS = [*SHADES, "#f4f4f4"]
-"""Of the target, of cells so many strides from it, more strides, viable cells that do not lead
-there, and all others: dark to light."""
+"""Colours, dark to light: the target, cells 1, 2 and more strides from it, viable cells that do not
+lead there, and all others."""
 LINES = [("#d55e00", 1.3, "-"), (INK, 1.0, (0, (4, 1.5))), ("#56b4e9", 1.2, (0, (1, 1.2)))]
 """Colours, widths and kinds of the lines around basins, in turn."""
 
@@ -38,23 +38,23 @@ def capturability(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """How large the basin could be: n-step capturable states within the viability kernel.
+    """Draws how large the basin could be: n-step capturable states within the viability kernel.
 
-    Cells have the colour of the fewest strides into the target, darker the fewer; then come viable
-    ones from which no actions lead there, and the lightest are bound to fail by these actions.
-    Lines are around basins. The legend has areas: each of all cells up to that colour.
+    Cells are coloured by the fewest strides into the target, darker for fewer. Then come viable
+    cells from which no actions lead there; the lightest cells are bound to fail under these
+    actions. Lines surround basins. The legend has areas: each of all cells up to that colour.
 
     **Arguments:**
 
     - `data`: what `walker_jax.viable` returns. The first dimension is drawn along the x axis; of
-      three, the slice in the middle.
-    - `basins`: up to three data sets of `walker_jax.basin` on the same grid, such as those of
-      walkers with feedback or with a `Policy`, by what they are called.
+      three dimensions, the slice in the middle is drawn.
+    - `basins`: up to three data sets of `walker_jax.basin` on the same grid, by name, such as those
+      of walkers with feedback or with a `Policy`.
     - `ax`: where to draw; by default, on a new figure of 3.5 by 4.4 inches, a column of a paper.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
 
     **Returns** the axes. Raises `ValueError` for a data set that is not of two or three dimensions,
-    with two cells or more along the first two, and for basins that are more, or on another grid.
+    with two cells or more along the first two, and for too many basins or basins on another grid.
     """
     check_dataset(data, "viability")
     plane, place = middle_plane(data)
@@ -85,7 +85,7 @@ def capturability(
 
 
 def regions_of_capture(data: xr.Dataset, areas: list[str]) -> list[Region]:
-    """The sets of cells that `areas` names, each without those before, and all others."""
+    """Returns the sets of cells that `areas` names, each without those before, and all others."""
     capture, viable = data["capture"].values, data["viable"].values
     sets = [capture == n for n in range(MOST_STRIDES)]
     sets += [capture >= MOST_STRIDES, viable & (capture < 0), ~viable & (capture < 0)]
@@ -97,8 +97,7 @@ def regions_of_capture(data: xr.Dataset, areas: list[str]) -> list[Region]:
 
 
 def areas_of_capture(data: xr.Dataset) -> list[str]:
-    """Words for each of these sets, with the area of it and those before; empty for one without
-    cells."""
+    """Labels each set with its area, those before included; empty for a set without cells."""
     capture, viable = data["capture"].values, data["viable"].values
     most, cell = int(capture.max()), grid_of(data).cell_area
     area = lambda cells: f"{cells.sum() * cell:.3g}"
@@ -117,7 +116,7 @@ def count_strides(n: int) -> str:
 
 
 def read_basins(data: xr.Dataset, basins: Mapping[str, xr.Dataset]) -> Mapping[str, xr.Dataset]:
-    """Basins on the grid of a kernel, checked."""
+    """Returns basins on the grid of a kernel, checked."""
     check_kind("basins", basins, Mapping)
     if len(basins) > len(LINES):
         raise WrongUse(f"basins must be {len(LINES)} at most, not {len(basins)}")

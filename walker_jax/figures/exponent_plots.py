@@ -11,8 +11,8 @@ from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
 DEEPEST = 4.0
-"""Depth below zero down to which exponents are drawn, to the height of the highest or of a half: at
-a superstable gait the lowest have no bound."""
+"""Lowest exponent that is drawn, in units of the highest, or of a half if that is larger: at a
+superstable gait the lowest exponents have no bound."""
 
 
 def lyapunov_exponents(
@@ -24,15 +24,16 @@ def lyapunov_exponents(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Lyapunov exponents of the attractor against a parameter, with bands of two standard errors.
+    """Draws Lyapunov exponents of the attractor against a parameter, with their error bands.
 
-    Walking is chaotic where the first is above zero. Nothing is drawn where no walker walks.
+    Bands are twice the standard error on each side. Walking is chaotic where the first exponent is
+    above zero. Nothing is drawn where no walker walks.
 
     **Arguments:**
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes.
 
     **Returns** the axes. Raises `ValueError` for a data set without exponents.
@@ -70,5 +71,5 @@ def lyapunov_exponents(
 
 
 def ordinal(i: int) -> str:
-    """The place of an exponent, in words."""
+    """Returns the place of an exponent, in words."""
     return ("first", "second", "third")[i] if i < 3 else f"{i + 1}th"

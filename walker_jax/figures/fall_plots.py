@@ -13,23 +13,23 @@ from walker_jax.stability.probable_falls import ProbableFall
 KINDS = ("height of the step", "change of the slope (rad)", "push")
 """Disturbances of a stride, in the order of their columns."""
 LONGEST = 1e12
-"""Mean strides to a fall, at most, of the law that is drawn."""
+"""Largest mean number of strides to a fall at which the law is drawn."""
 ROUGHEST = 2.0
 """action / deviation^2 at the other end: strides are few there, and the law does not hold."""
 
 
 def probable_fall(fall: ProbableFall, *, title: bool | str = True) -> Figure:
-    """The most probable fall: its disturbances, its way through the section, and its law.
+    """Draws the most probable fall: its disturbances, its path through the section, and its law.
 
-    Above, the disturbances of each stride, and the least action of so many disturbed strides;
-    below, the states just after each heel strike, theta and theta + thetadot, from the gait (the
-    disc) to the last one before the fall (the cross); and the mean number of strides to a fall,
-    over action / scale^2, for deviations `scale` times those that were given.
+    Above are the disturbances of each stride, and the least action for each number of disturbed
+    strides. Below are the states just after each heel strike, theta and theta + thetadot, from the
+    gait (the disc) to the last one before the fall (the cross). Beside them is the mean number of
+    strides to a fall, over action / scale^2, for deviations `scale` times the given ones.
 
     **Arguments:**
 
     - `fall`: what `walker_jax.most_probable_fall` returns.
-    - `title`: whether to write one, or other words.
+    - `title`: whether to draw one; a string replaces it.
 
     **Returns** the figure, of 9 by 7 inches. Raises `ValueError` for anything else.
     """
@@ -48,7 +48,7 @@ def probable_fall(fall: ProbableFall, *, title: bool | str = True) -> Figure:
 
 
 def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
-    """Disturbances of each stride as bars."""
+    """Draws the disturbances of each stride as bars."""
     number = np.arange(1, len(fall.disturbances) + 1)
     kinds = np.flatnonzero(fall.disturbances.any(axis=0))
     width = 0.8 / len(kinds)
@@ -67,7 +67,7 @@ def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
 
 
 def draw_actions(ax: Axes, fall: ProbableFall) -> None:
-    """The least action of each number of disturbed strides."""
+    """Draws the least action of each number of disturbed strides."""
     ax.plot(np.arange(1, len(fall.actions) + 1), fall.actions, "-o", color=BASINS[0], ms=4, lw=1)
     ax.axhline(fall.action, color=OTHERS, lw=0.8, ls=":")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -77,7 +77,7 @@ def draw_actions(ax: Axes, fall: ProbableFall) -> None:
 
 
 def draw_path(ax: Axes, fall: ProbableFall) -> None:
-    """States just after heel strike; open circles where there were no disturbances any more."""
+    """Draws states just after heel strike; open circles come after the last disturbance."""
     theta, thetadot = fall.states[:, 0], fall.states[:, 2]
     disturbed = np.arange(len(theta)) <= len(fall.disturbances)
     for marked, face in ((disturbed, BASINS[0]), (~disturbed, "white")):
@@ -91,7 +91,7 @@ def draw_path(ax: Axes, fall: ProbableFall) -> None:
 
 
 def draw_law(ax: Axes, fall: ProbableFall) -> None:
-    """Mean strides to a fall over action / scale^2, and the law without its factor."""
+    """Draws mean strides to a fall over action / scale^2, and the law without its prefactor."""
     exponent = np.linspace(ROUGHEST, np.log(LONGEST), 60)
     scales = np.sqrt(fall.action / exponent)
     means = np.array([fall.mean_strides(one) for one in scales.tolist()])

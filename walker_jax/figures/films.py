@@ -29,9 +29,10 @@ from walker_jax.systems.outcomes import Outcome, failures_of
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20
-"""Browsers show no GIF much faster."""
+"""Browsers play GIFs hardly any faster."""
 DOTS, COLOURS, PALETTE = 80, 256, Image.Quantize.FASTOCTREE
-"""Of a GIF: dots per inch, the most colours that one can have, and how Pillow chooses them."""
+"""Settings of a GIF: dots per inch, the most colours that it can have, and how Pillow chooses
+them."""
 
 
 def film(
@@ -42,13 +43,13 @@ def film(
     signature: str = "",
     progress: bool = False,
 ) -> None:
-    """A film of a walk: the walker on its slope, and beside it its trajectory in the basin.
+    """Makes a film of a walk: the walker on its slope, and beside it its trajectory in the basin.
 
     **Arguments:**
 
     - `walk`: what `walker_jax.motion` returns. Each of its frames is shown for 1/20 s. A walk in
       space is shown from the side, in front and above.
-    - `path`: of the file, .gif or .mp4, which needs the program ffmpeg.
+    - `path`: of the file, .gif, or .mp4, which needs the program ffmpeg.
     - `data`: what `walker_jax.basin` returns, over two dimensions; without it the film shows the
       walker alone.
     - `signature`: text that is kept in the file.
@@ -84,7 +85,7 @@ def film(
         "stride 1, time 0.0", loc="left", fontsize="medium", fontweight="bold"
     )
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # or panels shake
+    figure.set_layout_engine("none")  # otherwise panels shake
 
     frames = track(range(walk.sizes["frame"]), "film", progress)
     slope, stride = float(walk.attrs["walker_slope"]), walk["stride"].values
@@ -107,7 +108,7 @@ def film(
 
 
 def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) -> None:
-    """A film of a walk in space, by parallel projection."""
+    """Makes a film of a walk in space, by parallel projection."""
     check_dataset(walk, "walk in space")
     figure = Figure(figsize=(6, 5.4), layout="constrained")
     ax = figure.subplots()
@@ -128,7 +129,9 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
 
 
 def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = False) -> None:
-    """A film of ever narrower windows around a point of a boundary, with colours as in `basin`.
+    """Makes a film of ever narrower windows around a point of a boundary.
+
+    Colours are as in `basin`.
 
     **Arguments:**
 
@@ -167,7 +170,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
 
 
 def check_film(path: Path) -> None:
-    """Raise `ValueError` for a path to which no film can be written."""
+    """Raises `WrongPlace` for a path to which no film can be written."""
     if path.suffix not in FILMS:
         raise WrongPlace(f"{path} must end in one of {', '.join(FILMS)}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
@@ -178,9 +181,9 @@ def check_film(path: Path) -> None:
 def film_writer(
     figure: Figure, path: Path, signature: str, moving: list[Artist]
 ) -> Iterator[Callable[[], object]]:
-    """Give a function that adds the figure to a film, which is put in its place at the end.
+    """Yields a function that adds the figure to a film, which is put in its place at the end.
 
-    Of a GIF, only the `moving` artists are drawn anew for each frame.
+    In a GIF, only the `moving` artists are drawn anew for each frame.
     """
     with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.absolute().parent) as folder:
         draft = Path(folder) / path.name
@@ -198,7 +201,7 @@ def film_writer(
             still = canvas.copy_from_bbox(figure.bbox)
 
             def grab() -> None:
-                """Draw what moves on the still background, and add that."""
+                """Draws the moving artists on the still background, and adds the frame."""
                 canvas.restore_region(still)
                 for one in moving:
                     figure.draw_artist(one)

@@ -17,14 +17,14 @@ from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
 
 EVENT: dict[str, Any] = {"color": OTHERS, "lw": 0.8, "ls": ":"}
-"""The line of a bifurcation."""
+"""Line style of a bifurcation."""
 
 
 def basin_fractions(data: xr.Dataset) -> Figure:
-    """Fractions of the basins over a parameter, stacked, with the attractors above.
+    """Draws fractions of the basins over a parameter, stacked, with the attractors above.
 
-    Above, the first coordinate of the attractors at the start of each stride; dotted lines are the
-    bifurcations of their branches. Walkers fail from the rest of the region.
+    The upper panel has the first coordinate of the attractors at the start of each stride; dotted
+    lines are the bifurcations of their branches. Walkers fail from the rest of the region.
 
     **Arguments:**
 
@@ -65,9 +65,9 @@ def basin_fractions(data: xr.Dataset) -> Figure:
 
 
 def colours_of(periods: Sequence[int]) -> list[str]:
-    """A colour for each attractor: that of its period for the first that has it, as elsewhere.
+    """Returns a colour for each attractor: the colour of its period for the first one with it.
 
-    The others, and those without a period, have the colours that are left, and then share one.
+    The others, and those without a period, take the remaining colours, and then share one.
     """
     first = {period: i for i, period in reversed([*enumerate(periods)]) if period}
     own = {i: period_style(period)[0] for period, i in first.items()}
@@ -78,7 +78,7 @@ def colours_of(periods: Sequence[int]) -> list[str]:
 
 
 def draw_steps(ax: Axes, value: np.ndarray, shares: np.ndarray, colours: list[str]) -> None:
-    """Stacked shares, constant about each value, halfway to its neighbours."""
+    """Draws stacked shares, constant around each value, halfway to its neighbours."""
     middle = (value[:-1] + value[1:]) / 2
     edges = np.concatenate([value[:1], middle, value[-1:]])
     base = np.zeros(len(value))

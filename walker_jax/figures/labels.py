@@ -16,10 +16,10 @@ def draw_label(
     extent: Extent,
     axes_size: Float[np.ndarray, " 2"],
 ) -> bool:
-    """Label a region inside itself, with letter and words, or the letter alone, as there is room.
+    """Labels a region inside itself, with letter and words, or the letter alone, as there is room.
 
-    `free` is where labels may stand, on axes of a size in points. Returns whether there
-    was room for the words.
+    `free` marks where labels may stand, on axes of a size in points. Returns whether there was room
+    for the words.
     """
     large, small = points_of(LETTER), points_of(SMALL)
     letter = [(region.letter, large, "bold", 0)]
@@ -57,7 +57,7 @@ def keep_clear(
     dots: Float[np.ndarray, "n 2"],
     extent: Extent,
 ) -> None:
-    """Mark in `free` that no label may stand on these dots."""
+    """Marks in `free` that no label may stand on these dots."""
     shape, low = np.array(free.shape), np.array(extent[::2])
     for dot in np.nan_to_num((dots - low) / (np.array(extent[1::2]) - low), nan=-1):
         first, last = (np.clip(dot + side * 0.02, 0, 1) * shape for side in (-1, 1))
@@ -67,10 +67,10 @@ def keep_clear(
 def roomiest_place(
     cells: Bool[np.ndarray, "nx ny"], size: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " 2"] | None:
-    """The place among the cells with the most room for a box; None where it does not fit.
+    """Finds the place among the cells with the most room for a box; None where it does not fit.
 
-    Box and place are fractions of the axes. The box grows in proportion while it fits. It fits
-    where at most one cell in fifty of it is not among `cells`.
+    Box and place are fractions of the axes. The box grows in proportion while it fits. It fits if
+    at most one cell in fifty of it is not among `cells`.
     """
     cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
     shape = np.array(cells.shape)
@@ -91,7 +91,7 @@ def roomiest_place(
 
 
 def luminance(colour: str) -> float:
-    """Relative luminance of an sRGB colour, 0 for black to 1 for white (WCAG 2)."""
+    """Returns the relative luminance of an sRGB colour, 0 for black to 1 for white (WCAG 2)."""
     rgb = np.array(to_rgb(colour))
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return float(linear @ (0.2126, 0.7152, 0.0722))

@@ -1,4 +1,4 @@
-"""Places on a picture: its axes, their limits, and what is written around them."""
+"""Places on a picture: its axes, their limits, and the texts around them."""
 
 import math
 import re
@@ -24,24 +24,24 @@ from walker_jax.figures.style import NOTE, TITLE, points_of
 from walker_jax.figures.text import axis_label
 
 GAP = 7
-"""Between the axes and what is above them, and between their names and legends (points)."""
+"""Gap between the axes and the text above them, and between their names and legends (points)."""
 LARGER = 1.12
-"""How much larger than without one a layout makes axes and their title and legends, at least."""
+"""Least factor by which a layout enlarges axes together with their title and legends."""
 MOST = 0.6
-"""Share of the height of a panel that title and legends may take."""
+"""Largest share of the height of a panel for title and legends."""
 PAD = 6
-"""Between panels and around them (points)."""
+"""Gap between panels and around them (points)."""
 AROUND = 100
 """Height of a title and legends, before it is known (points)."""
 SIZES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Shares of the sizes of text that are tried in turn, in a panel that is small."""
+"""Shares of the sizes of text that are tried in turn, in a small panel."""
 
 
 class Shown(NamedTuple):
-    """Options that say which texts stand around a picture and in it."""
+    """Options for the texts around a picture and in it."""
 
     title: bool | str = True
-    """The title that the picture has, another one, or none."""
+    """True for the picture's own title, a string for another one, False for none."""
     subtitle: bool = True
     legend: bool = True
     labels: bool = True
@@ -49,10 +49,10 @@ class Shown(NamedTuple):
 
 
 SMALLER = 0.6
-"""Size of lines and signs in print: text of 8 points is as much smaller than on a screen."""
+"""Factor on lines and signs in print, the same as for text of 8 points against a screen's."""
 Layout = Literal["constrained", "compressed"]
 page_width: ContextVar[float | None] = ContextVar("page_width", default=None)
-"""The width that all new figures have (inches); none where each has its own."""
+"""The width of all new figures (inches); None where each has its own."""
 
 
 @contextmanager
@@ -63,24 +63,24 @@ def for_print(
     size: float | int = 8,
     dpi: float | int = 300,
 ) -> Iterator[None]:
-    """Pictures that are drawn in this context have the width of a column, and its text.
+    """Gives pictures drawn in this context the width of a column of print, and its text.
 
     ```python
     with figures.for_print(width=3.4, font="Times New Roman"):
         figures.basin(data).figure.savefig("basin.pdf")
     ```
 
-    A caption says what titles and notes say, so these are left out, but for a title that is given
-    in words. Lines and signs are smaller in proportion. Text stays text in files of vectors, where
-    it can be searched and edited.
+    Titles and notes are left out, as a caption replaces them; a title given as a string stays.
+    Lines and signs are smaller in proportion. In vector files text stays text, which can be
+    searched and edited.
 
     **Arguments:**
 
     - `width`: of each new figure, in inches; its height is in proportion. 3.4 is a column of many
       journals, and 7 a page.
-    - `font`: of all text; by default, matplotlib's own. Another one must be installed.
+    - `font`: of all text; by default, matplotlib's own. Another font must be installed.
     - `size`: of text, in points. Legends are smaller where there is little room.
-    - `dpi`: dots per inch of files of dots, and of cells and dots in files of vectors.
+    - `dpi`: dots per inch of raster files, and of cells and dots in vector files.
 
     Raises `ValueError` for a width or a size that is not above zero.
     """
@@ -108,14 +108,14 @@ def for_print(
 
 
 def new_figure(width: float | int, height: float | int, layout: Layout = "constrained") -> Figure:
-    """A figure of a size in inches; of the same proportions where a width is set for all."""
+    """Makes a figure of a size in inches; if one width is set for all, of the same proportions."""
     page = page_width.get()
     scale = 1.0 if page is None else page / width
     return Figure(figsize=(scale * width, scale * height), layout=layout)
 
 
 def make_smaller(ax: Axes) -> None:
-    """Make the lines and signs of a picture smaller, for print."""
+    """Makes the lines and signs of a picture smaller, for print."""
     for line in ax.lines:
         line.set(markersize=SMALLER * line.get_markersize())
         line.set(linewidth=SMALLER * line.get_linewidth())
@@ -123,23 +123,23 @@ def make_smaller(ax: Axes) -> None:
 
 
 def new_axes(width: float | int, height: float | int, layout: Layout = "constrained") -> Axes:
-    """The axes of a new figure, of a size in inches."""
+    """Makes the axes of a new figure, of a size in inches."""
     return new_figure(width, height, layout).add_subplot()
 
 
 def figure_of(ax: Axes) -> Figure:
-    """The figure that axes are on."""
+    """Returns the figure that axes are on."""
     return cast(Figure, ax.get_figure(root=True))
 
 
 def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """The outer edges of equal cells."""
+    """Returns the outer edges of equal cells."""
     half = (centres[-1] - centres[0]) / (len(centres) - 1) / 2
     return float(centres[0] - half), float(centres[-1] + half)
 
 
 def padded_limits(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
-    """The range of values, and a little more; none where there is but one."""
+    """Returns the range of values, slightly widened; None for a single value."""
     beyond = 0.03 * np.ptp(values)
     return (values.min() - beyond, values.max() + beyond) if beyond else None
 
@@ -147,7 +147,7 @@ def padded_limits(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None
 def name_axes(
     ax: Axes, x: str | None = None, y: str | None = None, size: str | None = None
 ) -> None:
-    """Label axes with coordinates or parameters, or with words of their own."""
+    """Labels axes with coordinates or parameters, or with words of their own."""
     style: dict[str, Any] = {} if size is None else {"fontsize": size}
     if x is not None:
         ax.set_xlabel(axis_label(x), **style)
@@ -166,10 +166,10 @@ def dress(
     legends: Sequence[tuple[Sequence[Artist], int]] = (),
     beside: Sequence[Axes] = (),
 ) -> None:
-    """Write title and note above axes, their names, and legends below, as wide as there is room.
+    """Writes title and note above axes, their names, and legends below, as wide as there is room.
 
-    Each legend has its handles, and as many columns as fit, at most a number of them. `beside` are
-    axes that share the height, as those of a colour bar. In a small panel all is written smaller.
+    Each legend is a sequence of handles and its largest number of columns. `beside` are axes that
+    share the height, such as a colour bar. In a small panel all texts are smaller.
     """
     if page_width.get() is not None:
         make_smaller(ax)
@@ -203,7 +203,7 @@ def dress(
 
 
 def size_of(ax: Axes) -> tuple[float, float]:
-    """Width and height that axes with title and legends will have, about (pixels)."""
+    """Estimates the width and height that axes with title and legends will have (pixels)."""
     box = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
     whole = figure_of(ax).get_layout_engine() is None or page_width.get() is not None
     larger = 1.0 if whole else LARGER
@@ -211,7 +211,7 @@ def size_of(ax: Axes) -> tuple[float, float]:
 
 
 def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> float:
-    """Width of axes without what is to their left and right, in their panel (pixels)."""
+    """Returns the width of axes in their panel, without the space at their sides (pixels)."""
     wide, _ = size_of(ax)
     spec = ax.get_subplotspec()
     if spec is None or figure_of(ax).get_layout_engine() is None:
@@ -232,7 +232,7 @@ def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> flo
 
 
 def size_between(ax: Axes) -> Float[np.ndarray, " 2"]:
-    """About the size (points) that axes will have between a title above and legends below."""
+    """Estimates the size of axes between a title above and legends below (points)."""
     wide, high = np.array(size_of(ax)) * 72 / figure_of(ax).dpi
     return np.array([wide, max(high - AROUND, 0.4 * high)])
 
@@ -240,7 +240,7 @@ def size_between(ax: Axes) -> Float[np.ndarray, " 2"]:
 def write_above(
     ax: Axes, title: str, note: str, size: float, wide: float, measure: RendererAgg
 ) -> tuple[list[Artist], float]:
-    """Write a title, and a line or more below it. Returns the artists and their height."""
+    """Writes a title, and one or more lines below it. Returns the artists and their height."""
     drawn: list[Artist] = []
     scale, high = figure_of(ax).dpi / 72, 0.0
     if note:
@@ -264,7 +264,7 @@ def write_below(
     wide: float,
     measure: RendererAgg,
 ) -> tuple[list[Artist], float]:
-    """Place legends at the left, below one another. Returns them and their height."""
+    """Places legends at the left, below one another. Returns them and their height."""
     drawn: list[Artist] = []
     figure, points = figure_of(ax), size * points_of("legend.fontsize")
     scale, high = figure.dpi / 72, 0.0
@@ -299,7 +299,7 @@ def write_below(
 
 
 def fit_text(text: Text, room: float, measure: RendererAgg) -> None:
-    """Break a text, at spaces that are in no formula, into lines that fit (pixels)."""
+    """Breaks a text, at spaces outside formulas, into lines that fit (pixels)."""
     font = text.get_fontproperties()
     width_of = lambda line: measure.get_text_width_height_descent(
         line, font, cbook.is_math_text(line)
@@ -318,11 +318,11 @@ def fit_text(text: Text, room: float, measure: RendererAgg) -> None:
 
 
 def figure_legend(figure: Figure, handles: list, *, columns: int) -> None:
-    """A legend at the left, below all axes of a figure."""
+    """Places a legend at the left, below all axes of a figure."""
     figure.legend(handles=handles, loc="outside lower left", ncols=columns, frameon=False)
 
 
 def figure_title(figure: Figure, title: str, size: str = "x-large", weight: str = "bold") -> None:
-    """A title at the left, above all axes of a figure; none in print."""
+    """Writes a title at the left, above all axes of a figure; none in print."""
     if page_width.get() is None:
         figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight=weight)

@@ -10,9 +10,9 @@ from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
 PIXELS, PARTS = 120, 8
-"""Of the picture along each side; and of a cell along each edge, so that it leaves no stripes."""
+"""Pixels of the picture along each side; parts of a cell along each edge, to avoid stripes."""
 FAINTEST = 1e-6
-"""Chance, over the largest one, below which a pixel is empty."""
+"""Chance, relative to the largest one, below which a pixel is empty."""
 
 
 def metastability(
@@ -24,16 +24,16 @@ def metastability(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The quasi-stationary distribution: where walks that still last are on the section.
+    """Draws the quasi-stationary distribution: where walks that still last are on the section.
 
-    Over theta and theta + thetadot, as basins are; of rough ground, summed over the third
-    direction. Its contours are those of chance, on a logarithmic scale.
+    The axes are theta and theta + thetadot, as for basins; on rough ground the third direction is
+    summed over. Colours show chance on a logarithmic scale.
 
     **Arguments:**
 
     - `data`: what `walker_jax.metastability` returns.
     - `ax`: where to draw; by default, on a new figure of 6.4 by 5.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     Raises `ValueError` for another data set.

@@ -17,7 +17,7 @@ from walker_jax.gaits.cycles import Gait
 RIM = 2.5
 """Largest real and imaginary part of a multiplier in the picture of the complex plane."""
 ROW, ROWS = 13, 8
-"""Height (points) of a line on multipliers beyond the frame, and how many stand at one place."""
+"""Height (points) of a line on multipliers beyond the frame, and most lines at one place."""
 
 
 def multipliers(
@@ -29,16 +29,16 @@ def multipliers(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The Floquet multipliers of gaits in the complex plane, with the unit circle.
+    """Draws the Floquet multipliers of gaits in the complex plane, with the unit circle.
 
-    Colours and signs tell periods; signs are filled for stable gaits and open for unstable ones.
-    An arrow at the rim of the frame points to each multiplier beyond it, with its value.
+    Colours and signs show periods; signs are filled for stable gaits and open for unstable ones. An
+    arrow at the rim of the frame points to each multiplier beyond it, with its value.
 
     **Arguments:**
 
-    - `gaits`: such as `walker_jax.find_gaits` returns. Failed searches are left out.
+    - `gaits`: for example from `walker_jax.find_gaits`. Failed searches are left out.
     - `ax`: where to draw; by default, on a new figure of 6.2 by 7.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes.
@@ -82,16 +82,16 @@ def multipliers(
 
 
 class Rim(NamedTuple):
-    """Multipliers beyond the frame whose places at its rim are close together."""
+    """Multipliers beyond the frame with close places at its rim."""
 
     x: float
     y: float
     members: list[tuple[complex, Gait]]
-    """With their gaits; the smallest first."""
+    """The multipliers with their gaits; the smallest first."""
 
 
 def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
-    """Multipliers beyond the frame, in groups whose places at its rim are close together."""
+    """Groups multipliers beyond the frame by close places at its rim."""
     found: list[Rim] = []
     for value, gait in sorted(far, key=lambda one: abs(one[0])):
         place = value * RIM / max(abs(value.real), abs(value.imag))
@@ -105,10 +105,11 @@ def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
 
 
 def draw_rim(ax: Axes, rim: Rim, labels: bool) -> None:
-    """Draw a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
+    """Draws a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
     figure = figure_of(ax)
     inwards = -1 if (rim.x >= 0) == (abs(rim.x) > RIM / 2) else 1
-    above = rim.y > 0 or (rim.y == 0 and rim.x > 0)  # not both sides of a small frame at a height
+    # Zero counts by x, so that the two sides of a small frame differ in height.
+    above = rim.y > 0 or (rim.y == 0 and rim.x > 0)
     up = 1 if above == (abs(rim.y) < RIM / 2) else -1
     shown = rim.members if len(rim.members) <= ROWS else rim.members[: ROWS - 1]
     for row, (value, gait) in enumerate(shown, 1):
@@ -132,7 +133,7 @@ def draw_rim(ax: Axes, rim: Rim, labels: bool) -> None:
 
 
 def write_row(ax: Axes, rim: Rim, shift: int, rise: int, words: str) -> None:
-    """Write words on the inner side of a place of the rim, at an offset in points."""
+    """Writes words on the inner side of a place of the rim, at an offset in points."""
     ax.annotate(
         words,
         (rim.x, rim.y),

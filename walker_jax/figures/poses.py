@@ -1,6 +1,6 @@
 """Poses of walkers on their slope.
 
-Walkers walk to the right, and slopes go down to the right, by their own angle.
+Walkers walk to the right, and slopes descend to the right, by their own angle.
 """
 
 from typing import Any
@@ -23,13 +23,13 @@ from walker_jax.systems.outcomes import Outcome, failures_of
 SWING = BASINS[1]
 """Colour of the swing leg; the stance leg is in ink."""
 GROUND, SOIL = "#6b6b6b", "#ececec"
-"""Colours of the line of the slope, and of what is below it."""
+"""Colours of the line of the slope, and of the soil below it."""
 SHARES = (0, 0.2, 0.4, 0.6, 0.8, 1)
-"""Of a stride, at which its poses are drawn."""
+"""Shares of a stride at which its poses are drawn."""
 
 
 def step(data: xr.Dataset) -> Figure:
-    """One stride, in six poses from heel strike to heel strike.
+    """Draws one stride, in six poses from heel strike to heel strike.
 
     Figure 1 of Schwab and Wisse (2001), which names the parts of the model.
 
@@ -73,7 +73,7 @@ def step(data: xr.Dataset) -> Figure:
 
 
 def draw_ground(ax: Axes, data: xr.Dataset) -> None:
-    """Draw the slope, as far as can be seen, with a mark at every half of a leg."""
+    """Draws the visible part of the slope, with a mark at every half of a leg."""
     slope, size = float(data.attrs["walker_slope"]), leg_size(data)
     far = np.ceil(2 + np.abs(data["hip"].values[:, 0]).max() / size)
     if "footholds" in data:
@@ -88,7 +88,7 @@ def draw_ground(ax: Axes, data: xr.Dataset) -> None:
 
 
 def draw_steps(ax: Axes, data: xr.Dataset, far: float) -> None:
-    """Draw rough ground as steps, which change their height half way between footholds: marks."""
+    """Draws rough ground as steps, whose heights change half way between footholds, at marks."""
     slope = float(data.attrs["walker_slope"])
     along, height = data["footholds"].values.T
     turns = (along[1:] + along[:-1]) / 2
@@ -107,12 +107,12 @@ def draw_steps(ax: Axes, data: xr.Dataset, far: float) -> None:
 
 
 def leg_size(data: xr.Dataset) -> float:
-    """The length from the hip to the sole."""
+    """Returns the length from the hip to the sole."""
     return data.attrs["leg_length"] + data.attrs["foot_radius"]
 
 
 def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
-    """Draw hip, legs and feet of one frame. Returns the lines."""
+    """Draws hip, legs and feet of one frame. Returns the lines."""
     slope, radius = (float(pose.attrs[name]) for name in ("walker_slope", "foot_radius"))
     hip = pose["hip"].values
     lines: list[Line2D] = []
@@ -142,13 +142,13 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
 
 
 def to_level(places: Float[np.ndarray, "n 2"], slope: float) -> Float[np.ndarray, "n 2"]:
-    """Turn places along the slope and normal to it until the horizontal is level."""
+    """Turns places along the slope and normal to it until the horizontal is level."""
     c, s = np.cos(slope), np.sin(slope)
     return places @ np.array([[c, -s], [s, c]])
 
 
 def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
-    """Write the names of the parts of the model beside one of its poses."""
+    """Writes the names of the parts of the model beside one of its poses."""
     slope = float(pose.attrs["walker_slope"])
     foot, hip = (to_level(pose[name].values[None], slope)[0] for name in ("stance", "hip"))
     theta, phi = float(pose["theta"]), float(pose["phi"])
@@ -167,7 +167,8 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
         at = middle + size * length * np.array([np.cos(half), np.sin(half)])
         centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "large"}
         ax.annotate(text, at, away, textcoords="offset points", **centred)
-    paper = radius == 0 and "swing_knee" not in pose  # whose legs have no mass, and feet are points
+    # The paper's model has legs without mass, and point feet.
+    paper = radius == 0 and "swing_knee" not in pose
     words = [
         (hip, (13, 6), "hip" + ", mass $M$" * paper),
         (foot - [0, radius], (9, -13), "foot" + ", mass $m$" * paper),

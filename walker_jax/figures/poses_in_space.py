@@ -1,6 +1,6 @@
 """Poses of walkers in space, by parallel projection: legs, discs, axle, shadows and the slope.
 
-Places are those of a motion, along the slope, to the left and normal to it.
+Places are along the slope, to the left and normal to it, as in a motion.
 """
 
 import numpy as np
@@ -17,20 +17,20 @@ from walker_jax.figures.poses import GROUND, SOIL, SWING
 from walker_jax.figures.style import INK
 
 TURNED, ABOVE = np.radians(35), np.radians(20)
-"""Where the walk is seen from: its right side, turned to the front by an angle, and above."""
+"""View of the walk: angle turned from its right side to its front, and elevation."""
 LIGHT = np.array([0.35, -0.75, 0.55]) / np.linalg.norm([0.35, -0.75, 0.55])
 """Direction to the light that shades discs; shadows fall straight onto the slope."""
 DARKEST = 0.4
 """Share of its colour that a disc keeps where the light grazes it."""
 SHADOW = "#c9c9c9"
 CORNERS = 60
-"""Of the polygon that stands for a disc."""
+"""Corners of the polygon that represents a disc."""
 FAR = 2
-"""How far the ground reaches about the walker, in legs."""
+"""Reach of the ground around the walker, in legs."""
 
 
 def project(places: Float[np.ndarray, "n 3"], slope: float) -> Float[np.ndarray, "n 3"]:
-    """Places on the page, and how near they are to the eye."""
+    """Returns places on the page, and how near they are to the eye."""
     c, s = np.cos(slope), np.sin(slope)
     level = places @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     c, s, up, flat = np.cos(TURNED), np.sin(TURNED), np.sin(ABOVE), np.cos(ABOVE)
@@ -39,7 +39,7 @@ def project(places: Float[np.ndarray, "n 3"], slope: float) -> Float[np.ndarray,
 
 
 def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.ndarray, " 2"]]:
-    """Draw one frame of a motion. Returns what was drawn, and the place on the page below it."""
+    """Draws one frame of a motion; returns the artists, and the page's place below the walker."""
     slope, radius, length = (
         float(pose.attrs[f"walker_{name}"]) for name in ("slope", "disc_radius", "leg_length")
     )
@@ -50,7 +50,7 @@ def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.nd
     drawn: list[Artist] = draw_slope(ax, below, slope, length)
 
     def disc(centre):
-        """The edge of a disc, normal to the axle."""
+        """Returns the edge of a disc, normal to the axle."""
         first = np.cross(axle, [0.0, 0.0, 1.0])
         first /= np.linalg.norm(first)
         turn = np.linspace(0, 2 * np.pi, CORNERS)[:, None]
@@ -87,7 +87,7 @@ def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.nd
 def draw_slope(
     ax: Axes, below: Float[np.ndarray, " 3"], slope: float, length: float
 ) -> list[Artist]:
-    """The slope about a place, with lines at every half of a leg."""
+    """Draws the slope around a place, with lines at every half of a leg."""
     middle = below / length
     at = np.arange(np.ceil(2 * (middle[0] - FAR)), 2 * (middle[0] + FAR)) / 2
     side = np.array([-1.0, -0.5, 0.0, 0.5, 1.0]) + round(2 * middle[1]) / 2

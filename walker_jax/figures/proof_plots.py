@@ -1,4 +1,4 @@
-"""Proved basins as pictures."""
+"""Pictures of proved basins."""
 
 import numpy as np
 import xarray as xr
@@ -16,9 +16,9 @@ FATES = {
     0: ("open", INK),
     -1: ("falls", "0.85"),
 }
-"""By what is proved of a cell: words and colour."""
+"""Words and colour of a cell, by what is proved of it."""
 EDGE = 64
-"""Points along the border of the trap."""
+"""Number of points along the border of the trap."""
 
 
 def proof(
@@ -30,13 +30,13 @@ def proof(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The cells of which it is proved that they walk for ever, or fall, and the trap.
+    """Draws the cells that are proved to walk for ever, or to fall, and the trap.
 
     **Arguments:**
 
     - `data`: what `walker_jax.prove_basin` returns. The first axis is drawn along the x axis.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -72,7 +72,7 @@ def proof(
 
 
 def trap_edge(data: xr.Dataset) -> np.ndarray:
-    """Points of the trap's border, along the axes."""
+    """Returns points of the trap's border, along the axes."""
     turn = np.linspace(0, 2 * np.pi, EDGE)
     circle = float(data["trap_size"]) * np.stack([np.cos(turn), np.sin(turn)])
     offsets = np.linalg.solve(data["trap_factor"].values.T, circle)
@@ -81,7 +81,7 @@ def trap_edge(data: xr.Dataset) -> np.ndarray:
 
 
 def proof_note(data: xr.Dataset) -> str:
-    """The theorem, or the bounds on the area."""
+    """States the theorem, or the bounds on the area."""
     if data.attrs["all_walk"] and data.attrs["radius"]:
         return f"proved: all starts within {data.attrs['radius']:.7g} walk for ever"
     low, high = data.attrs["area_lower"], data.attrs["area_upper"]

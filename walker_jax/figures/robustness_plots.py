@@ -41,7 +41,7 @@ from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, failures_of
 
 WINDOW = 1.25
-"""Half the width of the picture of the least disturbance, to the width of its curve."""
+"""Half the width of the picture of the least disturbance, relative to the width of its curve."""
 MEASURES = {
     "total_area": (BASINS[0], "-o", "area of the basin"),
     "least_disturbance": (BASINS[1], "-s", "least disturbance"),
@@ -59,16 +59,16 @@ def disturbance(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The basin near its gait, and the nearest start from which the walker does not return to it.
+    """Draws the basin near its gait, and the nearest start from which the walker does not return.
 
-    The walker returns from all starts inside the solid curve. Where the nearest start converges to
+    The walker returns from all starts inside the solid curve. If the nearest start converges to
     another attractor, the nearest one that falls is marked too: none inside the dashed curve falls.
 
     **Arguments:**
 
     - `data`: what `walker_jax.robustness` returns, over two dimensions, with a gait.
     - `ax`: where to draw; by default, on a new figure of 5.4 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
@@ -120,7 +120,7 @@ def disturbance(
 
 
 def distance_phrase(starts: list[NearestStart]) -> str:
-    """The distances of the nearest starts from the gait."""
+    """Returns the distances of the nearest starts from the gait, in words."""
     nearest, *fall = starts
     if fall:
         farther = f"{fall[0].distance:.4g} to a failure"
@@ -131,7 +131,7 @@ def distance_phrase(starts: list[NearestStart]) -> str:
 
 
 def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
-    """The legend of the nearest start that does not return."""
+    """Returns the legend of the nearest start that does not return."""
     if start.outcome == Outcome.STRIDE:
         return "nearest start that converges to another attractor"
     fails = failure_words(start.outcome, failures_of(data))
@@ -140,9 +140,9 @@ def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
 
 
 def robustness(data: xr.Dataset) -> Figure:
-    """The basin of a gait, and beside it its least disturbance where that is in the same plane.
+    """Draws the basin of a gait, and beside it its least disturbance if it is in the same plane.
 
-    The pictures `basin` and `disturbance`.
+    The pictures are `basin` and `disturbance`.
 
     **Arguments:**
 
@@ -169,17 +169,17 @@ def robustness_measures(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Area of the basin, least disturbance and largest multiplier against a parameter.
+    """Draws area of the basin, least disturbance and largest multiplier against a parameter.
 
-    Figure 8 of Schwab and Wisse (2001), and the least disturbance. Area and disturbance are drawn
-    as shares of their largest values, the multiplier as it is: where one grows, the others need
-    not shrink.
+    Figure 8 of Schwab and Wisse (2001), with the least disturbance added. Area and disturbance are
+    shares of their largest values; the multiplier is drawn as it is. The picture shows that one may
+    grow where the others do not shrink.
 
     **Arguments:**
 
     - `data`: what `walker_jax.robustness_table` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
@@ -216,9 +216,9 @@ def boundary_dimension(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The dimension of the boundary of the basin against a parameter, with its interval.
+    """Draws the dimension of the boundary of the basin against a parameter, with its interval.
 
-    It is 1 where the boundary is smooth, and above where it is fractal.
+    It is 1 where the boundary is smooth, and larger where it is fractal.
 
     **Arguments** and errors are those of `robustness_measures`.
     """
@@ -242,11 +242,11 @@ def boundary_dimension(
 
 
 def robustness_table(data: xr.Dataset) -> Figure:
-    """Area, least disturbance, largest multiplier and dimension of the boundary, a panel each.
+    """Draws area, least disturbance, largest multiplier and boundary dimension, a panel each.
 
-    The last is the picture `boundary_dimension`. The band about the area is twice its standard
-    error. Where the nearest start from which the gait is not reached converges to another
-    attractor, the nearest one that falls is drawn too.
+    The last is the picture `boundary_dimension`. The band around the area is twice its standard
+    error. Where the nearest start that does not return converges to another attractor, the nearest
+    one that falls is drawn too.
 
     **Arguments:**
 
@@ -300,14 +300,14 @@ def robustness_table(data: xr.Dataset) -> Figure:
 
 
 def draw_measure(ax: Axes, data: xr.Dataset, name: str, scale: float = 1) -> list[Line2D]:
-    """Draw a measure against the parameter, divided by a scale."""
+    """Draws a measure against the parameter, divided by a scale."""
     colour, style, words = MEASURES[name]
     values, _ = table_axis(data)
     return ax.plot(values, data[name].values / scale, style, color=colour, label=words)
 
 
 def draw_band(ax: Axes, data: xr.Dataset, scale: float = 1) -> None:
-    """Draw twice the standard error of the area around it."""
+    """Draws a band of twice the standard error around the area."""
     values, _ = table_axis(data)
     middle, band = data["total_area"].values / scale, 2 * data["total_area_error"].values / scale
     colour, *_ = MEASURES["total_area"]
@@ -315,7 +315,7 @@ def draw_band(ax: Axes, data: xr.Dataset, scale: float = 1) -> None:
 
 
 def draw_falls(ax: Axes, data: xr.Dataset, scale: float = 1) -> list[Line2D]:
-    """Draw the least disturbance after which a walker falls, where a lesser one leads elsewhere."""
+    """Draws the least disturbance that causes a fall, where a smaller one leads elsewhere."""
     values, _ = table_axis(data)
     farther = data["least_fall"].values > data["least_disturbance"].values
     if not farther.any():
@@ -327,12 +327,12 @@ def draw_falls(ax: Axes, data: xr.Dataset, scale: float = 1) -> list[Line2D]:
 
 
 def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
-    """The values of a table's parameter, and its name; raises `ValueError` for another data set."""
+    """Returns the values of a table's parameter, and its name, after a check of the data set."""
     check_dataset(data, "robustness table")
     parameter = str(data["total_area"].dims[0])
     return data[parameter].values, parameter
 
 
 def largest_of(values: xr.DataArray) -> float:
-    """The largest value; 0 where all are 0 or NaN."""
+    """Returns the largest value; 0 where all are 0 or NaN."""
     return float(np.nanmax([0.0, *values.values]))

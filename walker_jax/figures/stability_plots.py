@@ -23,7 +23,7 @@ def stability_and_area(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Modulus of the largest multiplier of the gait, and area of the basin, against the slope.
+    """Draws the gait's largest multiplier and the area of the basin against the slope.
 
     Figure 8 of Schwab and Wisse (2001).
 
@@ -32,11 +32,11 @@ def stability_and_area(
     - `gaits`: what `walker_jax.bifurcation_diagram` returns, over the slope.
     - `areas`: of the kind "areas over slopes".
     - `ax`: where to draw; by default, on a new figure of 8 by 4.8 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
-    **Returns** the axes, of the multiplier; those of the area share it. Raises `ValueError` for
-    other data sets.
+    **Returns** the axes of the multiplier, which share their place with those of the area. Raises
+    `ValueError` for other data sets.
     """
     check_dataset(gaits, "gait branches")
     check_dataset(areas, "areas over slopes")

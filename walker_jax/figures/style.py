@@ -1,7 +1,7 @@
 """Colours, signs, lines and sizes that all pictures share.
 
-Any two that can touch are apart by 12 or more in CIEDE2000, in normal vision, protanopia and
-deuteranopia, and ways to fail by 6 in lightness, for prints in grey.
+Any two colours that can touch differ by 12 or more in CIEDE2000, in normal vision, protanopia and
+deuteranopia. Colours of failures differ by 6 in lightness, for prints in grey.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,14 @@ SIGNS = {
     Outcome.OWN_3: ("#755967", ""),
     Outcome.OWN_4: ("#164537", ""),
 }
-"""Colour and letter (Schwab and Wisse 2001, Figure 2), from light to dark; then those of a system's
-own failures."""
+"""Colour and letter of each failure (Schwab and Wisse 2001, Figure 2), from light to dark; last
+come a system's own failures."""
 FAILURES = {outcome: (*signs, WORDS[outcome.name]) for outcome, signs in SIGNS.items()}
-"""The same, and words."""
+"""Colour, letter and words of each failure."""
 
 
 def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
-    """How a walk fails, in words, of a system with these failures of its own."""
+    """Says how a walk fails; `failures` are the system's own failures."""
     return outcome_in_words(name_of_outcome(outcome, failures))
 
 
@@ -46,8 +46,8 @@ MARKERS = "os^"
 """Colours of the basins, from dark to light, and signs of their attractors; the largest first."""
 OTHERS = "#828282"
 UNMATCHED, ARTEFACTS = "#594000", "#a695bb"
-"""Colours of cells that converge to other attractors, to none that is known, and in cycles that
-cell mapping makes up."""
+"""Colours of cells that converge to other attractors, of cells that converge to no known one, and
+of artefacts of cell mapping."""
 PERIODS = (
     (INK, "o"),
     ("#441780", "s"),
@@ -60,28 +60,29 @@ PERIODS = (
 )
 """Colours, from dark to light, and signs of gaits of period 1, 2, ..."""
 LONGER = ("#9c9c9b", "*")
-"""Those of longer periods."""
+"""Colour and sign of longer periods."""
 SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
 DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}
 """Lines of stable and of unstable gaits."""
 LETTER, NOTE, SMALL = "x-large", "medium", "small"
-"""Sizes of text, to that of `rcParams`: letters of regions, second lines of titles, and other."""
+"""Sizes of text, relative to `rcParams`: letters of regions, second lines of titles, and the
+rest."""
 TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
 
 
 def points_of(size: str) -> float:
-    """A size of text in points: one of those above, or what `rcParams` has under a name."""
-    chosen: Any = rcParams  # whose own types name each key
+    """Returns a size of text in points, by one of these names or a name in `rcParams`."""
+    chosen: Any = rcParams  # typed as Any, as its own types name each key
     return FontProperties(size=chosen.get(size, size)).get_size_in_points()
 
 
 def period_style(period: int) -> tuple[str, str]:
-    """Colour and sign of gaits of a period."""
+    """Returns colour and sign of gaits of a period."""
     return PERIODS[period - 1] if period <= len(PERIODS) else LONGER
 
 
 def gait_marker(period: int, stable: bool) -> dict[str, Any]:
-    """How a multiplier of a gait is drawn: filled where the gait is stable, open where not."""
+    """Returns the style of a gait's multiplier: filled if the gait is stable, open otherwise."""
     colour, marker = period_style(period)
     face = colour if stable else "white"
     return {"color": colour, "marker": marker, "mfc": face, "mew": 1.2, "ms": 7, "ls": ""}

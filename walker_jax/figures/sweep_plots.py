@@ -25,14 +25,14 @@ def sweep(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The area or volume of the basin over one or two parameters, with its error over one.
+    """Draws the area or volume of the basin over one or two parameters; over one, with its error.
 
     **Arguments:**
 
-    - `data`: what `walker_jax.sweep` returns. Of three parameters and more, the others are at their
-      first values.
+    - `data`: what `walker_jax.sweep` returns. Parameters after the second are at their first
+      values.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.8 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.

@@ -36,17 +36,17 @@ METHOD_NAMES = {
 
 
 MOST_PARAMETERS = 9
-"""Parameters in a title: of a walker with more, as in space, the first few stand for all."""
+"""Most parameters in a title. Of a walker with more, as in space, only the first few are named."""
 FEW_PARAMETERS = 5
 
 
 def axis_label(name: str) -> str:
-    """A coordinate or a parameter, as the label of an axis."""
+    """Returns the label of an axis for a coordinate or a parameter."""
     return AXIS_LABELS.get(name, name.replace("_", " "))
 
 
 def walker_title(data: xr.Dataset, width: int = 60) -> str:
-    """The walker and its parameters, in lines of some width."""
+    """Returns the walker and its parameters, in lines of some width."""
     name = str(data.attrs.get("walker", "Walker"))
     parameters = {
         str(key).removeprefix("walker_"): value
@@ -60,7 +60,7 @@ def walker_title(data: xr.Dataset, width: int = 60) -> str:
 
 
 def parameter_values(parameters: Mapping[str, float]) -> list[str]:
-    """Parameters with their values."""
+    """Returns parameters with their values."""
     return [
         f"{name.replace('_', ' ')} {value:g}" + " rad" * (name == "slope")
         for name, value in parameters.items()
@@ -68,13 +68,13 @@ def parameter_values(parameters: Mapping[str, float]) -> list[str]:
 
 
 def join_phrases(phrases: Sequence[str], width: int) -> str:
-    """Phrases with commas between them, in lines of some width, which break between them."""
+    """Joins phrases with commas, in lines of some width that break between phrases."""
     whole = [words.replace(" ", "\u00a0") for words in phrases]
     return textwrap.fill(", ".join(whole), width).replace("\u00a0", " ")
 
 
 def basin_note(data: xr.Dataset) -> str:
-    """The method, the number of cells, and the area of all basins together."""
+    """Returns the method, the number of cells, and the area of all basins together."""
     method = data.attrs.get("method", "")
     shape = data.attrs.get("shape", data["fate"].shape)
     note = f"{METHOD_NAMES.get(method, method)} on {' × '.join(map(str, shape))} cells"
@@ -85,7 +85,7 @@ def basin_note(data: xr.Dataset) -> str:
 
 
 def volume_note(data: xr.Dataset) -> str:
-    """How the volume of a basin was computed, and what it is, with its error."""
+    """Returns the method, the number of cells, and the volume of a basin with its error."""
     shape = " × ".join(str(data.sizes[name]) for name in data["axis"].values.tolist())
     size, error = float(data["total_area"]), float(data["total_area_error"])
     note = f"{METHOD_NAMES['direct, refined'].rstrip(',')}, on {shape} cells"
@@ -94,7 +94,7 @@ def volume_note(data: xr.Dataset) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """A number to the digits that its standard error leaves, and that error."""
+    """Formats a number to the digits that its standard error leaves, with that error."""
     if not error > 0:
         return f"{value:.4g}"
     digits = max(0, 1 - math.floor(math.log10(error)))
@@ -102,18 +102,18 @@ def with_error(value: float, error: float) -> str:
 
 
 def slice_phrase(fixed: Mapping[str, float]) -> str:
-    """Where the plane of a picture is, by the coordinates that it holds fixed."""
+    """Says where the plane of a picture is, by the coordinates that it holds fixed."""
     values = [coordinate_value(name, value) for name, value in fixed.items()]
     return join_phrases([f"in the slice at {values[0]}", *values[1:]], 60)
 
 
 def coordinate_value(name: str, value: float) -> str:
-    """A coordinate with its value."""
+    """Formats a coordinate with its value."""
     return f"{SYMBOLS.get(name, name)} = {value:.4g}".replace("-", "−")
 
 
 def area_phrase(data: xr.Dataset, area: float) -> str:
-    """An area of a data set, with the unit that it has on a walker's section."""
+    """Formats an area of a data set, with its unit on a walker's section."""
     if not has_known_units(data):
         return f"basin area {area:.4g}"
     mantissa, exponent = f"{area:.2e}".split("e")
@@ -121,13 +121,13 @@ def area_phrase(data: xr.Dataset, area: float) -> str:
 
 
 def count_noun(count: int, noun: str) -> str:
-    """A count and its noun, in the plural where needed."""
+    """Formats a count and its noun, in the plural where needed."""
     ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
     return f"{count} {noun}{ending}"
 
 
 def short_number(value: complex) -> str:
-    """A number with few digits."""
+    """Formats a number with few digits."""
     real, imaginary = (
         f"{part:.2e}" if part >= 1e6 else f"{part:,.0f}" if part >= 100 else f"{part:.1f}"
         for part in (abs(value.real), abs(value.imag))

@@ -1,4 +1,4 @@
-"""The viability kernel as a picture."""
+"""Pictures of the viability kernel."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import failures_of, names_in
 
 SHADES = ListedColormap(colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
-"""Shares of safe actions, darker the more; it reads alike without colour."""
+"""Colours of shares of safe actions, darker for more; also readable in grey."""
 LINES = {
     "target": ("target", "white", 2.2, "-"),
     "inner": ("inner bound", INK, 0.9, "-"),
@@ -45,17 +45,18 @@ def viability(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The viability kernel over a grid, and the failures around it; of three axes, in the middle.
+    """Draws the viability kernel over a grid and the failures around it; of three axes, a slice.
 
-    Viable cells are shaded by the share of actions that keep them so; others have the colour of the
-    failure that no choice of actions prevents. Lines are the target's boundary and the bounds of
-    the kernel.
+    Viable cells are shaded by the share of actions that keep them viable. Other cells have the
+    colour of the failure that no choice of actions prevents. Lines are the target's boundary and
+    the bounds of the kernel.
 
     **Arguments:**
 
-    - `data`: what `walker_jax.viable` returns. The first dimension is drawn along the x axis.
+    - `data`: what `walker_jax.viable` returns. The first dimension is drawn along the x axis; of
+      three dimensions, the slice in the middle is drawn.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
 
     **Returns** the axes. Raises `ValueError` for a data set that is not of two or three dimensions,
     with two cells or more along the first two.
@@ -96,7 +97,7 @@ def viability(
 
 
 def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, str]:
-    """The plane of a data set that is drawn, and where it is: of three axes, that in the middle."""
+    """Returns the plane of a data set that is drawn, and its place among three axes."""
     shown = data[name]
     if shown.ndim not in (2, 3) or min(shown.shape[:2]) < 2:
         raise WrongUse(
@@ -115,7 +116,7 @@ def draw_boundary(
     cells: Bool[np.ndarray, "nx ny"],
     extent: Extent,
 ) -> Line2D | None:
-    """The line around a set of cells, and its sign in the legend; none if there are no cells."""
+    """Draws the line around a set of cells; returns its sign in the legend, None without cells."""
     words, colour, width, kind = line
     if not cells.any():
         return None
@@ -137,7 +138,7 @@ def draw_boundary(
 
 
 def viability_note(data: xr.Dataset) -> str:
-    """The actions, and the areas."""
+    """Returns the actions and the areas, in words."""
     area, target = data.attrs["area"], data.attrs["target_area"]
     words = f"{actions_in_words(data)}: viable {area:.4g}"
     if "inner_area" in data.attrs:
@@ -148,7 +149,7 @@ def viability_note(data: xr.Dataset) -> str:
 
 
 def actions_in_words(data: xr.Dataset) -> str:
-    """How many actions there are, and of which ranges."""
+    """Returns the number of actions, and their ranges, in words."""
     ranges = [
         f"{name.replace('_', ' ')} from {data[name].min():g} to {data[name].max():g}"
         for name in names_in(data, "actions")

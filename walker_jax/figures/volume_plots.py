@@ -28,32 +28,33 @@ from walker_jax.figures.text import SYMBOLS, coordinate_value, volume_note, walk
 from walker_jax.storage.schema import check_dataset
 
 AZIMUTH, ELEVATION = -60.0, 25.0
-"""From where the surface is seen (degrees)."""
+"""View of the surface (degrees)."""
 LIGHT = (-0.5, 0.6, 0.62)
 """Direction of the light: to the right, up, and towards the viewer."""
 AMBIENT = 0.4
-"""Share of the light that comes from everywhere."""
+"""Share of ambient light."""
 PALE = 0.25
 """Share of white in the colours of surfaces."""
 PIXELS = 900
-"""Of the picture of the surface, along each side, at most."""
+"""Most pixels of the picture of the surface along each side."""
 BLUR = 1.3
-"""Pixels over which a surface is smoothed, which consists of cells."""
+"""Pixels over which the surface of cells is smoothed."""
 SOLID = 0.5
-"""Share of pixels with cells near by, from which on a surface is opaque: a part of a basin that is
-thinner than a cell has cells here and there."""
+"""Share of pixels with cells near by from which on a surface is opaque. A part of a basin thinner
+than a cell has only scattered cells."""
 TAILS = 0.002
-"""Share of the cells at either end of each axis that may be beyond the picture."""
+"""Largest share of the cells at either end of each axis that may be outside the picture."""
 MARGIN = 0.05
-"""Share of the basin's extent that is shown beyond it."""
+"""Margin around the basin, as a share of its extent."""
 
 
 def volume(data: xr.Dataset) -> Figure:
-    """The basin of attraction in three dimensions: slices through the attractor, and its surface.
+    """Draws the basin of attraction in three dimensions: slices, and its surface.
 
-    Three slices, each along two axes of the grid, go through the first state of the attractor of
+    Three slices, each along two axes of the grid, go through the first state of the attractor with
     the largest basin. The fourth picture shows the surface of all basins in parallel projection,
-    lit from above. Colours are those of `basin`. All show the part of the grid that has basins.
+    lit from above. Colours are those of `basin`. All pictures show the part of the grid that has
+    basins.
 
     **Arguments:**
 
@@ -107,7 +108,7 @@ def volume(data: xr.Dataset) -> Figure:
 def walking_places(
     data: xr.Dataset, large: list[int]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """The centres of cells that converge, and their colours: places in `large`, or one more."""
+    """Returns the centres of cells that converge, and their colours, by place in `large`."""
     names = data["axis"].values.tolist()
     shape = tuple(data.sizes[name] for name in names)
     first, attractor = data["first_cell"].values, data["run_attractor"].values
@@ -123,7 +124,7 @@ def walking_places(
 
 
 def window_of(data: xr.Dataset, places: Float[np.ndarray, "n 3"]) -> list[tuple[float, float]]:
-    """The range of each axis that has basins but for their tails, and a little more; or all."""
+    """Returns the range of each axis with basins, without their tails, slightly widened; or all."""
     first, last = data["lower"].values, data["upper"].values
     if len(places) == 0:
         return list(zip(first.tolist(), last.tolist(), strict=True))
@@ -140,7 +141,7 @@ def draw_surface(
     places: Float[np.ndarray, "n 3"],
     colours: Int[np.ndarray, " n"],
 ) -> None:
-    """Draw the surface of cells in parallel projection, and the edges of the window around it."""
+    """Draws the surface of cells in parallel projection, and the edges of the window around it."""
     low, high = np.array(window).T
     view = rotation(AZIMUTH, ELEVATION)
     project = lambda at: (2 * (at - low) / (high - low) - 1) @ view.T
@@ -152,7 +153,7 @@ def draw_surface(
     inside = ((places >= low) & (places <= high)).all(axis=1)
     places, colours = places[inside], colours[inside]
     seen = project(places)
-    # A pixel is as large as a cell's shadow, or larger, so that the surface has no holes.
+    # A pixel is at least as large as a cell's shadow, so that the surface has no holes.
     apart = [np.diff(np.unique(places[:, k])).min(initial=np.inf) for k in range(3)]
     step = 2 * np.array([min(a, b) for a, b in zip(apart, high - low, strict=True)]) / (high - low)
     pixel = max(2 * np.sqrt(3) / PIXELS, 1.3 * float(np.linalg.norm(step)) / np.sqrt(3))
@@ -174,7 +175,7 @@ def draw_surface(
 
 
 def rotation(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
-    """Rows: the directions to the right, up, and towards the viewer, in space."""
+    """Returns the directions to the right, up, and towards the viewer, in space, as rows."""
     a, e = np.radians([azimuth, elevation])
     right = np.array([-np.sin(a), np.cos(a), 0.0])
     viewer = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
@@ -184,7 +185,7 @@ def rotation(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
 def shade(
     depth: Float[np.ndarray, "rows columns"], colour: Int[np.ndarray, "rows columns"]
 ) -> Float[np.ndarray, "rows columns 4"]:
-    """The light that a surface sends back (Lambert), in its colours; clear where there is none."""
+    """Computes the light that a surface reflects (Lambert), in its colours; clear outside it."""
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     there = np.isfinite(depth)
@@ -200,14 +201,14 @@ def shade(
     palette = np.array([to_rgb(one) for one in (*BASINS, OTHERS)])
     nearest: Any = distance_transform_edt(~there, return_distances=False, return_indices=True)
     base = palette[np.minimum(colour, len(BASINS))[tuple(nearest)]]
-    base = PALE + (1 - PALE) * base  # dark colours show no shadows
+    base = PALE + (1 - PALE) * base  # dark colours would show no shadows
     bright = (AMBIENT + (1 - AMBIENT) * lit)[..., None]
     clear = np.clip(weight / SOLID, 0, 1)[..., None] * seen[..., None]
     return np.concatenate([np.clip(base * bright, 0, 1), clear], axis=-1)
 
 
 def draw_box(ax: Axes, project, low: np.ndarray, high: np.ndarray, *, behind: bool) -> None:
-    """Draw the edges of a box that are behind what is in it, or those in front of it."""
+    """Draws the edges of a box that are behind its content, or those in front of it."""
     corners = np.array(list(product(*zip(low, high, strict=True))))
     at = project(corners)
     hidden = int(at[:, 2].argmin())
@@ -221,7 +222,7 @@ def draw_box(ax: Axes, project, low: np.ndarray, high: np.ndarray, *, behind: bo
 def name_edges(
     ax: Axes, names: tuple[str, ...], project, low: np.ndarray, high: np.ndarray
 ) -> None:
-    """Name three edges of a box at its outline, and the values at their ends."""
+    """Names three edges of a box at its outline, and the values at their ends."""
     for k, name in enumerate(names):
         edges = []
         for ends in product((0, 1), repeat=2):
@@ -230,7 +231,7 @@ def name_edges(
             last = first.copy()
             last[k] = high[k]
             edges.append(project(np.stack([first, last]))[:, :2])
-        # the outermost edge to the lower left, or of the vertical axis to the left
+        # The outermost edge to the lower left; for the vertical axis, to the left.
         lowest = min(edges, key=lambda edge: edge[:, 0].sum() if k == 2 else edge[:, 1].sum())
         middle, (along, up) = lowest.mean(axis=0), lowest[1] - lowest[0]
         outward = np.array([up, -along]) / np.hypot(along, up)

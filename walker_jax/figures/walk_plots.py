@@ -26,7 +26,7 @@ from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, failures_of
 
 TRAJECTORY = "#f2b632"
-"""Colour of a trajectory in a basin, seen on dark and on pale ground."""
+"""Colour of a trajectory in a basin, visible on dark and on pale ground."""
 
 
 def leg_angles(
@@ -38,15 +38,16 @@ def leg_angles(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Angles of both legs from the normal of the slope, over time.
+    """Draws the angles of both legs from the normal of the slope, over time.
 
-    Figure 6 of Schwab and Wisse (2001). Legs exchange roles at heel strikes, the thin lines.
+    Figure 6 of Schwab and Wisse (2001). Thin lines are heel strikes, at which the legs exchange
+    roles.
 
     **Arguments:**
 
     - `data`: what `walker_jax.motion` returns.
     - `ax`: where to draw; by default, on a new figure of 9 by 4.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
@@ -87,7 +88,7 @@ def leg_angles(
 
 
 def course(data: xr.Dataset) -> str:
-    """How many strides a walk has, and how it fails, if it does."""
+    """Says how many strides a walk has, and how it fails, if it does."""
     outcomes = data["outcome"].values
     last = Outcome(int(outcomes[-1]))
     strides = count_noun(len(outcomes) - (last != Outcome.STRIDE), "stride")
@@ -97,16 +98,16 @@ def course(data: xr.Dataset) -> str:
 
 
 def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
-    """A walk's trajectory in a basin: the starts of its strides, joined in order.
+    """Draws a walk's trajectory in a basin: the starts of its strides, joined in order.
 
-    Figure 5 of Schwab and Wisse (2001), with an enlargement around the last half of them.
+    Figure 5 of Schwab and Wisse (2001), with an enlargement around the last half of the starts.
 
     **Arguments:**
 
     - `data`: what `walker_jax.basin` returns, over two dimensions.
-    - `walk`: what `walker_jax.motion` returns, of the same walker.
+    - `walk`: what `walker_jax.motion` returns, for the same walker.
 
-    **Returns** a figure of 12 by 5.4 inches. Raises `ValueError` as `figures.basin`.
+    **Returns** a figure of 12 by 5.4 inches. Raises `ValueError` as `figures.basin` does.
     """
     check_dataset(walk, "walk")
     figure = new_figure(12, 5.4)
@@ -139,18 +140,18 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
 
 
 def axes_of(data: xr.Dataset) -> tuple[str, str]:
-    """The axes of a basin over two dimensions."""
+    """Returns the axes of a basin over two dimensions."""
     x, y = map(str, data["fate"].dims)
     return x, y
 
 
 def trajectory_in(data: xr.Dataset, walk: xr.Dataset) -> Float[np.ndarray, "n 2"]:
-    """The starts of the strides of a walk, along the axes of a basin."""
+    """Returns the starts of the strides of a walk, along the axes of a basin."""
     return place_states(data, walk["states"].values, axes_of(data))
 
 
 def write_number(ax: Axes, number: int, place: tuple[float, float]) -> None:
-    """Write a number beside a dot."""
+    """Writes a number beside a dot."""
     frame = {"boxstyle": "circle,pad=0.15", "fc": "white", "ec": INK, "lw": 0.5}
     style = {"textcoords": "offset points", "fontsize": SMALL, "bbox": frame, "zorder": 7}
     ax.annotate(f"{number}", place, (8, 7), **style)

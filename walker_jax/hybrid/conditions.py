@@ -1,8 +1,8 @@
-"""Conditions of a mode: where their values are least between two states of a motion.
+"""Conditions of a mode: their least values between two states of a motion.
 
-The value of a condition may cost as much as a vector field, as a force does, so it is not expanded
-in a series: it is looked at where steps end, with its rate. A minimum within a step is found where
-the rate is negative at its start and positive at its end.
+The value of a condition may cost as much as a vector field, as a force does. So it is not expanded
+in a series but evaluated where steps end, with its rate. A step has a minimum within it if the rate
+is negative at its start and positive at its end.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.roots import Scalar
 
 FINE = 1e-6
-"""Resolution of a time, as part of a step. A value is right to the square of it."""
+"""Resolution of a time, as part of a step. The error of a value is about the square of it."""
 
 
 def is_negative(condition: Condition, state: Any) -> Bool[Array, ""]:
@@ -29,7 +29,7 @@ def is_negative(condition: Condition, state: Any) -> Bool[Array, ""]:
 def value_and_rate(
     value: Function, rates: Callable[[Any], Any], state: Any
 ) -> tuple[Scalar, Scalar]:
-    """The value of a function and its rate along a motion; constants to derivatives."""
+    """Returns the value of a function and its rate along a motion; constants to derivatives."""
     both = with_fast_sincos(lambda state: jax.jvp(value, (state,), (rates(state),)))
     return lax.stop_gradient(both(lax.stop_gradient(state)))
 
@@ -44,15 +44,17 @@ def least_between(
     resolution: float = FINE,
     above: float = -np.inf,
 ) -> tuple[Scalar, Scalar]:
-    """When a value is least between two states of a motion, `time` apart, and that.
+    """Finds the time at which a value is least between two states of a motion, and that value.
 
-    `at` returns it with its rate. The least one is at a root of the rate, bracketed by secants
-    (Illinois), to a part of `time`, or until the value is not `above` some number. It is infinite
-    where there is no least one in between. Constants to derivatives.
+    The states are `time` apart. `at` returns the value with its rate. The least value is at a root
+    of the rate, bracketed by secants (Illinois) to a part of `time`, or until the value is not
+    `above` some number. It is infinite where there is no minimum in between. Results are constants
+    to derivatives.
     """
     before, after, time = lax.stop_gradient((before, after, time))
     below, beyond, zero = at(before)[1], at(after)[1], jnp.zeros_like(time)
-    resolution = max(resolution, 8 * float(jnp.finfo(time.dtype).eps))  # or it would never end
+    # A finer resolution would never be reached.
+    resolution = max(resolution, 8 * float(jnp.finfo(time.dtype).eps))
 
     def unfinished(carry):
         low, high, *_, least = carry

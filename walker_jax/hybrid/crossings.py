@@ -1,13 +1,12 @@
-"""Where a polynomial rises through zero within one step of integration.
+"""Rises of a polynomial through zero within one step of integration.
 
 A rise is decided on the polynomial of the step, never on its two ends alone. Bounds that cost a few
 operations exclude most steps (`may_rise`). They need the first coefficients alone, as those of a
-step fall off fast. Where they do not exclude a rise, the zeros are isolated from the left, by
-lengths that certainly hold none (`first_rise`). So no dip is missed that is wider than `HOP` of a
-step.
+step fall off fast. Otherwise, the zeros are isolated from the left, by lengths that certainly hold
+none (`first_rise`). So no dip wider than `HOP` of a step is missed.
 
 The side of zero on which a polynomial begins is passed from step to step, and read from its sign
-only at first: so no rise is lost, or seen twice, between two steps by rounding.
+only at first. So no rise is lost, or counted twice, between two steps by rounding.
 """
 
 import functools
@@ -29,17 +28,17 @@ from walker_jax.integrators.roots import (
 from walker_jax.integrators.series import evaluate_polynomial
 
 HOP = 1e-7
-"""Part of a step: two zeros that are nearer than this count as one, which is no crossing. In
-float32, 64 times the dtype's epsilon."""
+"""Distance, as part of a step, within which two zeros count as one, which is no crossing. In
+float32 it is 64 times the dtype's epsilon."""
 
 
 MOVED = 7
-"""Coefficients that are moved to the middle of a step; those behind are small."""
+"""Number of coefficients that are moved to the middle of a step; later ones are small."""
 
 
 @jax.jit
 def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
-    """Whether a function is below zero at first, or at zero and about to fall."""
+    """Returns whether a function is below zero at first, or at zero and about to fall."""
     value, rate, curvature = series[:3]
     falls = (rate < 0) | ((rate == 0) & (curvature < 0))
     return (value < 0) | ((value == 0) & falls)
@@ -53,11 +52,11 @@ def may_rise(
     below: Bool[Array, ""],
     ends_below: Bool[Array, ""],
 ) -> Bool[Array, ""]:
-    """Whether a function may rise through zero in a step, at both ends of which its side is known.
+    """Returns whether a function may rise through zero in a step, given its side at both ends.
 
-    It cannot where it is monotone and keeps its side; nor where it has no zero, or only that at
-    which the step begins; nor where one of `admits` is negative throughout. All are given by their
-    first coefficients.
+    It cannot if it is monotone and keeps its side; nor if it has no zero, or only the one at which
+    the step begins; nor if one of `admits` is negative throughout. All are given by their first
+    coefficients.
     """
     near = comes_near_zero(value, length) & ~leaves_zero(value, length)
     may = (below & ~ends_below) | near
@@ -68,7 +67,7 @@ def may_rise(
 
 
 def comes_near_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Whether a function may have a zero in a step other than where it changes its side once."""
+    """Returns whether a function may have a zero in a step, other than one change of its side."""
     (middle, change), rest = about_middle(series, length)
     return (jnp.abs(middle) <= jnp.abs(change) / 2 + rest.value) & (jnp.abs(change) <= rest.rate)
 
@@ -78,16 +77,16 @@ class Rest(NamedTuple):
 
     value: Scalar
     rate: Scalar
-    """Per length of the step."""
+    """Bound on the rate, per length of the step."""
 
 
 def about_middle(series: list[Scalar], length: Scalar) -> tuple[tuple[Scalar, Scalar], Rest]:
-    """The value of a function in the middle of a step and, with the rate that it has there, its
-    change over the step; and what is not linear.
+    """Expands a function about the middle of a step: value, linear change, and bounds of the rest.
 
-    About the middle a term of order k is 2^k times smaller at the ends than about the start, so the
-    bounds are close. The last two terms count twice, for those that are left out: each is some
-    tenth of the one before, as the length of a step makes it.
+    The change is over the step, at the rate in the middle. About the middle a term of order k is
+    2^k times smaller at the ends than about the start, so the bounds are close. The last two terms
+    count twice, for those that are left out: with this length of a step, each term is about a tenth
+    of the one before.
     """
     terms, power = [series[0]], length
     for c in series[1:]:
@@ -104,10 +103,10 @@ def about_middle(series: list[Scalar], length: Scalar) -> tuple[tuple[Scalar, Sc
 
 
 def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Whether a polynomial that begins at zero, to rounding, certainly moves away from there.
+    """Returns whether a polynomial that begins at zero, to rounding, certainly moves away from it.
 
-    It moves where its first term that does not vanish leads, provided that c_2 leads there too and
-    outweighs the terms behind it.
+    It moves in the direction of its first term that does not vanish, provided that c_2 has the same
+    direction and outweighs the terms after it.
     """
     falls = (series[1] < 0) | ((series[1] == 0) & (series[2] < 0))
     sign = jnp.where(falls, -1, 1).astype(length.dtype)
@@ -118,18 +117,18 @@ def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
 
 
 def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
-    """The sum over k >= 2 of |c_k| length^k, which bounds what is not linear in a function."""
+    """Returns the sum over k >= 2 of |c_k| length^k, a bound on the nonlinear part."""
     return evaluate_polynomial(sizes(series)[2:], length) * length**2
 
 
 def is_monotone(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Whether the rate of a function certainly keeps its sign in a step."""
+    """Returns whether the rate of a function certainly keeps its sign in a step."""
     rates = [k * size for k, size in enumerate(sizes(series))]
     return rates[1] > evaluate_polynomial(rates[2:], length) * length
 
 
 def sizes(series: list[Scalar]) -> list[Scalar]:
-    """The absolute values of coefficients, twice those of the last two behind the linear ones."""
+    """Returns the absolute values of coefficients, twice those of the last two nonlinear ones."""
     last = max(2, len(series) - 2)
     return [jnp.abs(c) * (1 if k < last else 2) for k, c in enumerate(series)]
 
@@ -144,17 +143,17 @@ class Crossing(NamedTuple):
     below: Bool[Array, ""]
     """Whether it begins below zero."""
     ends_below: Bool[Array, ""]
-    """Whether it ends there, which by rounding its own sign may deny."""
+    """Whether it ends below zero; by rounding, its own sign may differ."""
     wanted: Bool[Array, ""]
     """Whether to look for a rise."""
 
 
 @jax.jit
 def first_rise(crossings: list[Crossing], length: Scalar) -> tuple[Int[Array, ""], Scalar]:
-    """The first admitted rise of several polynomials in a step: its number, -1 for none, and time.
+    """Finds the first admitted rise of several polynomials in a step: its number, and its time.
 
-    One search serves all, one after the other. Constant to derivatives; the time of none is
-    infinite.
+    The number is -1, and the time infinite, if there is none. One search serves all, one after the
+    other. Results are constant to derivatives.
     """
     most = max(len(one.admits) for one in crossings)
     always = [length + 1, *[0 * length] * (len(crossings[0].value) - 1)]
@@ -177,11 +176,11 @@ def first_rise(crossings: list[Crossing], length: Scalar) -> tuple[Int[Array, ""
 
 
 def rise_of(crossing: Crossing, length: Scalar) -> Instant:
-    """The first admitted rise of one polynomial.
+    """Finds the first admitted rise of one polynomial.
 
-    Where it is monotone, its sides tell. Elsewhere it is expanded about points that move to the
+    If it is monotone, its sides decide. Otherwise it is expanded about points that move to the
     right, each by a length that certainly holds no zero; at a zero, where that length nearly
-    vanishes, by `HOP`. The time is constant to derivatives, and `length` where there is no rise.
+    vanishes, by `HOP`. The time is constant to derivatives, and `length` if there is no rise.
     """
     value, admits, below, ends_below, wanted = lax.stop_gradient(crossing)
     length = lax.stop_gradient(length)
@@ -205,7 +204,7 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
         at_zero = free <= hop / 8
         step = jnp.minimum(jnp.where(at_zero, hop, free), length - time)
         beyond = evaluate_polynomial(series[:4], step) < 0
-        # So near a zero, a length that is free of it is a step of Newton's iteration.
+        # Close to a zero, a step by the free length is a step of Newton's iteration.
         found = at_zero & below & ~beyond & admitted(time + free)
         below = jnp.where(at_zero, beyond, below)
         return jnp.where(found, time, time + step), found, below, *shifted(series, step)
@@ -215,7 +214,7 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
     time, found, below, *_ = lax.while_loop(
         searching, advance, (first, jnp.asarray(False), below, *value)
     )
-    # The sides tell, if it is monotone or has its last zero at the end of the step.
+    # The sides decide, if it is monotone or has its last zero at the end of the step.
     left = wanted & ~found & below & ~ends_below
     low = jnp.where(left & monotone, 0, time)
     high = jnp.where(left, length, jnp.minimum(time + hop, length))

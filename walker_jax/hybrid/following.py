@@ -1,9 +1,9 @@
 """A mode of a hybrid system, followed to the guard that ends it.
 
-One loop makes steps as long as their method chooses, until one may end the mode, by bounds that
-cost little. Such a step is searched for the first admitted rise of a guard; if there is none, the
-loop goes on. diffrax makes the steps of Runge-Kutta methods and chooses their lengths; a step by
-Taylor series knows its own length.
+One loop makes steps as long as their method chooses, until a step may end the mode, by cheap
+bounds. Such a step is searched for the first admitted rise of a guard; if there is none, the loop
+goes on. diffrax makes the steps of Runge-Kutta methods and chooses their lengths; a step by Taylor
+series knows its own length.
 """
 
 from functools import partial
@@ -26,26 +26,26 @@ from walker_jax.integrators.taylor import function_series, is_list
 from walker_jax.integrators.taylor_steps import evaluate_series
 
 FIRST_ORDER = 6
-"""Order to which guards are expanded in every step, to exclude a rise. Where that does not exclude
+"""Order to which guards are expanded in every step, to exclude a rise. If that does not exclude
 one, they are expanded in full."""
 NO_GUARD, NOT_FOLLOWED = -1, -2
-"""In the place of a guard's number: none has ended the mode, or it was not followed."""
+"""In place of a guard's number: none has ended the mode, or it was not followed."""
 Violated = dict[int, Bool[Array, ""]]
 """Whether each condition was violated, by its outcome, lower numbers first."""
 
 
 class End(NamedTuple):
-    """Where a mode ends."""
+    """The end of a mode."""
 
     state: Any
-    """At the event, with its derivatives; where the integration gave up, if there is none."""
+    """State at the event, with its derivatives; without an event, where the integration gave up."""
     time: Scalar
-    """Since the start of the mode."""
+    """Time since the start of the mode."""
     guard: Int[Array, ""]
-    """Number of the guard that ended it. If the end is foregone, that is the number of all guards;
-    without an end, `NO_GUARD` or `NOT_FOLLOWED`."""
+    """Number of the guard that ended it. For a foregone end it is the number of all guards; without
+    an end, `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
-    """Both ends of the mode included."""
+    """Conditions that were violated, at both ends of the mode too."""
     misses: Misses | None
 
 
@@ -55,20 +55,20 @@ class Step(NamedTuple):
     start: Any
     end: Any
     time: Scalar
-    """At its start."""
+    """Time at its start."""
     length: Scalar
     sides: list[Scalar]
     """For each guard, -1 below zero at the start of the step and 1 above; 0 before the first."""
     ends: list[Scalar]
-    """The same at its end."""
+    """The sides at its end."""
     rates: list[tuple[Scalar, Scalar]]
     """The rates of conditions at both ends."""
     quiet: Bool[Array, ""]
     """Whether the step certainly ends nothing."""
     memory: PyTree
-    """The method's own, passed from step to step."""
+    """The method's own memory, passed from step to step."""
     series: PyTree
-    """Its polynomial, where expanding it again takes more than carrying it; else empty."""
+    """Its polynomial, where expanding it again costs more than carrying it; empty otherwise."""
 
 
 class Unfinished(NamedTuple):
@@ -77,7 +77,7 @@ class Unfinished(NamedTuple):
     last: Step
     arrival: Any
     time: Scalar
-    """Of the event."""
+    """Time of the event."""
     guard: Int[Array, ""]
     count: Int[Array, ""]
     violated: Violated
@@ -87,10 +87,10 @@ class Unfinished(NamedTuple):
 def follow_mode(
     mode: Mode, start: Any, going: Bool[Array, ""], method: Method, *, measured: bool = False
 ) -> End:
-    """Follow a mode from a state to its end; nothing to do unless `going`.
+    """Follows a mode from a state to its end; does nothing unless `going`.
 
-    Derivatives of the arrival are exact to third order. If it is `measured`, every step is searched
-    and what was missed in it is seen.
+    Derivatives of the arrival are exact to third order. If `measured`, every step is searched, and
+    its misses are recorded.
     """
 
     def unfinished(now: Unfinished):
@@ -128,7 +128,7 @@ def follow_mode(
 
 
 def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
-    """A step of no length at the start of a mode."""
+    """Returns a step of no length at the start of a mode."""
     zero = zero_at(start)
     sides = [zero for _ in mode.guards]
     rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched(mode)]
@@ -142,7 +142,7 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
 
 
 def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Step:
-    """The next step, and whether it certainly ends nothing."""
+    """Makes the next step, and says whether it certainly ends nothing."""
     begins, sides = step.end, step.ends
     series, end, length, memory = method.step(begins, step.memory)
     may, ends = ~jnp.isfinite(length), []
@@ -164,7 +164,7 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
 
 
 def measured_step(mode: Mode, method: Method, step: Step) -> Step:
-    """The next step, all of which is searched and seen."""
+    """Makes the next step, all of which is searched and recorded."""
     series, end, length, memory = method.step(step.end, step.memory)
     ends = []
     for guard, side in zip(mode.guards, step.ends, strict=True):
@@ -176,7 +176,7 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
-    """The first event in the last step, if there is one, and what was violated before it."""
+    """Finds the first event in the last step, if there is one, and earlier violations."""
     last = now.last
     series = last.series if method.carries_series(last.end) else method.series_of(last.start)
     crossings = []
@@ -212,12 +212,12 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
 
 
 def watched(mode: Mode) -> list[Condition]:
-    """The conditions that may be violated between the ends of a mode."""
+    """Returns the conditions that may be violated between the ends of a mode."""
     return [one for one in mode.conditions if not one.least_at_ends]
 
 
 def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, list[list]]]:
-    """The polynomials of each guard's value and of what admits it; all of them if `whole`."""
+    """Expands each guard's value and the functions that admit it; all of these if `whole`."""
     functions = mode.functions(whole)
     flat = [function for guard in functions for function in guard]
     found = function_series(lambda y: [one(y) for one in flat], lax.stop_gradient(series))
@@ -229,14 +229,14 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
 
 
 def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
-    """Whether a guard is below zero as a step begins, by its side or, at first, its value."""
+    """Returns whether a guard is below zero as a step begins, by its side or first value."""
     return jnp.where(side == 0, begins_below(value), side < 0)
 
 
 def rises_perhaps(
     guard: Guard, side: Scalar, polynomials: tuple, length: Scalar, end: Any
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Whether a guard may rise in a step, and whether it ends below zero."""
+    """Returns whether a guard may rise in a step, and whether it ends below zero."""
     value, admits = polynomials
     at_end = lambda one: with_fast_sincos(one)(lax.stop_gradient(end))
     below = is_below(side, value)
@@ -252,7 +252,7 @@ def rises_perhaps(
 
 
 def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any) -> Scalar:
-    """The value of the guard that ended a mode; of the first if none did."""
+    """Returns the value of the guard that ended a mode; of the first if none did."""
     value = mode.guards[0].value(state)
     for i, guard in enumerate(mode.guards[1:], 1):
         value = jnp.where(number == i, guard.value(state), value)

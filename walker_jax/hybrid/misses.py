@@ -1,8 +1,8 @@
-"""By how much the guards of a mode missed to rise, and its conditions to be violated.
+"""Misses: how nearly the guards of a mode rose, and its conditions were violated.
 
 A guard misses a rise where its value turns below zero, or turns or rises most slowly above zero,
-where it is admitted; and where it rises through zero and is not admitted. A step of the integration
-must be so short that the rate of a value turns at most once in it.
+where it is admitted. It also misses one where it rises through zero and is not admitted. A step of
+the integration must be so short that the rate of a value turns at most once in it.
 """
 
 from functools import partial
@@ -37,14 +37,15 @@ class Misses(NamedTuple):
     """Misses within a mode. Its start and its end, where values do not turn, do not count."""
 
     nearest: list[Scalar]
-    """The greatest miss of each guard, all negative: its value, or minus that, where it turned or
-    rose most slowly; or the least of what did not admit it. Minus infinity if there was none."""
+    """The greatest miss of each guard, all negative: its value, or minus its value, where it turned
+    or rose most slowly; or the least function that did not admit it. Minus infinity if there was
+    none."""
     depth: Scalar
-    """How far the last guard turned below zero since it last rose, of a guard that is not always
+    """How far the last guard turned below zero since it last rose, for a guard that is not always
     admitted; minus infinity if it did not."""
     height: Scalar
     """How far the last guard rose, if it fell again within the step in which it ended the mode;
-    infinite if not."""
+    infinite otherwise."""
     least: dict[int, Scalar]
     """The least value of each condition where it turned, by its outcome; infinite if it did not."""
     before: dict[int, Scalar]
@@ -74,7 +75,7 @@ def no_misses(mode: Mode, start: Any) -> Misses:
 
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
-    """Add the misses of a step to those that are known. All values have their derivatives."""
+    """Adds the misses of a step to those that are known. All values have their derivatives."""
     found = [turns_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
     nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
     least, before = {}, {}
@@ -106,12 +107,12 @@ class Turns(NamedTuple):
 def turns_in_step(
     guard: Guard, sides: tuple[Bool[Array, ""], Bool[Array, ""]], step: Seen
 ) -> Turns:
-    """A guard in a step: where it turns, and where it rises and is not admitted."""
+    """Finds where a guard turns in a step, and where it rises without being admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
 
     def admitted(time: Scalar) -> Scalar:
-        """The least of the functions that admit a rise."""
+        """Returns the least of the functions that admit a rise."""
         least = jnp.full_like(time, jnp.inf)
         for one in admits:
             least = jnp.minimum(least, evaluate_polynomial(one, time))
@@ -166,13 +167,13 @@ class Place(NamedTuple):
 
 
 def first_place(series: list[Scalar], time: Scalar) -> Place:
-    """The start of a step, where the coefficients are known; some time gives the dtype."""
+    """Returns the start of a step, where the coefficients are known; `time` gives the dtype."""
     value, rate, bend = lax.stop_gradient(series[:3])
     return Place(0 * time, value, rate, 2 * bend)
 
 
 def turn_of_rate(series: list[Scalar], start: Place, end: Place) -> Place:
-    """Where the rate of a polynomial turns in a step; if it does not, its end."""
+    """Returns the place where the rate of a polynomial turns in a step; its end if it does not."""
     sign = jnp.where(start.curvature < 0, 1, -1).astype(end.time.dtype)
     turns = sign * jnp.sign(end.curvature) > 0
     rising = polynomial_jet([sign * c for c in derivative_of(derivative_of(series))])
@@ -182,7 +183,7 @@ def turn_of_rate(series: list[Scalar], start: Place, end: Place) -> Place:
 
 
 def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -> Instant:
-    """Where a function is least, or with `sign` -1 greatest, in a step.
+    """Finds where a function is least in a step, or greatest with `sign` -1.
 
     Its rate turns at `middle` alone. The time is constant to derivatives: the value does not depend
     on it to first order.
@@ -200,7 +201,7 @@ def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -
 
 
 def least_in_step(mode: Mode, condition: Condition, step: Seen) -> Scalar:
-    """The least value of a condition where it turns in a step; infinite if it does not."""
+    """Returns the least value of a condition where it turns in a step; infinite if it does not."""
     at = partial(value_and_rate, condition.value, mode.rates)
     between = lambda time: evaluate_series(step.series, time)
     ends = step.start, step.arrival

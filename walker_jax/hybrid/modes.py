@@ -1,8 +1,8 @@
 """Hybrid systems: modes of motion with guards that end them, and conditions that must hold.
 
-A mode has a vector field. Each of its guards is a function of the state; the mode ends where one
-rises through zero and is admitted there, the earliest of all. Conditions do not end a mode: it is
-noted whether they were violated on the way. Then the state is reset for the next mode.
+A mode has a vector field. Each of its guards is a function of the state; the mode ends at the
+earliest admitted rise of a guard through zero. Conditions do not end a mode: it is recorded whether
+they were violated on the way. Then the state is reset for the next mode.
 """
 
 from collections.abc import Callable
@@ -21,21 +21,22 @@ class Guard(NamedTuple):
     """An end of a mode."""
 
     value: Function
-    """The mode ends where it rises through zero, from below or, if it falls first, from zero."""
+    """The mode ends where this function rises through zero, from below or, if it falls first, from
+    zero."""
     leads_to: int = 0
     """Meaning of the end to the caller, such as an outcome; 0 where the motion goes on."""
     admits: tuple[Function, ...] = ()
     """The rise counts where all of these are positive. Their polynomials exclude whole steps."""
     admits_at_rise: tuple[Function, ...] = ()
-    """More of them, looked at only where it rises: for functions that are costly to expand."""
+    """Further such functions, evaluated only at a rise because they are costly to expand."""
     persists: bool = False
-    """Whether, by a proof about the field, a value that has risen where it is admitted stays above
-    zero to the end of any step, and turns from falling to rising once at most in it. Then the two
-    ends of a step tell whether it has risen within."""
+    """Whether a proof about the field shows two things. A value that has risen where it is admitted
+    stays above zero to the end of any step; and it turns from falling to rising at most once in a
+    step. The two ends of a step then tell whether it has risen within."""
     at_once: bool = False
     """Whether a mode that begins where the value is not negative ends there."""
     measure: Callable[[Scalar], Scalar] = jnp.negative
-    """The margin of a value below zero; by default by how much that is below."""
+    """The margin of a value below zero; by default its size."""
 
 
 class Condition(NamedTuple):
@@ -45,17 +46,17 @@ class Condition(NamedTuple):
     outcome: int
     """Meaning of its violation to the caller."""
     least_at_ends: bool = False
-    """Whether, by a proof, it is least at the start or at the end of a mode."""
+    """Whether a proof shows that it is least at the start or at the end of a mode."""
     zero_at_ends: tuple[bool, bool] = (False, False)
     """Whether it is zero by definition as the mode starts, and where its last guard rises. Its
-    margin is that of values elsewhere."""
+    margin then counts values elsewhere."""
 
 
 class Foregone(NamedTuple):
     """A proof that a mode can end in one way only, so that it need not be followed any further."""
 
     holds: Callable[[Any], Bool[Array, ""]]
-    """Whether that is certain in a state; it is asked at the end of each step."""
+    """Whether that is certain in a state; evaluated at the end of each step."""
     leads_to: int
 
 
@@ -65,34 +66,36 @@ class Mode(NamedTuple):
     field: VectorField
     """The time derivative of the state, or a `PowerBalance`."""
     guards: tuple[Guard, ...]
-    """The last one is how the mode should end."""
+    """The last guard is the intended end of the mode."""
     conditions: tuple[Condition, ...] = ()
     reset: Callable[[Any], Any] = lambda state: state
-    """The state in which the next mode begins, of that in which this one has ended."""
+    """Function from the state in which this mode ends to the state in which the next one begins."""
     at_end: tuple[Condition, ...] = ()
-    """Functions of the state in which its last guard has ended it, before the reset, that must be
-    positive for the motion to go on: such as the speed at which a foot lifts in an impact."""
+    """Functions that must be positive in the state in which the last guard has ended the mode,
+    before the reset, for the motion to go on: for example the speed at which a foot lifts in an
+    impact."""
     foregone: Foregone | None = None
     rates_at: Callable[[Any], Any] | None = None
     """The time derivative of a single state, where `field` is no function."""
     as_smooth: bool = False
-    """Whether the guards are known to be as smooth along a solution as the solution is, such as
-    those of angles that move by their own sines: no step need be shorter for them then."""
+    """Whether the guards are known to be as smooth along a solution as the solution itself, such as
+    functions of angles that obey equations in their own sines. Steps need not be shorter for them
+    then."""
     energy: Function | None = None
-    """The energy of a state, if it is known. `explain` alone uses it, and tells how it changes."""
+    """The energy of a state, if it is known. Only `explain` uses it, to report its change."""
 
     @property
     def rates(self) -> Callable[[Any], Any]:
-        """The time derivative of the state, where it is asked for at a single state."""
+        """The time derivative of the state, evaluated at a single state."""
         return self.field if self.rates_at is None else self.rates_at  # pyright: ignore
 
     def outcomes(self) -> list[int]:
-        """All that its guards and conditions lead to."""
+        """Returns all outcomes of its guards and conditions."""
         conditions = (*self.conditions, *self.at_end)
         return [*(one.leads_to for one in self.guards), *(one.outcome for one in conditions)]
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
-        """The value of each guard and the functions that admit it; all of them if `whole`."""
+        """Returns the value of each guard and the functions that admit it; all if `whole`."""
         return [
             [one.value, *one.admits, *(one.admits_at_rise if whole else ())] for one in self.guards
         ]

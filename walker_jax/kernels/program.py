@@ -19,7 +19,7 @@ from jax.core import ShapedArray
 from jax.extend.core import jaxpr_as_fun, jaxprs_in_params
 
 from walker_jax.checks import WrongUse, is_traced
-from walker_jax.identity import digest_of
+from walker_jax.identity import sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
@@ -160,7 +160,7 @@ class Program:
             many = lambda aval: aval.update(shape=(directions, *aval.shape))
             operands = [*self.operands, *(many(self.operands[i]) for i in by)]
             avals = operands, [many(aval) for aval in itertools.compress(self.results, real)]
-            name = digest_of((self.name, by, directions)) if self.name else None
+            name = sha256_of((self.name, by, directions)) if self.name else None
             like, origin = list(map(shape_dtype, operands)), (self, by, directions)
             program = Program(along, like, self.settings, origin, name, avals)
             self.derivatives[by, directions] = program

@@ -38,10 +38,10 @@ from walker_jax.identity import (
     PACKAGE,
     USED,
     AsItIs,
-    Walk,
-    digest_of,
+    Describer,
     home_of,
     is_own,
+    sha256_of,
     top_of,
 )
 from walker_jax.kernels.machine import register_bits
@@ -89,10 +89,10 @@ def name_of(function: Any, structure: Any, avals: Sequence, settings: tuple) -> 
         return None
     options = [str(getattr(jax.config, option, None)) for option in OPTIONS]
     # Machines of several kinds may share a folder.
-    return digest_of((places, words, options, code, register_bits()))
+    return sha256_of((places, words, options, code, register_bits()))
 
 
-class Reach(Walk):
+class Reach(Describer):
     """Describes the code of this package that some of it reaches, as it is now.
 
     A user's own may be in the place of some of it. Other things were told apart by their words, or
@@ -123,13 +123,13 @@ def statics_of(structure: Any) -> list[Any]:
 
 def states_of(function: Callable, structure: Any) -> tuple[Hashable, ...]:
     """The state of a user's own code that a function of arguments in this tree runs, if any."""
-    walk = Walk()
-    walk.describe(function)
-    definitions = (one for one in walk.found if isinstance(one, DEFINED))
-    functions = (function,) if any(map(walk.opens, definitions)) else ()
+    describer = Describer()
+    describer.describe(function)
+    definitions = (one for one in describer.found if isinstance(one, DEFINED))
+    functions = (function,) if any(map(describer.opens, definitions)) else ()
     held = *classes_of(structure), *static_functions(structure)
-    own = *functions, *filter(walk.opens, held)
-    return Walk().describe(*own) if own else ()
+    own = *functions, *filter(describer.opens, held)
+    return Describer().describe(*own) if own else ()
 
 
 @functools.lru_cache(MOST)

@@ -1,14 +1,14 @@
-"""Constraints on rates, a(q, qdot) = A(q) qdot = 0: what rolls, slides on an edge, or is held.
+"""Constraints on rates, a(q, qdot) = A(q) qdot = 0, for rolling, sliding on an edge, or holding.
 
-Constraints on coordinates, g(q) = 0, are of this kind too, by their rates: A = g,q. Those of which
-that is not so are called nonholonomic. By Jourdain's principle their forces have no power in any
-rates that the constraints allow, so with multipliers lambda, the forces dual to a,
+Constraints on coordinates, g(q) = 0, are of this kind too, by their rates: A = g,q. Others are
+called nonholonomic. By Jourdain's principle constraint forces have no power in any rates that the
+constraints allow. With multipliers lambda, the forces dual to a,
 
     [F,q^T M F,q] qddot = F,q^T [f - M F,qq qdot qdot] + Q + A^T lambda,
     A qddot = -A,q qdot qdot.
 
 `solve_constrained` solves these for one state. Integrated, they would keep a = 0 to the errors of
-the integration; `independent_rates` has equations that keep it to rounding.
+the integration; the equations of `independent_rates` keep it to rounding.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from walker_jax.multibody.system import (
 )
 
 RateConstraints = Callable[[Coordinates, Coordinates], Float[Array, " a"]]
-"""a(q, qdot), linear in the rates: what must be zero."""
+"""a(q, qdot), linear in the rates, which must be zero."""
 
 
 class ConstrainedSolution(NamedTuple):
@@ -50,7 +50,7 @@ class ConstrainedSolution(NamedTuple):
 def rate_matrix(
     constraints: RateConstraints, q: Coordinates, qdot: Coordinates
 ) -> Float[Array, "a q"]:
-    """A(q), column by column. Raises `WrongUse` where a is not an array of shape (a,)."""
+    """Returns A(q), column by column. Raises `WrongUse` where a is not an array of shape (a,)."""
     if len(shape := jax.eval_shape(constraints, q, qdot).shape) != 1:
         raise WrongUse(f"constraints must return an array of shape (a,), not {shape}")
     directions = np.eye(len(q), dtype=q.dtype)
@@ -60,7 +60,7 @@ def rate_matrix(
 def convective_rates(
     constraints: RateConstraints, q: Coordinates, qdot: Coordinates
 ) -> Float[Array, " a"]:
-    """A,q qdot qdot: the part of the time derivative of a that accelerations do not cause."""
+    """Returns A,q qdot qdot, the part of the time derivative of a without accelerations."""
     return jax.jvp(lambda q: constraints(q, qdot), (q,), (qdot,))[1]
 
 
@@ -72,7 +72,7 @@ def solve_constrained(
     *,
     held: Sequence[int] = (),
 ) -> ConstrainedSolution:
-    """Accelerations and constraint forces of a system whose rates are constrained.
+    """Solves for the accelerations and constraint forces of a system whose rates are constrained.
 
     **Arguments:**
 

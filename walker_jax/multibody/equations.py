@@ -56,7 +56,7 @@ def solve_motion(
 
 
 def held_coordinates(held: Sequence[int], count: int) -> list[int]:
-    """Indices of the held coordinates, counted from 0, sorted and each once."""
+    """Returns the indices of the held coordinates, counted from 0, sorted and each once."""
     numbers = {operator.index(i) for i in held}
     if any(not -count <= i < count for i in numbers):
         raise WrongUse(f"held must be numbers of {count} coordinates, not {sorted(numbers)}")

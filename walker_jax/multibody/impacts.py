@@ -35,7 +35,7 @@ def impact(
     restitution: Real = 0.0,
     constraints: RateConstraints | None = None,
 ) -> Impact:
-    """Velocities after an impact, and its impulses, from (17).
+    """Computes velocities after an impact, and its impulses, from (17).
 
     A contact closes where its contact function g(q), (11), becomes zero. All coordinates are free,
     and positions do not change. With rho the impulses of the contact on the system,
@@ -49,12 +49,12 @@ def impact(
     **Arguments:**
 
     - `system`: any. The forces on it have no effect.
-    - `contact`: g, from q to shape (g,): all contacts that close at the same time. Whatever held
-      the system before is released, unless it is among them. None for constraints on rates alone.
+    - `contact`: g, from q to shape (g,): all contacts that close at the same time. Earlier contacts
+      are released, unless they are among them. None for constraints on rates alone.
     - `q`, `qdot`: coordinates, and rates before the impact.
     - `restitution`: e, from 0, no bounce, to 1, no loss of energy.
-    - `constraints`: on rates, which hold from the impact on too, such as those of a disc that comes
-      to roll: their A stands below g,q, and their impulses after those of g.
+    - `constraints`: on rates, which hold from the impact on too, such as those of a disc that
+      starts to roll: their A stands below g,q, and their impulses after those of g.
 
     Raises `ValueError` as `solve_motion` does, also if contacts depend on each other, and for a
     restitution that is not between 0 and 1. Under a JAX transformation, results are NaN instead.
@@ -83,7 +83,7 @@ def impact(
 
 
 def push(system: System, q: Coordinates, qdot: Coordinates, impulse: Coordinates) -> Coordinates:
-    """Rates after an impulse dual to q, (15): [F,q^T M F,q] (qdot+ - qdot-) = impulse.
+    """Returns rates after an impulse dual to q, (15): [F,q^T M F,q] (qdot+ - qdot-) = impulse.
 
     All coordinates are free. NaN where the mass matrix is singular or ill-conditioned
     (`WORST_PIVOT`).

@@ -1,12 +1,11 @@
 """Motion under constraints on rates, by as many independent rates as the constraints leave.
 
-Of the rates qdot some, u, are independent; A(q) qdot = 0 gives the others, so qdot = T(q) u. By
-Jourdain's principle, the power of forces and inertia vanishes for every one of u,
+Some of the rates qdot, u, are independent; A(q) qdot = 0 gives the others, so qdot = T(q) u. By
+Jourdain's principle, the power of forces and inertia vanishes for every entry of u,
 
     T^T (F,q^T [f - M xddot] + Q) = 0,    xdot = F,q T u.
 
-A state (q, u) obeys the constraints whatever its numbers are, so that no error of an integration
-can break them.
+A state (q, u) obeys the constraints for any numbers, so no error of an integration can break them.
 """
 
 import abc
@@ -32,7 +31,7 @@ from walker_jax.multibody.system import (
 class ConstrainedMotion(ConstrainedPower):
     """Equations of motion of a system under constraints on rates, for `integrators`.
 
-    A state is any PyTree of scalars: first the coordinates q, then the rates of those of them that
+    A state is any PyTree of scalars: first the coordinates q, then the rates of those that
     `independent` names, in its order.
     """
 
@@ -50,7 +49,7 @@ class ConstrainedMotion(ConstrainedPower):
         """Indices of the coordinates whose rates are independent; all others follow from a = 0."""
 
     def allowed_rates(self, q: Coordinates) -> Float[Array, "q u"]:
-        """T(q): column i has the rates of all coordinates at unit rate of the i-th independent.
+        """Returns T(q): column i has all rates at unit rate of the i-th independent coordinate.
 
         NaN where the dependent rates are not determined.
         """

@@ -15,13 +15,13 @@ from walker_jax.checks import WrongUse
 WORST_PIVOT = {jnp.dtype("float64"): 1e-11, jnp.dtype("float32"): 1e-4}
 """Smallest pivot of a mass matrix, relative to its diagonal entry.
 
-The pivot is what is left of a coordinate's inertia once those before it are eliminated. Below this
+The pivot is the rest of a coordinate's inertia once those before it are eliminated. Below this
 bound a result would have at most some five correct digits.
 """
 
 
 def block(matrix: Float[Array, "n n"], places: Iterable[int]) -> list[list[Array]]:
-    """The submatrix of rows and columns with the same indices."""
+    """Returns the submatrix of rows and columns with the same indices."""
     places = list(places)
     return [[matrix[i, j] for j in places] for i in places]
 
@@ -38,7 +38,7 @@ class Factors(NamedTuple):
 
 
 def factorise(matrix: list[list[Array]]) -> Factors:
-    """Factors of a symmetric positive definite matrix, which needs no pivoting.
+    """Factorises a symmetric positive definite matrix, which needs no pivoting.
 
     NaN if a pivot is too small (`WORST_PIVOT`).
     """
@@ -56,7 +56,7 @@ def factorise(matrix: list[list[Array]]) -> Factors:
 
 
 def solve_factored(factors: Factors, right: list[Array]) -> list[Array]:
-    """A^-1 b: for two unknowns, two divisions and seven products in all."""
+    """Returns A^-1 b: for two unknowns, two divisions and seven products in all."""
     L, V, inverse = factors
     n, y = len(inverse), []
     for i in range(n):
@@ -68,7 +68,7 @@ def solve_factored(factors: Factors, right: list[Array]) -> list[Array]:
 
 
 def dot(a: list[Array], b: list[Array]):
-    """The inner product of two lists, up to the length of the shorter one."""
+    """Returns the inner product of two lists, up to the length of the shorter one."""
     terms = [x * y for x, y in zip(a, b, strict=False)]
     return sum(terms[1:], terms[0]) if terms else 0.0
 

@@ -1,7 +1,7 @@
 """Motion on a stance foot, which the ground holds, by the general method.
 
-The generalised coordinates are q = (u, v, ...), with u and v those of the foot along and normal to
-the ground, and those of a state, which holds their rates after them.
+The generalised coordinates are q = (u, v, ...), with u and v the coordinates of the foot along and
+normal to the ground. The others are those of a state, which holds their rates after them.
 """
 
 from typing import Any, Protocol, runtime_checkable
@@ -20,10 +20,10 @@ from walker_jax.multibody.system import System, mass_matrix, virtual_power
 
 @runtime_checkable
 class HasSystem(Protocol):
-    """A walker or another system, of which this is a pytree of parameters."""
+    """A walker or another system, whose parameters form this pytree."""
 
     def system(self) -> System:
-        """Masses, the transfer function x = F(q) that says where they are, (1), and forces, (6)."""
+        """Masses, the transfer function x = F(q) to their places, (1), and forces, (6)."""
         ...
 
 
@@ -61,16 +61,16 @@ class SingleSupport(VirtualPower):
 
 
 def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
-    """q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin; or its rates.
+    """Returns q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin.
 
-    Or q of a phase, from its coordinates.
+    It also converts rates. For a phase, it returns q from the phase's coordinates.
     """
     zero = jnp.zeros_like(legs[0])
     return jnp.stack([zero, zero, *legs])
 
 
 def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, " q"]]:
-    """q and its rates."""
+    """Returns q and its rates."""
     numbers = jax.tree.leaves(state)
     half = len(numbers) // 2
     return stance_coordinates(numbers[:half]), stance_coordinates(numbers[half:])
@@ -78,7 +78,7 @@ def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, 
 
 @jax.jit
 def accelerations_and_forces(walker: HasSystem, state: Any) -> tuple[list[Scalar], list[Scalar]]:
-    """Accelerations, and the forces that hold u and v, of a walker on its stance foot, (4)."""
+    """Computes accelerations on the stance foot, and the forces that hold u and v, (4)."""
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)

@@ -20,7 +20,7 @@ from walker_jax.walking.movement import motion
 EXAMPLE_SLOPE = 0.004
 """Slope of the examples in the paper."""
 START = (0.2, -0.21645)
-"""The start in Table 1, whose theta + thetadot has one digit more than its thetadot."""
+"""The start in Table 1: its theta + thetadot has one digit more than its thetadot."""
 CELL = 0.002, 0.0002
 """Widths of the paper's cells, along theta and theta + thetadot."""
 CHECK_STARTS = 100_000
@@ -42,7 +42,7 @@ class Size(NamedTuple):
     """Strides after which a walker counts as walking, in the search for the loss of walking."""
     shifts: int
     """Shifts of the paper's grid along each axis, to see how the vanishing of the basin depends on
-    where cells lie."""
+    the places of cells."""
 
 
 FULL = Size(section=1000, slopes=22, levels=3, strides=3000, shifts=4)
@@ -50,13 +50,13 @@ QUICK = Size(section=400, slopes=15, levels=None, strides=3000, shifts=2)
 
 
 def paper_grid(shift: Sequence[float] | Float[np.ndarray, " 2"] = (0, 0)) -> Grid:
-    """The grid of Figure 4, 200 x 250 cells, shifted by parts of a cell."""
+    """Returns the grid of Figure 4, 200 x 250 cells, shifted by parts of a cell."""
     left, up = np.multiply(CELL, shift)
     return Grid.sheared(theta=(-left, 0.4 - left, 200), sum=(-0.04 + up, 0.01 + up, 250))
 
 
 def stride_of_gait(size: Size) -> xr.Dataset:
-    """Figure 1: one stride of the gait, where its steps are long enough to see."""
+    """Figure 1: one stride of the gait, at a slope with visibly long steps."""
     walker = SimplestWalker(0.009)
     return motion(walker, find_gait(walker).states[0], 1, step=0.02)
 
@@ -97,7 +97,7 @@ def nine_steps(size: Size) -> xr.Dataset:
 
 
 def basins_over_slopes(size: Size) -> xr.Dataset:
-    """Figure 7: basins at a row of slopes, in a window that is higher than that of Figure 4.
+    """Figure 7: basins at a row of slopes, in a higher window than in Figure 4.
 
     The basin rises with the slope.
     """
@@ -132,9 +132,9 @@ def areas_over_slopes(size: Size) -> xr.Dataset:
 
 
 def surviving_cells(size: Size) -> xr.Dataset:
-    """Section 5.2: how many cells converge to an attractor by cell mapping, over steep slopes.
+    """Section 5.2: cells that converge to an attractor by cell mapping, over steep slopes.
 
-    On the paper's own grid, and on grids shifted by parts of a cell.
+    It is computed on the paper's own grid, and on grids shifted by parts of a cell.
     """
     at = np.arange(18, 28) / 1000
     shifts = np.stack(np.divmod(np.arange(size.shifts**2), size.shifts), axis=1) / size.shifts

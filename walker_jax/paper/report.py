@@ -1,4 +1,4 @@
-"""A page of pictures and tables in one file, which opens from disk, on a phone and in the dark."""
+"""A page of pictures and tables in one file, readable from disk, on a phone and in the dark."""
 
 import base64
 from collections.abc import Sequence
@@ -37,9 +37,9 @@ th { color: var(--faint); font-weight: 600; }
 
 
 def page(title: str, subtitle: str, intro: str, blocks: Sequence[str], signature: str = "") -> str:
-    """A page with a heading, an introduction, and blocks of `picture` and `table`.
+    """Makes a page with a heading, an introduction, and blocks of `picture` and `table`.
 
-    The page holds the signature, unseen.
+    The page holds the signature, invisibly.
     """
     return "\n".join(
         [
@@ -48,7 +48,7 @@ def page(title: str, subtitle: str, intro: str, blocks: Sequence[str], signature
             '<head><meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f'<meta name="generator" content="{escape(signature)}">',
-            '<link rel="icon" href="data:,">',  # or a browser asks for one that is not there
+            '<link rel="icon" href="data:,">',  # otherwise browsers ask for a missing icon
             f"<title>{escape(title)}</title><style>{STYLE}</style></head>",
             f'<body><h1>{escape(title)}</h1><p class="faint">{escape(subtitle)}</p>',
             f"<p>{escape(intro)}</p>",
@@ -59,7 +59,7 @@ def page(title: str, subtitle: str, intro: str, blocks: Sequence[str], signature
 
 
 def picture(title: str, png: bytes, caption: str) -> str:
-    """A picture, kept in the page itself."""
+    """Makes a picture that is kept in the page itself."""
     data = base64.b64encode(png).decode()
     return (
         f"<h2>{escape(title)}</h2><figure>"
@@ -69,7 +69,7 @@ def picture(title: str, png: bytes, caption: str) -> str:
 
 
 def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table, whose rows are stacked on a narrow page. Cells that say `differs` stand out."""
+    """Makes a table; a narrow page stacks its rows, and cells that say `differs` stand out."""
 
     def cell(name: str, text: str) -> str:
         label = f' data-head="{escape(name)}"' * bool(name)

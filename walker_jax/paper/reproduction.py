@@ -1,8 +1,8 @@
 """The paper of Schwab and Wisse (2001), figure by figure and number by number.
 
-*Basin of attraction of the simplest walking model*, ASME DETC2001/VIB-21363. Each part
-is computed anew and kept as a data set, from which pictures and numbers follow. Where a number
-depends on the paper's own cells, it is computed on the paper's grid, and exactly as well.
+*Basin of attraction of the simplest walking model*, ASME DETC2001/VIB-21363. Each part is computed
+anew and kept as a data set, from which pictures and numbers follow. Where a number depends on the
+paper's own cells, it is computed on the paper's grid, and exactly as well.
 """
 
 import json
@@ -24,14 +24,14 @@ from walker_jax.paper.pictures import FIGURES, PaperFigure
 def reproduce(
     out: Path, *, quick: bool = False, overwrite: bool = False, progress: bool = False
 ) -> list[Number]:
-    """Compute all of the paper's figures and numbers, and write a report of them.
+    """Computes all of the paper's figures and numbers, and writes a report of them.
 
     **Arguments:**
 
     - `out`: the folder of the report: `report.html`, a page with everything in it; the figures, as
-      PNG and SVG; `numbers.json`; and in `data` the data sets. Data sets of an earlier run of the
-      same, which may have been interrupted, are used again.
-    - `quick`: with fewer cells, slopes and strides, and without exact areas.
+      PNG and SVG; `numbers.json`; and in `data` the data sets. Data sets of an earlier, possibly
+      interrupted run with the same request are used again.
+    - `quick`: whether to use fewer cells, slopes and strides, and omit exact areas.
     - `overwrite`: whether to remove the files of another run.
     - `progress`: whether to show progress on a terminal.
 
@@ -41,7 +41,7 @@ def reproduce(
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
     places = {name: out / "data" / f"{name}.zarr" for name in CALCULATIONS}
     check_place(out, places, request, overwrite=overwrite)
-    if overwrite:  # all at once, so that the same run can be resumed when interrupted
+    if overwrite:  # all at once, so that an interrupted run can be resumed
         for path in files_of(out):
             path.unlink(missing_ok=True)
         for path in places.values():
@@ -49,7 +49,7 @@ def reproduce(
     (out / "data").mkdir(parents=True, exist_ok=True)
 
     def compute(name: str) -> xr.Dataset:
-        """A data set, unless an earlier run has left it."""
+        """Computes a data set, unless an earlier run has left it."""
         own = request | {"part": places[name].stem}
         found = storage.find(places[name], own)
         if found is None:
@@ -79,7 +79,7 @@ def reproduce(
 
 
 def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite: bool) -> None:
-    """Raise `ValueError` where something else would be lost, or nothing can be written."""
+    """Raises `WrongUse` where other files would be lost, or nothing can be written."""
     storage.check_writable(out)
     if not out.exists():
         return
@@ -96,20 +96,20 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
 
 
 def files_of(out: Path) -> list[Path]:
-    """The files of a report beside its data sets."""
+    """Returns the files of a report beside its data sets."""
     figures = [path for one in FIGURES for path in picture_paths(out, one)]
     return [*figures, out / "numbers.json", out / "report.html"]
 
 
 def picture_paths(out: Path, figure: PaperFigure) -> tuple[Path, Path]:
-    """The paths of a figure, as PNG and as SVG."""
+    """Returns the paths of a figure, as PNG and as SVG."""
     return out / f"figure-{figure.number}.png", out / f"figure-{figure.number}.svg"
 
 
 def render_report(
     numbers: list[Number], images: list[bytes], signature: str, *, quick: bool
 ) -> str:
-    """The page of the report."""
+    """Returns the page of the report."""
     differ = [number for number in numbers if not number.agrees]
     rows = lambda chosen: [
         (one.where, one.what, one.printed, one.ours, "✓" if one.agrees else "differs", one.why)

@@ -1,1 +1,1 @@
-"""How large a disturbance a gait survives."""
+"""Robustness of gaits: how large a disturbance a gait survives."""

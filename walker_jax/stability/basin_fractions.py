@@ -1,9 +1,9 @@
 """Attractors and their basins over a parameter: fractions of a region, with attractors matched.
 
-Random starts in the region, the same for all values, show which share of it converges to each
-attractor. A gait that attracts is followed over the whole range (`gaits.branches`), as far as it
-exists: at every value it is known beforehand, however small its basin, and it keeps its number. A
-walker that converges to none that is known leads to a new attractor. So an attractor is born where
+Random starts in the region, the same for all values, show the share that converges to each
+attractor. An attracting gait is followed over the whole range (`gaits.branches`), as far as it
+exists. So it is known beforehand at every value, however small its basin, and it keeps its number.
+A walker that converges to no known attractor leads to a new one. An attractor is thus born where
 its branch becomes stable, as at a fold or a period doubling, and ends where it becomes unstable.
 """
 
@@ -45,18 +45,18 @@ from walker_jax.walkers.parameters import attributes_of, check_parameter, with_p
 from walker_jax.walking.iteration import orbits
 
 SAME_CYCLE = 1e-6
-"""Distance within which a cycle is the one that its branch has there: rounding errors, and what a
-walker that converges slowly still lacks."""
+"""Distance within which a cycle is the one of its branch: rounding errors, and the remaining
+distance of a walker that converges slowly."""
 CONFIDENCE = 0.95
-"""Of the intervals of fractions."""
+"""Confidence of the intervals of fractions."""
 
 
 STATES = 64
-"""States that are kept of a motion without a period."""
+"""Number of states kept of a motion without a period."""
 
 
 class Found(NamedTuple):
-    """The attractors at one value, and what the starts converge to."""
+    """The attractors at one value, and the labels of the starts."""
 
     names: list[int]
     """Number of each attractor, the same over all values."""
@@ -77,29 +77,39 @@ def continue_basins(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The attractors over a parameter, matched from value to value, and fractions of their basins.
+    """Follows attractors over a parameter, with the fraction of a region that each basin takes.
 
-    A gait keeps its number along its branch, and one of twice the period that branches off has
-    another. A motion without a period keeps its number from one value to the next.
+    A gait keeps its number along its branch; a gait of twice the period that branches off has
+    another number. A motion without a period keeps its number from one value to the next.
+
+    ```python
+    walker, slopes = wj.SimplestWalker(0.004), [0.004, 0.009, 0.015]
+    data = wj.continue_basins(walker, "slope", slopes, samples=2000)
+    data.fraction.values  # one row a slope, one column an attractor
+    ```
 
     **Arguments:**
 
     - `walker`: gives the values of its other parameters.
     - `parameter`: name of one of its parameters.
-    - `values`: two or more of it, in ascending order.
+    - `values`: two or more values of it, in ascending order.
     - `region`: grid or slice whose region holds the starts; by default that of `robustness`.
     - `samples`: number of starts, uniformly distributed in the region, the same for all values.
     - `strides`: number of strides for which a walker is followed.
     - `seed`, `tolerance`: of random numbers, and of the integration.
     - `progress`: whether to show a progress bar on a terminal.
 
-    **Returns** a data set over the `value` and the `attractor`: `fraction` of the starts that
-    converge to it, with the ends `fraction_low` and `fraction_high` of Wilson's 95 % interval, NaN
-    where it is none; its `states` there, or `STATES` of a motion without a period; `period`, 0 for
-    such a motion; and the `first` and the `last` value at which it attracts. `failed` is the
-    fraction that converges to none of these, by the `Outcome` of the last stride: `STRIDE` for
-    those that still walk then. Over the bifurcations of the gaits' branches:
-    `event_attractor`, `event_value`, and `event_fold`, whether it is a fold or a period doubling.
+    **Returns** a data set. Over the `value` and the `attractor` it has
+
+    - `fraction`: share of the starts that converge to it, with the ends `fraction_low` and
+      `fraction_high` of Wilson's 95 % interval; NaN at values where it does not attract;
+    - `states`: its states there, or `STATES` states of a motion without a period.
+
+    Over the attractors it has `period`, 0 for a motion without one, and the `first` and the `last`
+    value at which each attracts. `failed` is the fraction that converges to no attractor, by the
+    `Outcome` of the last stride; `STRIDE` stands for walkers still walking then. Over the
+    bifurcations of the gaits' branches it has `event_attractor`, `event_value`, and `event_fold`,
+    true for a fold and false for a period doubling.
 
     Raises `ValueError` for a wrong parameter, values that are not in order, and a region that does
     not fit the walker.
@@ -139,7 +149,7 @@ def continue_basins(
 
 
 class Family:
-    """The attractors over a parameter so far: a branch for each number, none without a period."""
+    """The attractors over a parameter so far, with a branch for each that has a period."""
 
     def __init__(
         self, walker: System, parameter: str, interval: tuple[float, float], tolerance: float
@@ -153,7 +163,7 @@ class Family:
     def attractors_at(
         self, value: float, starts: Float[np.ndarray, "n section"], strides: int
     ) -> Found:
-        """The attractors at a value, which is higher than any before, and the labels of starts."""
+        """Finds the attractors at a value above all previous ones, and the labels of starts."""
         there = with_parameter(self.walker, self.parameter, float(value))
         names, known = [], []
         for name, cycle in self.cycles_at(value):
@@ -166,7 +176,7 @@ class Family:
         mapper = Mapper(there, known, self.integrator, strides)
         labels = mapper(starts)
         left = labels.states[labels.remaining]
-        if len(left):  # first, as a cycle that is new may pass close to one that is known
+        if len(left):  # first, as a new cycle may pass close to a known one
             mapper = mapper.with_attractors_from(sample(left))
         labels, mapper = mapper.complete_labels(labels)
         names += self.names_of(value, mapper.attractors[len(known) :], names)
@@ -181,7 +191,7 @@ class Family:
         return Found(names, shown, labels)
 
     def cycles_at(self, value: float) -> list[tuple[int, Float[np.ndarray, "_ section"]]]:
-        """The gaits of all branches at a value, stable or not, with their numbers."""
+        """Returns the gaits of all branches at a value, stable or not, with their numbers."""
         guesses = [
             (name, cycle)
             for name, branch in enumerate(self.branches)
@@ -197,7 +207,7 @@ class Family:
         ]
 
     def names_of(self, value: float, found: list[Attractor], taken: list[int]) -> list[int]:
-        """The numbers of attractors that were not known beforehand at a value."""
+        """Returns the numbers of attractors that were not known beforehand at a value."""
         names: list[int] = []
         for one in found:
             branch, name = None, self.without_period
@@ -227,7 +237,7 @@ def assemble(
     branches: list[Branch | None],
     samples: int,
 ) -> xr.Dataset:
-    """The data set that `continue_basins` returns."""
+    """Makes the data set that `continue_basins` returns."""
     count, size = len(branches), found[0].labels.states.shape[1]
     longest = max((len(one.states) for each in found for one in each.attractors), default=1)
     period = np.zeros(count, int)
@@ -275,7 +285,7 @@ def assemble(
 
 
 def summarise_fractions(data: xr.Dataset) -> dict:
-    """The attractors of `continue_basins` and the bifurcations of their branches, for JSON."""
+    """Returns the attractors of `continue_basins` and their bifurcations, for JSON."""
     fraction = data["fraction"].values
     attractors = [
         {

@@ -1,4 +1,4 @@
-"""The boundary between fates: how fractal it is, whether it is Wada, and what it leads to."""
+"""The boundary between fates: how fractal it is, whether it is Wada, and where it leads."""
 
 from itertools import combinations
 
@@ -22,16 +22,19 @@ from walker_jax.systems.system import System, check_single
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 
 NO_REGION = (Outcome.UNDECIDED, Outcome.LEFT_GRID)
-"""Fates of cells that are in no region: no walk is known. Nor are those in which none begins."""
+"""Fates of cells in no region, as no walk is known. Cells that are not feasible starts are in none
+either."""
 HALVINGS = 3
-"""Coarser grids on which boundaries of merged regions are compared, if the grid is so fine."""
+"""Number of coarser grids on which boundaries of merged regions are compared, if the grid is fine
+enough."""
 MIN_CELLS = 3
-"""Cells along an axis: a cell and its neighbours, as `merge_regions` requires."""
+"""Fewest cells along an axis: a cell and its neighbours, as `merge_regions` requires."""
 SPACING = 5e-3
-"""Of the points of a stable manifold: a cubic between them errs by less than a picture shows."""
+"""Spacing of the points of a stable manifold: the error of a cubic between them is too small to
+see."""
 LONGEST_CURVED = 4
-"""Period of a saddle, at most, whose stable manifold is drawn: those of longer ones contract so
-much along it that one preimage leads all over the section."""
+"""Longest period of a saddle whose stable manifold is drawn. Saddles of longer periods contract so
+strongly along it that one preimage leads all over the section."""
 
 
 @refuses_tracers()
@@ -45,10 +48,16 @@ def boundary(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The boundary between the fates in a region: entropy, the Wada property, edge states.
+    """Analyses the boundary between the fates in a region: entropy, Wada property and edge states.
 
-    Regions are the fates: all walkers that converge to an attractor are in one. Cells that are not
-    feasible starts are in none.
+    Regions are the fates; all walkers that converge to an attractor are in one region. Cells that
+    are not feasible starts are in none.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
+    data = wj.boundary(walker, grid)
+    ```
 
     **Arguments:**
 
@@ -60,19 +69,28 @@ def boundary(
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
-    **Returns** what `basin` returns, and `basin_entropy`, `boundary_entropy` and its standard error
-    `boundary_entropy_error`; `boundary_crowded`, the share of the boxes on the boundary with three
-    fates or more, and `boundary_fractal`, whether the entropy shows that the boundary is fractal,
-    as in `BasinEntropy`; the regions' fates `region`, and `wada_share`, the largest share of a
-    region's boundary that the boundary of another region lacks, over the `spacing` of the grid's
-    points, none with less than three regions. And over the pairs of regions that touch on the grid
-    (`edge`), from the two cells nearest to the first attractor, or to the middle of the grid: their
-    fates `edge_fates`; what `edge_state` finds there, `edge_kind`, `edge_between`, `edge_path`, and
-    of a saddle `edge_period`, `edge_saddle`, `edge_multipliers` and, of a section of two
-    coordinates, its `stable_manifold`: the two curves from its first state, also where the saddle
-    has a longer period, and none where that is longer than `LONGEST_CURVED`.
+    **Returns** the data set of `basin`, and
 
-    Raises `ValueError` as `basin`, `basin_entropy` and `merge_regions`.
+    - `basin_entropy`, `boundary_entropy` and its standard error `boundary_entropy_error`;
+    - `boundary_crowded`: the share of the boxes on the boundary with three fates or more;
+    - `boundary_fractal`: whether the entropy shows that the boundary is fractal, as in
+      `BasinEntropy`;
+    - `region`: the fates of the regions;
+    - `wada_share`: over the `spacing` of the grid's points, the largest share of a region's
+      boundary that another region's boundary lacks; empty with fewer than three regions.
+
+    Over the pairs of regions that touch on the grid (`edge`) it has the results of `edge_state`
+    between two neighbouring cells, the nearest to the first attractor, or to the middle of the
+    grid:
+
+    - `edge_fates`: the fates of the two regions;
+    - `edge_kind`, `edge_between`, `edge_path`: the kind, fates and path of the edge state;
+    - `edge_period`, `edge_saddle`, `edge_multipliers`: the period, states and multipliers of a
+      saddle;
+    - `stable_manifold`: on a section of two coordinates, the two curves from the saddle's first
+      state; empty for periods longer than `LONGEST_CURVED`.
+
+    Raises `ValueError` as `basin`, `basin_entropy` and `merge_regions` do.
     """
     check_grid(walker, grid, "direct", kind="boundary")
     check_single(walker)
@@ -125,7 +143,7 @@ def boundary(
 
 
 def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
-    """The place, in cells, of the first attractor's first state; the middle if that is outside."""
+    """Returns the place, in cells, of the first attractor's first state, or the middle."""
     middle = (np.array(grid.shape) - 1) / 2
     if data.sizes["number"] == 0 or len(grid.names) < grid.coordinates:
         return middle
@@ -136,7 +154,7 @@ def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
 def touching_cells(
     label: Int[np.ndarray, "*cells"], pair: tuple[int, int], near: Float[np.ndarray, " axes"]
 ) -> Int[np.ndarray, "2 axes"] | None:
-    """Two neighbouring cells with these labels, the nearest to a place; None without any."""
+    """Returns two neighbouring cells with these labels, the nearest to a place; or None."""
     found = []
     for axis in range(label.ndim):
         swapped = np.moveaxis(label, axis, 0)
@@ -158,7 +176,7 @@ def edge_arrays(
     tolerance: float | None,
     progress: bool,
 ) -> dict[str, tuple]:
-    """The variables over the pairs of regions that touch."""
+    """Returns the variables over the pairs of regions that touch."""
     size = len(walker.section)
     saddles = [one.saddle for one in edges]
     multipliers = [np.zeros(0) if one is None else np.asarray(one.multipliers) for one in saddles]
@@ -196,7 +214,7 @@ def edge_arrays(
 def curves_of(
     walker: System, saddle: Gait | None, tolerance: float | None
 ) -> list[Float[np.ndarray, "n section"]]:
-    """The stable manifold of a saddle; no curves where none is drawn, or has two."""
+    """Returns the two curves of a saddle's stable manifold; none where it is not drawn."""
     if saddle is None or len(walker.section) != 2 or len(saddle.states) > LONGEST_CURVED:
         return []
     try:
@@ -206,7 +224,7 @@ def curves_of(
 
 
 def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
-    """Arrays of several lengths as one, with NaN after the shorter ones."""
+    """Joins arrays of several lengths into one, with NaN after the shorter ones."""
     values = np.full((len(rows), max(map(len, rows), default=0), size), np.nan)
     for one, row in zip(values, rows, strict=True):
         one[: len(row)] = row
@@ -214,7 +232,7 @@ def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
 
 
 def summarise_boundary(data: xr.Dataset) -> dict:
-    """The results of `boundary` for JSON; fates by their names."""
+    """Returns the results of `boundary` for JSON, with fates by name."""
     failures = failures_of(data)
     names = lambda codes: [name_of_outcome(int(code), failures) for code in codes.values]
     value, crowded = float(data["boundary_entropy"]), float(data["boundary_crowded"])

@@ -1,8 +1,8 @@
-"""The nearest failure to a state in more dimensions than can be searched ray by ray.
+"""The nearest failure to a state, in more dimensions than can be searched ray by ray.
 
-Rays in random directions find some failures, and from the nearest of these descents along the
-boundary follow: the nearest point of a flat boundary lies along its normal. Each ends at a local
-minimum of the distance; the least of them is the answer.
+Rays in random directions find some failures. From the nearest of these, descents follow the
+boundary: the nearest point of a flat boundary lies along its normal. Each descent ends at a local
+minimum of the distance, and the least minimum is the answer.
 """
 
 import math
@@ -27,15 +27,15 @@ SHARE = 1 / 16
 RADII = 32
 """Distances along each random ray."""
 DESCENTS = 12
-"""Descents, from the nearest failures found: most of them end at the same few minima."""
+"""Number of descents, from the nearest failures found: most of them end at the same few minima."""
 STEPS = 60
-"""Steps of a descent, at most."""
+"""Most steps of a descent."""
 TURNS = np.array([0.0, 0.25, 0.5, 1.0, 1.6])
-"""Shares of the step to the nearest point of a flat boundary that each step tries."""
+"""Shares, tried in each step, of the step to the nearest point of a flat boundary."""
 NEARER = 16
-"""Distances on each ray that a step tries, up to the present one: nearer failures may be there."""
+"""Distances that a step tries on each ray, up to the present one: there may be nearer failures."""
 SETTLED = 1e-10
-"""Relative change of a length by a step at which its descent ends."""
+"""Relative change of the length in a step below which a descent ends."""
 
 
 def descend_to_failure(
@@ -45,7 +45,7 @@ def descend_to_failure(
     count: int = DENSE,
     roughly_fails: Fails | None = None,
 ) -> Float[np.ndarray, " size"]:
-    """The shortest vector that was found to fail in the span of an orthonormal basis.
+    """Finds a short failing vector in the span of an orthonormal basis, by descents.
 
     Arguments and errors are those of `rays.nearest_failure`.
     """
@@ -76,7 +76,7 @@ def turn(
     lengths: Float[np.ndarray, " n"],
     halvings: int = FINE,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """One step of each descent: the shortest of some rays between its own and the normal."""
+    """Takes one step of each descent, to the shortest of some rays towards the normal."""
     tried = turned_rays(gradient, basis, rays, lengths, TURNS)
     flat = tried.reshape(-1, rays.shape[1]) @ basis
     reached = shorten(fails, flat, np.repeat(lengths, len(TURNS)), halvings)
@@ -93,7 +93,7 @@ def shorten(
     lengths: Float[np.ndarray, " n"],
     halvings: int = FINE,
 ) -> Float[np.ndarray, " n"]:
-    """The first failure on each ray up to a length of its own; infinite where there is none."""
+    """Finds the first failure on each ray up to its own length; infinite where there is none."""
     gaps = lengths / NEARER
     places = np.arange(1, NEARER + 1) * gaps[:, None]
     points = places[:, :, None] * rays[:, None]

@@ -24,17 +24,17 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.model import is_planar
 
 DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
-"""Distances between starts whose fates are compared, as shares of the lengths of a grid's axes."""
+"""Distances of starts whose fates are compared, as shares of the lengths of a grid's axes."""
 PAIRS = 50_000
-"""Starts for each distance."""
+"""Number of starts for each distance."""
 DISTANCES_IN_SPACE, PAIRS_IN_SPACE = 10.0 ** np.linspace(-4, -2.5, 6), 4_000
-"""The same in `robustness` of walkers in space: a twenty-third of the starts, as each stride takes
-eleven times as long, at distances that are large enough for some tens of them to be uncertain and
-shorter than a cell of the default slice."""
+"""Distances and starts in `robustness` of walkers in space. There are twenty-three times fewer
+starts, as each stride takes eleven times as long. At these distances some tens of starts are
+uncertain, and the distances are shorter than a cell of the default slice."""
 
 
 def comparisons(walker: System) -> dict[str, Any]:
-    """The distances and pairs with which `robustness` compares starts of a walker."""
+    """Returns the distances and pairs with which `robustness` compares starts of a walker."""
     if is_planar(walker):
         return {"distances": DISTANCES, "pairs": PAIRS}
     return {"distances": DISTANCES_IN_SPACE, "pairs": PAIRS_IN_SPACE}
@@ -53,28 +53,33 @@ def boundary_dimension(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> Uncertainty:
-    """The dimension of the boundary of the basins in a region, by the uncertainty exponent.
+    """Estimates the dimension of the basins' boundary in a region, by the uncertainty exponent.
 
-    A start is uncertain at a distance if a walker that starts at that distance, on either side in a
-    random direction, converges to another attractor, or to none. Starts are drawn from the cells
-    with a neighbour that converges to another attractor, or to none; elsewhere hardly any are
-    uncertain.
+    A start is uncertain at a distance if a walker at that distance, on either side in a random
+    direction, converges to another attractor, or to none. Starts are drawn from the cells with a
+    neighbour that converges to another attractor, or to none; elsewhere hardly any are uncertain.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 100))
+    wj.boundary_dimension(walker, grid, pairs=2000).value
+    ```
 
     **Arguments:**
 
     - `walker`: as in `basin`.
     - `grid`: region or slice, in cells larger than the distances.
     - `distances`: as shares of the lengths of the grid's axes.
-    - `pairs`: starts for each distance.
+    - `pairs`: number of starts for each distance.
     - `strides`: number of strides for which a walker is followed.
     - `confidence`, `seed`: of the interval, and of random numbers.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
-    **Returns** an `Uncertainty`, NaN where all cells converge to one attractor, or none: all
-    failures are alike here.
+    **Returns** an `Uncertainty`, NaN where all cells converge to one attractor, or none. All
+    failures count as one fate here.
 
-    Raises `ValueError` as `basin` and `uncertainty_exponent`.
+    Raises `ValueError` as `basin` and `uncertainty_exponent` do.
     """
     check_grid(walker, grid, "direct")
     check_whole("seed", seed, 0)

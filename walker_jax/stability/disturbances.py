@@ -1,8 +1,8 @@
 """The least disturbance of a gait.
 
-A disturbance moves the walker from its gait to another point of the Poincaré section. The least one
-from which it does not return, or falls (the minimal fatal shock), tells more about a machine than
-the Floquet multipliers of its gait (Schwab and Wisse 2001, section 5).
+A disturbance moves the walker from its gait to another point of the Poincaré section. The least
+disturbance from which it does not return, or falls, is the minimal fatal shock. It tells more about
+a machine than the Floquet multipliers of its gait (Schwab and Wisse 2001, section 5).
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Multiples of the least disturbance; the first that fails gives the failure. They exceed it by
 more than rounding errors, unless it fails itself."""
 SEARCH_TOLERANCE = 1e-9
-"""Tolerance of the integration in searches, which then measure what they find: it takes half as
-long as the default, and moves a boundary by far less than the distances that searches try."""
+"""Tolerance of the integration in searches, whose results are then measured at the default. It
+takes half as long, and moves a boundary by far less than the distances that searches try."""
 OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
 """Directions and distances of starts from which walkers may converge to other gaits."""
 
 
 LARGEST_SPAN = 3
-"""Dimensions in which directions are spread evenly (`rays`), and all of them are tried."""
+"""Most dimensions in which all directions are tried, spread evenly (`rays`)."""
 
 
 class LeastDisturbance(NamedTuple):
@@ -46,14 +46,14 @@ class LeastDisturbance(NamedTuple):
     size: float
     """Its distance from the gait, in the given metric."""
     direction: Float[np.ndarray, " section"]
-    """Its direction from the gait: the disturbance divided by its size; with `scale`, in the units
-    of that, in which it is of length one."""
+    """Its direction from the gait: the disturbance divided by its size. With `scale`, it is in
+    those units, in which it has length one."""
     state: Float[np.ndarray, " section"]
     """The point."""
     phase: int
     """Number of the nearest state of the gait."""
     failure: Outcome
-    """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
+    """Failure of the walker from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
     """Strides before the failing one."""
 
@@ -71,37 +71,43 @@ def least_disturbance(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastDisturbance:
-    """The nearest point of the section from which a walker does not return to its gait, or falls.
+    """Finds the least disturbance after which a walker does not return to its gait, or falls.
 
-    From the nearest point it may converge to another attractor: then the `failure` is `STRIDE`, and
-    the nearest point from which it falls, found with `fall`, is farther. Otherwise the two points
-    are the same.
+    The result is the nearest such point to the gait, on the section. From there the walker may
+    converge to another attractor: then the `failure` is `STRIDE`, and the nearest point from which
+    it falls, found with `fall`, is farther. Otherwise the two points are the same.
 
     The search follows rays from the gait outwards, all at once, to the first distance from which
-    the walker does not return; then closer rays, up to the smallest of these distances; then
-    narrower and narrower fans around the rays that are nearer than their neighbours, and steps
-    along the boundary's gradient. It tries all directions at distances 1.6 % of the size apart,
-    or 0.16 % close to it, where directions are 8 times as close. It may miss a finger of failures
-    between these points; then the size is too large by as much as the finger is nearer.
+    the walker does not return. It then follows closer rays, up to the smallest of these distances.
+    Last come ever narrower fans around the rays that are nearer than their neighbours, and steps
+    along the boundary's gradient. It tries all directions at distances 1.6 % of the size apart, or
+    0.16 % close to it, where directions are 8 times as close. It may miss a finger of failures
+    between these points; the size is then too large by the extra distance.
 
-    In more than three dimensions, as of a walker in space, directions cannot all be tried. There
-    random rays find failures, and descents along the boundary's gradient lead from the nearest of
-    them to minima of the distance, of which the least is returned: another one may be nearer.
+    In more than three dimensions, as for a walker in space, not all directions can be tried. There
+    random rays find failures. Descents along the boundary's gradient lead from the nearest of them
+    to minima of the distance, and the least is returned: another one may be nearer.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    found = wj.least_disturbance(walker, wj.find_gait(walker))
+    found.size, found.direction, found.failure
+    ```
 
     **Arguments:**
 
-    - `walker`: of one kind, with numbers for parameters.
-    - `gait`: a stable one; that of `find_gait` by default.
+    - `walker`: one walker, with numbers for parameters.
+    - `gait`: a stable gait; that of `find_gait` by default.
     - `scale`: unit of length along each coordinate of the section, positive. The size is the length
       of the disturbance in these units; by default they are 1.
-    - `metric`: in the place of a scale, a symmetric positive definite matrix M, for which the size
-      of a disturbance d is sqrt(d^T M d); or a function, written with JAX, of a state of the gait
-      and a disturbance of it, which is zero for none and grows along every ray.
+    - `metric`: instead of a scale, a symmetric positive definite matrix M: the size of a
+      disturbance d is sqrt(d^T M d). Or a function, written with JAX, of a state of the gait and a
+      disturbance; it is zero for no disturbance and grows along every ray.
     - `along`: vectors, one a row, that span the disturbances, such as (0, 1) for a push that
       changes thetadot alone. By default disturbances have any direction.
-    - `fall`: whether only falls count, and not the convergence to another attractor.
-    - `directions`: number of directions in a plane; in three dimensions there are four times as
-      many, and in more a sixteenth, at random.
+    - `fall`: whether only falls count, and not convergence to another attractor.
+    - `directions`: number of directions in a plane. Three dimensions have four times as many, and
+      more dimensions a sixteenth, at random.
     - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
 
@@ -159,7 +165,7 @@ def least_disturbance(
 
 
 def least_disturbance_if_any(walker: System, gait: Gait, **about: Any) -> LeastDisturbance:
-    """`least_disturbance`; NaN, and a failure of -1, where all that were tried return."""
+    """Finds `least_disturbance`; NaN, and a failure of -1, where all tried disturbances return."""
     try:
         return least_disturbance(walker, gait, **about)
     except ComputationFailed:

@@ -1,4 +1,4 @@
-"""Sequences of disturbances that topple a walker, and the inclination of their boundary."""
+"""Sequences of disturbances that topple a walker, and the gradient of their boundary."""
 
 from typing import NamedTuple
 
@@ -20,27 +20,27 @@ from walker_jax.walking.failure_margins import failure_margin
 from walker_jax.walking.iteration import Targets, WalkEnd
 
 PULLED_BACK = 64
-"""Walks whose derivatives are computed in one call."""
+"""Number of walks whose derivatives are computed in one call."""
 
 
 class DisturbedWalks(NamedTuple):
-    """Walks from a gait with a disturbance in each of some strides, and with none after these.
+    """Walks from a gait, with disturbances in the first strides and none later.
 
-    Disturbances are in standard deviations, those of one stride after those of the one before.
+    Disturbances are in standard deviations, ordered by stride.
     """
 
     mapper: Mapper
-    """To the gait, for the walks after the disturbances."""
+    """Maps states to the gait, for the walks after the disturbances."""
     start: Float[np.ndarray, " full"]
     deviations: Float[np.ndarray, " 3"]
-    """Of steps, slope and pushes; 0 of those that there are not."""
+    """Standard deviations of steps, slope and pushes; 0 for kinds that do not occur."""
     strides: int
-    """Strides with disturbances, at most; later ones of a shorter sequence have none."""
+    """Most strides with disturbances; the last strides of a shorter sequence have none."""
     outcome: Outcome | None
     """The fall that counts; None for any."""
 
     def rows(self, w: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n strides 3"]:
-        """Step, slope and push of each stride."""
+        """Returns the step, slope and push of each stride."""
         kinds = np.flatnonzero(self.deviations)
         count = w.shape[1] // len(kinds)
         rows = np.zeros((len(w), self.strides, 3))
@@ -48,13 +48,13 @@ class DisturbedWalks(NamedTuple):
         return rows
 
     def arrays(self) -> tuple[Walker, Integrator]:
-        """The walker and the integrator, of numbers of one dtype."""
+        """Returns the walker and the integrator, with numbers of one dtype."""
         dtype = self.start.dtype
         walker = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), self.mapper.walker)
         return walker, self.mapper.integrator.in_dtype(dtype)
 
     def follow(self, w: Float[np.ndarray, "n size"]) -> WalkEnd:
-        """Walks until they fall, or are in a capture box of the gait after the disturbances."""
+        """Follows walks until they fall, or return to the gait after the disturbances."""
         (walker, integrator), rows = self.arrays(), self.rows(w)
         targets, _ = targets_of(self.mapper.attractors, len(self.mapper.walker.section))
         limit = np.int32(rows.shape[1] + self.mapper.strides)
@@ -62,17 +62,17 @@ class DisturbedWalks(NamedTuple):
         return map_cells(walk_disturbed_on, given, (False, False, True, False, False, False))
 
     def falls(self, end: WalkEnd) -> Bool[np.ndarray, " n"]:
-        """Mark the walks that end in a fall that counts."""
+        """Marks the walks that end in a fall that counts."""
         if self.outcome is not None:
             return end.outcome == self.outcome
         return ~np.isin(end.outcome, (Outcome.STRIDE, Outcome.UNDECIDED))
 
     def fails(self, w: Float[np.ndarray, "n size"]) -> Bool[np.ndarray, " n"]:
-        """Mark the sequences that topple the walker."""
+        """Marks the sequences that topple the walker."""
         return self.falls(self.follow(w))
 
     def gradient(self, w: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:
-        """Derivatives of the margins of the falls in which walks end; NaN where they do not."""
+        """Returns derivatives of the margins of the falls that end walks; NaN without a fall."""
         end, rows = self.follow(w), self.rows(w)
         fallen, (walker, integrator) = self.falls(end), self.arrays()
         rows = np.concatenate([rows, np.zeros((len(rows), 1, 3))], axis=1)
@@ -94,7 +94,7 @@ class DisturbedWalks(NamedTuple):
     def pull_back(
         self, rows: Float[np.ndarray, "n strides 3"], change: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n strides 3"]:
-        """`pull_back`, in batches of one size, so that one program is compiled."""
+        """Calls `pull_back` in batches of one size, so that one program is compiled."""
         walker, integrator = self.arrays()
         slopes = np.empty_like(rows)
         for first in range(0, len(rows), PULLED_BACK):
@@ -112,7 +112,7 @@ def walk_disturbed_on(
     limit: Int[Array, ""],
     integrator: Integrator,
 ) -> WalkEnd:
-    """Disturbed strides and then even ones, until a failure, a target or the limit."""
+    """Follows disturbed strides and then even ones, until a failure, a target or the limit."""
 
     def unfinished(walk):
         return (walk.outcome == Outcome.STRIDE) & (walk.strides < limit) & (walk.target < 0)
@@ -141,10 +141,10 @@ def pull_back(
     change: Float[Array, "n section"],
     integrator: Integrator,
 ) -> Float[Array, "n strides 3"]:
-    """Derivatives of n margins by the disturbances before them.
+    """Computes derivatives of n margins by the disturbances before them.
 
-    Margins are those of the stride that fails; or of a later one, whose `change` with the state on
-    the section then is known.
+    The margin is that of the failing stride. If a later stride fails, its derivative `change` by
+    the state on the section is given.
     """
 
     def margin(rows: Float[Array, "strides 3"], change: Float[Array, " section"]) -> Scalar:
@@ -154,7 +154,7 @@ def pull_back(
             going, now = outcome == Outcome.STRIDE, found.stride.outcome
             falls = going & (now != Outcome.STRIDE)
             margin = jnp.where(falls, failure_margin(found), margin)
-            # After a fall walks begin anew: derivatives of what is not used must be finite too.
+            # After a fall walks start again: derivatives of unused values must be finite too.
             state = jnp.where(now == Outcome.STRIDE, found.stride.state, start)
             return (state, jnp.where(going, now, outcome), margin), None
 

@@ -46,10 +46,10 @@ from walker_jax.walkers.model import check_planar, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 WALKS, WALK_LIMIT = 1000, 2000
-"""Walks on rough ground and strides of each at most: some seconds on two cores, and an interval of
-some 6 % where all fall."""
+"""Number of walks on rough ground, and the most strides of each. They take some seconds on two
+cores, and give an interval of some 6 % if all walks fall."""
 LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
-"""Instead of a failure, where the walker does not return to its gait and does not fall either."""
+"""Outcomes of a walker that neither returns to its gait nor falls."""
 
 
 @refuses_tracers()
@@ -66,40 +66,51 @@ def robustness(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Measures of robustness of a walker's gait: basin, disturbances, basin stability, boundary.
+    """Measures the robustness of a walker's gait: basin, disturbances, basin stability, boundary.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
+    data = wj.robustness(wj.SimplestWalker(0.004), grid, levels=1, check=1000)
+    float(data.least_disturbance), float(data.stability), float(data.step_down)
+    ```
 
     **Arguments:**
 
     - `walker`: as in `basin`.
-    - `grid`: grid for `refine` and `boundary_dimension`; by default all feasible angles of a walker
-      on point feet, sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others, and a
-      slice around the gait of any other walker, in space over yaw and leandot.
-    - `levels`, `check`: of refinement; in space fewer starts take long enough.
-    - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
+    - `grid`: grid for `refine` and `boundary_dimension`. The default for a walker on point feet has
+      all feasible angles, with sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others.
+      For any other walker it is a slice around the gait, in space over yaw and leandot.
+    - `levels`, `check`: of refinement; in space, where strides take longer, choose fewer starts.
+    - `disturbances`: for `basin_stability`, as shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
     - `ground`: standard deviation of normally distributed heights of steps, for `steps_to_fall`;
       without it walks on rough ground are left out.
     - `progress`: whether to show progress on a terminal.
 
-    **Returns** what `refine` returns, and of the gait, the attractor of the largest basin:
-    `gait_period`, `gait_state` (the nearest to the least disturbance), `multiplier` (the
-    largest modulus), `step_time` (the mean), `return_strides` (the characteristic return time); of
-    the point that `least_disturbance` finds,
-    `least_disturbance`, `direction`, `failing_state`, `failure` and `failing_strides`, NaN and -1
-    where it returns from all that were tried; of the one that it finds with `fall`, which is the
-    same unless the first leads to another motion, `least_fall`, `fall_direction`, `fall_state`,
-    `fall_failure` and `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`,
-    the least one from which the walker falls; `stability`, with `_low` and `_high`, `in_time`,
-    `median_strides`, `slowest_strides`, `mean_strides`, `pace`, `median_pace`, `mean_shock` and
-    `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
-    `dimension`, with `_low` and `_high`, of the boundary; and with a `ground` the mean
-    `steps_to_fall`, with `_low` and `_high`. NaN, or -1, where no gait attracts, and for steps down
-    of a walker in space. `note` is the gait of `find_gait` where that is another one, otherwise
-    empty: a default slice lies around that one.
+    **Returns** the data set of `refine`, with measures of the gait of the largest basin:
 
-    Raises `ValueError` as `refine`, without a grid where no gait of period one is found, and for a
-    ground under a walker in space.
+    - `gait_period`, `gait_state` (the state nearest to the least disturbance), `multiplier` (the
+      largest modulus), `step_time` (the mean) and `return_strides` (the characteristic return
+      time);
+    - from `least_disturbance`, `least_disturbance`, `direction`, `failing_state`, `failure` and
+      `failing_strides`; NaN and -1 if the walker returns from all that were tried;
+    - from `least_disturbance` with `fall`, `least_fall`, `fall_direction`, `fall_state`,
+      `fall_failure` and `fall_strides`; the same point unless the first leads to another motion;
+    - `step_down` and `step_down_failure`, and `step_down_fall`, the least step down from which the
+      walker falls;
+    - from `basin_stability`, `stability`, with `_low` and `_high`, `in_time`, `median_strides`,
+      `slowest_strides`, `mean_strides`, `pace`, `median_pace`, `mean_shock` and `largest_shock`;
+      sizes are shares of the gait's state;
+    - `dimension` of the boundary, with `_low` and `_high`;
+    - with a `ground`, the mean `steps_to_fall`, with `_low` and `_high`;
+    - `note`: the gait of `find_gait` if that is another one, otherwise empty. A default slice lies
+      around the gait of `find_gait`.
+
+    Values are NaN or -1 where no gait attracts, and for steps down of a walker in space.
+
+    Raises `ValueError` as `refine` does, without a grid where no gait of period one is found, and
+    for a ground under a walker in space.
     """
     if ground is not None:
         check_planar(walker)
@@ -120,7 +131,7 @@ def robustness(
         data = data.assign(dict.fromkeys(GROUND_NAMES, np.nan))
     gait = gait_of_basins(walker, data, tolerance)
     data = data.assign(without_gait(walker))
-    # an array of objects can be held by a store
+    # A store can hold an array of objects.
     data["note"] = np.array(compare_with_search(gait, searched), object)
     if gait is None:
         return data
@@ -135,9 +146,9 @@ def robustness(
 def measure_gait(
     walker: System, grid: Grid, gait: Gait, disturbances: float, seed: int, about: dict[str, Any]
 ) -> tuple[Gait, dict[str, Any]]:
-    """The gait from its state nearest to the least disturbance on, and its variables.
+    """Measures a gait; returns it from its state nearest to failure on, and its variables.
 
-    `about` is what all measures take: strides, and the tolerance.
+    `about` holds the arguments that all measures take: strides, and the tolerance.
     """
 
     def by_boundary() -> Uncertainty:
@@ -177,7 +188,7 @@ def measure_gait(
 def measure_walks(
     walker: System, gait: Gait, ground: float, seed: int, tolerance: float | None
 ) -> dict[str, Any]:
-    """The variables of walks on rough ground."""
+    """Returns the variables of walks on rough ground."""
     how: Any = {"gait": gait, "limit": WALK_LIMIT, "tolerance": tolerance}
     walks = steps_to_fall(check_planar(walker), ground, WALKS, jax.random.key(seed), **how)
     return dict(zip(GROUND_NAMES, walks[:3], strict=True))
@@ -199,10 +210,16 @@ def robustness_table(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """`robustness` over values of a parameter, without what it gives by cell or attractor.
+    """Computes `robustness` over values of a parameter, without the results by cell or attractor.
 
-    Without a grid, the slices of walkers with mass on their legs are around the gait of each.
-    Arguments are those of `robustness`; `progress` shows a bar on a terminal.
+    Arguments are those of `robustness`. Without a grid, each walker with mass on its legs has a
+    slice around its own gait. `progress` shows a bar on a terminal.
+
+    ```python
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
+    table = wj.robustness_table(wj.SimplestWalker(0.004), [0.004, 0.009], grid=grid, check=1000)
+    table.least_disturbance.values  # one for each slope
+    ```
 
     Raises `ValueError` also for values that the walker refuses.
     """
@@ -232,7 +249,7 @@ def robustness_table(
 def join_rows(
     rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str
 ) -> xr.Dataset:
-    """One table of all rows, with NaN where a row of a walker without a gait lacks a value."""
+    """Joins all rows into one table, with NaN for the missing values of a row."""
     where = xr.DataArray(values, dims=parameter, name=parameter)
     plain = [row.reset_coords().drop_attrs() for row in rows]
     return xr.concat(
@@ -241,7 +258,7 @@ def join_rows(
 
 
 def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
-    """The attributes of the rows, except those that differ between rows."""
+    """Returns the attributes of the rows, except those that differ between rows."""
     own = ("area", f"walker_{parameter}")
     given: dict[str, list] = {}
     for row in rows:

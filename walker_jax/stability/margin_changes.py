@@ -25,7 +25,7 @@ def differentiate_margins(
     parameters: Sequence[str],
     tolerance: Real,
 ) -> Float[np.ndarray, "n columns"]:
-    """Derivatives of the margins of the failures of walks from x, along directions and parameters.
+    """Computes derivatives of the margins of failing walks from x, along directions and parameters.
 
     Each walk fails after the strides that it has `made`. Derivatives are NaN where it does not.
     """
@@ -45,10 +45,10 @@ def differentiate_margins(
 
 
 def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
-    """Derivative of the margin of the failure that ends a walk, after a number of strides.
+    """Computes the derivative of the margin of the failure that ends a walk after `count` strides.
 
-    The derivative is along tangents of the walker and of the start; NaN where the walk does not end
-    in that stride.
+    The derivative is along tangents of the walker and of the start. It is NaN where the walk does
+    not end in that stride.
     """
     walker, integrator = shared
     x, count, tangents = cell

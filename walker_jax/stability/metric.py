@@ -1,7 +1,7 @@
 """The metric in which disturbances are measured, and the directions that they may have.
 
-A search for the nearest failure has coordinates y of its own, in which a disturbance has the
-Euclidean length |y|: a metric says which disturbance of the section that is.
+A search for the nearest failure has its own coordinates y, in which a disturbance has the Euclidean
+length |y|. A metric converts them to disturbances of the section.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,12 +19,12 @@ from walker_jax.identity import AsItIs
 from walker_jax.systems.system import System
 
 SOLVING_STEPS = 60
-"""Newton steps for the length of a disturbance of a size; one or two where sizes go like a power of
-lengths, as they do for every norm."""
+"""Newton steps to find the length of a disturbance from its size. One or two suffice where sizes
+are a power of lengths, as for every norm."""
 SOLVED = 1e-13
-"""Relative error of the size of a disturbance, at most."""
+"""Largest relative error of the size of a disturbance."""
 SYMMETRIC = 1e-12
-"""Relative difference of a symmetric matrix from its transpose, at most."""
+"""Largest relative difference of a symmetric matrix from its transpose."""
 
 DistanceFunction = Callable[[Float[Array, " section"], Float[Array, " section"]], Array]
 """The size of a disturbance, given a state of the gait and the disturbance; written with JAX."""
@@ -35,12 +35,12 @@ class LinearMetric(NamedTuple):
 
     root: Float[np.ndarray, "section section"]
     basis: Float[np.ndarray, "rank section"]
-    """An orthonormal basis of the coordinates y of the disturbances that are allowed."""
+    """An orthonormal basis of the coordinates y of the allowed disturbances."""
 
     def disturbance(
         self, state: Float[np.ndarray, " section"], y: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n section"]:
-        """The disturbances of a state that have the coordinates y."""
+        """Returns the disturbances of a state with the coordinates y."""
         return y @ self.root
 
     def pull_back(
@@ -49,18 +49,18 @@ class LinearMetric(NamedTuple):
         y: Float[np.ndarray, "n section"],
         gradient: Float[np.ndarray, "n section"],
     ) -> Float[np.ndarray, "n section"]:
-        """Gradients along y, from gradients along the section."""
+        """Converts gradients along the section to gradients along y."""
         return gradient @ self.root.T
 
     def size(
         self, state: Float[np.ndarray, " section"], disturbed: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, " n"]:
-        """The sizes of disturbances of a state."""
+        """Returns the sizes of disturbances of a state."""
         return np.linalg.norm(np.linalg.solve(self.root.T, (disturbed - state).T), axis=0)
 
 
 class CurvedMetric(NamedTuple):
-    """Sizes by a function that grows along every ray; a disturbance is along its coordinates y."""
+    """Sizes by a function that grows along every ray; disturbances are parallel to y."""
 
     distance: DistanceFunction
     basis: Float[np.ndarray, "rank section"]
@@ -68,7 +68,7 @@ class CurvedMetric(NamedTuple):
     def disturbance(
         self, state: Float[np.ndarray, " section"], y: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n section"]:
-        """The disturbances along y whose size is |y|: r u, with u = y / |y| and f(r u) = |y|.
+        """Returns the disturbances along y of size |y|: r u, with u = y / |y| and f(r u) = |y|.
 
         Raises `ComputationFailed` where the function does not grow along a ray.
         """
@@ -91,7 +91,7 @@ class CurvedMetric(NamedTuple):
         unit: Float[np.ndarray, "n section"],
         size: Float[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """`solve_lengths`, with the same ray repeated up to a power of two: few are compiled."""
+        """Calls `solve_lengths` on a power of two of rays, to compile few programs."""
         number = np.minimum(np.arange(1 << max(0, len(size) - 1).bit_length()), len(size) - 1)
         found = solve_lengths(AsItIs(self.distance), jnp.asarray(state), unit[number], size[number])
         length, error = (np.asarray(one)[: len(size)] for one in found)
@@ -103,7 +103,7 @@ class CurvedMetric(NamedTuple):
         y: Float[np.ndarray, "n section"],
         gradient: Float[np.ndarray, "n section"],
     ) -> Float[np.ndarray, "n section"]:
-        """Gradients along y, of r u with |u| = 1 and f(r u) = |y|.
+        """Converts gradients along r u, with |u| = 1 and f(r u) = |y|, to gradients along y.
 
         dr = (d|y| - r f' du) / (f' u), and du is the part of dy across u, over |y|.
         """
@@ -120,7 +120,7 @@ class CurvedMetric(NamedTuple):
     def size(
         self, state: Float[np.ndarray, " section"], disturbed: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, " n"]:
-        """The sizes of disturbances of a state."""
+        """Returns the sizes of disturbances of a state."""
         d = jnp.asarray(disturbed - state)
         return np.asarray(jax.vmap(self.distance, (None, 0))(jnp.asarray(state), d))
 
@@ -132,7 +132,7 @@ def solve_lengths(
     unit: Float[Array, "n section"],
     size: Float[Array, " n"],
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Lengths r with f(r u) = size, by Newton's iteration on log f over log r, and its error."""
+    """Solves f(r u) = size for lengths r, by Newton's iteration on log f over log r."""
 
     def solve(u, target):
         def error_at(length):
@@ -161,7 +161,7 @@ def solve_lengths(
 def gradients(
     distance: DistanceFunction, state: Float[Array, " section"], d: Float[Array, "n section"]
 ) -> Float[Array, "n section"]:
-    """Gradients of the size of a disturbance by the disturbance."""
+    """Computes gradients of the size of a disturbance by the disturbance."""
     return jax.vmap(jax.grad(distance, argnums=1), (None, 0))(state, d)
 
 
@@ -174,7 +174,7 @@ def metric_of(
     along: Sequence[Any] | ArrayLike | None,
     metric: Sequence[Any] | ArrayLike | DistanceFunction | None = None,
 ) -> Metric:
-    """The metric of units of length, of a matrix or of a function, and what `along` spans in it.
+    """Makes the metric of units of length, a matrix or a function, with the span of `along`.
 
     Raises `ValueError` for a scale, a matrix or vectors that do not fit the section.
     """
@@ -197,7 +197,7 @@ def metric_of(
 
 
 def inverse_root(metric: Any, size: int) -> Float[np.ndarray, "section section"]:
-    """The symmetric M^(-1/2) of a symmetric positive definite matrix M."""
+    """Computes the symmetric M^(-1/2) of a symmetric positive definite matrix M."""
     matrix = numbers_or_none(metric)
     fits = matrix.shape == (size, size) and bool(np.isfinite(matrix).all())
     fits = fits and np.allclose(matrix, matrix.T, rtol=SYMMETRIC, atol=0)
@@ -211,7 +211,7 @@ def inverse_root(metric: Any, size: int) -> Float[np.ndarray, "section section"]
 
 
 def numbers_or_none(values: Any) -> Float[np.ndarray, "..."]:
-    """An array of the numbers; NaN for other values."""
+    """Returns the values as an array of numbers; NaN for other values."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError):

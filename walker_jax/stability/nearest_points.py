@@ -1,16 +1,15 @@
-"""The points of a boundary that are nearest to the origin, by Newton's iteration, and the chance
-to be beyond them.
+"""Points of a boundary nearest to the origin, by Newton's iteration, and the chance to exceed it.
 
-A set of failures in many dimensions, say of sequences of disturbances that topple a walker, has a
-boundary of which only its normal is known. Along a ray u the boundary is at the distance r(u). At
-the nearest point the normal nu is along the ray. Newton's iteration solves that on the sphere of
-directions:
+Consider a set of failures in many dimensions, such as sequences of disturbances that topple a
+walker. Only the normal of its boundary is known. Along a ray u the boundary is at the distance
+r(u), and at the nearest point the normal nu is along the ray. Newton's iteration solves that
+condition on the sphere of directions:
 
     F(u) = nu - u = 0,  nu . u = 1,  dF = -(I - r W) du
 
-with W the curvature of the boundary. Its determinant is what the curvature does to the chance that
-independent normal numbers of standard deviation sigma are beyond the boundary (Breitung 1984,
-J. Eng. Mech. 110:357-366):
+with W the curvature of the boundary. The determinant gives the effect of the curvature on the
+chance that independent normal numbers of standard deviation sigma lie beyond the boundary (Breitung
+1984, J. Eng. Mech. 110:357-366):
 
     chance = Phi(-r / sigma) / sqrt(det(I - r W)),  as sigma goes to 0
 """
@@ -30,40 +29,40 @@ Gradient = Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]]
 RADII = 32
 """Distances along each random ray."""
 STEPS = 30
-"""Steps of a descent, at most."""
+"""Most steps of a descent."""
 ROUGHLY = 16
-"""Bisections of a descent's lengths: to a millionth."""
+"""Bisections of lengths in a descent: to a millionth."""
 SAME = 0.02
-"""Angle between rays of descents, at most, that go to the same point."""
+"""Largest angle between rays of descents to the same point."""
 FLAT = 1e-4
-"""Relative change of a length by a step at which its descent ends, and Newton's iteration begins:
-turned rays then are about its square root from the nearest one."""
+"""Relative change of a length in a step below which a descent ends, and Newton's iteration begins.
+The angle to the nearest ray is then about the square root of this."""
 TURN = 1e-4
-"""Angle by which rays are turned for differences: their error is its square."""
+"""Angle by which rays are turned for differences; their error is its square."""
 REACHES, HALVINGS = 10.0 ** np.arange(-7, -1), 38
-"""Relative distances within which the boundary is sought on a turned ray, the smallest first, as
-what fails may be a thin finger; and bisections, down to rounding."""
+"""Relative distances within which the boundary is sought on a turned ray, the smallest first
+because failures may be a thin finger; and bisections, down to rounding."""
 BEYOND = 1 + 1e-10
-"""Multiple of the length at which normals are computed: on the boundary itself rounding decides how
-a walk ends."""
+"""Multiple of the length at which normals are computed. On the boundary itself, rounding would
+decide how a walk ends."""
 NEWTON_STEPS, CONVERGED = 12, 1e-10
-"""Steps of Newton's iteration, at most, and the angle between ray and normal at which it ends."""
+"""Most steps of Newton's iteration, and the angle between ray and normal at which it ends."""
 SHARES = 0.3 ** np.arange(5)
-"""Of a step that are tried in turn, until one brings ray and normal closer."""
+"""Shares of a step, tried in turn until one brings ray and normal closer."""
 LARGEST_STEP = 0.1
-"""Angle by which one step of it turns a ray, at most."""
+"""Largest angle by which one step of Newton's iteration turns a ray."""
 
 
 class NearestPoint(NamedTuple):
     """A point of a boundary that is nearer to the origin than its neighbours."""
 
     ray: Float[np.ndarray, " size"]
-    """Its direction, of length one."""
+    """Direction of the point, of length one."""
     length: float
     residual: float
     """Angle between the ray and the normal of the boundary."""
     flatness: float
-    """det(I - r W): 1 of a flat boundary, less where it bends towards the origin."""
+    """det(I - r W): 1 for a flat boundary, less where it bends towards the origin."""
 
 
 def descend(
@@ -73,9 +72,9 @@ def descend(
     most: int,
     known: tuple[int, float] = (0, np.inf),
 ) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
-    """Local minima of the distance, from the nearest failures on some rays; the nearest first.
+    """Finds local minima of the distance, from the nearest failures on some rays.
 
-    Of the first rays, as many as `known` has, a length is known at which there is a failure.
+    The nearest comes first. `known` is a number of first rays, and a length at which these fail.
     """
     first = scan(fails, rays, RADII)
     count, length = known
@@ -101,7 +100,7 @@ def descend(
 def follows_another(
     rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Mark rays beside another one that is shorter, or that stands before and is as long."""
+    """Marks rays close to a shorter one, or to an earlier one of the same length."""
     close = np.linalg.norm(rays[:, None] - rays, axis=2) < SAME
     before = np.tri(len(rays), k=-1, dtype=bool)
     shorter = (lengths < lengths[:, None]) | (before & (lengths == lengths[:, None]))
@@ -111,9 +110,10 @@ def follows_another(
 def solve_nearest(
     fails: Fails, gradient: Gradient, ray: Float[np.ndarray, " size"], length: float
 ) -> NearestPoint:
-    """The nearest point of a boundary, by Newton's iteration from a ray that is close to it.
+    """Finds the nearest point of a boundary, by Newton's iteration from a ray close to it.
 
-    It ends where a step brings ray and normal no closer, or differences find no boundary.
+    The iteration ends where a step brings ray and normal no closer, or differences find no
+    boundary.
     """
     lengths, miss = misalignment(fails, gradient, ray[None], length)
     found = float(lengths[0]) if np.isfinite(lengths[0]) else length
@@ -143,14 +143,14 @@ def solve_nearest(
 
 
 def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.ndarray, "rank rank"]:
-    """I - r W over the directions across a ray, by central differences."""
+    """Computes I - r W over the directions across a ray, by central differences."""
     across = tangents(near.ray)
     if len(across) == 0:
         return np.eye(0)
     turned = near.ray + TURN * np.stack([across, -across])
     turned = turned.reshape(-1, len(near.ray)) / np.sqrt(1 + TURN**2)
     _, miss = misalignment(fails, gradient, turned, near.length)
-    # Turned rays have tangents of their own: those along which they were turned are shorter.
+    # Turned rays have other tangents: those along which they were turned are shorter.
     ahead, behind = miss.reshape(2, len(across), -1) @ across.T
     return -((ahead - behind) / (2 * TURN)).T
 
@@ -158,7 +158,7 @@ def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.nd
 def misalignment(
     fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
-    """The length of each ray up to the boundary, about a known one, and F = nu - u there."""
+    """Returns the length of each ray up to the boundary, near a known one, and F = nu - u."""
     tried = length * np.stack([1 - REACHES, 1 + REACHES])
     points = tried[..., None] * rays[:, None, None]
     before, after = np.moveaxis(
@@ -177,5 +177,5 @@ def misalignment(
 
 
 def tangents(ray: Float[np.ndarray, " size"]) -> Float[np.ndarray, "rank size"]:
-    """Unit vectors across a ray and each other."""
+    """Returns unit vectors across a ray and each other."""
     return np.linalg.svd(ray[None])[2][1:]

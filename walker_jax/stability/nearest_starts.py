@@ -17,13 +17,13 @@ class NearestStart(NamedTuple):
     distance: float
     state: Float[np.ndarray, " section"]
     outcome: Outcome
-    """How the walker fails; `STRIDE` where it converges to another attractor."""
+    """Failure of the walker; `STRIDE` where it converges to another attractor."""
     strides: int
     """Strides before the failing one."""
 
 
 def has_plane_disturbance(data: xr.Dataset) -> bool:
-    """Whether a data set has a least disturbance and fates over the same section of two axes."""
+    """Returns whether a data set has a least disturbance and fates over one section of two axes."""
     known = {"fate", "least_disturbance", "failing_state", "gait_state"} <= set(data)
     if not known or data["fate"].ndim != 2 or data["least_disturbance"].ndim:
         return False
@@ -31,7 +31,7 @@ def has_plane_disturbance(data: xr.Dataset) -> bool:
 
 
 def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
-    """The nearest start that does not return and, where it differs, the nearest that falls."""
+    """Returns the nearest start that does not return, and the nearest that falls, if another."""
     nearest = NearestStart(
         data["gait_state"].values,
         float(data["least_disturbance"]),
@@ -57,6 +57,6 @@ def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
 def circle(
     centre: Float[np.ndarray, " 2"], radius: float, points: int = 400
 ) -> Float[np.ndarray, "points 2"]:
-    """States at a distance from another, on a section of two coordinates."""
+    """Returns states at a distance from another, on a section of two coordinates."""
     turn = np.linspace(0, 2 * np.pi, points)
     return centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)

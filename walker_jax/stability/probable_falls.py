@@ -1,15 +1,15 @@
-"""The most probable fall: the least disturbances that topple a walker, one after the other.
+"""The most probable fall: the least sequence of disturbances that topples a walker.
 
-On ground that is a little rough a walker falls rarely, and then nearly always in the same way: by
-the sequence of disturbances that is the least improbable one. For independent normal disturbances w
-of standard deviation sigma that is the sequence of least action, the theory of large deviations of
-Freidlin and Wentzell (2012, Random Perturbations of Dynamical Systems):
+On slightly rough ground a walker falls rarely, and then nearly always in the same way: by the least
+improbable sequence of disturbances. For independent normal disturbances w of standard deviation
+sigma, that is the sequence of least action, by the theory of large deviations of Freidlin and
+Wentzell (2012, Random Perturbations of Dynamical Systems):
 
     action = min |w|^2 / 2,  log(mean strides to a fall) ~ action / sigma^2
 
-The sequence is the point of the boundary of all sequences that topple the walker which is nearest
-to none at all (`nearest_points`). Each stride is the one in which such a sequence ends with the
-same chance, that of being beyond this boundary; this gives the factor in front too.
+The set of sequences that topple the walker has a boundary, and the least sequence is its point
+nearest to no disturbance at all (`nearest_points`). Such a sequence ends in each stride with the
+same chance, the chance to be beyond this boundary. This gives the prefactor too.
 """
 
 from typing import NamedTuple
@@ -39,12 +39,12 @@ from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 
 SEARCHED = 3
-"""Numbers of disturbed strides up to which random directions are searched. Longer sequences follow
-from shorter ones, with a stride more at the beginning or at the end."""
+"""Most disturbed strides for which random directions are searched. Longer sequences follow from
+shorter ones, with one more stride at the beginning or at the end."""
 DESCENTS = 8
-"""Descents from the nearest failures found: most of them end at the same few minima."""
+"""Number of descents from the nearest failures found: most of them end at the same few minima."""
 KNOWN = 1e-9
-"""Relative distance beyond a boundary at which a walk certainly falls, though rounding decides."""
+"""Relative distance beyond a boundary at which a walk falls despite rounding errors."""
 FOLLOWED = 200
 """Strides after the disturbances in which a walker may return, or fall."""
 
@@ -55,35 +55,36 @@ class ProbableFall(NamedTuple):
     action: float
     """Half the sum of their squares, each in units of its standard deviation."""
     disturbances: Float[np.ndarray, "strides 3"]
-    """Step (unit of length), slope (rad) and push (of thetadot) of each stride."""
+    """Step (unit of length), slope (rad) and push (of thetadot) in each stride."""
     states: Float[np.ndarray, "made full"]
     """The full state just after each heel strike, from the gait to the last before the fall."""
     outcome: Outcome
-    """How the walker falls from just beyond."""
+    """How the walker falls from just beyond the boundary."""
     strides: int
     """Strides before the failing one; after the disturbances the ground is even."""
     actions: Float[np.ndarray, " strides"]
-    """The action of 1, 2 ... disturbed strides; it falls to that of any number."""
+    """The least action of at most 1, 2 ... disturbed strides."""
     flatness: float
-    """How the boundary of what topples the walker bends: det(I - r W), 1 where it is flat."""
+    """Curvature of the boundary of the sequences that topple the walker: det(I - r W), 1 if
+    flat."""
     residual: float
-    """Angle between the sequence and the normal of that boundary, 0 at the least one."""
+    """Angle between the sequence and the normal of that boundary, 0 at the least sequence."""
 
     def mean_strides(self, scale: float = 1.0) -> float:
-        """Strides to a fall, on average, with deviations `scale` times as large.
+        """Returns the mean strides to a fall, with deviations `scale` times as large.
 
             sqrt(flatness) / Phi(-sqrt(2 action) / scale)
 
-        That is right to first order as the scale goes to zero. It takes the walker to be lost
-        wherever it is beyond the boundary. Where one way to fall was asked for, it is of that one,
-        as if there were no other. It is NaN where the search has not converged to a minimum, and
-        infinite beyond 1e308, where `log_mean_strides` tells it.
+        The formula is right to first order as the scale goes to zero. It counts the walker as lost
+        wherever it is beyond the boundary. If one `outcome` was asked for, it counts that fall
+        alone, as if there were no other. It is NaN where the search has not converged to a minimum,
+        and infinite beyond 1e308, where `log_mean_strides` is finite.
         """
         with np.errstate(over="ignore"):
             return float(np.exp(self.log_mean_strides(scale)))
 
     def log_mean_strides(self, scale: float = 1.0) -> float:
-        """The natural logarithm of `mean_strides`, however rare a fall is."""
+        """Returns the natural logarithm of `mean_strides`, however rare a fall is."""
         from scipy.special import log_ndtr
 
         if not (is_number(scale) and 0 < scale < np.inf):
@@ -105,23 +106,29 @@ def most_probable_fall(
     directions: int = 180,
     tolerance: float | None = None,
 ) -> ProbableFall:
-    """The most probable sequence of disturbances that topples a walker, from its gait on.
+    """Finds the most probable sequence of disturbances that topples a walker, from its gait on.
 
-    Of all sequences of `strides` disturbances after which the walker falls, at once or later on
-    even ground, it is the one with the least sum of squares. Random directions are searched for
-    those of one to three strides, and descents along the boundary lead to the least ones; each
-    longer one begins from the one before, with a stride more. Newton's iteration ends each search.
-    A narrow finger of failures may be missed.
+    Consider all sequences of `strides` disturbances after which the walker falls, at once or later
+    on even ground. The result is the one with the least sum of squares. For one to three strides,
+    random directions are searched, and descents along the boundary lead to the least sequences.
+    Each longer sequence starts from the previous one, with one more stride. Newton's iteration ends
+    each search. A narrow finger of failures may be missed.
+
+    ```python
+    fall = wj.most_probable_fall(wj.SimplestWalker(0.004), 1e-4, strides=2, directions=60)
+    fall.disturbances[:, 0]  # heights of the steps
+    fall.log_mean_strides()  # natural logarithm of the mean number of strides to a fall
+    ```
 
     **Arguments:**
 
-    - `walker`: one in the plane.
-    - `ground`: the standard deviation of the heights of steps; or a `Disturbance`, whose fields are
-      those of steps, slope and pushes. By default 1, which gives actions in squares of the unit of
-      length: strides to a fall are then those of `mean_strides(deviation)`.
-    - `gait`: a stable one of period one; that of `find_gait` by default.
-    - `strides`: in which there are disturbances, at most 32.
-    - `outcome`: the fall that counts, `Outcome.BACKWARD` say; by default any.
+    - `walker`: a planar walker.
+    - `ground`: the standard deviation of the heights of steps; or a `Disturbance` of the standard
+      deviations of steps, slope and pushes. The default of 1 gives actions in squares of the unit
+      of length; strides to a fall are then those of `mean_strides(deviation)`.
+    - `gait`: a stable gait of period one; that of `find_gait` by default.
+    - `strides`: number of disturbed strides, at most 32.
+    - `outcome`: the fall that counts, for example `Outcome.BACKWARD`; by default any.
     - `directions`: number of directions that are searched for each number of disturbances up to
       three.
     - `tolerance`: of the integration, as in `stride`.
@@ -152,7 +159,7 @@ def most_probable_fall(
 
 
 def read_deviations(ground: float | Disturbance) -> Float[np.ndarray, " 3"]:
-    """Standard deviations of steps, slope and pushes, checked."""
+    """Returns the standard deviations of steps, slope and pushes, checked."""
     given = ground if isinstance(ground, Disturbance) else Disturbance(step=ground)
     known = all(is_number(one) and 0 <= one < np.inf for one in given)
     if not (known and any(given)):
@@ -165,7 +172,7 @@ def read_deviations(ground: float | Disturbance) -> Float[np.ndarray, " 3"]:
 def search(
     walks: DisturbedWalks, shorter: NearestPoint | None, count: int, directions: int
 ) -> NearestPoint:
-    """The nearest sequence of `count` disturbed strides, given that of one stride less."""
+    """Finds the nearest sequence of `count` disturbed strides, given that of one stride less."""
     kinds = int(np.count_nonzero(walks.deviations))
     size = count * kinds
     rays = []
@@ -174,14 +181,14 @@ def search(
         rays += [np.append(none, shorter.ray), np.append(shorter.ray, none)]
     if count <= SEARCHED:
         rays += [*np.eye(size), *-np.eye(size), *spread_directions(size, directions)]
-    # Those of the shorter sequence fail where that does, or just beyond.
+    # The two extended sequences fail where the shorter one does, or just beyond.
     known = (0, np.inf) if shorter is None else (2, shorter.length * (1 + KNOWN))
     rays, lengths = descend(walks.fails, walks.gradient, np.stack(rays), DESCENTS, known)
     return solve_nearest(walks.fails, walks.gradient, rays[0], lengths[0])
 
 
 def describe(walks: DisturbedWalks, found: list[NearestPoint], unit: float) -> ProbableFall:
-    """The least one found, and the walk to its fall; `unit` is the largest standard deviation."""
+    """Describes the least sequence, and its walk to the fall; `unit` is the largest deviation."""
     best = min(found, key=lambda one: one.length)
     w = best.length * best.ray
     tried = BEYOND[:, None] * w

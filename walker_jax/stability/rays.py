@@ -15,7 +15,7 @@ RAYS, RADII = 720, 128
 DENSE, SHELL = 16 * RAYS, 64
 """Directions of the second scan, and its distances up to the nearest failure."""
 KEPT = 0.01
-"""Largest relative excess of a failure's distance over the nearest for which its ray is kept."""
+"""Largest relative excess over the nearest failure's distance for which a ray is kept."""
 ARC, CLOSER = 2000 / DENSE, 16
 """Share of directions that get a fan of their own, and the directions of such a fan."""
 FAN = 61
@@ -27,11 +27,11 @@ ZOOMS = 3
 POLISHES = 4
 """Number of steps along the boundary's gradient that follow."""
 FINALISTS = 32
-"""Rays for which that is done: the nearest."""
+"""Number of rays that are polished: the nearest ones."""
 POLISH_SHARES = 2.0 ** np.arange(-6, 3)
-"""Shares of the step to the nearest point of a flat boundary that each polish tries."""
+"""Shares, tried by each polish, of the step to the nearest point of a flat boundary."""
 FINAL_DISTANCES = 512
-"""Distances of the last check that nothing nearer fails in the direction found."""
+"""Distances in the last check that nothing nearer fails in the direction found."""
 COARSE, FINE = 12, 34
 """Bisections between two points on a ray: to compare rays, and for the final distance."""
 
@@ -43,11 +43,11 @@ def nearest_failure(
     count: int = DENSE,
     roughly_fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]] | None = None,
 ) -> Float[np.ndarray, " size"]:
-    """The shortest vector that fails in the span of an orthonormal basis.
+    """Finds the shortest failing vector in the span of an orthonormal basis.
 
-    The origin does not fail. `gradient`, at points that fail just beyond the boundary, is normal to
-    it, or NaN. The rays that are measured are found by a scan of `count` directions in a plane, and
-    by `roughly_fails`, if given, which may be faster than `fails`. Raises `ComputationFailed` where
+    The origin must not fail. `gradient`, at failing points just beyond the boundary, is normal to
+    it, or NaN. Rays are chosen by a scan of `count` directions in a plane; the scan uses
+    `roughly_fails`, if given, which may be faster than `fails`. Raises `ComputationFailed` where
     nothing fails.
     """
     best, lengths = nearest_rays(roughly_fails or fails, basis, count)
@@ -64,7 +64,7 @@ def nearest_failure(
 def first_on_ray(
     fails: Callable, ray: Float[np.ndarray, " size"], length: float
 ) -> Float[np.ndarray, " size"]:
-    """The first failure on a ray that fails at some length, as far as it can be seen."""
+    """Finds the first failure on a ray that fails at some length, as far as samples show."""
     while True:
         first = first_failures(fails, ray[None], 0.0, (1 - 1e-9) * length, FINAL_DISTANCES)
         if np.isinf(first[0]):
@@ -75,19 +75,19 @@ def first_on_ray(
 def nearest_rays(
     fails: Callable, basis: Float[np.ndarray, "rank size"], count: int
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Directions of the local minima of the distance to failures, and these distances."""
+    """Finds directions of the local minima of the distance to failures, and these distances."""
     rank = len(basis)
     rays = spread_directions(rank, RAYS)
     first = scan(fails, rays @ basis, RADII)
     # Closer rays, then closer distances: a nearer failure may lie between those of the first scan.
-    # Where the next distances miss a finger that is already known, the known distance is kept.
+    # If the next distances miss a finger that is already known, the known distance is kept.
     dense = spread_directions(rank, count)
     near = keep_nearest(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays[np.isfinite(first)], first[np.isfinite(first)])
     near = keep_nearest(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays, first)
     width, candidates = spacing(rank, count), math.ceil(CANDIDATES * count)
-    if rank > 1:  # and more of them wherever the boundary is about as near
+    if rank > 1:  # more of them wherever the boundary is about as near
         arc = rays[first.argsort()[: math.ceil(ARC * count)]]
         arc = np.concatenate([fan(ray, width, CLOSER) for ray in arc])
         near = keep_nearest(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
@@ -97,7 +97,7 @@ def nearest_rays(
     best, lengths = rays[minima], first[minima]
     for _ in range(ZOOMS if rank > 1 else 0):
         fans = np.concatenate([fan(ray, width, FAN) for ray in best])
-        # The nearest failures of a fan lie a little before those of the wider one.
+        # The nearest failures of a fan lie slightly before those of the wider one.
         nearest = lengths.min()
         rays, first = keep_nearest(fails, fans, basis, 0.95 * nearest, 1.01 * nearest, 24)
         if first.size:
@@ -115,7 +115,7 @@ def polish(
     lengths: Float[np.ndarray, " n"],
     gap: float,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Turn rays towards the nearest point of a flat boundary, and keep those that are shorter."""
+    """Turns rays towards the nearest point of a flat boundary, and keeps the shorter ones."""
     rank, shares = len(basis), np.concatenate([[0.0], POLISH_SHARES])
     tried = turned_rays(gradient, basis, best, lengths, shares)
     flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
@@ -127,12 +127,12 @@ def polish(
         gap / 4,
         lengths,
     )
-    reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
+    reached[:, 0] = np.minimum(reached[:, 0], lengths)  # the first ray is the best one so far
     return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
 
 
 def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Float[np.ndarray, " n"]:
-    """The first failure along each ray, within a reach of at most four times the nearest.
+    """Finds the first failure along each ray, within a reach of at most four times the nearest.
 
     Raises `ComputationFailed` where nothing fails up to a length of a thousand.
     """
@@ -155,7 +155,7 @@ def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Floa
 def keep_nearest(
     fails: Callable, rays: np.ndarray, basis: np.ndarray, low: float, high: float, count: int
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """The rays whose first failure is among the nearest, and its distance."""
+    """Returns the rays whose first failure is among the nearest, and its distance."""
     while True:
         gap = (high - low) / count
         first = first_failures(fails, rays @ basis, low, high, count)
@@ -169,7 +169,7 @@ def keep_nearest(
 def first_failures(
     fails: Callable, rays: Float[np.ndarray, "n size"], low: Any, high: Any, count: int
 ) -> Float[np.ndarray, " n"]:
-    """The first distance along each ray that fails; infinite where none does."""
+    """Returns the first failing distance along each ray; infinite where none fails."""
     distances = np.linspace(low, high, count + 1)[1:]
     points = distances[:, None] * rays[:, None]
     failed = fails(points.reshape(-1, rays.shape[1])).reshape(len(rays), count)
@@ -183,8 +183,8 @@ def turned_rays(
     lengths: Float[np.ndarray, " n"],
     shares: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, "n m rank"]:
-    """Rays that are turned by shares of the way to the nearest point of a flat boundary."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
+    """Turns rays by shares of the way to the nearest point of a flat boundary."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # raised where there is no gradient
         normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
         along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
     turned = rays[:, None] + shares[:, None] * along[:, None]
@@ -199,7 +199,7 @@ def bisect(
     gap: float | Float[np.ndarray, " n"],
     times: int,
 ) -> Float[np.ndarray, " n"]:
-    """Distances of the boundary, between those that fail and those a `gap` before, by bisection."""
+    """Bisects for distances of the boundary, between failing ones and those a `gap` before."""
     known = np.isfinite(high)
     below, above = (high - gap)[known], high[known]
     for _ in range(times):
@@ -218,9 +218,9 @@ def bisect_nearest(
     gap: float,
     least: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n m"]:
-    """The same as `bisect` does `FINE` times, of n times m rays, as far as the nearest of m needs.
+    """Bisects n times m rays as `bisect` does, `FINE` times, as far as the nearest of m needs.
 
-    Rays that are known to be longer than another of the m, or than the `least`, are left.
+    A ray is dropped once it is known to be longer than another of the m, or than the `least`.
     """
     below, above = high - gap, high.copy()
     for _ in range(FINE):
@@ -233,7 +233,7 @@ def bisect_nearest(
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
-    """Evenly spread unit vectors; in three dimensions four times as many as in two.
+    """Returns evenly spread unit vectors; in three dimensions four times as many as in two.
 
     In more dimensions they are random, and as many as in two.
     """
@@ -245,7 +245,7 @@ def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
     if rank > 3:
         x = np.random.default_rng(0).normal(size=(count, rank))
         return x / np.linalg.norm(x, axis=1, keepdims=True)
-    # a spiral of equal steps in height on a sphere, turned by the golden angle
+    # A spiral of equal steps in height on a sphere, turned by the golden angle.
     count *= 4
     height = 1 - (2 * np.arange(count) + 1) / count
     angles, radius = np.pi * (3 - np.sqrt(5)) * np.arange(count), np.sqrt(1 - height**2)
@@ -253,14 +253,14 @@ def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
 
 
 def spacing(rank: int, count: int) -> float:
-    """The angle between neighbours among `spread_directions`."""
+    """Returns the angle between neighbours among `spread_directions`."""
     return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
 
 
 def fan(
     direction: Float[np.ndarray, " rank"], width: float, count: int
 ) -> Float[np.ndarray, "n rank"]:
-    """Unit vectors within an angle of a direction, which is the first of them."""
+    """Returns unit vectors within an angle of a direction; the direction is the first of them."""
     across = np.linalg.svd(direction[None])[2][1:]
     if len(across) == 1:
         offsets = np.linspace(-1, 1, count - 1)[:, None]
@@ -275,7 +275,7 @@ def fan(
 def local_minima(
     rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float, most: int
 ) -> Int[np.ndarray, " m"]:
-    """Indices of the unit vectors with the smallest length within an angle, the shortest first."""
+    """Returns indices of the vectors of smallest length within an angle, the shortest first."""
     order = lengths.argsort()
     rays = rays[order]
     minima = (i for i in range(len(order)) if (rays[:i] @ rays[i] <= np.cos(angle)).all())

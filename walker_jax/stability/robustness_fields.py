@@ -18,7 +18,8 @@ class Field(NamedTuple):
 
     name: str
     kind: str
-    """"number"; "vector" over the section's coordinates; "text"; or whole: "count" or "outcome"."""
+    """Kind: "number"; "vector" over the section's coordinates; "text"; or "count" or "outcome",
+    whole numbers."""
 
 
 GAIT = {
@@ -72,25 +73,25 @@ GROUND = {
     "low": Field("steps_to_fall_low", "number"),
     "high": Field("steps_to_fall_high", "number"),
 }
-"""Variables that are known with a ground alone."""
+"""Variables that require a ground."""
 GROUND_NAMES = tuple(field.name for field in GROUND.values())
 NOTE = Field("note", "text")
 GROUPS = GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION
 FIELDS = (NOTE, *(field for group in GROUPS for field in group.values()))
 """The variables of a gait.
 
-A new one is computed in `measure_gait`, and stands in a group here, by which JSON and sweeps have
+To add one, compute it in `measure_gait`, put it in a group here, from which JSON and sweeps take
 it, and in `storage.basin_kinds`.
 """
 WITHOUT_GAIT = {"gait_period": 0}
-"""Values where no gait attracts, other than those of their kind, NaN, -1 and no text."""
+"""Values where no gait attracts, if they differ from NaN, -1 and empty text."""
 
 
 Group = Mapping[str, Field]
 
 
 def variables(group: Group, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The variables of a group, of values by its keys."""
+    """Returns the variables of a group, given values by its keys."""
     kinds = {"number": float, "count": int, "outcome": int}
     as_vector = lambda value: ("coordinate", np.asarray(value))
     return {
@@ -99,7 +100,7 @@ def variables(group: Group, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def variables_of_gait(gait: Gait) -> dict[str, Any]:
-    """The variables of a gait, with its first state."""
+    """Returns the variables of a gait, with its first state."""
     about = {
         "period": len(gait.states),
         "state": gait.states[0],
@@ -111,19 +112,19 @@ def variables_of_gait(gait: Gait) -> dict[str, Any]:
 
 
 def variables_of_steps(down: LeastStepDown, fall: LeastStepDown) -> dict[str, Any]:
-    """The variables of the least step down, and of the least from which the walker falls."""
+    """Returns the variables of the least step down, and of the least one that causes a fall."""
     about = {"step_down": down.size, "step_down_failure": down.failure}
     return variables(STEP_DOWN, about | {"step_down_fall": fall.size})
 
 
 def variables_of_return(stability: BasinStability) -> dict[str, Any]:
-    """The variables of the way back to the gait."""
+    """Returns the variables of the return to the gait."""
     about = {"median_strides": stability.median, "slowest_strides": stability.slowest}
     return variables(RETURN, stability._asdict() | about | {"mean_strides": stability.mean})
 
 
 def without_gait(walker: System) -> dict:
-    """The variables that `robustness` adds where no gait attracts."""
+    """Returns the variables that `robustness` adds where no gait attracts."""
     of_kind = lambda *kinds: [field.name for field in FIELDS if field.kind in kinds]
     unknown_state = "coordinate", np.full(len(walker.section), np.nan)
     numbers = dict.fromkeys(of_kind("number"), np.nan)
@@ -133,7 +134,7 @@ def without_gait(walker: System) -> dict:
 
 
 def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
-    """The results of `robustness`, `at` a value, for JSON; None where no gait attracts."""
+    """Returns the results of `robustness`, `at` a value, for JSON; None where no gait attracts."""
     attracts = int(data["gait_period"]) > 0
     values = lambda group: {
         key: value_of(data, field) if attracts else None for key, field in group.items()
@@ -161,7 +162,7 @@ def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
 
 
 def value_of(data: xr.Dataset, field: Field) -> Any:
-    """The value of a field; None for no outcome."""
+    """Returns the value of a field; None for no outcome."""
     value = data[field.name].values
     if field.kind == "vector":
         return value

@@ -1,7 +1,7 @@
 """Steps to a fall: how long a walker walks on rough ground, or under other random disturbances.
 
-Every stride is disturbed at random, so every walker falls in the end. How many strides it makes is
-what matters (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064).
+Every stride is disturbed at random, so every walker falls in the end. The measure is the number of
+strides until then (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064).
 """
 
 from collections.abc import Callable, Hashable
@@ -36,25 +36,26 @@ from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_dist
 RandomDisturbance = Callable[[Any], Any]
 """A JAX function of a random key: the height of one step, or a `Disturbance`."""
 STRIDES_PER_CALL = 32
-"""Strides that walks make before those that have fallen are left out. Three numbers for each are
-within the 128 entries of an array that a kernel can hold."""
+"""Strides that walks make before fallen ones are left out. Three numbers for each fit into the 128
+entries of an array that a kernel can hold."""
 FEWEST_FALLS = 30
-"""Walks whose mean number of strides is normally distributed, about: the usual rule."""
+"""Number of walks from which on their mean number of strides is about normally distributed: the
+usual rule."""
 
 
 class StepsToFall(NamedTuple):
     """Numbers of strides that walkers make until they fall."""
 
     mean: float
-    """Maximum likelihood estimate of the mean, if walks that did not fall were left off (`ended`):
-    strides in all over falls. Infinite without a fall."""
+    """The mean; its maximum likelihood estimate if some walks did not fall (`ended`): all strides
+    over the number of falls. Infinite without a fall."""
     low: float
     high: float
-    """Its confidence interval."""
+    """Ends of its confidence interval."""
     strides: Int[np.ndarray, " n"]
     """Completed strides of each walk."""
     ended: Bool[np.ndarray, " n"]
-    """Whether each walk ended in a failure; the others were left off, at the limit or where the
+    """Whether each walk ended in a failure. The others stopped at the limit, or where the
     integration gave no answer."""
     outcomes: Int[np.ndarray, " n"]
     """`Outcome` of the failure, `STRIDE`, or `UNDECIDED`."""
@@ -72,26 +73,32 @@ def steps_to_fall(
     confidence: float = 0.95,
     tolerance: float | None = None,
 ) -> StepsToFall:
-    """How many strides walkers make on rough ground until they fall, from a gait on.
+    """Counts the strides that walkers make on rough ground until they fall, starting in a gait.
 
-    Walks that have made `limit` strides are left off, and so are those that are `UNDECIDED`: no
-    walker is said to fall where that is not known. Their part of the mean is that of a constant
-    chance to fall in each stride, which holds once a walk has forgotten where it began: then a
-    stride's chance does not depend on how many there were before. The interval is that of such a
-    chance, of Clopper and Pearson (1934, Biometrika 26:404-413); if all walks fall and are 30 or
-    more, that of the sample mean, whatever the distribution. Numbers of strides jump as parameters
-    change, so there is no derivative; `gait_sensitivity` and the least disturbance have one.
+    Walks stop after `limit` strides, or where the outcome is `UNDECIDED`: no walker counts as
+    fallen unless it is known to fall. For such walks, the mean assumes a constant chance to fall in
+    each stride. That holds once a walk has forgotten its start: the chance then does not depend on
+    the number of strides before. The interval is that of Clopper and Pearson for such a chance
+    (1934, Biometrika 26:404-413). If all walks fall and are 30 or more, it is the interval of the
+    sample mean, for any distribution. Numbers of strides jump as parameters change, so there is no
+    derivative; `gait_sensitivity` and the least disturbance have one.
+
+    ```python
+    walks = wj.steps_to_fall(wj.SimplestWalker(0.004), 2e-4, n=100, limit=1000)
+    walks.mean, walks.low, walks.high
+    walks.ended.mean()  # the share that fell
+    ```
 
     **Arguments:**
 
-    - `walker`: any walker.
-    - `ground`: a function of a JAX random key, which returns the height of the next foothold above
-      the present one, `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance` in steps,
-      slope and pushes; or a number, the standard deviation of normally distributed heights.
+    - `walker`: any planar walker.
+    - `ground`: the standard deviation of normally distributed heights. Or a function of a JAX
+      random key, which returns the height of the next foothold above the present one, such as
+      `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance`.
     - `n`: number of walks.
     - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
-    - `gait`: where walks begin, from its first state; that of `find_gait` by default.
-    - `limit`: strides of a walk, at most.
+    - `gait`: walks start at its first state; that of `find_gait` by default.
+    - `limit`: most strides of a walk.
     - `confidence`: of the interval.
     - `tolerance`: of the integration, as in `stride`.
 
@@ -119,7 +126,7 @@ def walk_disturbed(
     limit: int,
     tolerance: float | None,
 ) -> DisturbedWalk:
-    """Disturbed walks from n full states, each with a random key, until they fail; NumPy arrays."""
+    """Follows disturbed walks from n full states, each with a random key, until they fail."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
     integrator = integrator_of(states.dtype, tolerance).in_dtype(states.dtype)
     n = len(states)
@@ -141,7 +148,7 @@ def walk_disturbed(
 
 
 def pad_to_power_of_two(indices: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]:
-    """The indices, the last repeated, so that few programs are compiled."""
+    """Repeats the last index up to a power of two, so that few programs are compiled."""
     size = 1 << (len(indices) - 1).bit_length()
     return np.concatenate([indices, np.repeat(indices[-1:], size - len(indices))])
 
@@ -150,7 +157,7 @@ def pad_to_power_of_two(indices: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]
 def draw(
     ground: RandomDisturbance, keys: Array, first: int | Int[Array, ""], count: int
 ) -> Float[Array, "n strides 3"]:
-    """Disturbances of `count` strides of n walks, from stride `first` on."""
+    """Draws the disturbances of `count` strides of n walks, from stride `first` on."""
 
     def one(key, number):
         return as_row(ground(jax.random.fold_in(key, number)))
@@ -160,13 +167,13 @@ def draw(
 
 
 def as_row(drawn: Any) -> Float[Array, " 3"]:
-    """Step, slope and push of what a random function gives."""
+    """Returns the step, slope and push in the result of a random function."""
     disturbance = drawn if isinstance(drawn, Disturbance) else Disturbance(step=drawn)
     return jnp.stack([jnp.asarray(value, float) for value in disturbance])
 
 
 def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
-    """The random function that is meant, checked."""
+    """Returns the random function that an argument stands for, checked."""
     if is_number(ground):
         deviation = float(ground)
         if not 0 <= deviation < np.inf:
@@ -204,7 +211,7 @@ class NormalSteps(NamedTuple):
 
 
 def read_key(key: Any) -> Array:
-    """A random key, new or old style."""
+    """Returns a random key, given one of new or old style, or none."""
     if key is None:
         return jax.random.key(0)
     refusal = f"key must be one random key of JAX, not {short(key)}"
@@ -222,7 +229,7 @@ def read_key(key: Any) -> Array:
 
 
 def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " full"]:
-    """The full state of a gait just after heel strike."""
+    """Returns the full state of a gait just after heel strike."""
     check_single(walker)
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     check_found(gait)
@@ -234,9 +241,9 @@ def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[n
 def mean_life(
     strides: Int[np.ndarray, " n"], ended: Bool[np.ndarray, " n"], confidence: float
 ) -> tuple[float, float, float]:
-    """The mean number of strides until a fall, and its confidence interval.
+    """Estimates the mean number of strides until a fall, and its confidence interval.
 
-    The stride in which a walker falls is not counted, as `Walk`s do not.
+    The stride in which a walker falls does not count, as in a `Walk`.
     """
     total, falls, n = float(strides.sum()), int(ended.sum()), len(strides)
     below, above = (1 - confidence) / 2, (1 + confidence) / 2
@@ -244,7 +251,8 @@ def mean_life(
         mean = total / n
         spread = NormalDist().inv_cdf(above) * float(strides.std(ddof=1)) / np.sqrt(n)
         return mean, max(0.0, mean - spread), mean + spread
-    # Of a chance p to fall in each of `total + falls` strides, a walk makes (1 - p) / p on average.
+    # With a chance p to fall in each of `total + falls` strides, a walk makes (1 - p) / p on
+    # average.
     least = float(betaincinv(falls, total + 1, below)) if falls else 0.0
     most = float(betaincinv(falls + 1, total, above)) if total else 1.0
     low, high = ((1 - p) / p if p > 0 else np.inf for p in (most, least))

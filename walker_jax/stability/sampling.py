@@ -1,11 +1,11 @@
 """Basin stability: the fraction of random disturbances from which a walker returns to its gait.
 
-With the same starts, what else is known of the way back: how many strides it takes, for each unit
-of the disturbance too, and how large the disturbances are that the walker survives. The words are
-those of the stability quantifiers of Attractors.jl, the numbers not all: means here are of the
-starts that return, there sums over these divided by the weight of all starts; the size of a
-disturbance here is its distance from the nearest state of the gait, there by default from their
-centroid; and a start at the gait has no pace here, and there, up to a distance, a pace of zero.
+The same starts also show the way back: the number of strides, also per unit of the disturbance, and
+the sizes of disturbances that the walker survives. The terms are those of the stability quantifiers
+of Attractors.jl, but three definitions differ. Means here are over the starts that return; there,
+sums over these are divided by the weight of all starts. The size of a disturbance here is its
+distance from the nearest state of the gait; there, by default, from the centroid of the states. A
+start at the gait has no pace here; there, up to a distance, it has a pace of zero.
 """
 
 from __future__ import annotations
@@ -42,37 +42,38 @@ from walker_jax.walking.iteration import check_parameter_arrays
 
 NOT_MEASURED = np.array(np.nan)
 Sampler = Callable[[np.random.Generator, int], Float[np.ndarray, "n section"]]
-"""Draws so many starts on the section, of any distribution, by a generator."""
+"""Draws a number of starts on the section, of any distribution, by a generator."""
 
 
 class BasinStability(NamedTuple):
-    """Basin stability (Menck and others 2013)."""
+    """Basin stability (Menck and others 2013), and measures of the return to the gait."""
 
     value: Float[np.ndarray, "*walkers"]
     """The fraction of the starts from which the walker returns to its gait."""
     low: Float[np.ndarray, "*walkers"]
     high: Float[np.ndarray, "*walkers"]
-    """Wilson's confidence interval."""
+    """Ends of Wilson's confidence interval."""
     fates: Int[np.ndarray, "*walkers outcomes"]
-    """Starts by the `Outcome` of their last stride; of those with `STRIDE`, `elsewhere` still walk
-    but did not return."""
+    """Number of starts by the `Outcome` of their last stride. Of those with `STRIDE`, `elsewhere`
+    still walk but did not return."""
     elsewhere: Int[np.ndarray, "*walkers"]
     median: Float[np.ndarray, "*walkers"]
-    """Strides in which half of those that return come within a distance of the gait."""
+    """Median strides, of the starts that return, to come within a distance of the gait."""
     slowest: Float[np.ndarray, "*walkers"]
-    """The same of 95 %; infinite where fewer come that close, NaN where none return."""
+    """The 95 % quantile of these strides; infinite where fewer come that close, NaN where none
+    return."""
     mean: Float[np.ndarray, "*walkers"] = NOT_MEASURED
-    """Mean strides of those that return; infinite where one does not come that close."""
+    """Mean of these strides; infinite where a walker does not come that close."""
     pace: Float[np.ndarray, "*walkers"] = NOT_MEASURED
-    """Mean strides for each unit of the disturbance, from which those that return come back."""
+    """Mean strides per unit of the disturbance, of the starts that return."""
     median_pace: Float[np.ndarray, "*walkers"] = NOT_MEASURED
-    """The median of the same."""
+    """Median strides per unit of the disturbance."""
     in_time: Float[np.ndarray, "*walkers"] = NOT_MEASURED
     """The fraction of the starts from which the walker is that close within `horizon` strides."""
     mean_shock: Float[np.ndarray, "*walkers"] = NOT_MEASURED
     """Mean size of the disturbances from which the walker returns: noncritical shocks."""
     largest_shock: Float[np.ndarray, "*walkers"] = NOT_MEASURED
-    """The largest of these. It grows with the samples, up to the reach of the basin."""
+    """The largest of these sizes. It grows with the samples, up to the reach of the basin."""
 
 
 @refuses_tracers()
@@ -92,23 +93,30 @@ def basin_stability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> BasinStability:
-    """The fraction of random disturbances from which a walker returns to its gait, and its strides.
+    """Estimates the fraction of random disturbances from which a walker returns to its gait.
+
+    ```python
+    found = wj.basin_stability(wj.SimplestWalker(0.004), 0.02, samples=1000)
+    found.value, found.low, found.high
+    found.median  # strides in which half of those that return are back
+    ```
 
     **Arguments:**
 
-    - `walker`: its parameters are numbers, or arrays of n, as in `strides`; then the results are
-      arrays of n, and NaN where there is no stable gait.
+    - `walker`: its parameters are numbers, or arrays of n, as in `strides`. For arrays the results
+      are arrays of n, NaN where there is no stable gait.
     - `disturbances`: largest length of disturbances of the gait's first state, uniformly
-      distributed in the metric of `least_disturbance` with `scale` and `along`, or with a matrix
-      as `metric`; or a grid, in whose region of the section starts are uniformly distributed; or a
-      function of a NumPy generator and a number, which draws so many starts of any distribution.
-    - `gait`: a stable one, of one walker; that of `find_gait` by default.
-    - `metric`: as in `least_disturbance`; for a grid and a function, of the sizes of disturbances
-      alone, which are those from the nearest state of the gait.
+      distributed in the metric of `least_disturbance` with `scale` and `along`, or with a matrix as
+      `metric`. Or a grid, in whose region of the section starts are uniformly distributed. Or a
+      function of a NumPy generator and a number n, which draws n starts of any distribution.
+    - `gait`: a stable gait, for a single walker; that of `find_gait` by default.
+    - `metric`: as in `least_disturbance`. For a grid or a function it only measures the sizes of
+      disturbances, from the nearest state of the gait.
     - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.
-      With None they are not, which spares most strides: all that tells of the way back is NaN.
-    - `horizon`: strides in which a walker is `in_time`.
-    - `samples`: starts for each walker, the same disturbances for all.
+      With None they are not counted, which spares most strides; all measures of the way back are
+      then NaN.
+    - `horizon`: number of strides within which a walker is `in_time`.
+    - `samples`: number of starts for each walker, the same disturbances for all.
     - `strides`: number of strides in which a walker may come that close, or enter the gait's
       capture box, from which all walkers converge to it.
     - `confidence`: of the interval.
@@ -144,7 +152,7 @@ def basin_stability(
 
 
 class Trial(NamedTuple):
-    """The starts of `basin_stability` about a state, and what is asked of them."""
+    """The starts of `basin_stability` around a state, and the settings of the measurement."""
 
     about: Callable[[Any], Float[np.ndarray, "n section"]]
     sizes: LinearMetric | CurvedMetric
@@ -158,7 +166,7 @@ class Trial(NamedTuple):
 def check_disturbances(
     walker: System, disturbances: Any, sizes: LinearMetric | CurvedMetric, *, turned: bool
 ) -> None:
-    """Refuse what are no disturbances, and a metric, or directions if `turned`, not for them."""
+    """Raises `WrongUse` for wrong disturbances, or a metric or directions that do not fit them."""
     if isinstance(disturbances, Grid):
         check_grid(walker, disturbances, "direct")
     elif not callable(disturbances) and (
@@ -175,7 +183,7 @@ def check_disturbances(
 
 
 def count_walkers(walker: System, gait: Gait | None) -> int | None:
-    """How many walkers parameters that are arrays make; None for a single walker."""
+    """Returns the number of walkers that array parameters describe; None for a single walker."""
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
     if not counts:
         return None
@@ -194,7 +202,7 @@ def starts_about(
     rng: np.random.Generator,
     samples: int,
 ) -> Callable[[Any], Float[np.ndarray, "n section"]]:
-    """The starts about a state of a gait; those of a grid or a function are the same for all."""
+    """Returns a function from a state to starts; those of a grid or a function are fixed."""
     if not is_number(disturbances):
         starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
         return lambda state: starts
@@ -203,7 +211,7 @@ def starts_about(
 
 
 def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
-    """The numbers of `BasinStability` of one walker, in their order."""
+    """Measures the fields of `BasinStability` for one walker, in their order."""
     mapper = mapper_of_gait(walker, gait, trial.strides, trial.tolerance)
     (own,) = mapper.attractors
     starts = trial.about(own.states[0]).astype(own.states.dtype)
@@ -229,7 +237,7 @@ def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
 def draw_starts(
     walker: System, name: str, draw: Any, rng: np.random.Generator, samples: int
 ) -> Float[np.ndarray, "n section"]:
-    """Starts in the region of a grid, or those that a function draws, the argument of a name."""
+    """Draws starts in the region of a grid, or by a function; `name` is that of the argument."""
     if isinstance(draw, Grid):
         return draw.points_at(rng.uniform(size=(samples, len(draw.names))))
     starts = numbers(f"starts that {name} returns", draw(rng, samples))
@@ -242,24 +250,24 @@ def draw_starts(
 
 
 def mean_of(values: Float[np.ndarray, " n"]) -> float:
-    """The mean; NaN of none."""
+    """Returns the mean; NaN of none."""
     return float(values.mean()) if values.size else np.nan
 
 
 def median_of(values: Float[np.ndarray, " n"]) -> float:
-    """The lower median; NaN of none."""
+    """Returns the lower median; NaN of none."""
     return float(np.percentile(values, 50, method="inverted_cdf")) if values.size else np.nan
 
 
 def draw_from_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:
-    """Points uniformly distributed in the unit ball."""
+    """Draws points uniformly distributed in the unit ball."""
     x = rng.normal(size=(n, rank))
     radius = rng.uniform(size=(n, 1)) ** (1 / rank)
     return radius * x / np.linalg.norm(x, axis=1, keepdims=True)
 
 
 def wilson_interval(successes: int, n: int, confidence: float) -> tuple[float, float]:
-    """Wilson's interval for a probability, from a number of successes of n."""
+    """Computes Wilson's interval for a probability, from the number of successes in n trials."""
     z = NormalDist().inv_cdf((1 + confidence) / 2)
     centre, spread = successes + z**2 / 2, z * np.sqrt(successes * (1 - successes / n) + z**2 / 4)
     return float((centre - spread) / (n + z**2)), float((centre + spread) / (n + z**2))

@@ -1,7 +1,7 @@
-"""The gait sensitivity norm: how much disturbances show in what matters of a gait.
+"""The gait sensitivity norm: the response of a gait's indicators to disturbances.
 
 Hobbelen and Wisse 2007, IEEE Trans. Robot. 23:1213-1224. To first order, with x the deviation of
-the state just after heel strike, e what disturbs a stride and g what is looked at,
+the state just after heel strike, e the disturbances of a stride and g the indicators,
 
     x' = A x + B e,    g = C x + D e.
 
@@ -30,14 +30,14 @@ from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.starts import prepare
 
 OneDisturbance = Callable[[Scalar], Disturbance]
-"""What is amiss in a stride, from its size."""
+"""The disturbance of a stride, from its size."""
 Indicator = Callable[[Walker, State, State, Scalar], Scalar]
-"""What is looked at, of a stride: from the walker, the full states just after the heel strikes at
+"""A measured quantity of a stride, from the walker, the full states just after the heel strikes at
 its start and its end, and its duration."""
 
 
-def step_length(walker: Walker, start: State, end: State, time: Scalar) -> Scalar:
-    """How far the swing foot is ahead at heel strike, along the slope."""
+def length_indicator(walker: Walker, start: State, end: State, time: Scalar) -> Scalar:
+    """Returns how far the swing foot is ahead at heel strike, along the slope."""
     return walker.reach(walker.exchange_legs(end))
 
 
@@ -48,8 +48,8 @@ DISTURBANCES: dict[str, OneDisturbance] = {
 }
 INDICATORS: dict[str, Indicator] = {
     "time": lambda walker, start, end, time: time,
-    "length": step_length,
-    "speed": lambda walker, start, end, time: step_length(walker, start, end, time) / time,
+    "length": length_indicator,
+    "speed": lambda walker, start, end, time: length_indicator(walker, start, end, time) / time,
 }
 
 
@@ -57,14 +57,14 @@ class GaitSensitivity(NamedTuple):
     """The response of a gait to disturbances, and its norm."""
 
     norm: Float[Array, ""]
-    """Infinite for a gait that is not stable; NaN for one that was not found."""
+    """The norm: infinite for a gait that is not stable, NaN for one that was not found."""
     A: Float[Array, "full full"]
     """dx'/dx, of full states (theta, phi, thetadot, phidot)."""
     B: Float[Array, "full disturbances"]
     C: Float[Array, "indicators full"]
     D: Float[Array, "indicators disturbances"]
     terms: Float[Array, "indicators disturbances"]
-    """What each pair adds to the square of the norm."""
+    """Contribution of each pair to the square of the norm."""
 
 
 def gait_sensitivity(
@@ -75,15 +75,21 @@ def gait_sensitivity(
     *,
     tolerance: float | None = None,
 ) -> GaitSensitivity:
-    """The gait sensitivity norm of a gait of period one, and the matrices that it is made of.
+    """Computes the gait sensitivity norm of a gait of period one, and the matrices behind it.
 
-    Works under JAX's transformations; derivatives by parameters of the walker are right where the
+    Works under JAX's transformations. Derivatives by parameters of the walker are right where the
     gait is differentiated too, `gait=wj.find_gait(walker, guess)`.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    found = wj.gait_sensitivity(walker, disturbances=["step"], indicators=["time"])
+    found.norm  # of the changes of step time, per height of a step
+    ```
 
     **Arguments:**
 
-    - `walker`: any walker.
-    - `gait`: of this walker; by default that of `find_gait`.
+    - `walker`: any planar walker.
+    - `gait`: a gait of this walker; by default that of `find_gait`.
     - `disturbances`: of one stride, the fields of a `Disturbance`: "step", the height of the next
       foothold above the present one; "slope"; "push", a change of thetadot at the start; or
       functions that return a `Disturbance` from its size.
@@ -96,17 +102,17 @@ def gait_sensitivity(
     check_planar(walker)
     check_kind("disturbances", disturbances, Sequence)
     check_kind("indicators", indicators, Sequence)
-    acts = [look_up("disturbances", DISTURBANCES, one) for one in disturbances]
-    looks = [look_up("indicators", INDICATORS, one) for one in indicators]
-    if not acts or not looks:
+    inputs = [look_up("disturbances", DISTURBANCES, one) for one in disturbances]
+    outputs = [look_up("indicators", INDICATORS, one) for one in indicators]
+    if not inputs or not outputs:
         raise WrongUse("disturbances and indicators must be one or more each, not none")
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if len(gait.states) != 1:
         raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
     walker, state, integrator = prepare(walker, gait.states[0], tolerance)
-    what = tuple(map(AsItIs, acts)), tuple(map(AsItIs, looks))
-    return respond_to(walker, state, integrator, what)
+    functions = tuple(map(AsItIs, inputs)), tuple(map(AsItIs, outputs))
+    return respond_to(walker, state, integrator, functions)
 
 
 @partial(jax.jit, static_argnums=3)
@@ -114,27 +120,27 @@ def respond_to(
     walker: Walker,
     state: Float[Array, " section"],
     integrator: Integrator,
-    what: tuple[tuple[OneDisturbance, ...], tuple[Indicator, ...]],
+    functions: tuple[tuple[OneDisturbance, ...], tuple[Indicator, ...]],
 ) -> GaitSensitivity:
-    """The matrices and the norm, of disturbances and indicators."""
-    acts, looks = what
+    """Computes the matrices and the norm, for disturbances and indicators."""
+    inputs, outputs = functions
 
     def disturbed(x, e):
-        parts = zip(*(act(size) for act, size in zip(acts, e, strict=True)), strict=True)
+        parts = zip(*(disturb(size) for disturb, size in zip(inputs, e, strict=True)), strict=True)
         total = [sum(jnp.asarray(value, x.dtype) for value in values) for values in parts]
         made = follow_disturbed(walker, x, Disturbance(*total), integrator)
         ends = walker.state(*made.state)
         return made.state, jnp.stack(
-            [look(walker, walker.state(*x), ends, made.time) for look in looks]
+            [indicate(walker, walker.state(*x), ends, made.time) for indicate in outputs]
         )
 
-    x, e = jnp.stack(walker.lift(state)), jnp.zeros(len(acts), state.dtype)
+    x, e = jnp.stack(walker.lift(state)), jnp.zeros(len(inputs), state.dtype)
     (A, B), (C, D) = jax.jacfwd(disturbed, (0, 1))(x, e)
     # X_i = sum of A'^k c c' A^k, for c' each row of C: the discrete Lyapunov equation.
     n = len(x)
     operator = jnp.eye(n * n, dtype=x.dtype) - jnp.kron(A.T, A.T)
     rows = jnp.stack([jnp.outer(c, c).reshape(-1) for c in C], axis=1)
-    X = jnp.linalg.solve(operator, rows).T.reshape(len(looks), n, n)
+    X = jnp.linalg.solve(operator, rows).T.reshape(len(outputs), n, n)
     terms = D**2 + jnp.einsum("ab,iac,cb->ib", B, X, B)
     size = jnp.abs(jnp.linalg.eigvals(jax.lax.stop_gradient(A))).max()
     square = jnp.where(size < 1, jnp.sum(terms), jnp.where(size >= 1, jnp.inf, jnp.nan))
@@ -142,7 +148,7 @@ def respond_to(
 
 
 def look_up(what: str, table: dict[str, Any], name: Any) -> Any:
-    """Find the function that a name stands for, or the one given in place of a name."""
+    """Returns the function that a name stands for, or the one given in place of a name."""
     if callable(name):
         return name
     if not isinstance(name, str) or name not in table:

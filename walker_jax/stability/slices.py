@@ -1,4 +1,4 @@
-"""The regions and slices around a gait in which `robustness` looks at the basin."""
+"""The regions and slices around a gait in which `robustness` computes the basin."""
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -15,13 +15,13 @@ from walker_jax.walkers.spatial import SpatialWalker
 
 SLICE_YAW, SLICE_LEAN_RATE, SLICE_CELLS = 0.2, 0.04, 100
 """Half widths of a slice in space, of yaw in rad and of the rate of lean for legs of length 1, and
-its cells along an axis: the toy's basin there, with a margin."""
+its cells along an axis: they hold the toy's basin there, with a margin."""
 
 
 def slice_around(walker: Walker, state: Float[ArrayLike, " section"]) -> Grid:
-    """The slice around a gait's state, in space over yaw and rate of lean.
+    """Returns a slice around a gait's state; in space it is over yaw and rate of lean.
 
-    There the walker is turned, and pushed from the side.
+    In space the starts are thus turned walkers, pushed from the side.
     """
     if not isinstance(walker, SpatialWalker):
         return Grid.sheared(**axes_around(state, ("theta", "sum", *walker.section[2:])))
@@ -34,12 +34,11 @@ def slice_around(walker: Walker, state: Float[ArrayLike, " section"]) -> Grid:
 
 
 def default_region(walker: System, searched: Gait | None = None) -> Grid | None:
-    """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
+    """Returns the default region of `robustness`; None where a gait is needed and not found.
 
-    Of a system that is no walker, its `gait_region`.
-
-    Rates are those of the simplest walker's basins, and more for others; by default, the gait of
-    `find_gait`.
+    For a walker on point feet it has all feasible angles, and rates around the simplest walker's
+    basins, or more for other walkers. For any other walker it is a slice around a gait, by default
+    that of `find_gait`. For a system that is no walker it is its `gait_region`.
     """
     if not isinstance(walker, Walker):
         return walker.gait_region()

@@ -19,7 +19,7 @@ from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.stride import follow_step, step_down
 
 HEIGHTS = 4096
-"""Heights that are tried, up to the smallest from which the walker does not return."""
+"""Number of heights that are tried, up to the least one from which the walker does not return."""
 
 
 class LeastStepDown(NamedTuple):
@@ -32,13 +32,13 @@ class LeastStepDown(NamedTuple):
     phase: int
     """Number of the state of the gait from which the stride down begins."""
     failure: Outcome
-    """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
+    """Failure of the walker from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
     """Strides before the failing one, including the stride down."""
 
 
 NO_STEP_DOWN = LeastStepDown(np.nan, np.full(4, np.nan), 0, Outcome.UNDECIDED, 0)
-"""Where none is known."""
+"""Result where no step down is known."""
 
 
 @refuses_tracers()
@@ -50,11 +50,17 @@ def least_step_down(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastStepDown:
-    """The least height of a step down from which a walker does not return to its gait, or falls.
+    """Finds the least step down after which a walker does not return to its gait, or falls.
 
-    One heel strike is on lower ground (`step_down`), and so are all that follow. Arguments and
-    errors are those of `least_disturbance`. The search tries `HEIGHTS` heights up to the least one:
-    it may miss failures in narrower ranges.
+    One heel strike is on lower ground (`step_down`), and so are all that follow. The search tries
+    `HEIGHTS` heights up to the least one; it may miss failures in narrower ranges. Arguments and
+    errors are those of `least_disturbance`.
+
+    ```python
+    found = wj.least_step_down(wj.SimplestWalker(0.004))
+    found.size  # in leg lengths
+    found.failure
+    ```
     """
     check_planar(walker)
     lost = failure_test(fall)
@@ -84,7 +90,7 @@ def least_step_down(
 def labels_after_step(
     mapper: Mapper, x: Float[np.ndarray, "n section"], drops: Float[np.ndarray, " n"]
 ) -> Labels:
-    """Labels of walkers that step down by `drops` from x; the stride down is counted."""
+    """Labels walkers that step down by `drops` from x; the stride down counts."""
     walker, integrator = mapper.walker, mapper.integrator
     arguments = (
         jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker),

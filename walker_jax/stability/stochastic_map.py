@@ -1,18 +1,17 @@
 """The chance to fall in a stride of a walk that has lasted long, by a stochastic cell map.
 
 On rough ground walking is metastable (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064): a
-walker forgets where it began in a few strides, and falls after many. Ulam's method makes that a
-Markov chain: the states just after heel strike are divided into cells, and P_ij is the chance that
-a stride from cell i ends in cell j; rows fall short of 1 by the chance to fall. The largest
-eigenvalue of P is the chance not to fall, and its left eigenvector the quasi-stationary
-distribution, that of the states of all walks that still last. (As a state of its own that is never
-left, a fall has the eigenvalue 1, and this one is the second.)
+walker forgets its start in a few strides, and falls after many. Ulam's method makes this a Markov
+chain. The states just after heel strike are divided into cells, and P_ij is the chance that a
+stride from cell i ends in cell j; rows fall short of 1 by the chance to fall. The largest
+eigenvalue of P is the chance not to fall (the second one, if falls are an absorbing state). Its
+left eigenvector is the quasi-stationary distribution of the states of walks that still last.
 
-Where strides begin within a cell matters: uniformly distributed starts spread states, so that walks
-seem shorter by as much as a half. So all cells have as many walkers, which stand where walkers
-arrived, each with the chance of its arrival: a weighted ensemble (Huber and Kim 1996, Biophys. J.
-70:97-110). Strides count in P by that chance, so that starts within a cell are distributed as those
-of long walks are, and the chance to survive is right for cells of any size.
+The places of starts within a cell matter: uniform starts spread states, so that walks seem shorter
+by as much as a half. So all cells have equally many walkers, placed where walkers arrived and
+weighted by the chance of arrival: a weighted ensemble (Huber and Kim 1996, Biophys. J. 70:97-110).
+Strides count in P by that weight. Starts within a cell are then distributed as in long walks, and
+the chance to survive is right for cells of any size.
 """
 
 from importlib.metadata import version
@@ -49,22 +48,21 @@ from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed
 
 PILOT_WALKS, PILOT_STRIDES = 20_000, 8
-"""Walks that show where states are, and the strides after which they are looked at: a few
-multiples of the time in which a stable gait forgets a disturbance."""
+"""Walks that show where states are, and their strides: enough to forget a disturbance."""
 FEWEST_SURVIVORS = 200
-"""Of the pilot, below which there is too little to tell where states are."""
+"""Fewest survivors of these walks that show where states are."""
 FORGOTTEN, ROUNDS = 20, 80
-"""Strides in which the ensemble forgets how it began, and those that it makes in all."""
+"""Strides in which the ensemble forgets its start, and its strides in all."""
 MOST_CELLS, FEWEST_IN_CELL = 1_000_000, 12
 """Most cells, which take some GB of memory, and fewest walkers in each."""
 BITS = 20
-"""Of the number of a cell along each direction: three of them are within an integer of 64."""
+"""Bits of the number of a cell along each direction: three fit in an integer of 64."""
 FALLEN, UNKNOWN = -1, -2
-"""Instead of the number of a cell, where a walker fell and where the integration has no answer."""
+"""In place of a cell's number: the walker fell, or the integration gave no answer."""
 SCATTER_OF_ROUNDING = 1e-11
-"""Standard deviation of states that rounding and the tolerance of a stride make, at most."""
+"""Largest standard deviation of states due to rounding and the tolerance of a stride."""
 SETTLED = 1e-13
-"""Change of an eigenvector, relative, at which power iteration ends."""
+"""Relative change of an eigenvector at which power iteration ends."""
 MAX_ITERATIONS = 10_000
 NO_CELL = "no cell leads to another: walks end at once; give a more even ground"
 
@@ -81,29 +79,32 @@ def metastability(
     repetitions: int = 4,
     tolerance: float | None = None,
 ) -> xr.Dataset:
-    """How long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
+    """Estimates how long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
 
-    It costs about the same however rare falls are, and is independent of `steps_to_fall`, which
-    follows walks.
+    The cost hardly depends on how rare falls are. The method is independent of `steps_to_fall`.
+
+    ```python
+    data = wj.metastability(wj.SimplestWalker(0.004), 2e-4, walkers=20_000, repetitions=2)
+    float(data.mean_strides), float(data.mean_strides_error)
+    ```
 
     **Arguments:**
 
-    - `walker`: one whose section has two coordinates.
+    - `walker`: a walker whose section has two coordinates.
     - `ground`, `key`, `gait`, `tolerance`: as in `steps_to_fall`.
     - `side`: of cells, in standard deviations of states along each direction.
-    - `walkers`: in all cells together, 12 or more in each, which make 80 strides.
-    - `repetitions`: of the whole with other random numbers, whose scatter gives the error.
+    - `walkers`: in all cells together, 12 or more in each; each makes 80 strides.
+    - `repetitions`: number of runs with other random numbers; their scatter gives the error.
 
-    **Returns** a data set: `survival`, the chance not to fall in a stride of walks that have lasted
-    long; `mean_strides`, the mean number of strides until a fall, from the gait on, as
-    `StepsToFall` has it, and its standard error `mean_strides_error`, of which 1.96 make a 95 %
-    interval, as by Student's t; `undecided`, how many strides had no answer: they are left out, and
-    no walker is said to fall where that is not known; and the quasi-stationary distribution, over
-    the cells of the last repetition: `chance` of each, and its `centre` in theta, thetadot and, if
-    the ground is rough, the gap phi - 2 theta; and the `edges` that all cells have.
+    **Returns** a data set: `survival`, the chance not to fall in a stride of long walks;
+    `mean_strides` to a fall, from the gait on, as in `StepsToFall`; its standard error
+    `mean_strides_error`, 1.96 of which make a 95 % interval, as by Student's t; `undecided`,
+    strides without an answer, which do not count. The quasi-stationary distribution has the
+    `chance` of each cell of the last repetition, its `centre` in theta, thetadot and, on rough
+    ground, the gap phi - 2 theta, and the `edges` of all cells.
 
     Raises `ValueError` for arguments out of range, and `ComputationFailed` where walks end too
-    early to be called metastable, or so rarely that there are more than MOST_CELLS cells.
+    early to be metastable, or so rarely that there are more than MOST_CELLS cells.
     """
     check_planar(walker)
     if len(walker.section) != 2:
@@ -158,7 +159,7 @@ class Rough(NamedTuple):
 
 
 class Repetition(NamedTuple):
-    """The chance to survive a stride and the mean number of strides, by walks of their own."""
+    """The chance to survive a stride and the mean number of strides, from independent walks."""
 
     survival: float
     mean: float
@@ -169,7 +170,7 @@ class Repetition(NamedTuple):
 
 
 def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repetition:
-    """One repetition. Its walks from the start are not forgotten in a few strides."""
+    """Runs one repetition. Its walks from the start give the strides before they forget it."""
     pilot, own = jax.random.split(key)
     along = rough.ground, jax.random.split(pilot, PILOT_WALKS), PILOT_STRIDES, rough.tolerance
     walks = walk_disturbed(rough.walker, np.broadcast_to(start, (PILOT_WALKS, len(start))), *along)
@@ -190,12 +191,12 @@ def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repet
 
 
 def describe_ground(ground: float | RandomDisturbance) -> float | str:
-    """The number that ground is, or the name of the function, or what a callable says of itself."""
+    """Returns the number, the name of the function, or the `repr` of another callable."""
     return ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
 
 
 def widening(repetitions: int) -> float:
-    """By how much the scatter of so few is widened, for 95 % intervals that are 1.96 of it."""
+    """Returns the factor on the scatter of few repetitions for a 95 % interval of 1.96 of it."""
     from scipy.special import ndtri, stdtrit
 
     return float(stdtrit(repetitions - 1, 0.975) / ndtri(0.975))
@@ -209,7 +210,7 @@ class Chart(NamedTuple):
     """Rows: directions, each as long as the standard deviation of states along it."""
 
     def cell_of(self, states: Float[np.ndarray, "n full"], side: float) -> Int[np.ndarray, " n"]:
-        """Number of the cell of each state."""
+        """Returns the number of the cell of each state."""
         y = section_and_gap(states, len(self.centre))
         place = np.floor((y - self.centre) @ np.linalg.inv(self.axes) / side)
         half = 2 ** (BITS - 1)
@@ -222,7 +223,7 @@ class Chart(NamedTuple):
     def points_in(
         self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n d"], side: float
     ) -> Float[np.ndarray, "n d"]:
-        """Points of cells, `within` from 0 to 1 in each."""
+        """Returns points of cells, at places `within` each from 0 to 1."""
         d = len(self.centre)
         shifts = BITS * np.arange(d - 1, -1, -1)
         place = ((cells[:, None] >> shifts) & (2**BITS - 1)) - 2 ** (BITS - 1)
@@ -230,13 +231,13 @@ class Chart(NamedTuple):
 
 
 def section_and_gap(states: Float[np.ndarray, "n full"], size: int) -> Float[np.ndarray, "n d"]:
-    """theta, thetadot and, as a third, phi - 2 theta, zero where both feet are as high."""
+    """Returns theta, thetadot and, as a third, phi - 2 theta, zero with both feet at one height."""
     theta, phi, thetadot, _ = states.T
     return np.stack([theta, thetadot, phi - 2 * theta], axis=1)[:, :size]
 
 
 def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n full"]]:
-    """The chart of the states of those walks that last, and these states."""
+    """Makes the chart of the states of walks that last; returns these states too."""
     lasting = walks.state[walks.outcome == Outcome.STRIDE]
     if len(lasting) < FEWEST_SURVIVORS:
         raise ComputationFailed(
@@ -259,12 +260,11 @@ def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n full"]]:
 def transition_matrix(
     rough: Rough, chart: Chart, states: Float[np.ndarray, "n full"], key: Array
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
-    """P, and the numbers of its cells, in ascending order, from walks that last, in their states.
+    """Estimates P, from walks that last, in their states; its cells are in ascending order.
 
-    A stride counts by the chance of the walk that makes it. Transitions to cells without starts are
-    dropped: they are about as rare as those that have not happened at all. So are strides without
-    an answer, which are not known to end in a fall; the last number is how many of these there
-    were.
+    A stride counts by the weight of its walk. Transitions to cells without starts are dropped: they
+    are about as rare as those that never happened. So are strides without an answer, as they may
+    not end in a fall; their number comes last.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
     integrator = integrator_of(states.dtype, rough.tolerance).in_dtype(states.dtype)
@@ -277,7 +277,7 @@ def transition_matrix(
             raise ComputationFailed(
                 f"walks reach more than {MOST_CELLS:,} cells: side must be above {rough.side:g}"
             )
-        padded = 1 << (len(chosen) - 1).bit_length()  # so that few programs are compiled
+        padded = 1 << (len(chosen) - 1).bit_length()  # to compile few programs
         own = jax.random.split(jax.random.fold_in(key, number), padded)
         drawn = np.asarray(draw(rough.ground, own, 0, 1))[: len(chosen), 0]
         disturbances: Any = Disturbance(*np.ascontiguousarray(drawn.T))
@@ -309,9 +309,9 @@ def transition_matrix(
 def known_cells(
     starts: Int[np.ndarray, " n"], ends: Int[np.ndarray, " n"]
 ) -> Int[np.ndarray, " cells"]:
-    """The cells, ascending, of which a stride is known to end in one of them, or in a fall.
+    """Returns the cells with a stride that is known to end in one of them, or in a fall.
 
-    A cell without one would have the chance 0 to survive, as if all its strides were falls.
+    Any other cell would have the chance 0 to survive, as if all its strides were falls.
     """
     cells = np.unique(starts)
     while True:
@@ -330,9 +330,9 @@ def choose_walkers(
     chances: Float[np.ndarray, " n"],
     walkers: int,
 ) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"], Int[np.ndarray, " m"]]:
-    """The cells of walkers, the chance of each, and as many walkers of each, by their chances.
+    """Resamples walkers: returns the cells, the chance of each, and equally many walkers of each.
 
-    By systematic resampling: at equal distances along the walkers' chances, joined.
+    Resampling is systematic: at equal distances along the walkers' chances, joined.
     """
     order = np.argsort(numbers, kind="stable")
     cells, first = np.unique(numbers[order], return_index=True)
@@ -350,7 +350,7 @@ def choose_walkers(
 def places_of(
     numbers: Int[np.ndarray, " n"], cells: Int[np.ndarray, " cells"]
 ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Places of cells among others in ascending order, and whether they are there."""
+    """Returns the places of cells in an ascending list, and whether they are in it."""
     place = np.minimum(np.searchsorted(cells, numbers), len(cells) - 1)
     return place, cells[place] == numbers
 
@@ -358,17 +358,17 @@ def places_of(
 def solve_chain(
     chain: csr_array,
 ) -> tuple[float, Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
-    """The largest eigenvalue, its left eigenvector, and the mean life from each cell.
+    """Computes the largest eigenvalue, its left eigenvector, and the mean life from each cell.
 
     The mean number m of strides until a fall is P (1 + m). Along the eigenvector it is large,
-    survival / (1 - survival); what is left of it converges as fast as walks forget.
+    survival / (1 - survival); the remainder converges as fast as walks forget.
     """
     count = len(chain.indptr) - 1
     backward = chain.T.tocsr()
     survival, distribution = largest_eigenvector(backward, count)
     _, promise = largest_eigenvector(chain, count)
     promise = promise / (distribution @ promise)
-    if 1 - survival < SETTLED:  # where nothing falls, 1 to rounding
+    if 1 - survival < SETTLED:  # nothing falls: 1 to rounding
         return 1.0, distribution, np.full(count, np.inf)
     life = survival / (1 - survival)
     source = chain @ np.ones(len(promise)) - survival * promise
@@ -382,7 +382,7 @@ def solve_chain(
 
 
 def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.ndarray, " cells"]]:
-    """The largest eigenvalue and its eigenvector, of sum 1, by power iteration."""
+    """Computes the largest eigenvalue and its eigenvector, of sum 1, by power iteration."""
     vector = np.full(count, 1 / count)
     value = 0.0
     for _ in range(MAX_ITERATIONS):

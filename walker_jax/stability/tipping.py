@@ -1,9 +1,9 @@
-"""Tipping: which walkers end elsewhere when a parameter jumps from one value to another.
+"""Tipping: walkers that end elsewhere because a parameter jumps from one value to another.
 
 Of the walkers that converge to one attractor before the jump, some converge to another after it, or
-fall: the share of their basin that another basin covers at the new value (Kaszas, Feudel and Tel
-2019, Scientific Reports 9, 8654). Walkers that are on the attractor itself when the parameter jumps
-are followed too.
+fall. Their share is the share of the basin that another basin covers at the new value (Kaszas,
+Feudel and Tel 2019, Scientific Reports 9, 8654). Walkers on the attractor itself at the jump are
+followed too.
 """
 
 from collections.abc import Sequence
@@ -36,19 +36,19 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 
 FAILURES = 2**20
-"""Added to an `Outcome`, the number of an end without an attractor: above those of attractors."""
+"""Offset of an `Outcome` in the numbers of ends, above the numbers of attractors."""
 RUN = 2000
-"""Strides of a motion without a period: as many of its states are followed after the jump."""
+"""Number of states of a motion without a period that are followed after the jump."""
 
 
 class Tipping(NamedTuple):
-    """Where walkers end after a jump of a parameter, by where they would have ended before it."""
+    """Ends of walkers after a jump of a parameter, by their ends without the jump."""
 
     probability: Float[np.ndarray, "n m"]
     """[i, j]: share of the starts with end i before the jump that have end j after it."""
     low: Float[np.ndarray, "n m"]
     high: Float[np.ndarray, "n m"]
-    """Wilson's confidence interval of each."""
+    """Ends of Wilson's confidence interval of each share."""
     starts: Int[np.ndarray, "n m"]
     """Number of starts behind each estimate."""
     on_attractor: Float[np.ndarray, "n m"]
@@ -56,11 +56,11 @@ class Tipping(NamedTuple):
     for ends that are failures."""
     before: tuple[str, ...]
     after: tuple[str, ...]
-    """Names of the ends that occur: "attractor 0" ..., or of an `Outcome`; "unknown attractor" for
-    walkers that walk on to the last stride without coming near one."""
+    """Names of the ends that occur: "attractor 0" ..., or the name of an `Outcome`; "unknown
+    attractor" for walkers that walk to the last stride without coming near one."""
     attractors_before: list[Float[np.ndarray, "period section"]]
     attractors_after: list[Float[np.ndarray, "period section"]]
-    """Their states, by number; one state of a motion that does not repeat itself."""
+    """States of the attractors, by number; one state of a motion that does not repeat itself."""
 
 
 @refuses_tracers()
@@ -76,20 +76,26 @@ def tipping_probability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> Tipping:
-    """The chance to end elsewhere after a parameter jumps from the walker's own value to another.
+    """Estimates the chance to end elsewhere after a parameter jumps to another value.
 
     P(i -> j) = |B_i(p-) and B_j(p+)| / |B_i(p-)|
 
-    with B_i(p-) the basin of attractor i before the jump, within a region, and B_j(p+) that of j
-    after it. Failures count as ends, too.
+    with B_i(p-) the basin of attractor i before the jump, within a region, and B_j(p+) the basin of
+    j after it. Failures count as ends, too.
+
+    ```python
+    region = wj.Grid.sheared(theta=(0, 0.4, 2), sum=(-0.04, 0.01, 2))
+    found = wj.tipping_probability(wj.SimplestWalker(0.004), "slope", 0.012, region, samples=2000)
+    found.before, found.after, found.probability
+    ```
 
     **Arguments:**
 
-    - `walker`: before the jump.
-    - `parameter`, `value`: which parameter jumps, and its value after that.
+    - `walker`: the walker before the jump.
+    - `parameter`, `value`: the parameter that jumps, and its value after the jump.
     - `region`: a grid, in whose region starts are uniformly distributed; or a function that draws
       starts, as in `basin_stability`.
-    - `samples`: starts, followed before and after the jump.
+    - `samples`: number of starts, followed before and after the jump.
     - `strides`: number of strides for which a walker is followed.
     - `confidence`: of the intervals.
     - `seed`: of random numbers.
@@ -124,23 +130,23 @@ def tipping_probability(
     (labels_before, mapper_before), (labels_after, mapper_after) = found
     jumped = []
     for attractor in mapper_before.attractors:
-        labels, mapper_after = mapper_after.label_all(states_of(mapper_before, attractor))
+        labels, mapper_after = mapper_after.label_all(states_on(mapper_before, attractor))
         jumped.append(ends_of(labels))
     ends = Ends(ends_of(labels_before), ends_of(labels_after), jumped)
     return assemble_tipping(ends, mapper_before, mapper_after, confidence)
 
 
 class Ends(NamedTuple):
-    """Where walkers end, by the numbers of `ends_of`."""
+    """Ends of walkers, by the numbers of `ends_of`."""
 
     before: Int[np.ndarray, " starts"]
     after: Int[np.ndarray, " starts"]
     jumped: list[Int[np.ndarray, " states"]]
-    """After the jump, from the states of each attractor before it."""
+    """Ends after the jump, from the states of each attractor before it."""
 
 
 def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: float) -> Tipping:
-    """The result of `tipping_probability`, by the mappers before and after the jump."""
+    """Assembles the result of `tipping_probability`, by the mappers before and after the jump."""
     rows, columns = np.unique(ends.before), np.unique(np.concatenate([ends.after, *ends.jumped]))
     counts = transition_counts(ends.before, ends.after, rows, columns)
     total = counts.sum(axis=1, keepdims=True)
@@ -168,12 +174,12 @@ def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: floa
 
 
 def ends_of(labels: Labels) -> Int[np.ndarray, " n"]:
-    """Where walks end: the number of an attractor, or `FAILURES` + `Outcome` for none."""
+    """Returns the ends of walks: the number of an attractor, or `FAILURES` + `Outcome` for none."""
     return np.where(labels.converged, labels.attractor, FAILURES + labels.fate.astype(int))
 
 
 def name_of(end: int, failures: Sequence[str]) -> str:
-    """The name of an end."""
+    """Returns the name of an end."""
     if end < FAILURES:
         return f"attractor {end}"
     outcome = end - FAILURES
@@ -187,14 +193,14 @@ def transition_counts(
     rows: Int[np.ndarray, " r"],
     columns: Int[np.ndarray, " c"],
 ) -> Int[np.ndarray, "r c"]:
-    """[i, j]: how many have the labels rows[i] and columns[j], which are sorted."""
+    """Counts the pairs with labels rows[i] and columns[j], which are sorted."""
     counts = np.zeros((len(rows), len(columns)), int)
     np.add.at(counts, (np.searchsorted(rows, first), np.searchsorted(columns, second)), 1)
     return counts
 
 
-def states_of(mapper: Mapper, attractor: Attractor) -> Float[np.ndarray, "n section"]:
-    """The states of a cycle, or many of a motion that does not repeat itself."""
+def states_on(mapper: Mapper, attractor: Attractor) -> Float[np.ndarray, "n section"]:
+    """Returns the states of a cycle, or many of a motion that does not repeat itself."""
     if attractor.period:
         return attractor.states
     states, _ = orbits(mapper.walker, attractor.states[:1], RUN, mapper.integrator)

@@ -1,1 +1,1 @@
-"""The models of walkers, and what a model must provide."""
+"""The models of walkers, and the methods that a model must provide."""

@@ -12,10 +12,10 @@ from walker_jax.walkers.model import Scalar, State, Walker
 
 
 class AbstractPointFootWalker(Walker):
-    """Walkers on point feet, with no mass on the legs but at their ends.
+    """Walkers on point feet, with mass on the legs only at their ends.
 
-    A foot that stood does not move at once across its leg when it lifts, so phidot after heel
-    strike follows from theta and thetadot, and the section has two dimensions.
+    At lift-off a foot that stood does not move across its leg. So phidot after heel strike follows
+    from theta and thetadot, and the section has two dimensions.
     """
 
     section: ClassVar = ("theta", "thetadot")
@@ -23,9 +23,9 @@ class AbstractPointFootWalker(Walker):
     def lift(self, x):
         """phi = 2 theta, phidot = (1 - cos 2theta) thetadot, from (22).
 
-        The trailing foot was at rest, and its leg pulls it along itself only: its velocity across
-        the leg stays zero. That of the hip across that leg is cos(2 theta) thetadot, so the leg
-        turns as fast, thetadot - phidot = cos(2 theta) thetadot, whatever the masses.
+        The trailing foot was at rest, and its leg pulls it along itself only, so its velocity
+        across the leg stays zero. The hip's velocity across that leg is cos(2 theta) thetadot. The
+        leg turns at that rate, thetadot - phidot = cos(2 theta) thetadot, whatever the masses.
         """
         theta, thetadot = x[0], x[1]
         return State(theta, 2 * theta, thetadot, (1 - jnp.cos(2 * theta)) * thetadot)
@@ -57,16 +57,16 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
     slope: Scalar
 
     def contact_force(self, state):
-        """(8). Of an inverted pendulum, Q_v > 0 over a stride if it is at both its ends.
+        """(8). For an inverted pendulum, Q_v > 0 over a stride if it holds at both its ends.
 
-        For thetadot^2 / 2 + cos(theta - slope) is some constant E, and Q_v has the sign of
-        3 cos(theta - slope) - 2 E, which is least at one end of any interval of theta.
+        thetadot^2 / 2 + cos(theta - slope) is a constant E, and Q_v has the sign of
+        3 cos(theta - slope) - 2 E. On any interval of theta that is least at one end.
         """
         tension = state.thetadot**2 - jnp.cos(state.theta - self.slope)
         return jnp.sin(state.theta) * tension, -jnp.cos(state.theta) * tension
 
     def impact(self, state):
-        """(18), which has 2 theta for phi: the feet may also be at different heights."""
+        """(18), with phi for 2 theta: the feet may also be at different heights."""
         theta, phi, thetadot, _ = state
         c, s = jnp.cos(phi), jnp.sin(phi)
         foot = -jnp.sin(theta) * c * s * thetadot, jnp.cos(theta) * c * s * thetadot
@@ -75,9 +75,9 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
     def impulse(self, state: State) -> tuple[Scalar, Scalar]:
         """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (19).
 
-        It is along the swing leg, as the paper says below (19), and changes the momentum of the
-        hip to that after the impact: so rho_x has the sign of sin(theta) thetadot sin(2 theta),
-        not the opposite one that is printed there.
+        It acts along the swing leg, as the paper says below (19), and changes the momentum of the
+        hip to that after the impact. So rho_x has the sign of sin(theta) thetadot sin(2 theta),
+        opposite to the printed sign.
         """
         s = jnp.sin(state.phi) * state.thetadot
         swing = state.theta - state.phi
@@ -85,11 +85,11 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
 
 
 def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool[Array, ""]:
-    """h > 0 and rising, the swing leg ahead, the stance leg in compression.
+    """Returns whether h > 0 rises, with the swing leg ahead and the stance leg in compression.
 
     Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a spring
-    between the legs adds to it: h goes on rising. It is too late to come down again once this has
-    ended, by tension or with phi > 0: an experience (tests), not a theorem.
+    between the legs adds to it, so h goes on rising. Once this ends, by tension or with phi > 0, it
+    is too late to come down again. That last step is an observation (tests), not a theorem.
     """
     theta, phi, thetadot, phidot = state
     rising = (phi > 2 * theta) & (phidot > 2 * thetadot)
@@ -97,12 +97,13 @@ def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool
 
 
 def gait_strip(slope: ArrayLike, hip_stiffness: ArrayLike = 0.0) -> Grid:
-    """A strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
+    """Returns a strip of the section that shrinks like slope^{1/3} (Garcia and others 1998).
 
-    Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta - slope) / 2),
-    at its widest. Its lower edge follows the leg, which a spring swings in a shorter time, to first
-    order 2 h = pi / sqrt(1 + hip_stiffness). A walker of constant speed v = -thetadot makes a step
-    2 theta = 2 h v, and what it gains on the slope is what heel strike takes, slope = theta v^2:
+    At its widest, the upper edge is where walkers begin to fall backward,
+    thetadot = -2 sin((theta - slope) / 2). The lower edge follows the leg, which a spring swings in
+    a shorter time, to first order 2 h = pi / sqrt(1 + hip_stiffness). A walker of constant speed
+    v = -thetadot makes a step 2 theta = 2 h v, and its gain on the slope equals the loss at heel
+    strike, slope = theta v^2:
 
         theta = slope^{1/3} h^{2/3},    v = slope^{1/3} h^{-1/3}.
     """

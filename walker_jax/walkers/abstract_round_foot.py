@@ -1,4 +1,4 @@
-"""Walkers with two rigid legs on round feet, whatever they carry."""
+"""Walkers with two rigid legs on round feet, with any load."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,7 +31,8 @@ FOOT_RADIUS = Parameter(
 class AbstractRoundFootWalker(HeavyLegWalker):
     """Two rigid legs, alike, on feet that roll: arcs of a circle, centred on the legs.
 
-    With the coordinate u of a foot that rolls held, its arc's centre is at u - foot_radius theta.
+    While the coordinate u of a rolling foot is held, the centre of its arc is at
+    u - foot_radius theta.
     """
 
     leg_mass: eqx.AbstractVar[Scalar]
@@ -58,12 +59,12 @@ class AbstractRoundFootWalker(HeavyLegWalker):
             )
 
     def further_gait_region(self):
-        """On large feet or steep slopes steps are long, and legs turn fast beside toppling."""
+        """On large feet or steep slopes steps are long, and legs turn fast relative to toppling."""
         axes = {"theta": (0, 1.5, 48), "sum": (-0.6, 0.7, 42), "turn": (-2.2, 0.3, 24)}
         return pendulum_region(self, self.leg_length, axes)
 
     def hip_and_legs(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], Float[Array, " 6"]]:
-        """The hip; and the legs' centres of mass and angles."""
+        """Returns the hip, and the legs' centres of mass and angles."""
         u, v, theta, phi = q[:4]
         radius = self.foot_radius
         centre = jnp.stack([u - radius * theta, v + radius])

@@ -1,4 +1,4 @@
-"""The family of walkers, by the names that the command line has for them."""
+"""The family of walkers, by their names on the command line."""
 
 from walker_jax.walkers.kneed import KneedWalker
 from walker_jax.walkers.model import State, Walker
@@ -28,12 +28,12 @@ WALKERS: dict[str, type[Walker]] = {
     "powered-round-foot": PoweredRoundFootWalker,
     "powered-upper-body": PoweredUpperBodyWalker,
 }
-"""The walkers there are, by their names on the command line.
+"""The walkers of the package, by their names on the command line.
 
-A new one is named here and in `walker_jax/__init__.pyi`, and has its parameters described as
+To add one, name it here and in `walker_jax/__init__.pyi`, and describe its parameters as
 `Parameter`s: options, `--list-walkers` and the reference follow. A parameter's name has one meaning
 and one unit in all walkers.
 """
 
 PLANAR_WALKERS = {name: kind for name, kind in WALKERS.items() if kind.state is State}
-"""Those that move in the plane."""
+"""Walkers that move in the plane."""

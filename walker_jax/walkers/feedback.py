@@ -1,4 +1,4 @@
-"""Feedback from stride to stride: parameters that depend on where a stride begins."""
+"""Feedback from stride to stride: parameters that depend on the state at heel strike."""
 
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
@@ -19,12 +19,12 @@ UNBOUNDED = {"low": -np.inf, "high": np.inf}
 
 
 class FeedbackWalker(Walker):
-    """The common part of the walkers that `Feedback` makes."""
+    """The common base of the walkers that `Feedback` makes."""
 
     controlled: eqx.AbstractClassVar[tuple[str, ...]]
     """Names of the parameters that are set at each heel strike."""
     limited: eqx.AbstractClassVar[tuple[str, ...]]
-    """Names of those whose bounds are parameters of the walker too."""
+    """Names of the controlled parameters whose bounds are parameters of the walker too."""
     kind: eqx.AbstractClassVar[type[Walker]]
     """The walker without feedback."""
 
@@ -53,31 +53,37 @@ def Feedback(
     gains: Mapping[str, Sequence[Any] | Float[ArrayLike, " section"]],
     bounds: Mapping[str, tuple[Any, Any]] | None = None,
 ) -> Walker:
-    """The walker with parameters that are set anew at each heel strike.
+    """Makes a walker whose parameters are set anew at each heel strike, by linear feedback.
 
-    A parameter p is p* + K (x - x*) during the stride from x on the section, where p* is its value
-    in `walker` and x* the state of the gait. So the gait stays a gait, whatever the gains. Of a
-    full state, x holds those coordinates that the section has. A parameter stays within its bounds.
-    Where p* is at one, as a push-off of 0 is, the stride function has a kink at the gait, and
-    derivatives there, and multipliers, are means of those of both sides.
+    During the stride from x on the section, a parameter p is p* + K (x - x*), where p* is its value
+    in `walker` and x* the state of the gait. So the gait stays a gait, whatever the gains. From a
+    full state, x takes the section's coordinates. A parameter stays within its bounds. If p* is at
+    a bound, as a push-off of 0 is, the stride function has a kink at the gait; derivatives and
+    multipliers there are means of both sides.
 
-    The result is a walker like any other. Its parameters are those of `walker`; `reference_theta`
-    and the like, x*; and the gains, `push_off_per_theta` and the like. All can be differentiated,
-    optimised and swept over.
+    The result is a walker like any other. Its parameters are those of `walker`; x* as
+    `reference_theta` and so on; and the gains as `push_off_per_theta` and so on. All can be
+    differentiated, optimised and swept over.
+
+    ```python
+    powered = wj.PoweredWalker(0.0, hip_stiffness=2.0, push_off=0.1)
+    walker = wj.Feedback(powered, wj.find_gait(powered), {"push_off": (0.5, 0.0)})
+    wj.find_gait(walker).multipliers
+    ```
 
     **Arguments:**
 
     - `walker`: any walker without feedback.
     - `gait`: a gait of period one (`find_gait`), or its state, of shape (section,).
     - `gains`: the row of K for each parameter by name, of shape (section,).
-    - `bounds`: the least and the largest value of some of these parameters, within those that the
-      parameter has itself, which hold by default. They are parameters too, `least_push_off` and
-      `largest_push_off`. A parameter with an open range, as a mass must exceed 0, needs
-      explicit bounds.
+    - `bounds`: the least and the largest value of some of these parameters, within the parameter's
+      own bounds, which hold by default. They are parameters too, `least_push_off` and
+      `largest_push_off`. A parameter with an open range needs explicit bounds, such as a mass,
+      which must exceed 0.
 
-    `ValueError` for parameters that the walker does not have, for what are no finite numbers of
-    that shape, for bounds beyond those of a parameter or lacking, and for a walker that has
-    feedback.
+    Raises `ValueError` for parameters that the walker does not have, for values that are not finite
+    numbers of that shape, for bounds beyond those of a parameter or missing ones, and for a walker
+    that already has feedback.
     """
     check_kind("walker", walker, Walker)
     if type(walker).during_stride is not Walker.during_stride:
@@ -108,7 +114,7 @@ def Feedback(
 
 
 def check_bounded(walker: Walker, name: str, bounds: Mapping[str, Any]) -> None:
-    """Refuse feedback that would set a parameter to a bound that it may not be equal to."""
+    """Raises `WrongUse` if feedback could set a parameter to a bound that it must not reach."""
     one = next(one for one in parameters(walker) if one.name == name)
     is_open = (one.low > -np.inf and not one.closed) or one.high < np.inf
     if is_open and name not in bounds:
@@ -118,12 +124,12 @@ def check_bounded(walker: Walker, name: str, bounds: Mapping[str, Any]) -> None:
 def remake(
     kind: type[Walker], controlled: tuple[str, ...], limited: tuple[str, ...], values: dict
 ) -> Walker:
-    """The walker with feedback, of these parameters."""
+    """Makes the walker with feedback, with these parameters."""
     return feedback_class(kind, controlled, limited)(**values)
 
 
 def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " section"]:
-    """The state of a gait of period one."""
+    """Returns the state of a gait of period one, checked."""
     state = read_numbers("gait", getattr(gait, "states", gait))
     if state.ndim == 2 and len(state) == 1:
         state = state[0]
@@ -141,7 +147,7 @@ def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " sectio
 
 
 def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
-    """Gains or bounds of a parameter."""
+    """Returns gains or bounds of a parameter, checked."""
     values = read_numbers(f"{what} of {name}", row)
     if values.shape != (size,):
         raise WrongUse(f"{what} of {name} must be {size} numbers, not {short(row)}")
@@ -149,7 +155,7 @@ def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
 
 
 def read_numbers(what: str, given: Any) -> Float[Array, "..."]:
-    """Real numbers, as an array."""
+    """Returns real numbers as an array; raises `WrongUse` for others."""
     try:
         return jnp.asarray(given, float)
     except (TypeError, ValueError, OverflowError):
@@ -160,7 +166,7 @@ def read_numbers(what: str, given: Any) -> Float[Array, "..."]:
 def feedback_class(
     kind: type[Walker], controlled: tuple[str, ...], limited: tuple[str, ...]
 ) -> type[Walker]:
-    """The class of walkers of a kind with feedback on some parameters."""
+    """Makes the class of walkers of a kind with feedback on some parameters."""
     known = {one.name: one for one in parameters(kind)}
     units = {name: one.unit for name, one in known.items()}
     added = [

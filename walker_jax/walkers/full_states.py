@@ -1,4 +1,4 @@
-"""Whether the methods of a user's own walker agree on what a full state is."""
+"""Checks that the methods of a user's own walker agree on the full state."""
 
 from typing import Any
 
@@ -6,15 +6,15 @@ from walker_jax.checks import WrongUse
 
 
 def named(state: Any) -> str:
-    """A kind of full state, with the names of its fields."""
+    """Names a kind of full state, with its fields."""
     return f"{state.__name__}({', '.join(state._fields)})"
 
 
 def check_full_state(kind: Any, start: Any) -> None:
-    """Refuse a class of walkers whose `lift` returns something else than its `state`.
+    """Raises `WrongUse` for a class of walkers whose `lift` does not return its `state`.
 
-    Or whose methods are those of a walker of the package with another one, unless that has joints:
-    its methods take those of any number.
+    The same holds for methods inherited from a walker of the package with another state, unless
+    that walker has joints: its methods take any number of them.
     """
     expected = named(kind.state)
     if not isinstance(start, kind.state):
@@ -26,7 +26,7 @@ def check_full_state(kind: Any, start: Any) -> None:
         return
     for name in ("vector_field", "impact", "exchange_legs", "project"):
         owner: Any = next(base for base in kind.__mro__ if name in vars(base))
-        taken = getattr(owner, "state", kind.state)  # a class that adds methods alone has none
+        taken = getattr(owner, "state", kind.state)  # a class that only adds methods has none
         if taken is not kind.state and owner.__module__.startswith("walker_jax."):
             raise WrongUse(
                 f"{name} of {kind.__name__} must be its own, for its state {expected}: that of "

@@ -22,17 +22,17 @@ from walker_jax.walkers.model import Scalar, State, region_of_starts
 class HeavyLegWalker(MultibodyWalker):
     """Walkers with mass anywhere on the legs, and with any number of bodies on joints.
 
-    What a walker of your own derives from. Its fields are its parameters, scalars, `slope` among
-    them. It defines `system` and `swing_foot`. Legs must be alike: with both feet on the slope,
-    phi = 2 theta and v = 0 of either.
+    Derive your own walker from this class. Its fields are its parameters, scalars, among them
+    `slope`. It defines `system` and `swing_foot`. Legs must be alike: with both feet on the slope,
+    phi = 2 theta and v = 0 for either foot.
 
-    `joints` names coordinates besides those of the legs: the angle of a torso, a mass that slides
-    along it, arms, feet on ankles. The generalised coordinates are q = (u, v, theta, phi, *joints),
-    a full state holds (theta, phi, *joints) and their rates, and the section has the joints and
-    their rates behind those of the legs. Joints move bodies, but not the points of the feet that
-    touch the ground. Springs, dampers and motors on them are the `generalised_forces` of `system`.
-    At heel strike a joint keeps its coordinate, as an angle from the slope's normal does; one that
-    is measured from a leg needs an `exchange_legs` of its own.
+    `joints` names further coordinates: the angle of a torso, a mass that slides along it, arms,
+    feet on ankles. The generalised coordinates are q = (u, v, theta, phi, *joints). A full state
+    holds (theta, phi, *joints) and their rates. In the section, the joints and their rates follow
+    those of the legs. Joints move bodies, but not the points of the feet that touch the ground.
+    Springs, dampers and motors on them are the `generalised_forces` of `system`. At heel strike a
+    joint keeps its coordinate, as an angle from the slope's normal does. A joint measured from a
+    leg needs its own `exchange_legs`.
     """
 
     slope: Scalar
@@ -89,7 +89,7 @@ class HeavyLegWalker(MultibodyWalker):
         return unroll(above)(self, state.theta, state.phi)
 
     def reach(self, state):
-        """With feet that roll, rolling is included: how far the walker gets by a step."""
+        """On rolling feet, rolling is included: it is the progress of the walker in a step."""
         ahead = lambda walker, *legs: walker.swing_foot(with_joints(walker, *legs))[0]
         return unroll(ahead)(self, state.theta, state.phi)
 
@@ -102,13 +102,13 @@ class HeavyLegWalker(MultibodyWalker):
 
 
 def rate_of(joint: str) -> str:
-    """The name of the rate of a coordinate."""
+    """Returns the name of the rate of a coordinate."""
     return f"{joint}dot"
 
 
 @functools.cache
 def state_with(joints: tuple[str, ...]) -> type:
-    """The full state of a walker with joints: coordinates first, then their rates."""
+    """Makes the full state of a walker with joints: coordinates first, then their rates."""
     if not joints:
         return State
     coordinates = "theta", "phi", *joints
@@ -120,20 +120,20 @@ def state_with(joints: tuple[str, ...]) -> type:
     if not proper or taken or "sum" in names or len(set(names)) < len(names):
         raise WrongUse(f"joints must be different names of coordinates, not {joints!r}")
     kind = collections.namedtuple("JointedState", names)
-    # No module has the class, so that pickle needs to be told how to make one.
+    # No module has the class, so pickle must be told how to make one.
     kind.__reduce__ = lambda state: (make_state, (joints, tuple(state)))  # pyright: ignore
     return kind
 
 
 def make_state(joints: tuple[str, ...], values: tuple) -> Any:
-    """A full state of a walker with joints, from its numbers."""
+    """Makes a full state of a walker with joints, from its numbers."""
     return state_with(joints)(*values)
 
 
 def with_joints(
     walker: HeavyLegWalker, theta: Scalar, phi: Scalar, at: Scalar | float = 0.0
 ) -> Float[Array, " q"]:
-    """q with the stance foot at the origin, all joints at one place."""
+    """Returns q with the stance foot at the origin and all joints at one place."""
     return stance_coordinates([theta, phi, *[jnp.full_like(theta, at)] * len(walker.joints)])
 
 
@@ -143,7 +143,7 @@ PENDULUM_AXES = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0
 def pendulum_region(
     walker: HeavyLegWalker, leg_length: Scalar, axes: dict[str, Any] = PENDULUM_AXES
 ) -> Grid:
-    """A region to search for gaits, with rates counted in that of a pendulum of the leg's length.
+    """Returns a region to search for gaits, with rates in units of a pendulum of the leg's length.
 
     The toppling rate, the usual unit, vanishes for large feet.
     """
@@ -154,6 +154,6 @@ def pendulum_region(
 def swing_foot_at(
     walker: HeavyLegWalker, theta: Scalar | float, joints: Scalar | float
 ) -> Float[Array, " 2"]:
-    """(u, v) of the swing foot with legs as at heel strike, phi = 2 theta, and all joints alike."""
+    """Returns (u, v) of the swing foot at heel strike, phi = 2 theta, with all joints equal."""
     theta = jnp.asarray(theta, walker.slope.dtype)
     return walker.swing_foot(with_joints(walker, theta, 2 * theta, joints))

@@ -64,8 +64,8 @@ CHECK_SCUFFING = Option("check_scuffing", "a bent leg's foot below the ground is
 class BentState(NamedTuple):
     """Angles (rad) and rates of the legs while the swing knee is free, or their derivatives.
 
-    `phi` is between the stance leg and the swing thigh, `knee` from the shank to the thigh: above 0
-    where the knee is bent.
+    `phi` is the angle between the stance leg and the swing thigh. `knee` is the angle from the
+    shank to the thigh, positive where the knee is bent.
     """
 
     theta: Scalar
@@ -79,9 +79,9 @@ class BentState(NamedTuple):
 class KneedWalker(HeavyLegWalker):
     """A walker with knees: a hip, two thighs and two shanks, on feet that are points or roll.
 
-    A stride has two phases. From heel strike to knee strike the knee of the swing leg is free.
-    There it locks, by a plastic impact, and stays locked: the leg swings straight until heel
-    strike, and then stands. If the knee, released at heel strike, does not bend but presses on its
+    A stride has two phases. From heel strike to knee strike the knee of the swing leg is free. At
+    knee strike it locks, by a plastic impact, and stays locked: the leg swings straight until heel
+    strike, and then stands. If the released knee does not bend at heel strike but presses on its
     stop, it locks at once. Feet are arcs centred on the shanks' lines.
 
     Mochon and McMahon (1980), McGeer (1990), Hsu Chen (2007).
@@ -100,7 +100,7 @@ class KneedWalker(HeavyLegWalker):
     - `check_scuffing`: whether a stride fails (`SCUFFED`) where the foot is below the ground while
       the knee is bent, or as it strikes. By default scuffing is ignored.
 
-    `ValueError` otherwise, and for shanks that nothing keeps from turning: no inertia, and a centre
+    Raises `ValueError` otherwise, and for shanks free to turn: without inertia, and with the centre
     of mass at the knee.
     """
 
@@ -153,7 +153,7 @@ class KneedWalker(HeavyLegWalker):
         return pendulum_region(self, self.thigh_length + self.shank_length)
 
     def further_gait_region(self):
-        """On large feet and steep slopes at once steps are long and fast."""
+        """On large feet and steep slopes steps are both long and fast."""
         axes = {"theta": (0.4, 1.2, 20), "sum": (-0.5, 0.5, 20), "turn": (-2.0, -0.4, 16)}
         return pendulum_region(self, self.thigh_length + self.shank_length, axes)
 
@@ -163,10 +163,10 @@ class KneedWalker(HeavyLegWalker):
         return {"BUCKLED": lambda state: stance_knee_moment(self, begin_bent(state), (4,))}
 
     def places(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], ...]:
-        """The hip, the stance knee and the swing knee, and the centre of the swing foot's arc.
+        """Returns the hip, the stance knee, the swing knee, and the centre of the swing foot's arc.
 
-        Of q = (u, v, theta, phi, knee), or with the angle of a bent stance knee at its end: theta
-        is of the thigh then.
+        q is (u, v, theta, phi, knee). It may end with the angle of a bent stance knee; theta is
+        then that of the thigh.
         """
         u, v, theta, phi, knee = q[:5]
         radius, thigh = self.foot_radius, theta - phi
@@ -174,7 +174,7 @@ class KneedWalker(HeavyLegWalker):
         below = self.shank_length - radius
         centre = jnp.stack([u - radius * shank, v + radius])
         stance_knee = centre + below * leg(shank)
-        # In one term where the stance leg is straight: a stride takes a twentieth less time.
+        # One term for a straight stance leg: a stride takes a twentieth less time.
         hip = stance_knee + self.thigh_length * leg(theta)
         if len(q) == 5:
             hip = centre + (below + self.thigh_length) * leg(theta)
@@ -183,7 +183,7 @@ class KneedWalker(HeavyLegWalker):
         return hip, stance_knee, swing_knee, foot
 
     def bent_system(self) -> System:
-        """The masses where knees are free, of q as `places` takes it."""
+        """Returns the masses with free knees, for q as `places` takes it."""
 
         def transfer(q):
             hip, stance_knee, swing_knee, _ = self.places(q)
@@ -207,12 +207,12 @@ class KneedWalker(HeavyLegWalker):
         return jnp.stack(leg_below) - hip
 
     def system(self):
-        """The system of straight legs."""
+        """Returns the system with straight legs."""
         bent = self.bent_system()
         return System(lambda q: bent.transfer(straight(q)), bent.masses, bent.forces)
 
     def bent_swing_foot(self, q: Float[Array, " 5"]) -> Float[Array, " 2"]:
-        """(u, v) of the swing foot: of the arc's centre, as if that foot had rolled there."""
+        """Returns (u, v) of the swing foot's arc's centre, as if that foot had rolled there."""
         *_, centre = self.places(q)
         angle, radius = q[2] - q[3] - q[4], self.foot_radius
         return centre + jnp.stack([radius * angle, -radius])
@@ -222,7 +222,7 @@ class KneedWalker(HeavyLegWalker):
 
 
 class LockedWalker(KneedWalker):
-    """A walker with knees that stay straight: what a `KneedWalker` is from knee strike on."""
+    """A walker with knees that stay straight: a `KneedWalker` from knee strike on."""
 
     def phases(self):
         return ()
@@ -232,12 +232,12 @@ class LockedWalker(KneedWalker):
 
 
 def lock_knees(walker: KneedWalker) -> LockedWalker:
-    """The same walker after knee strike."""
+    """Returns the same walker after knee strike."""
     return LockedWalker(**{one.name: getattr(walker, one.name) for one in fields(walker)})
 
 
 def begin_bent(state: State) -> BentState:
-    """The same state with the angle and the rate of a straight knee."""
+    """Returns the state with the angle and the rate of a straight knee added."""
     theta, phi, thetadot, phidot = state
     zero = jnp.zeros_like(theta)
     return BentState(theta, phi, zero, thetadot, phidot, zero)
@@ -247,9 +247,10 @@ def begin_bent(state: State) -> BentState:
 def stance_knee_moment(
     walker: KneedWalker, state: BentState, locked: tuple[int, ...] = ()
 ) -> Scalar:
-    """The moment that presses the stance knee on its stop; where it is negative, the knee bends.
+    """Computes the moment that presses the stance knee on its stop; if negative, the knee bends.
 
-    The constraint force dual to the angle of the stance knee, (4). Other coordinates may be locked.
+    It is the constraint force dual to the angle of the stance knee, (4). Other coordinates may be
+    locked.
     """
 
     def moment(walker, state):
@@ -262,12 +263,12 @@ def stance_knee_moment(
 
 
 def straight(q: Float[Array, " 4"]) -> Float[Array, " 5"]:
-    """q of straight legs, with the angle of the knee."""
+    """Returns q of straight legs, with the angle of the knee added."""
     return jnp.concatenate([q, jnp.zeros_like(q[:1])])
 
 
 class FreeKnee(MultibodyPhase):
-    """From heel strike to knee strike: the knee of the swing leg is free.
+    """The phase from heel strike to knee strike: the knee of the swing leg is free.
 
     The swing foot must not come down in front: a foot that lands on a bent knee does not stand.
     """
@@ -297,8 +298,8 @@ class FreeKnee(MultibodyPhase):
         return q[4:]
 
     def end(self, state):
-        """The knee locks: the whole keeps its angular momentum about the stance foot, and the swing
-        leg its own about the hip."""
+        """The knee locks: the walker keeps its angular momentum about the stance foot, and the
+        swing leg its own about the hip."""
         thetadot, phidot, _ = self.rates_after(state)
         return State(state.theta, state.phi, thetadot, phidot)
 

@@ -1,8 +1,8 @@
 """Walkers with masses of any kind, by the general method (`multibody`).
 
-A walker of your own derives from `HeavyLegWalker` (`walkers.heavy_legs`), and says where its masses
-are and where its swing foot meets the ground: equations of motion, contact forces and impact
-follow.
+Derive your own walker from `HeavyLegWalker` (`walkers.heavy_legs`). It defines the places of its
+masses and the point where its swing foot meets the ground: equations of motion, contact forces and
+impact follow.
 """
 
 import abc
@@ -27,16 +27,16 @@ from walker_jax.walkers.model import Phase, Scalar, State, Walker
 
 
 class MultibodyMotion(eqx.Module):
-    """Motion on the stance foot of a system of masses, by the general method.
+    """Motion of a system of masses on the stance foot, by the general method.
 
     The generalised coordinates are q = (u, v, theta, phi) and those of joints, or (u, v) and those
-    of a phase's state, with u and v those of the stance foot along and normal to the slope: zero on
-    the ground, and held there.
+    of a phase's state. u and v are the stance foot's coordinates along and normal to the slope:
+    zero on the ground, and held there.
     """
 
     @abc.abstractmethod
     def system(self) -> System:
-        """Masses, the transfer function x = F(q) that says where they are, (1), and forces, (6)."""
+        """Masses, the transfer function x = F(q) to their places, (1), and forces, (6)."""
 
     @abc.abstractmethod
     def contacts(self, q: Float[Array, " q"]) -> Float[Array, " g"]:
@@ -61,27 +61,27 @@ class MultibodyMotion(eqx.Module):
         return forces[0], forces[1]
 
     def energy(self, state: Any) -> Scalar:
-        """Kinetic energy, and potential energy of gravity, the stance foot at the origin."""
+        """Kinetic energy, and potential energy of gravity with the stance foot at the origin."""
         q, qdot = coordinates_and_rates(state)
         system = self.system()
         return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
 
 
 class MultibodyWalker(MultibodyMotion, Walker):
-    """Walkers whose equations follow from where their masses are, by the general method.
+    """Walkers whose equations follow from the places of their masses, by the general method.
 
     The foot that stood is free at heel strike.
     """
 
     @abc.abstractmethod
     def swing_foot(self, q: Float[Array, " q"]) -> Float[Array, " 2"]:
-        """The swing foot's coordinates, those that (u, v) are for the stance foot, (11)."""
+        """The swing foot's coordinates, as (u, v) are the stance foot's, (11)."""
 
     def contacts(self, q):
         return self.swing_foot(q)
 
     def driven_by_gravity(self):
-        """As long as there are no generalised forces, and `forces` are those of gravity."""
+        """True while there are no generalised forces, and `forces` are those of gravity."""
         system, slope = self.system(), vars(self)["slope"]
         count = len(system.masses)
         weights = (gravity(slope, system.masses, turns) for turns in range(count % 2, count + 1, 2))
@@ -100,11 +100,11 @@ class MultibodyWalker(MultibodyMotion, Walker):
 
 
 class MultibodyPhase(MultibodyMotion, Phase):
-    """Phases whose equations follow from where the masses are, by the general method."""
+    """Phases whose equations follow from the places of the masses, by the general method."""
 
     @abc.abstractmethod
     def closing(self, q: Float[Array, " q"]) -> Float[Array, " g"]:
-        """The distance that is zero where the phase ends, and stays zero from then on."""
+        """The distance that becomes zero at the end of the phase, and stays zero from then on."""
 
     def contacts(self, q):
         """The stance foot stays where it is."""
@@ -117,10 +117,11 @@ class MultibodyPhase(MultibodyMotion, Phase):
 
 
 def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
-    """h > 0 rises ever faster, the swing leg ahead, the stance leg falling, in compression.
+    """Returns whether h > 0 rises ever faster, with the swing leg ahead and the stance leg falling.
 
-    As for the simplest walker it is too late then to come down again, and the leg falls on: an
-    experience (tests), but for walkers that rock on their feet, whose leg may turn.
+    The stance leg must also be in compression. As for the simplest walker, it is then too late to
+    come down again, and the leg falls on. That is an observation (tests), and excludes walkers that
+    rock on their feet, whose leg may turn.
     """
     (_, _, thetaddot, phiddot, *_), (_, Q_v, *_) = accelerations_and_forces(walker, state)
     rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
@@ -131,8 +132,8 @@ def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
 
 @jax.jit
 def curvature_of_potential(walker: MultibodyWalker) -> Scalar:
-    """V'' by the angle of both legs together, upright: above 0 if the feet's arcs are so large that
-    the walker rocks on them."""
+    """Computes V'' by the angle of both legs together, upright; positive if the feet's arcs are so
+    large that the walker rocks on them."""
 
     def curvature(walker):
         system = walker.system()
@@ -148,7 +149,7 @@ def curvature_of_potential(walker: MultibodyWalker) -> Scalar:
 
 @jax.jit
 def rates_and_impulses(walker: MultibodyMotion, state: Any) -> tuple[list[Scalar], list[Scalar]]:
-    """Rates after the impact in which contacts close, and its impulses, (17)."""
+    """Computes rates after the impact in which contacts close, and its impulses, (17)."""
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)
@@ -161,19 +162,19 @@ def rates_and_impulses(walker: MultibodyMotion, state: Any) -> tuple[list[Scalar
 
 
 def gravity(slope: Scalar, masses: Float[Array, " x"], turns: int = 0) -> Float[Array, " x"]:
-    """Gravity, (6), on points in the plane, whose coordinates come before `turns` angles."""
+    """Returns gravity, (6), on points in the plane, whose coordinates precede `turns` angles."""
     points = (len(masses) - turns) // 2
     down = jnp.stack([jnp.sin(slope), -jnp.cos(slope)])
     return masses * jnp.concatenate([*[down] * points, jnp.zeros(turns, masses.dtype)])
 
 
 def weight(system: System, q: Float[Array, " q"]) -> Scalar:
-    """The force of gravity on all masses together."""
+    """Returns the force of gravity on all masses together."""
     along = jnp.stack([jnp.zeros_like(q).at[i].set(1) for i in range(2)])
     sums = [multibody.velocity(system.transfer, q, one) @ system.forces for one in along]
     return jnp.hypot(*sums)
 
 
 def leg(angle: Scalar) -> Float[Array, " 2"]:
-    """The direction from foot to hip of a leg at an angle from the normal of the slope."""
+    """Returns the direction from foot to hip of a leg at an angle from the normal of the slope."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

@@ -1,8 +1,8 @@
-"""A walker: its state, its section, its equations, and what is known of it.
+"""A walker: its state, its section, its equations, and its known properties.
 
-Conventions, those of Schwab and Wisse (2001), whose equation numbers stand below. Gravity is 1.
-The unit of mass and that of length are the user's; where a walker has no parameter for them, they
-are the hip's mass and the leg's length. Times are in sqrt(unit of length / gravity), angles in rad:
+Conventions and equation numbers are those of Schwab and Wisse (2001). Gravity is 1. The units of
+mass and length are the user's; where a walker has no parameter for them, they are the hip's mass
+and the leg's length. Times are in sqrt(unit of length / gravity), angles in rad:
 
 - `slope`: of the ground, downwards in the direction of walking;
 - `theta`: of the stance leg, from the normal of the slope, positive before mid-stance;
@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
-from walker_jax.identity import ForStores
+from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.kernels import kernel
@@ -44,58 +44,58 @@ from walker_jax.walkers.phase import (
 )
 
 LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
-"""Depth, in legs, from which on a foot is below the ground: less is rounding, where it touches."""
+"""Depth, in legs, from which on a foot counts as below the ground: less is rounding, where it
+touches."""
 
 
 class Walker(HybridSystem):
-    """A walker, as strides know it. Its fields are its parameters, scalars all.
-
-    But for options, which are static.
-    """
+    """A walker, as strides know it: its fields are its parameters, scalars, and options."""
 
     state: ClassVar[type] = State
-    """The `NamedTuple` of full states during the swing, with the fields of `State` at least."""
+    """The `NamedTuple` of full states during the swing, with at least the fields of `State`."""
     force_least_at_ends: ClassVar[bool] = False
     """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
-    not look at it in between."""
+    not check it in between."""
     foot_stays_down: ClassVar[bool] = False
-    """Whether a foot ahead that has come down stays down, so that no step hides that it did."""
+    """Whether a foot ahead that has come down stays down, so that no integration step misses it."""
     inverted_pendulum: ClassVar[bool] = False
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
     def __init_subclass__(cls, **kwargs):
-        """Reset what is known of the walkers that this class derives from, but not of it.
+        """Resets known properties of base classes that this class may not have.
 
-        What `PREMISES` lists has been shown for the methods named there. Where a class defines one
-        of these anew, and does not say that it still holds, the default of `Walker` holds.
+        `PREMISES` lists these properties, with the methods from which each was shown. If a class
+        redefines one of these methods and does not restate the property, the default of `Walker`
+        holds.
         """
         super().__init_subclass__(**kwargs)
         for name, methods in PREMISES.items():
             said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
             if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
                 setattr(cls, name, vars(Walker)[name])
-        ForStores(cls)  # which keeps its files: one may be edited while its code is in use
+        StoreDescriber(cls)  # keeps its files: one may be edited while its code is in use
 
     def __check_init__(self):
         check_lands_on_section(self)
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
-        """The full state of a point of the section."""
+        """Returns the full state of a point of the section."""
 
     @abc.abstractmethod
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
-        """Whether a stride can begin at x.
+        """Returns whether a stride can begin at x.
 
-        `walker-jax walk` shows the first line of a walker's own docstring for a start that is not.
+        For an infeasible start, `walker-jax walk` shows the first line of a walker's own docstring
+        here.
         """
 
     def gait_region(self) -> Grid:
-        """The part of the section where the states of gaits lie, in cells to search from.
+        """Returns the part of the section where the states of gaits lie, in cells to search from.
 
-        By default starts with the speed that takes the stance leg about to its dead point. Rates
-        are counted in that of toppling. Along phidot, whatever legs may do. Joints are at rest at
-        0: a walker whose joints are elsewhere in its gait has a region of its own.
+        By default it holds starts whose speed takes the stance leg about to its dead point. Rates
+        are in units of the toppling rate. phidot covers any motion of the legs. Joints are at rest
+        at 0: a walker whose joints are elsewhere in its gait has its own region.
         """
         dtype = jnp.asarray(0.0).dtype
         walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
@@ -110,18 +110,18 @@ class Walker(HybridSystem):
         return region_of_starts(self, axes, rate)
 
     def phases(self) -> tuple[Phase, ...]:
-        """The phases of a stride before its last, the swing, in order. By default there is none."""
+        """Returns the phases of a stride before its last, the swing; by default there are none."""
         return ()
 
     def modes(self) -> tuple[Mode, ...]:
-        """The modes of a stride, made of what the other methods say: its phases and the swing.
+        """Returns the modes of a stride, its phases and the swing, built from the other methods.
 
-        The swing ends at heel strike, where the contact coordinate rises through zero with the
-        foot ahead, or in a fall. Functions that follow a stride know no more of a walker than
-        this, its impact and its section. A walker of your own may change it: give the swing
-        another guard, before its last, for example.
+        The swing ends at heel strike, where the contact coordinate rises through zero with the foot
+        ahead, or in a fall. Functions that follow a stride use only these modes, the impact and the
+        section. Your own walker may change them, for example give the swing another guard before
+        its last.
         """
-        # An inverted pendulum that stops goes back, and its leg goes one way until then.
+        # An inverted pendulum that stops goes back, and its leg moves one way until then.
         persist = self.inverted_pendulum and type(self).falls is Walker.falls
         falls = fall_guards(self, persist=persist)
         strike = Guard(
@@ -146,112 +146,113 @@ class Walker(HybridSystem):
         return *(phase.mode() for phase in self.phases()), swing
 
     def equations(self) -> VectorField:
-        """The equations of motion as they are integrated: the vector field, or a `PowerBalance`."""
+        """Returns the equations of motion to integrate: the vector field, or a `PowerBalance`."""
         return self.vector_field
 
     @abc.abstractmethod
     def vector_field(self, state: State) -> State:
-        """Time derivative of the state during a stride, or its last phase.
+        """Returns the time derivative of the state during a stride, or its last phase.
 
-        It may have kinks, such as the limits of a torque: a step of the integration ends where one
-        is. Where it jumps within a stride, or just behind its end, the outcome is `UNDECIDED`.
+        It may have kinks, such as the limits of a torque: a step of the integration ends at a kink.
+        Where it jumps within a stride, or just after its end, the outcome is `UNDECIDED`.
         """
 
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
-        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+        """Returns the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
 
     def during_stride(self, x: Float[Array, " section"]) -> "Walker":
-        """The walker as it is during the stride from x: its parameters may depend on the start.
+        """Returns the walker during the stride from x: its parameters may depend on the start.
 
-        That is feedback from stride to stride. By default a walker stays as it is. Of a full state
-        it is given the section's coordinates (`project`).
+        That is feedback from stride to stride. By default a walker stays as it is. From a full
+        state, x has the section's coordinates (`project`).
         """
         return self
 
     def driven_by_gravity(self) -> bool:
-        """Whether gravity alone does work on the walker, so that a step loses what the slope gives.
+        """Returns whether gravity alone does work: a step loses the energy that the slope gives.
 
         By default that is not known.
         """
         return False
 
     def motor_work(self, start: State, end: State) -> Scalar | None:
-        """Work of motors in a step, per unit of the walker's weight, in the unit of length.
+        """Returns the work of motors in a step, per unit of weight, in the unit of length.
 
-        The states are those just after a heel strike and just before the next. It is asked for
-        where `driven_by_gravity` does not hold. None, the default: it is not known.
+        The states are those just after a heel strike and just before the next. The method is called
+        where `driven_by_gravity` is false. None, the default, means unknown.
         """
         return None
 
     def past_contact(self, state: Any) -> Bool[Array, ""]:
-        """Whether h > 0 can only grow from here, so that no heel strike follows.
+        """Returns whether h > 0 can only grow from here, so that no heel strike follows.
 
-        It spares a walker that falls after a start on the section the rest of its fall: an outcome
-        may not depend on it. By default that is never known.
+        It spares a walker that falls from the section the rest of its fall; outcomes must not
+        depend on it. By default that is never known.
         """
         return jnp.zeros_like(state.theta, bool)
 
     def conditions(self) -> Conditions:
-        """Functions that must not be negative up to heel strike: by default only the force Q_v."""
+        """Returns functions that must not be negative up to heel strike, besides the force Q_v."""
         return {}
 
     @abc.abstractmethod
     def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
-        """Velocity (u, v) of the trailing foot and the state, legs not yet exchanged, after impact.
+        """Returns the trailing foot's velocity (u, v) and the state after impact, legs as before.
 
-        The state is that at heel strike, before the impact. With the legs exchanged, the state
-        after it must be on the section: `WrongUse` at construction otherwise.
+        The argument is the state at heel strike, before the impact. With the legs exchanged, the
+        state after it must be on the section; construction raises `WrongUse` otherwise.
         """
 
     def push(self, state: State, change: Scalar) -> State:
-        """The state just after heel strike with thetadot changed by a push forward or back.
+        """Returns the state just after heel strike with thetadot changed by a push forward or back.
 
         The section's other coordinates stay as they are.
         """
         return state._replace(thetadot=state.thetadot + change)
 
     def contact(self, state: State) -> Scalar:
-        """Contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
+        """Returns the contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
 
-        It rises at heel strike. Ahead of the stance foot the swing foot is above the ground where
-        h < 0.
+        It rises at heel strike. A swing foot ahead of the stance foot is above the ground where h <
+        0.
         """
         return state.phi - 2 * state.theta
 
     def is_ahead(self, state: Any) -> Scalar:
-        """Positive where the swing foot is ahead of the other, so that coming down is heel strike.
+        """Returns a positive number where the swing foot is ahead: coming down is heel strike.
 
-        Elsewhere that is scuffing, which a stride ignores. By default past mid-stance.
+        Elsewhere coming down is scuffing, which a stride ignores. By default the foot is ahead past
+        mid-stance.
         """
         return -state.theta
 
     def falls(self, state: Any) -> dict[str, Scalar]:
-        """Functions that rise through zero where the walker falls, by the name of an `Outcome`, or
-        of one of the walker's own `failures`.
+        """Returns functions that rise through zero where the walker falls, by name of failure.
 
-        The earliest counts; at the start of a stride, the first that is not negative. By default
-        as in the plane.
+        The name is that of an `Outcome`, or of one of the walker's own `failures`. The earliest
+        fall counts; at the start of a stride, the first function that is not negative. The default
+        is for the plane.
         """
         return {"BACKWARD": state.thetadot, "FORWARD": -np.pi / 2 - state.theta}
 
     @abc.abstractmethod
     def clearance(self, state: State) -> Scalar:
-        """Height of the swing foot above the slope, in the unit of length."""
+        """Returns the height of the swing foot above the slope, in the unit of length."""
 
     @abc.abstractmethod
     def reach(self, state: State) -> Scalar:
-        """How far the swing foot is ahead of the stance foot, along the slope, in that unit."""
+        """Returns the distance of the swing foot ahead of the stance foot, along the slope."""
 
     def bent_leg(self, state: Any) -> Float[Array, "2 2"] | None:
-        """Places of the swing knee and of the leg's end, from the hip, for pictures.
+        """Returns the places of the swing knee and of the leg's end, from the hip, for pictures.
 
         The state is one of the first phase. By default legs are drawn straight.
         """
         return None
 
     def exchange_legs(self, state: State) -> State:
-        """The state with the swing leg as the new stance leg, (21) and its time derivative."""
+        """Returns the state with the swing leg as the new stance leg, (21) and its derivative."""
         theta, phi, thetadot, phidot = (getattr(state, name) for name in State._fields)
         return state._replace(
             theta=theta - phi, phi=-phi, thetadot=thetadot - phidot, phidot=-phidot
@@ -259,7 +260,7 @@ class Walker(HybridSystem):
 
 
 def check_planar(walker: Any) -> Walker:
-    """Refuse walkers in space, where what is computed is known of walkers in the plane alone."""
+    """Raises `WrongUse` for walkers in space, where the theory holds in the plane only."""
     check_kind("walker", walker, Walker)
     if not is_planar(walker):
         raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
@@ -267,14 +268,14 @@ def check_planar(walker: Any) -> Walker:
 
 
 SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
-"""A point of the section by which an impact is tried; any that has no symmetry would do."""
+"""A point of the section at which impacts are tried; any point without symmetry would do."""
 MAX_LANDING_ERROR = 1e-4
-"""Distance from the section, to the largest of the coordinates, that rounding may make."""
+"""Largest distance from the section, relative to the largest coordinate, due to rounding."""
 
 
 WalkerKind = TypeVar("WalkerKind", bound=Walker)
 GUARD_HOOKS = "contact", "clearance", "is_ahead", "falls", "swing_foot"
-"""Methods of which the guards of a swing are made."""
+"""Methods from which the guards of a swing are made."""
 EQUATIONS_OF_MOTION = ("vector_field", "modes", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
@@ -292,21 +293,22 @@ PREMISES = {
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "falls"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }
-"""What may be known of a walker beyond its equations, and the methods that it is known of."""
+"""Properties that may be known of a walker, and the methods from which each was shown."""
 
 
 def moves_like(walker: System, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
-    """Whether a walker moves as one of some kind does, by the same equations."""
+    """Returns whether a walker moves as one of some kind does, by the same equations."""
     methods = {method for methods in PREMISES.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
     return isinstance(walker, kind) and all(map(same, methods))
 
 
 def check_lands_on_section(walker: Walker) -> None:
-    """Refuse a walker of a user's own whose impact leaves the section, as `project` hides that.
+    """Raises `WrongUse` for a user's own walker whose impact leaves the section.
 
-    With two coordinates the projection drops phidot, so masses of a user's own matter too. Which of
-    several legs, or spokes, is the next swing leg is the user's affair: phi is not looked at.
+    `project` would hide that. With two coordinates the projection drops phidot, so a user's own
+    masses matter too. phi is not checked: the user may choose which of several legs, or spokes, is
+    the next swing leg.
     """
     methods = ("impact", "exchange_legs", "project", "lift")
     methods += ("system", "swing_foot") if len(walker.section) == 2 else ()
@@ -329,7 +331,7 @@ def check_lands_on_section(walker: Walker) -> None:
 
 @jax.jit
 def landing(walker: Walker) -> tuple[State, State, State]:
-    """A heel strike, the state after it, legs exchanged, and that state's place on the section."""
+    """Returns a heel strike, the state after it, legs exchanged, and its place on the section."""
     to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
     walker = jax.tree.map(to_array, walker)
     start = walker.lift(
@@ -342,9 +344,9 @@ def landing(walker: Walker) -> tuple[State, State, State]:
 
 
 def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:
-    """Starts by theta, the sum of theta and thetadot, and phidot; joints at rest at 0.
+    """Returns starts by theta, the sum of theta and thetadot, and phidot; joints are at rest at 0.
 
-    Rates are counted in `rate`.
+    Rates are in units of `rate`.
     """
     axes = axes | {joint: (-0.5, 0.5, 1) for joint in walker.section[len(axes) :]}
     units = [rate if name.endswith("dot") else 1.0 for name in walker.section]
@@ -354,13 +356,13 @@ def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:
 
 
 def least_scuff(length: Scalar) -> Scalar:
-    """The depth from which on a foot is below the ground, for legs of some length."""
+    """Returns the depth from which on a foot counts as below the ground, for a length of legs."""
     return LEAST_SCUFF[jnp.dtype(jnp.result_type(length))] * length
 
 
 @kernel
 def toppling_rate(walker: Walker) -> Scalar:
-    """The rate at which a walker topples, legs together, from rest.
+    """Computes the rate at which a walker topples, legs together, from rest.
 
     To first order thetaddot = rate^2 (theta - slope).
     """

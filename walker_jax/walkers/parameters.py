@@ -18,9 +18,9 @@ Described = TypeVar("Described")
 
 
 def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
-    """The parameters of a walker, in the order of its constructor's arguments.
+    """Returns the parameters of a walker, in the order of its constructor's arguments.
 
-    A class of a user's own need not describe its fields: any real number is accepted then.
+    A user's own class need not describe its fields: they accept any real number then.
     """
     found = []
     for field in dataclasses.fields(walker):
@@ -34,7 +34,7 @@ def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
 
 
 def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
-    """The parameters of a class; of a system, with its own values as defaults."""
+    """Returns the parameters of a class; for a system, its own values are the defaults."""
     if isinstance(kind, type):
         return parameters(kind)
     described = {one.name: one for one in parameters(type(kind))}
@@ -45,33 +45,33 @@ def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
 
 
 def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[Described, ...]:
-    """The descriptions of one kind of a walker's fields: those parameters have bounds."""
+    """Returns the descriptions of one kind among a walker's fields, which have bounds."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
 
 
 def description(field: dataclasses.Field, kind: type[Described]) -> Described | None:
-    """The description of a field, if it is of the kind: its converter is a method of that."""
+    """Returns the description of a field, if it is of the kind: the owner of its converter."""
     one = getattr(field.metadata.get("converter"), "__self__", None)
     return one if isinstance(one, kind) else None
 
 
 class Option(NamedTuple):
-    """A check of a walker's strides, made or not: a static field."""
+    """A static field: a check of a walker's strides that is on or off."""
 
     name: str
     meaning: str
 
     def convert(self, value: object) -> bool:
-        """The value. Raises `ValueError` for one that is not true or false."""
+        """Returns the value; raises `WrongUse` for one that is not true or false."""
         check_kind(self.name, value, bool)
         return bool(value)
 
 
 def options(walker: type[System] | System) -> tuple[Option, ...]:
-    """The options of a walker, in the order of its constructor's arguments.
+    """Returns the options of a walker, in the order of its constructor's arguments.
 
-    Raises `WrongUse` for another static field, of which data sets would not tell the value.
+    Raises `WrongUse` for another static field, whose value data sets would lack.
     """
     for field in dataclasses.fields(walker):
         static = field.metadata.get("static") and not is_code(field)
@@ -81,21 +81,21 @@ def options(walker: type[System] | System) -> tuple[Option, ...]:
 
 
 def chosen_options(walker: System) -> tuple[str, ...]:
-    """The names of the options of a walker that are on."""
+    """Returns the names of a walker's options that are on."""
     return tuple(one.name for one in options(walker) if getattr(walker, one.name))
 
 
 def describe_walker(walker: System) -> dict[str, Any]:
-    """The name and the parameters of a walker, and its options that are on, for a request."""
+    """Returns the name, parameters and active options of a walker, for a request."""
     values = {name: float(value) for name, value in numbers_of(walker).items()}
     return {"name": walker.label(), **values, **dict.fromkeys(chosen_options(walker), True)}
 
 
 def attributes_of(walker: System, *, without: str | None = None) -> dict[str, Any]:
-    """The parameters of a walker, and its options that are on, as attributes of a data set.
+    """Returns the parameters and active options of a walker, as attributes of a data set.
 
-    The names of its own failures too, and of a class that is not of the package a fingerprint of
-    its code.
+    They include the names of its own failures, and a fingerprint of the code of a class outside the
+    package.
     """
     values = {name: float(value) for name, value in numbers_of(walker).items() if name != without}
     values |= dict.fromkeys(chosen_options(walker), 1)
@@ -106,7 +106,7 @@ def attributes_of(walker: System, *, without: str | None = None) -> dict[str, An
 
 
 def describe_in_words(walker: System) -> str:
-    """The same on one line: its name, then each parameter with its value."""
+    """Describes a walker on one line: its name, then each parameter with its value."""
     name, *values = describe_walker(walker).items()
     return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
 
@@ -116,7 +116,7 @@ BRIEF = 48
 
 
 def describe_briefly(walker: System) -> str:
-    """The same, with as many of its parameters as there is room for."""
+    """Describes a walker on one line, with as many of its parameters as there is room for."""
     told, *others = describe_in_words(walker).split(", ")
     for i, one in enumerate(others):
         if i and len(f"{told}, {one}") > BRIEF:
@@ -126,14 +126,14 @@ def describe_briefly(walker: System) -> str:
 
 
 DIGITS = 12
-"""Significant digits of values spaced over an interval: all that a user has typed, and none of the
-rounding errors, which begin at the 16th digit."""
+"""Significant digits of values spaced over an interval: all that a user has typed, and no rounding
+errors, which begin at the 16th digit."""
 
 
 def space_decimals(low: float, high: float, count: int) -> list[float]:
-    """Equally spaced values of a parameter, from low to high, rounded to `DIGITS`.
+    """Returns equally spaced values of a parameter, from low to high, rounded to `DIGITS`.
 
-    So 0.1, 0.2 and 0.3 are these, and not 0.30000000000000004.
+    So 0.3 is 0.3, and not 0.30000000000000004.
     """
     zero = 10.0**-DIGITS * (high - low)
     return [
@@ -147,13 +147,13 @@ UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
 def slopes_of(kind: type[System]) -> tuple[float, float]:
-    """The ends of the slopes over which gaits are followed unless others are given."""
+    """Returns the ends of the slopes over which gaits are followed unless others are given."""
     ends = next(one.span for one in parameters(kind) if one.name == "slope")
     return SLOPE.span if np.isnan(ends[0]) else ends
 
 
 def check_parameter(walker: System, parameter: str, *values: float) -> None:
-    """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
+    """Raises `WrongUse` for a parameter the walker lacks, or values that it refuses."""
     check_kind("walker", walker, System)
     if not isinstance(parameter, str) or parameter not in numbers_of(walker):
         names = ", ".join(numbers_of(walker))
@@ -166,16 +166,17 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
             try:
                 type(walker)(**{**vars(walker), parameter: value})
             except WrongUse as error:
-                error.arguments = []  # it is a value that another argument names
+                error.arguments = []  # the value is that of another argument
                 raise
 
 
 def parameter_directions(
     walker: AnySystem, parameters: Sequence[str], dtype, rows: int = 1
 ) -> AnySystem:
-    """A walker with a row of numbers for every parameter: the directions of some parameters.
+    """Returns a walker with a row of numbers for each parameter: directions of some of them.
 
-    In that of one of them its own number is 1, and all others are 0; so are those beyond them.
+    In the row of one of these its own number is 1, and all others are 0. The rows of other
+    parameters are 0.
     """
     zeros = jax.tree.map(lambda leaf: np.zeros(rows, dtype), walker)
     for i, parameter in enumerate(parameters):
@@ -184,5 +185,5 @@ def parameter_directions(
 
 
 def with_parameter(walker: AnySystem, parameter: str, value) -> AnySystem:
-    """The walker with another value of one parameter, unchecked; an array makes many walkers."""
+    """Returns the walker with another value of one parameter; an array makes many walkers."""
     return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)

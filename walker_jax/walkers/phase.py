@@ -1,4 +1,4 @@
-"""The parts of a stride before the swing, and what makes a mode of any part.
+"""The parts of a stride before the swing, and the modes made from all parts.
 
 The state, the falls and the conditions of a walker are those of its phases too.
 """
@@ -30,64 +30,64 @@ class State(NamedTuple):
 
 
 Conditions = dict[str, Callable[[Any], Scalar]]
-"""Functions of the state, by the name of the failure of a stride in which one is negative: that of
-an `Outcome`, or one of the walker's own."""
+"""Functions of the state, by the name of the failure when one is negative: an `Outcome`, or one of
+the walker's own failures."""
 
 
 class Phase(eqx.Module):
-    """A part of a stride before the swing: with constraints, and a state, of its own.
+    """A part of a stride before the swing: with its own constraints, and its own state.
 
     A state is a `NamedTuple` of scalars: the coordinates, then their rates in the same order. The
-    angle of the stance leg and its rate are called `theta` and `thetadot` in all of them.
+    angle of the stance leg and its rate are called `theta` and `thetadot` in all states.
     """
 
     walker: Any
-    """The `Walker` whose stride it is a part of."""
+    """The `Walker` that makes the stride."""
 
     @abc.abstractmethod
     def begin(self, state: State) -> Any:
-        """Its own state, from the `State` at the start of a stride: what it releases is at rest."""
+        """Returns its own state at the start of a stride; released parts are at rest."""
 
     @abc.abstractmethod
     def vector_field(self, state: Any) -> Any:
-        """Time derivative of the state."""
+        """Returns the time derivative of the state."""
 
     @abc.abstractmethod
     def contact_force(self, state: Any) -> tuple[Scalar, Scalar]:
-        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+        """Returns the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
 
     @abc.abstractmethod
     def event(self, state: Any) -> Scalar:
-        """The function that rises through zero where the phase ends, and is negative before."""
+        """Returns a number that is negative in the phase, and rises through zero at its end."""
 
     @abc.abstractmethod
     def end(self, state: Any) -> Any:
-        """The state in which the next phase begins: a `State` if that is the swing.
+        """Returns the state in which the next phase begins: a `State` if that is the swing.
 
         It follows the impact in which constraints are made, or the release of others.
         """
 
     def clearance(self, state: Any) -> Scalar | None:
-        """Height of the swing foot above the slope, if it must not come down in this phase.
+        """Returns the height of the swing foot above the slope, if it must not come down here.
 
         By default it may.
         """
         return None
 
     def reach(self, state: Any) -> Scalar:
-        """How far the swing foot is ahead of the stance foot, along the slope."""
+        """Returns the distance of the swing foot ahead of the stance foot, along the slope."""
         raise NotImplementedError
 
     def conditions(self) -> Conditions:
-        """As those of the walker, which hold in the swing alone. By default there is none."""
+        """Returns the conditions of this phase; the walker's own hold in the swing alone."""
         return {}
 
     def equations(self) -> VectorField:
-        """As those of the walker."""
+        """Returns the equations of motion to integrate, as for the walker."""
         return self.vector_field
 
     def mode(self) -> Mode:
-        """The phase as a mode of a stride, to its event.
+        """Returns the phase as a mode of a stride, to its event.
 
         It also ends in a fall, and where the swing foot comes down in front, if it must not.
         """
@@ -115,27 +115,27 @@ class Phase(eqx.Module):
 
 
 def energy_of(part: Any) -> Function | None:
-    """The method of a walker or a phase that gives its energy, if it has one."""
+    """Returns the method of a walker or a phase that gives its energy, if it has one."""
     energy: Any = getattr(part, "energy", None)
     of_a_state = callable(energy) and len(inspect.signature(energy).parameters) == 1
     return cast("Function", energy) if of_a_state else None
 
 
 def is_of_package(kind: type, method: str) -> bool:
-    """Whether a method of a class, if it has it, is one of the package's own."""
+    """Returns whether a method of a class, if it has it, is one of the package's own."""
     home = next((base for base in kind.__mro__ if method in vars(base)), None)
     return home is None or home.__module__.startswith("walker_jax.")
 
 
 def conditions_of(part: Any) -> dict[int, Function]:
-    """Its conditions, the contact force Q_v among them, by the outcome where one is violated."""
+    """Returns its conditions, Q_v among them, by the outcome if one is violated."""
     walker = getattr(part, "walker", part)
     others = {int(walker.failure(name)): one for name, one in part.conditions().items()}
     return {int(Outcome.RUNNING): lambda state: part.contact_force(state)[1]} | others
 
 
 def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
-    """The falls of a walker; whether it is known that they persist within a step."""
+    """Returns the falls of a walker as guards; `persist` says that they last within a step."""
     value = lambda name: lambda state: walker.falls(state)[name]
     kind, guards = type(walker).__name__, []
     for name, shape in jax.eval_shape(walker.falls, some_state(walker)).items():
@@ -153,7 +153,7 @@ def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
 
 
 def check_real(label: str, value: jax.ShapeDtypeStruct) -> None:
-    """Refuse what a hook of a user's own returns that is not one real number."""
+    """Raises `WrongUse` if a user's own hook returns something else than one real number."""
     if value.shape or not jnp.issubdtype(value.dtype, jnp.floating):
         raise WrongUse(
             f"{label} must be one real number, such as -theta, not {value.dtype} of shape "
@@ -162,13 +162,13 @@ def check_real(label: str, value: jax.ShapeDtypeStruct) -> None:
 
 
 def some_state(walker: Any) -> Any:
-    """A full state without values, of the dtype of a walker's parameters."""
+    """Returns a full state without values, of the dtype of a walker's parameters."""
     dtype = jnp.result_type(0.0, *jax.tree.leaves(walker))
     number: Any = jax.ShapeDtypeStruct((), dtype)
     return walker.state(*[number] * len(walker.state._fields))
 
 
 def is_planar(walker: Any) -> bool:
-    """Whether a system is a walker that moves in the plane: the angles of its legs come first."""
+    """Returns whether a system is a planar walker: the angles of its legs come first."""
     coordinates = getattr(getattr(walker, "state", None), "_fields", ())
     return coordinates[:2] == State._fields[:2]

@@ -18,9 +18,9 @@ class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):
     **Arguments:**
 
     - `slope`: of the ground (rad), above 0 and below pi/2.
-    - `foot_mass`: beta, the mass of a foot to that of the hip, above 0.
+    - `foot_mass`: beta, the mass of a foot relative to that of the hip, above 0.
 
-    `ValueError` otherwise.
+    Raises `ValueError` otherwise.
     """
 
     slope: Scalar = eqx.field(converter=SLOPE.convert)

@@ -37,11 +37,12 @@ class PoweredWalker(AbstractMasslessFootWalker):
         phiddot = sin(phi) (thetadot^2 - cos(theta - slope)) + sin(theta - slope)
                   - hip_stiffness (phi - hip_angle) - hip_damping phidot.
 
-    With a slack angle that is negative the spring is a motor that swings the leg forward and holds
-    it there (Wisse, Schwab, van der Linde and van der Helm 2005, IEEE Trans. Robot. 21:393-401).
+    With a negative slack angle the spring is a motor that swings the leg forward and holds it there
+    (Wisse, Schwab, van der Linde and van der Helm 2005, IEEE Trans. Robot. 21:393-401).
+
     Just before heel strike the trailing leg gives the hip the impulse P = `push_off` along itself
     (Kuo 2002, J. Biomech. Eng. 124:113-120). The new stance leg then keeps the part of the hip's
-    velocity that is across itself,
+    velocity across itself,
 
         thetadot+ = cos(phi) thetadot + P sin(phi),    phi < 0.
 
@@ -57,7 +58,7 @@ class PoweredWalker(AbstractMasslessFootWalker):
     - `hip_angle`: phi at which the spring is slack (rad).
     - `push_off`: P, not negative.
 
-    `ValueError` otherwise.
+    Raises `ValueError` otherwise.
     """
 
     slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
@@ -72,7 +73,7 @@ class PoweredWalker(AbstractMasslessFootWalker):
     inverted_pendulum: ClassVar = True
 
     def driven_by_gravity(self):
-        """Without push-off: the hip's torque does work of the order of the foot's mass."""
+        """True without push-off: the hip's torque does work of the order of the foot's mass."""
         return bool(np.all(np.asarray(self.push_off) == 0))
 
     def motor_work(self, start, end):
@@ -92,7 +93,7 @@ class PoweredWalker(AbstractMasslessFootWalker):
     def impact(self, state):
         """(18) as if thetadot were thetadot + P tan(phi).
 
-        What the hip's velocity has along the new stance leg is lost. Across that leg it has
+        The hip's velocity along the new stance leg is lost. Across that leg it is
         cos(phi) thetadot + P sin(phi) before heel strike, and all else follows from that.
         """
         gain = self.push_off * jnp.sin(state.phi) / jnp.cos(state.phi)

@@ -24,12 +24,12 @@ HIP_DAMPER = Parameter(
 class AbstractPoweredWalker(MultibodyWalker):
     """The motors of a walker with masses, by the general method.
 
-    The hip's torque, dual to phi, is -hip_spring (phi - hip_angle) - hip_damper phidot: on the
-    swing leg, and the opposite on the stance leg. Push-off is an impulse of the ground on the
-    trailing foot just before heel strike, from the foot's point of contact towards the leg's
-    direction. Nothing holds that foot then, and the heel strike follows at once, (17). In the limit
-    of vanishing foot mass both are those of `PoweredWalker`, with hip_spring = hip_stiffness times
-    the mass of a foot.
+    The hip's torque, dual to phi, is -hip_spring (phi - hip_angle) - hip_damper phidot on the swing
+    leg, and the opposite on the stance leg. Push-off is an impulse of the ground on the trailing
+    foot just before heel strike, from the foot's point of contact towards the leg's direction.
+    Nothing holds that foot then, and the heel strike follows at once, (17). In the limit of
+    vanishing foot mass both are those of `PoweredWalker`, with hip_spring = hip_stiffness times the
+    mass of a foot.
     """
 
     slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
@@ -50,9 +50,9 @@ class AbstractPoweredWalker(MultibodyWalker):
         )
 
     def motor_work(self, start, end):
-        """The energy gained in the swing, by the hip alone, and in push-off.
+        """Energy gained in the swing, by the hip alone, and in push-off.
 
-        Not known with phases: what is lost between them would count as work done on the motors.
+        It is unknown with phases: the loss between them would count as work done on the motors.
         """
         if self.phases():
             return None
@@ -77,7 +77,7 @@ class PoweredPointFootWalker(AbstractPoweredWalker, PointFootWalker):
     - `hip_angle`: phi at which the spring is slack (rad).
     - `push_off`: impulse along the trailing leg just before heel strike, not negative.
 
-    `ValueError` otherwise.
+    Raises `ValueError` otherwise.
     """
 
 

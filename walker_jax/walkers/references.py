@@ -1,9 +1,9 @@
 """Walkers and other systems by name: of the package, of other packages, of a user's own files.
 
-The name of a walker is one of `family.WALKERS`, one that an installed package gives to the entry
+A walker's name is one of `family.WALKERS`, a name that an installed package registers in the entry
 points `walker_jax.walkers`, `FILE.py:CLASS` or `PACKAGE.MODULE:CLASS`. The last three run code: see
-SECURITY.md. That of a system is one of `systems.family.SYSTEMS`, or of the last two kinds; it may
-also stand for a system that the file makes, such as a `Map`.
+SECURITY.md. A system's name is one of `systems.family.SYSTEMS`, or of the last two kinds; it may
+also denote a system that the file makes, such as a `Map`.
 """
 
 import difflib
@@ -29,7 +29,7 @@ GROUP = "walker_jax.walkers"
 
 
 def find_walker(name: str) -> type[Walker]:
-    """The class of walkers that a name stands for. Raises `WrongUse` where there is none."""
+    """Returns the class of walkers of a name; raises `WrongUse` where there is none."""
     if name in WALKERS:
         return WALKERS[name]
     if ":" in name:
@@ -50,7 +50,7 @@ def find_walker(name: str) -> type[Walker]:
 
 
 def find_system(name: str) -> type[System] | System:
-    """The system, or class of systems, of a name. Raises `WrongUse` where there is none."""
+    """Returns the system, or class of systems, of a name; raises `WrongUse` where there is none."""
     if name in SYSTEMS:
         return SYSTEMS[name]
     place, _, attribute = name.rpartition(":")
@@ -77,10 +77,10 @@ def find_system(name: str) -> type[System] | System:
 
 
 def reference_of(kind: type[System] | System) -> str:
-    """The name by which another process finds a class, or a system that a file makes.
+    """Returns the name by which another process finds a class, or a system that a file makes.
 
-    `find_walker` takes that of a walker, `find_system` that of any other system. Raises `WrongUse`
-    for what is not to be found by its name in a module with a file.
+    `find_walker` takes the name of a walker, `find_system` that of any other system. Raises
+    `WrongUse` for objects that have no name in a module with a file.
     """
     for name, one in (WALKERS | SYSTEMS).items():
         if one is kind:
@@ -95,7 +95,7 @@ def reference_of(kind: type[System] | System) -> str:
 
 
 def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
-    """The module with a file that has a class, or makes a system, and its name there."""
+    """Returns the module with a file that has a class, or makes a system, and its name there."""
     if isinstance(kind, type):
         module = sys.modules.get(kind.__module__)
         found = getattr(module, "__dict__", {}).get(kind.__qualname__) is kind
@@ -107,7 +107,7 @@ def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
             of="walker",
         )
     code = code_of(kind)
-    first = sys.modules.get(getattr(code[0], "__module__", ""))  # that of a map's function
+    first = sys.modules.get(getattr(code[0], "__module__", ""))  # the module of a map's function
     for module in (first, *list(sys.modules.values())):
         if module is not None and file_of(module) is not None:
             for name, value in list(vars(module).items()):
@@ -120,26 +120,26 @@ def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
 
 
 def installed_walkers() -> dict[str, EntryPoint]:
-    """The walkers of other packages, by their names; those of the package keep theirs."""
+    """Returns the walkers of other packages, by name; names of this package take precedence."""
     return {one.name: one for one in entry_points(group=GROUP) if one.name not in WALKERS}
 
 
 def load_installed(point: EntryPoint) -> type[Walker]:
-    """The class that another package gives. Raises `WrongUse` where it gives none."""
+    """Returns the class that another package registers; raises `WrongUse` where it has none."""
     try:
         value = point.load()
-    except (Exception, SystemExit) as error:  # whatever code of others raises
+    except (Exception, SystemExit) as error:  # whatever foreign code raises
         raise WrongUse(f"walker {point.name} ({point.value}) {cannot_be_loaded(error)}") from error
     return check_walker(f"{point.name} ({point.value})", value, point.module, ())
 
 
 def load_place(place: str, noun: str = "walker") -> ModuleType:
-    """The module of a file or of a package; errors name what is looked for there."""
+    """Returns the module of a file or of a package; errors name the `noun` that is looked for."""
     return load_file(Path(place), noun) if place.endswith(".py") else load_module(place, noun)
 
 
 def load_file(path: Path, noun: str = "walker") -> ModuleType:
-    """A Python file, run as a module of its name; what stands beside it can be imported."""
+    """Runs a Python file as a module of its name, which may import files beside it."""
     if not path.is_file():
         raise WrongPlace(f"{noun} {path}: there is no such file")
     path, name = path.resolve(), path.stem
@@ -151,7 +151,7 @@ def load_file(path: Path, noun: str = "walker") -> ModuleType:
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     make_importable(path.parent)
-    sys.modules[name] = module  # by which worker processes find the class
+    sys.modules[name] = module  # so that worker processes find the class
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's code raises
@@ -161,7 +161,7 @@ def load_file(path: Path, noun: str = "walker") -> ModuleType:
 
 
 def is_taken(name: str, path: Path) -> bool:
-    """Whether a module of that name is another one than this file, loaded or not."""
+    """Returns whether another module than this file has that name, loaded or not."""
     if name in sys.stdlib_module_names:
         return True
     try:
@@ -172,7 +172,7 @@ def is_taken(name: str, path: Path) -> bool:
 
 
 def load_module(name: str, noun: str) -> ModuleType:
-    """A module, of this folder or installed."""
+    """Returns a module, of this folder or installed."""
     make_importable(Path.cwd())
     try:
         return importlib.import_module(name)
@@ -186,7 +186,7 @@ def make_importable(folder: Path) -> None:
 
 
 def cannot_be_loaded(error: BaseException, path: Path | None = None) -> str:
-    """Why code cannot be loaded, with the line of the file where it failed."""
+    """Says why code cannot be loaded, with the line of the file where it failed."""
     line, step = "", error.__traceback__
     while step is not None:
         if path is not None and step.tb_frame.f_code.co_filename == str(path):
@@ -196,7 +196,7 @@ def cannot_be_loaded(error: BaseException, path: Path | None = None) -> str:
 
 
 def walkers_in(module: ModuleType) -> list[str]:
-    """The names of the walkers that a module defines."""
+    """Returns the names of the walkers that a module defines."""
     return [
         name
         for name, value in vars(module).items()
@@ -213,18 +213,18 @@ def is_system(value: Any) -> TypeGuard[type[System]]:
 
 
 def systems_in(module: ModuleType) -> list[str]:
-    """The names of the systems, and of their classes, that a module makes."""
+    """Returns the names of the systems, and of their classes, that a module makes."""
     return [name for name in vars(module) if is_own(module, name)]
 
 
 def is_own(module: ModuleType, name: str) -> bool:
-    """Whether a module makes a system, or defines a class of systems, of that name."""
+    """Returns whether a module makes a system, or defines a class of systems, of that name."""
     value = vars(module)[name]
     return isinstance(value, System) or (is_system(value) and value.__module__ == module.__name__)
 
 
 def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> type[Walker]:
-    """The class, if it is a complete one of walkers. Raises `WrongUse` otherwise."""
+    """Returns the class, if it is a complete one of walkers; raises `WrongUse` otherwise."""
     if not is_walker(value):
         raise WrongUse(f"walker {name} must be a class of walkers: {choose_from(others, place)}")
     check_complete("walker", name, value)
@@ -232,7 +232,7 @@ def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> ty
 
 
 def check_complete(noun: str, name: str, kind: type[System]) -> None:
-    """Refuse a class that lacks methods, or names of coordinates."""
+    """Raises `WrongUse` for a class that lacks methods, or names of coordinates."""
     missing = sorted(getattr(kind, "__abstractmethods__", ()))
     missing += [] if hasattr(kind, "section") else ["section"]
     if missing or inspect.isabstract(kind):
@@ -240,7 +240,7 @@ def check_complete(noun: str, name: str, kind: type[System]) -> None:
 
 
 def choose_from(names: Sequence[str], place: str) -> str:
-    """Say what to give for one of the walkers, or systems, of a place."""
+    """Says how to name one of the walkers, or systems, of a place."""
     if not names:
         return f"{place} defines none"
     return "give " + " or ".join(f"{place}:{name}" for name in names)

@@ -23,17 +23,17 @@ class SpatialState(NamedTuple):
     """
 
     x: Scalar
-    """Contact of the stance disc: since the start of the stride."""
+    """Contact of the stance disc, relative to the start of the stride."""
     y: Scalar
     yaw: Scalar
-    """Of the axle about z: positive to the left."""
+    """Rotation of the axle about z, positive to the left."""
     lean: Scalar
-    """Of the axle about the direction of walking: positive to the right, the side of the swing leg,
+    """Rotation of the axle about the direction of walking: positive to the side of the swing leg,
     negative to the side of the stance leg."""
     theta: Scalar
-    """Of the stance leg about the axle, positive before mid-stance."""
+    """Angle of the stance leg about the axle, positive before mid-stance."""
     phi: Scalar
-    """Between the legs, from the stance leg to the swing leg."""
+    """Angle between the legs, from the stance leg to the swing leg."""
     yawdot: Scalar
     leandot: Scalar
     thetadot: Scalar
@@ -41,7 +41,7 @@ class SpatialState(NamedTuple):
 
 
 class Momenta(NamedTuple):
-    """Momenta of both legs, and what they are made of, in vectors along the axle's frame."""
+    """Momenta of both legs, and the vectors they consist of, in the axle's frame."""
 
     whole: Vector
     """Angular momentum of both legs about the contact."""
@@ -54,43 +54,44 @@ class Momenta(NamedTuple):
     hip: Vector
     """Velocity of the hip."""
     arms: Vector
-    """The sum of the arms of the two centres of mass, from the contact."""
+    """Sum of the arms of the two centres of mass, from the contact."""
     arm: Vector
-    """The arm of the swing leg's centre of mass, from the hip."""
+    """Arm of the swing leg's centre of mass, from the hip."""
     frame: Vector
-    """The angular velocity of the axle's frame."""
+    """Angular velocity of the axle's frame."""
     lean: list[Scalar]
-    """The cosine and the sine of the lean."""
+    """Cosine and sine of the lean."""
 
     def scalars(self) -> list[Scalar]:
-        """All entries, one after the other."""
+        """Returns all entries, one after the other."""
         return [entry for field in self for entry in field]
 
     @classmethod
     def of(cls, scalars: list[Scalar]) -> "Momenta":
-        """From all entries."""
+        """Makes the momenta from all entries."""
         vectors = [jnp.stack(scalars[i : i + 3]) for i in range(0, 24, 3)]
         return cls._make([*vectors, scalars[24:]])
 
 
 class RollingStance(ConstrainedPower):
-    """The equations of motion on the stance disc, which rolls, of x, y, yaw, lean, theta, phi.
+    """The equations of motion on the rolling stance disc, for x, y, yaw, lean, theta, phi.
 
     They are those of `multibody.ConstrainedMotion`, in vectors along the axle's frame, in which
-    arms do not depend on yaw and lean. With Omega the frame's angular velocity, those of the legs
-    are omega_i = Omega + (their rates) e_2. The stance leg turns about its contact, and the swing
-    leg's centre of mass at arms b from the hip that is at arms a from the contact:
+    arms do not depend on yaw and lean. With Omega the frame's angular velocity, the legs have
+    omega_i = Omega + (their rates) e_2. The stance leg turns about its contact, with its centre of
+    mass at c and the hip at a from the contact. The swing leg's centre of mass is at b from the
+    hip:
 
         v_1 = omega_1 x c,    v_hip = omega_1 x a,    v_2 = v_hip + omega_2 x b.
 
     H is the angular momentum of both legs about the contact, K that of the swing leg about the hip.
-    The contact moves at C along the slope, and the hip at v_hip, so with p and p_2 the momenta of
-    both legs and of the swing leg, and W the weight of a leg,
+    The contact moves at C along the slope, and the hip at v_hip. With p and p_2 the momenta of both
+    legs and of the swing leg, and W the weight of a leg,
 
         H' + Omega x H + C x p = (a + b + c) x W,
-        K' + Omega x K + v_hip x p_2 = b x W,
+        K' + Omega x K + v_hip x p_2 = b x W.
 
-    of the second of which the part along the axle counts.
+    Of the second equation, the part along the axle counts.
     """
 
     walker: Any
@@ -101,19 +102,19 @@ class RollingStance(ConstrainedPower):
         return 2, 3, 4, 5
 
     def rates(self, q, u):
-        """The contact moves along the disc by what the leg has turned about the axle."""
+        """Rates of the coordinates: the contact moves along the disc as the leg turns."""
         rolled = self.rolled(u)
         return [rolled * jnp.cos(q[2]), rolled * jnp.sin(q[2]), *u]
 
     def rolled(self, u: list) -> Scalar:
-        """The speed of the contact along the slope."""
+        """Returns the speed of the contact along the slope."""
         return -self.walker.disc_radius * u[2]
 
     def momentum(self, q, u):
         return unroll(lambda self, q, u: self.momenta(q[3:], u).scalars())(self, q, u)
 
     def momenta(self, angles: list, u: list) -> Momenta:
-        """The momenta of lean, theta and phi, and the rates."""
+        """Computes the momenta from lean, theta and phi, and the rates."""
         walker = self.walker
         lean, theta, phi = angles
         yawdot, leandot, thetadot, phidot = u
@@ -146,14 +147,14 @@ class RollingStance(ConstrainedPower):
         return Momenta(whole, about_hip, p_1 + p_2, p_2, at_hip, arms, swing, frame, tilt)
 
     def spin(self, leg: tuple[Scalar, Scalar], side: float, omega: Vector) -> Vector:
-        """The angular momentum of a leg about its centre of mass."""
+        """Returns the angular momentum of a leg about its centre of mass."""
         c, s = leg
         within = jnp.stack([c * omega[0] - s * omega[2], omega[1], s * omega[0] + c * omega[2]])
         h = self.walker.inertia(side) @ within
         return jnp.stack([c * h[0] + s * h[2], h[1], c * h[2] - s * h[0]])
 
     def weight(self, yaw: Scalar, lean: list[Scalar]) -> Vector:
-        """The weight of a leg, along the axle's frame."""
+        """Returns the weight of a leg, along the axle's frame."""
         down, down_slope = -jnp.cos(self.walker.slope), jnp.sin(self.walker.slope)
         across, (c, s) = -down_slope * jnp.sin(yaw), lean
         gravity = [down_slope * jnp.cos(yaw), c * across + s * down, c * down - s * across]
@@ -174,7 +175,7 @@ class RollingStance(ConstrainedPower):
         return unroll(flat)(self, q, u, momentum, momentum_rates)
 
     def moments(self, lean: list[Scalar], whole: Vector, swing: Vector) -> list[Scalar]:
-        """The power of moments, on both legs and on the swing leg, at unit rate of each of u."""
+        """Returns the power of moments, on both legs and the swing leg, at unit rate of each u."""
         (c, s), (along, sideways, up) = lean, whole
         return [sideways * s + up * c, along, -sideways, swing[1]]
 
@@ -194,14 +195,14 @@ class RollingStance(ConstrainedPower):
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """The vector product, with no more products than it has."""
+    """Returns the vector product, with no more products than it has."""
     (a0, a1, a2), (b0, b1, b2) = a, b
     return jnp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 @jax.jit
 def contact_forces(walker: Any, state: Any) -> list[Scalar]:
-    """The forces of the ground on the stance disc, down the slope and normal to it."""
+    """Computes the forces of the ground on the stance disc, down the slope and normal to it."""
     q, u = list(state[:6]), list(state[6:])
     rates = list(RollingStance(walker)(state))
 

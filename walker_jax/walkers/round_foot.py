@@ -23,19 +23,19 @@ HIP_MASS = Parameter("hip_mass", "at the hip", "mass", 1.0, closed=True)
 class RoundFootWalker(AbstractRoundFootWalker):
     """A hip and two legs with mass and inertia, on feet that roll: arcs centred on the legs.
 
-    Point feet are those of radius zero.
+    A radius of zero makes point feet.
 
     **Arguments:** masses in any unit, lengths in any unit L, times then in sqrt(L / gravity).
 
     - `slope`: of the ground (rad), above 0 and below pi/2.
     - `hip_mass`: a point mass at the hip, not negative.
-    - `leg_mass`, `leg_inertia`: of each leg, about its centre of mass; above 0, and not negative.
+    - `leg_mass`, `leg_inertia`: of each leg, above 0; about its centre of mass, not negative.
     - `leg_length`: from the hip to the sole, above 0. The arc's centre is at
       leg_length - foot_radius from the hip.
     - `com_from_hip`, `com_offset`: the place of a leg's centre of mass, down the leg and forward.
     - `foot_radius`: not negative, and less than the length of the leg.
 
-    `ValueError` otherwise, and for legs that nothing keeps from turning: no inertia, and a centre
+    Raises `ValueError` otherwise, and for legs free to turn: without inertia, and with the centre
     of mass at the hip.
     """
 

@@ -21,7 +21,7 @@ class SimplestWalker(AbstractMasslessFootWalker):
 
     **Arguments:**
 
-    - `slope`: of the ground (rad), above 0 and below pi/2. `ValueError` otherwise.
+    - `slope`: of the ground (rad), above 0 and below pi/2. Raises `ValueError` otherwise.
     """
 
     slope: Scalar = eqx.field(converter=SLOPE.convert)

@@ -43,7 +43,7 @@ SPATIAL_SLOPE = SLOPE._replace(default=0.0702)
 
 
 def inertia_parameter(name: str, default: float) -> Parameter:
-    """An entry of the matrix of inertia of the left leg."""
+    """Makes an entry of the matrix of inertia of the left leg."""
     meaning = f"entry {name[-2:]} of the left leg's matrix of inertia"
     low = 0.0 if name[-1] == name[-2] else -np.inf
     return Parameter(name, meaning, "mass length^2", default, low=low)
@@ -57,8 +57,8 @@ INERTIA_XZ = inertia_parameter("inertia_xz", -0.0023)
 INERTIA_YZ = inertia_parameter("inertia_yz", 0.0573)
 ALLOW_SCUFFING = Option("allow_scuffing", "a disc below the slope before heel strike is no failure")
 LEAST_STEP = 1e-3
-"""Angle between the legs, in rad, from which on a disc that comes down is ahead of the other. Below
-it the legs are passing each other: of a walker that stays upright both discs touch then."""
+"""Least angle between the legs, in rad, at which a disc that comes down counts as ahead. Below it
+the legs are passing each other: for an upright walker both discs touch then."""
 GREATEST_LEAN = np.pi / 3
 """Lean at which a walker has fallen sideways (rad)."""
 
@@ -67,11 +67,10 @@ class SpatialWalker(Walker):
     """Two rigid legs on one axle that rolls, yaws and leans: a walker in space.
 
     Each foot is the sharp edge of a disc, normal to the axle, that rolls on the slope without
-    slipping: friction is taken to hold it. Heel strike is where the other disc touches the slope;
-    the foot that stood is free then. Coordinates are those of a walker on its left leg; after every
-    other stride they are seen in a mirror. By default the toy that can walk but cannot stand.
-
-    Discs are sharp-edged: feet that are tori are not provided.
+    slipping; friction is assumed to hold it. Heel strike is the moment when the other disc touches
+    the slope; the foot that stood is then free. Coordinates are those of a walker on its left leg;
+    every other stride is seen in a mirror. The default is the toy that can walk but cannot stand.
+    Feet that are tori are not provided.
 
     Coleman, Garcia, Mombaur and Ruina (2001).
 
@@ -87,9 +86,9 @@ class SpatialWalker(Walker):
     - `inertia_xx` to `inertia_yz`: entries of the left leg's matrix of inertia about its centre of
       mass, in axes forward, to the left and up the leg; xy and yz change sign on the right leg.
     - `allow_scuffing`: whether a disc may pass below the slope before heel strike, as in the plane.
-      By default a stride fails (`SCUFFED`) in which it does.
+      By default such a stride fails (`SCUFFED`).
 
-    `ValueError` otherwise, and for a matrix of inertia that is not positive definite.
+    Raises `ValueError` otherwise, and for a matrix of inertia that is not positive definite.
     """
 
     slope: Scalar = eqx.field(converter=SPATIAL_SLOPE.convert, default=SPATIAL_SLOPE.default)
@@ -135,25 +134,25 @@ class SpatialWalker(Walker):
         return *diagonal, self.inertia_xy, self.inertia_xz, self.inertia_yz
 
     def inertia(self, side: float) -> Float[Array, "3 3"]:
-        """The matrix of inertia of the left leg, side 1, or of the right, side -1."""
+        """Returns the matrix of inertia of the left leg, side 1, or of the right, side -1."""
         xx, yy, zz, xy, xz, yz = self.inertia_entries()
         xy, yz = side * xy, side * yz
         rows = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
         return jnp.stack([jnp.stack(row) for row in rows])
 
-    # Where the legs are, of q = (x, y, z, yaw, lean, theta, phi): (x, y, z) is below the stance
+    # Places of the legs for q = (x, y, z, yaw, lean, theta, phi): (x, y, z) is below the stance
     # disc's centre, at its lowest point.
 
     def axle(self, q: Float[Array, " 7"]) -> Float[Array, "3 3"]:
-        """The frame of the axle: its directions forward, along the axle to the left, and up."""
+        """Returns the frame of the axle: directions forward, along the axle to the left, and up."""
         return rotation_about(2, q[3]) @ rotation_about(0, q[4])
 
     def rotation(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, "3 3"]:
-        """The frame of a leg, the stance leg's or the swing leg's."""
+        """Returns the frame of a leg, the stance leg's or the swing leg's."""
         return self.axle(q) @ rotation_about(1, q[6] - q[5] if swing else -q[5])
 
     def disc(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, " 3"]:
-        """The centre of a disc."""
+        """Returns the centre of a disc."""
         axle, shank = self.axle(q), self.leg_length - self.disc_radius
         stance = q[:3] + self.disc_radius * axle[:, 2]
         if not swing:
@@ -162,17 +161,17 @@ class SpatialWalker(Walker):
         return hip - shank * self.rotation(q, True)[:, 2]
 
     def sole(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, " 3"]:
-        """The lowest point of a disc, where it touches the slope."""
+        """Returns the lowest point of a disc, where it touches the slope."""
         return self.disc(q, swing) - self.disc_radius * self.axle(q)[:, 2]
 
     def centre_of_mass(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, " 3"]:
-        """The centre of mass of a leg."""
+        """Returns the centre of mass of a leg."""
         outward = -self.com_outward if swing else self.com_outward
         place = jnp.stack([self.com_forward, outward, self.com_height - self.disc_radius])
         return self.disc(q, swing) + self.rotation(q, swing) @ place
 
     def system(self) -> System:
-        """Both legs, of all seven coordinates."""
+        """Returns the system of both legs, for all seven coordinates."""
 
         def transfer(q):
             legs = [(self.centre_of_mass(q, one), self.rotation(q, one)) for one in (False, True)]
@@ -187,7 +186,7 @@ class SpatialWalker(Walker):
     def contact_velocity(
         self, q: Float[Array, " 7"], qdot: Float[Array, " 7"], swing: bool
     ) -> Float[Array, " 3"]:
-        """The velocity of a disc's point at its sole: zero where it rolls without slipping."""
+        """Returns the velocity of a disc's point at its sole: zero if it rolls without slipping."""
         place = lambda function: lambda q: function(q, swing)
         places = place(self.disc), place(self.rotation), place(self.sole)
         return material_velocity(*places, q, qdot)
@@ -195,7 +194,7 @@ class SpatialWalker(Walker):
     # A stride
 
     def lift(self, x):
-        """The lean that brings both discs to the slope, the stance disc at the origin."""
+        """Leans so that both discs touch the slope, with the stance disc at the origin."""
         yaw, theta, phi, yawdot, leandot, thetadot, phidot = x
         zero, shank = jnp.zeros_like(yaw), self.leg_length - self.disc_radius
         higher = 2 * shank * jnp.sin(phi / 2 - theta) * jnp.sin(phi / 2)
@@ -217,7 +216,7 @@ class SpatialWalker(Walker):
 
     def gait_region(self):
         """Steps like those of the toy: legs about as far ahead as behind, the swing leg ahead of
-        the axle's turn. Rates are counted in those of a pendulum of the leg's length."""
+        the axle's turn. Rates are in units of a pendulum of the leg's length."""
         rate = 1 / float(np.sqrt(self.leg_length))
         axes = {
             "yaw": (0.0, 0.24, 3),
@@ -248,7 +247,7 @@ class SpatialWalker(Walker):
         return (swing._replace(conditions=tuple(map(touches, swing.conditions))),)
 
     def contact_force(self, state: Any):
-        """The forces of the general method, dual to x and z, that hold the stance foot."""
+        """Forces of the general method, dual to x and z, that hold the stance foot."""
         along, normal = contact_forces(self, state)
         return along, normal
 
@@ -276,7 +275,7 @@ class SpatialWalker(Walker):
         return sole_of(self, state)[2]
 
     def reach(self, state: Any):
-        """Down the slope, from where the stance disc stood at first to the swing disc's sole."""
+        """Distance down the slope, from the stance disc's first place to the swing disc's sole."""
         return state.x + sole_of(self, state)[0]
 
     def conditions(self):
@@ -297,7 +296,7 @@ class SpatialWalker(Walker):
         }
 
     def exchange_legs(self, state: Any):
-        """In a mirror, so that the new stance leg is the left one."""
+        """Seen in a mirror, so that the new stance leg is the left one."""
         _, _, yaw, lean, theta, phi, yawdot, leandot, thetadot, phidot = state
         zero = jnp.zeros_like(yaw)
         angles = -yaw, -lean, theta - phi, -phi
@@ -308,21 +307,21 @@ RATES = SpatialState._fields[6:]
 
 
 def on_ground(q: Float[Array, " 6"]) -> Float[Array, " 7"]:
-    """All coordinates, z among them, of a walker on its stance disc; or their rates."""
+    """Adds z to the coordinates of a walker on its stance disc; or to their rates."""
     return jnp.concatenate([q[:2], jnp.zeros_like(q[:1]), q[2:]])
 
 
 def all_coordinates(
     walker: SpatialWalker, state: Any
 ) -> tuple[Float[Array, " 7"], Float[Array, " 7"]]:
-    """q and its rates, of a state."""
+    """Returns q and its rates, for a state."""
     q, u = list(state[:6]), list(state[6:])
     return on_ground(jnp.stack(q)), on_ground(jnp.stack(RollingStance(walker).rates(q, u)))
 
 
 @jax.jit
 def sole_of(walker: SpatialWalker, state: Any) -> list[Scalar]:
-    """The swing disc's sole, from the stance disc's."""
+    """Returns the swing disc's sole, relative to the stance disc's."""
 
     def flat(walker, angles):
         zero = jnp.zeros_like(angles[0])
@@ -333,7 +332,7 @@ def sole_of(walker: SpatialWalker, state: Any) -> list[Scalar]:
 
 @jax.jit
 def rates_after_impact(walker: SpatialWalker, state: Any) -> list[Scalar]:
-    """After the impact in which the swing disc sticks: of the old sole forward and up, and u."""
+    """Returns rates after the swing disc sticks: of the old sole forward and up, and u."""
 
     def flat(walker, state):
         q, qdot = all_coordinates(walker, state)

@@ -22,20 +22,19 @@ class SpringWalker(AbstractMasslessFootWalker):
     """The simplest walker with a torsional spring between its legs, slack when they are parallel.
 
     A spring of stiffness K exerts the torque -K phi on the swing leg, and the opposite one on the
-    stance leg. In the limit of vanishing foot mass m it has an effect on the swing leg alone, and
-    there only if K vanishes too, in proportion: with K = m g l hip_stiffness, (4) divided by m has
-    the limit phiddot = sin(phi) (thetadot^2 - cos(theta - slope)) + sin(theta - slope)
-    - hip_stiffness phi. The leg then swings like a pendulum whose gravity is larger by a factor
-    1 + hip_stiffness. The spring exerts no impulse, so impact and contact force are as without it.
-
-    Such a spring makes steps shorter and faster (Kuo 2002, J. Biomech. Eng. 124:113-120).
+    stance leg. In the limit of vanishing foot mass m it acts on the swing leg alone, provided that
+    K vanishes in proportion: with K = m g l hip_stiffness, (4) divided by m has the limit
+    phiddot = sin(phi) (thetadot^2 - cos(theta - slope)) + sin(theta - slope) - hip_stiffness phi.
+    The leg then swings like a pendulum whose gravity is larger by a factor 1 + hip_stiffness. The
+    spring exerts no impulse, so impact and contact force are as without it. Such a spring makes
+    steps shorter and faster (Kuo 2002, J. Biomech. Eng. 124:113-120).
 
     **Arguments:**
 
     - `slope`: of the ground (rad), above 0 and below pi/2.
     - `hip_stiffness`: K / (m g l), not negative.
 
-    `ValueError` otherwise.
+    Raises `ValueError` otherwise.
     """
 
     slope: Scalar = eqx.field(converter=SLOPE.convert)

@@ -34,13 +34,13 @@ class UpperBodyWalker(AbstractRoundFootWalker):
     the body is the mean of those of the legs, theta - phi / 2, at heel strike too. So it adds no
     degree of freedom. Legs and feet are those of the `RoundFootWalker`.
 
-    **Arguments:** units as there, and so are the parameters not listed.
+    **Arguments:** units and all other parameters are those of the `RoundFootWalker`.
 
-    - `body_mass`, `body_inertia`: of the upper body, about its centre of mass; above 0, and not
+    - `body_mass`, `body_inertia`: of the upper body, above 0; about its centre of mass, not
       negative.
-    - `body_com`: distance of its centre of mass above the hip; below it where negative.
+    - `body_com`: distance of its centre of mass above the hip; negative below it.
 
-    `ValueError` as there.
+    Raises `ValueError` as there.
     """
 
     slope: Scalar = eqx.field(converter=SLOPE.convert)

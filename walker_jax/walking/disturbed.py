@@ -1,7 +1,7 @@
 """Walks with a disturbance in every stride: of the ground, the slope, or a push.
 
-States are full ones, such as (theta, phi, thetadot, phidot), just after heel strike, as the feet
-stand at different heights on rough ground.
+States are full states, such as (theta, phi, thetadot, phidot), just after heel strike, because the
+feet stand at different heights on rough ground.
 """
 
 from typing import Any, NamedTuple
@@ -30,10 +30,10 @@ class Disturbance(NamedTuple):
 
 
 class DisturbedWalk(NamedTuple):
-    """Where a number of disturbed strides leads: arrays of JAX or of NumPy."""
+    """The end of a number of disturbed strides: arrays of JAX or of NumPy."""
 
     state: Float[Any, "*walks full"]
-    """The full state after the last one; NaN after a failure."""
+    """The full state after the last stride; NaN after a failure."""
     outcome: Int[Any, "*walks"]
     """`Outcome` of the last stride."""
     strides: Int[Any, "*walks"]
@@ -47,14 +47,14 @@ def follow_disturbed(
     disturbance: Disturbance,
     integrator: Integrator,
 ) -> Stride:
-    """One disturbed stride; the result's state is a full one."""
+    """Follows one disturbed stride; the result's state is a full state."""
     return follow_step(*disturbed_start(walker, x, disturbance), integrator)
 
 
 def disturbed_start(
     walker: Walker, x: Float[Array, " coordinates"], disturbance: Disturbance
 ) -> tuple[Walker, Float[Array, " full"], Scalar]:
-    """The walker on a disturbed slope, its state after the push, and the step's height."""
+    """Returns the walker on a disturbed slope, its state after the push, and the step's height."""
     slope = vars(walker)["slope"] + disturbance.slope
     steeper = with_parameter(walker, "slope", slope)
     start = walker.lift(x) if x.shape == (len(walker.section),) else walker.state(*x)
@@ -68,7 +68,7 @@ def follow_disturbed_walk(
     disturbances: Float[Array, "strides 3"],
     integrator: Integrator,
 ) -> DisturbedWalk:
-    """Strides, each with its disturbance, until a failure or to the last."""
+    """Follows strides, each with its disturbance, to a failure or the last one."""
 
     def advance(walk, disturbance):
         result = follow_disturbed(walker, walk.state, Disturbance(*disturbance), integrator)

@@ -1,4 +1,4 @@
-"""By how much a disturbed stride misses each way to fail."""
+"""Margins by which a disturbed stride misses each way to fail."""
 
 from functools import partial
 from typing import Any
@@ -41,10 +41,10 @@ def follow_disturbed_margins(
     disturbance: Disturbance,
     integrator: Integrator,
 ) -> Margins:
-    """One disturbed stride, as `follow_disturbed` makes it, and its margins.
+    """Follows one disturbed stride, as `follow_disturbed` does, and measures its margins.
 
-    A foot that comes down on lower ground has passed the level of the other one before: the forward
-    margin is the lesser one of the two.
+    A foot that comes down on lower ground has passed the level of the other foot before: the
+    forward margin is the smaller one of the two.
     """
     walker, x, step = disturbed_start(walker, x, disturbance)
     walker = during_stride(walker, x)

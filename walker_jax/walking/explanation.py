@@ -1,7 +1,7 @@
-"""Why a stride ends as it does: mode by mode, guard by guard; and whether a model fits together.
+"""Explanations of a stride, mode by mode and guard by guard, with checks of the model.
 
-The rises of guards are looked for anew here, as the real roots of the polynomials of all steps, so
-that the search that decides a stride has a second opinion.
+The rises of guards are found anew here, as the real roots of the polynomials of all steps. This is
+a second opinion on the search that decides a stride.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from walker_jax.walking.starts import during_stride, full_state, is_feasible, on
 from walker_jax.walking.stride import begin_next, fall_of, method_of, modes_from, stride
 
 MOST_RISES = 20
-"""Rises in a mode that are told, the last ones."""
+"""Most rises of a mode that are reported: the last ones."""
 ENERGY_DRIFT = 1e-6
-"""Change of the energy, relative to it or to 1, from which on it is no error of the integration."""
+"""Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
 PARTS = 0.25, 0.5, 0.75, 1.0
-"""Of a step, where conditions are looked at."""
+"""Fractions of a step at which conditions are checked."""
 
 
 class Rise(NamedTuple):
@@ -44,34 +44,35 @@ class Rise(NamedTuple):
     mode: int
     guard: int
     leads_to: str
-    """The `Outcome`; `STRIDE` of a guard with which the stride goes on."""
+    """The `Outcome`; `STRIDE` for a guard with which the stride goes on."""
     time: float
-    """Since the start of the mode."""
+    """Time since the start of the mode."""
     admitted: bool
-    """Whether it counted; a rise that did ends the mode if it is the first."""
+    """Whether it counted; the first admitted rise ends the mode."""
 
 
 class ModeRecord(NamedTuple):
     """A mode that was followed."""
 
     time: float
-    """How long; infinite if nothing ended it."""
+    """Duration; infinite if nothing ended it."""
     steps: int
     ended_by: str
-    """The outcome to which the guard that ended it leads; empty for none."""
+    """The outcome of the guard that ended it; empty for none."""
     rises: list[Rise]
     least: dict[str, float]
-    """About the least value of each condition, by the outcome where it is negative: of `PARTS`."""
+    """About the least value of each condition, at `PARTS` of steps, by its outcome when
+    negative."""
     at_end: dict[str, float]
-    """The value of each condition of its end, by the outcome where it is not positive."""
+    """The value of each condition of its end, by its outcome when not positive."""
     greatest: dict[str, float]
     """The greatest value of each guard at the ends of steps, by its number and outcome."""
     energy: tuple[float, float]
-    """At its start and at its end; NaN where the mode does not say it."""
+    """Energy at its start and at its end; NaN where the mode does not define it."""
 
 
 class Explanation(NamedTuple):
-    """A stride, as it happened; printed, it is a report."""
+    """A stride as it happened; printed, it is a report."""
 
     outcome: Outcome
     name: str
@@ -80,7 +81,7 @@ class Explanation(NamedTuple):
     start: Float[np.ndarray, " coordinates"]
     modes: list[ModeRecord]
     complaints: list[str]
-    """What does not fit together: of a sound model, none."""
+    """Inconsistencies of the model; none for a sound one."""
     state: Float[np.ndarray, " section"]
     jacobian: Float[np.ndarray, "section coordinates"]
     """Derivative of the next point by the start; NaN where there is none."""
@@ -125,15 +126,21 @@ def format_point(values: Float[np.ndarray, " n"]) -> str:
 def explain(
     walker: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
 ) -> Explanation:
-    """Why the stride from x ends as it does, and whether the parts of a model fit together.
+    """Explains why the stride from x ends as it does, and checks that a model fits together.
 
-    Mode by mode: each guard that rose through zero, when, and whether it was admitted; how near the
-    others came; about the least values of conditions; how the energy changes, where it is known
-    (`Mode.energy`, an `energy` of a walker). And complaints: a start that is not feasible;
-    a point of the section that `lift` and `project` change; a field that is not finite; a mode that
-    no guard ends, as it never rose or was never admitted; energy that changes although gravity
-    alone drives a walker; an impact that leads off the section, or a point from which no stride
-    begins; derivatives that are not finite. `print` shows it all.
+    For each mode it reports each guard that rose through zero, with its time and whether it was
+    admitted, and how near the others came. It reports about the least values of conditions, and the
+    change of the energy where that is known (`Mode.energy`, an `energy` of a walker). Complaints
+    are: a start that is not feasible; a point of the section that `lift` and `project` change; a
+    field that is not finite; a mode that no guard ends, as none rose or was admitted; energy that
+    changes although gravity alone drives a walker; an impact that leads off the section, or to a
+    point from which no stride begins; derivatives that are not finite.
+
+    ```python
+    found = wj.explain(wj.SimplestWalker(0.004), (0.2, -0.2))
+    print(found)  # the report
+    found.complaints  # []
+    ```
 
     **Arguments:** any system and a point of its section, as in `stride`.
     """
@@ -169,7 +176,7 @@ def explain(
 
 
 def check_point(system: System, x: Any) -> list[str]:
-    """Complaints of a start."""
+    """Returns complaints about a start."""
     if not on_section(system, x):
         return []
     if not bool(system.feasible(x)):
@@ -192,7 +199,7 @@ def check_point(system: System, x: Any) -> list[str]:
 
 
 def check_records(records: list[ModeRecord]) -> list[str]:
-    """Complaints of guards."""
+    """Returns complaints about guards."""
     found = []
     for i, mode in enumerate(records):
         if not mode.ended_by:
@@ -205,7 +212,7 @@ def check_records(records: list[ModeRecord]) -> list[str]:
 
 
 def check_energy(records: list[ModeRecord]) -> list[str]:
-    """Complaints of a walker whose energy should stay as it is in each mode."""
+    """Returns complaints about a walker whose energy should stay constant in each mode."""
     found = []
     for i, mode in enumerate(records):
         start, end = mode.energy
@@ -218,12 +225,12 @@ def check_energy(records: list[ModeRecord]) -> list[str]:
 
 
 def check_landing(system: HybridSystem, landed: Any) -> list[str]:
-    """Complaints of the state in which the next stride begins."""
+    """Returns complaints about the state in which the next stride begins."""
     point = system.project(landed)
     again = system.lift(point)
     if jax.tree.structure(again) != jax.tree.structure(landed):
         return ["the last reset leads to a state of another kind than lift"]
-    if not isinstance(system, Walker):  # it may count time, or turns, from anywhere
+    if not isinstance(system, Walker):  # others may count time, or turns, from anywhere
         return []
     largest = lambda tree: max(float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(tree))
     miss = largest(jax.tree.map(jnp.subtract, again, landed))
@@ -235,8 +242,7 @@ def check_landing(system: HybridSystem, landed: Any) -> list[str]:
 def record_modes(
     system: HybridSystem, x: Any, integrator: Integrator
 ) -> tuple[list[ModeRecord], Any]:
-    """Each mode up to its end, step by step, and the state in which the next stride begins; None if
-    the stride has not come so far."""
+    """Records each mode up to its end, and the state of the next stride's start, or None."""
     state, records = full_state(system, x), []
     modes = modes_from(system, x)
     for number, mode in enumerate(modes):
@@ -260,9 +266,9 @@ def record_mode(
     failures: tuple[str, ...],
     may_be_due: bool,
 ) -> tuple[ModeRecord, Any, bool]:
-    """A mode from a state: what it saw, its last state, and whether the stride goes on.
+    """Follows a mode from a state: its record, its last state, and whether the stride goes on.
 
-    One that `may_be_due` is over at once where its last guard is not below zero.
+    A mode that `may_be_due` is over at once where its last guard is not below zero.
     """
     names = [name_of_outcome(guard.leads_to, failures) for guard in mode.guards]
     energy_of = mode.energy or (lambda state: np.nan)
@@ -321,10 +327,10 @@ def record_mode(
 
 
 def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Callable, Callable]:
-    """A step of a mode with all that is looked at in it, and the same up to a time in the step."""
+    """Makes two functions: a recorded step of a mode, and its part up to a time."""
 
     def look(state, series, time):
-        """A step up to a time: its end, the guards there, and the conditions on the way."""
+        """Returns a step's end at a time, the guards there, and the conditions on the way."""
         ways = [method.state_at(state, series, part * time) for part in PARTS]
         values = [guard.value(ways[-1]) for guard in mode.guards]
         return ways[-1], values, [[value(y) for y in ways] for value in conditions]
@@ -339,14 +345,14 @@ def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Calla
 
 
 def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[float, bool]]:
-    """When a guard rises in a step, by its polynomials, and whether each rise is admitted."""
+    """Returns when a guard rises in a step, and whether each rise is admitted."""
     holds = lambda one, when: np.polyval(np.array(one)[::-1], when) > 0
     times = rises_of(np.array(value), length, below)
     return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
 
 
 def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: str = "") -> dict:
-    """Conditions by the names of their outcomes; one whose name is taken has its number too."""
+    """Returns conditions by the names of their outcomes; a repeated name has a number."""
     found: dict[str, Condition] = {}
     for i, one in enumerate(conditions):
         name = name_of_outcome(one.outcome, failures) + where
@@ -355,13 +361,13 @@ def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: s
 
 
 def values_at_end(mode: Mode, state: Any, failures: tuple[str, ...]) -> dict[str, float]:
-    """The values of the conditions of a state in which a mode has ended."""
+    """Returns the values of the conditions of a state in which a mode has ended."""
     asked = named(mode.at_end, failures, " at the end")
     return {name: float(one.value(state)) for name, one in asked.items()}
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:
-    """The times in a step at which a polynomial rises through zero, by all of its real roots."""
+    """Returns the times at which a polynomial rises through zero in a step, from all real roots."""
     scaled = coefficients * length ** np.arange(len(coefficients))
     roots = np.roots(np.trim_zeros(scaled[::-1], "f"))
     real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)

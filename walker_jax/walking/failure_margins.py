@@ -1,14 +1,14 @@
-"""By how much a stride misses each way to fail.
+"""Margins by which a stride misses each way to fail.
 
-A margin is a smooth function of start and parameters that is positive where the walker passes, and
+A margin is a smooth function of start and parameters. It is positive where the walker passes, and
 zero on the boundary to a failure. The guards and conditions of the modes of a stride define it, for
 all walkers alike (`hybrid.misses`):
 
-- a fall that does not happen is missed by the greatest value of its guard, up to the end of the
-  stride and just after its impact; a heel strike that does happen by how little it was one;
-- a fall that happens has happened by the least of what would have prevented it: by how fast its
-  guard rises, or by how much a heel strike was missed before;
-- a condition has its least value.
+- for a fall that does not happen, it is the greatest value of its guard, up to the end of the
+  stride and just after its impact; for a heel strike that happens, by how little it happened;
+- for a fall that happens, it is the least change that would have prevented it: the rate at which
+  its guard rises, or the miss of an earlier heel strike;
+- for a condition, it is its least value.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ WAYS = {
 
 
 class Margins(NamedTuple):
-    """A stride, and by how much it misses each way to fail; NaN for what never came up.
+    """A stride, and the margins by which it misses each way to fail; NaN where none applies.
 
-    In a failure its own margin is negative. Those of the falls that did not happen before are
-    positive, and those of conditions are known where there was a heel strike.
+    A failure's own margin is negative. Margins of falls that did not happen before it are positive,
+    and margins of conditions are known where there was a heel strike.
     """
 
     stride: Stride
@@ -76,7 +76,7 @@ class Margins(NamedTuple):
     """The least of three: the depth to which the swing foot passes the contact, -h; how far ahead
     it comes down (`is_ahead`); and how far the leg then is from the ground, theta + pi/2."""
     running: Float[Array, "*cells"]
-    """The least contact force Q_v up to heel strike; or that at the start, where it is negative."""
+    """The least contact force Q_v up to heel strike; or that at the start, if it is negative."""
     stopping: Float[Array, "*cells"]
     """Velocity v of the trailing foot after the impact."""
     landing: Float[Array, "*cells"]
@@ -84,13 +84,13 @@ class Margins(NamedTuple):
     buckling: Float[Array, "*cells"]
     """The least moment that presses the stance knee on its stop, up to heel strike."""
     scuffing: Float[Array, "*cells"]
-    """The least height of the bent leg's foot, up to heel strike. In space, that at which the swing
-    disc turns upwards."""
+    """The least height of the bent leg's foot, up to heel strike. In space, the height at which the
+    swing disc turns upwards."""
     sideways: Float[Array, "*cells"]
-    """In space: the least of (l^2 - lean^2) / 2l, with l the limit of the lean: near that, the
+    """In space, the least of (l^2 - lean^2) / 2l, with l the limit of the lean: near the limit, the
     distance from it."""
     outside: Float[Array, "*cells"]
-    """By how much the start is feasible, where a system says it (`System.margin`)."""
+    """Margin by which the start is feasible, where a system defines it (`System.margin`)."""
     own: Float[Array, "*cells"]
     """The least margin of the system's own `failures`."""
 
@@ -98,10 +98,15 @@ class Margins(NamedTuple):
 def margins(
     walker: System, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
 ) -> Margins:
-    """One stride, as `stride` makes it, and its margins.
+    """Follows one stride, as `stride` does, and measures its margins.
 
-    Arguments and errors are those of `stride`. Derivatives of the first order are right.
-    Margins are smooth except where the instant that determines them jumps.
+    Arguments and errors are those of `stride`. First derivatives are exact. Margins are smooth
+    except where the instant that determines them jumps.
+
+    ```python
+    found = wj.margins(wj.SimplestWalker(0.004), (0.2, -0.2))
+    found.backward, found.forward  # both positive: the walker makes the stride
+    ```
     """
     return follow_margins(*prepare(walker, x, tolerance))
 
@@ -114,12 +119,18 @@ def margins_of_many(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Margins:
-    """`margins` for each of n starts, and one walker or n, as in `strides`; NumPy arrays."""
+    """Computes `margins` for each of n starts, with one walker or n, as in `strides`.
+
+    ```python
+    found = wj.margins_of_many(wj.SimplestWalker(0.004), [(0.2, -0.2), (0.2, -0.25)])
+    found.stride.outcome, found.forward  # the second walker falls forward
+    ```
+    """
     return for_each_start(follow_margins, walker, xs, tolerance, progress=progress)
 
 
 def failure_margin(found: Margins) -> Scalar:
-    """The margin of the failure that ended a stride, NaN for none; no batch axis."""
+    """Returns the margin of the failure that ended a stride, NaN for none; no batch axis."""
     by = jnp.full_like(found.backward, jnp.nan)
     for outcome, name in WAYS.items():
         by = jnp.where(found.stride.outcome == outcome, getattr(found, name), by)
@@ -151,7 +162,7 @@ def follow_margins(
 
 
 def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
-    """The margin that a system says itself is that of the failure that happens."""
+    """Measures a map: the margin that the system defines is that of the failure that happens."""
     stride, margin = apply_map(walker, x), margin_of_start(walker, x)
     ways = dict.fromkeys(WAYS.values(), jnp.full_like(margin, jnp.nan))
     for way, name in WAYS.items():
@@ -160,7 +171,7 @@ def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
 
 
 def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
-    """`System.margin`; NaN where there is none."""
+    """Returns `System.margin`; NaN where there is none."""
     known = walker.margin(x) if x.shape == (len(walker.section),) else None
     return jnp.sum(x) * jnp.nan if known is None else known
 
@@ -168,7 +179,7 @@ def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
 def judged_ends(
     walker: HybridSystem, parts: tuple[Part, ...], struck: Bool[Array, ""], lift: Scalar
 ) -> list[tuple[int, Array, Scalar]]:
-    """The outcome of each condition of a mode's end, whether it came to that, and the value."""
+    """Returns each condition of a mode's end: its outcome, whether it was reached, its value."""
     judged: list[tuple[int, Array, Scalar]] = []
     for i, part in enumerate(parts):
         ended = part.end.guard == len(part.mode.guards) - 1
@@ -181,7 +192,7 @@ def judged_ends(
 
 
 def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:
-    """The margins of a stride that was measured, by name, whose outcome is known."""
+    """Returns the margins of a measured stride of known outcome, by name."""
     parts = arrival.parts
     struck = arrival.verdict == Outcome.STRIDE
     lift, following = begin_next(walker, parts[-1].mode, arrival.state)
@@ -244,9 +255,9 @@ def margins_by_name(
     began: Bool[Array, ""],
     outcome: Int[Array, ""],
 ) -> dict[str, Scalar]:
-    """The margins, given by how much each failure was passed by, and by how much the stride failed.
+    """Returns the margins by name, from those of passed failures and that of the failed one.
 
-    NaN for failures that the stride cannot have had, if it `began` at all.
+    They are NaN for failures that the stride cannot have had, and for all if it never `began`.
     """
     margins: dict[str, Scalar] = {}
     led_to = {end for part in parts for end in part.mode.outcomes()}
@@ -262,12 +273,12 @@ def margins_by_name(
 
 
 def lesser_known(one: Scalar, other: Scalar) -> Scalar:
-    """The lesser of two margins, of which either may be NaN."""
+    """Returns the smaller of two margins; either may be NaN."""
     return jnp.where(jnp.isnan(one) | (other < one), other, one)
 
 
 def time_scale(walker: HybridSystem, state: Any) -> Scalar:
-    """The time in which a walker topples, legs together, to first order; 1 of another system."""
+    """Returns the time in which a walker topples, to first order; 1 for other systems."""
     if not isinstance(walker, Walker):
         return zero_at(state) + 1
     in_space = isinstance(walker, SpatialWalker)
@@ -275,23 +286,23 @@ def time_scale(walker: HybridSystem, state: Any) -> Scalar:
 
 
 class Guards(NamedTuple):
-    """The guards of a part of a stride, at its two ends; for each of them:"""
+    """The guards of a part of a stride, at its two ends; each field has an entry for each guard."""
 
     start: list[Scalar]
-    """its value at the start;"""
+    """Value at the start."""
     before: list[Scalar]
-    """the greatest value that it had before the end and where it is admitted;"""
+    """Greatest value before the end, where the guard is admitted."""
     end: list[Scalar]
-    """its value at the end, minus infinity where it is not admitted;"""
+    """Value at the end; minus infinity where the guard is not admitted."""
     rates: list[Scalar]
-    """its rate there;"""
+    """Rate at the end."""
     admits: list[Scalar]
-    """and the least of the functions that admit it there, infinite if there is none."""
+    """Least of the functions that admit the guard at the end; infinite if there are none."""
 
 
 def guards_of(part: Part) -> Guards:
     def look(state):
-        """Values, and the least of what admits each."""
+        """Returns values, and the least of the functions that admit each."""
         values, admits = [], []
         for guard in part.mode.guards:
             values.append(guard.value(state))
@@ -302,7 +313,7 @@ def guards_of(part: Part) -> Guards:
         return values, admits
 
     def below(values, admits):
-        """Values of guards that are admitted and have not risen."""
+        """Returns values of guards that are admitted and have not risen."""
         both = zip(values, admits, strict=True)
         return [jnp.where((value < 0) & (admit > 0), value, -jnp.inf) for value, admit in both]
 
@@ -314,12 +325,12 @@ def guards_of(part: Part) -> Guards:
 
 
 def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> Scalar:
-    """The margin of the fall that ended a stride before heel strike; NaN if none did.
+    """Returns the margin of the fall that ended a stride before heel strike; NaN if none did.
 
-    It is the least of what would have prevented it. The guard of the fall would not have risen if
-    its rate were zero: -(rate unit)^2 / 2; or not if that were not admitted. The mode would have
-    ended before if its last guard had risen where it missed to, or rises now. A stride that starts
-    with a fall, or has one after an impact, has minus the guard's value.
+    It is the least change that would have prevented the fall. The guard of the fall would not have
+    risen if its rate were zero: -(rate unit)^2 / 2; nor if the rise were not admitted. The mode
+    would have ended before if its last guard had risen at its nearest miss, or rose now. A stride
+    that starts with a fall, or has one after an impact, has minus the guard's value.
     """
     margin = jnp.full_like(unit, jnp.nan)
     ended = jnp.asarray(True)
@@ -336,16 +347,16 @@ def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> 
 
 
 def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
-    """The margin of a guard that has not risen; infinite if nothing is known of it."""
+    """Returns the margin of a guard that has not risen; infinite if nothing is known of it."""
     known = jnp.isfinite(greatest)
     return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
 def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar:
-    """By how much the heel strike was one; infinite if there was none.
+    """Returns the margin by which a heel strike happened; infinite if there was none.
 
-    It would not have been if the foot had not passed the contact before, or not been ahead; or if
-    it came up again at once and had not come down as deep.
+    It would not have happened if the foot had not passed the contact before, or had not been ahead;
+    or if the foot came up again at once and had not come down as deep.
     """
     depth, height = swing.misses.depth, swing.misses.height
     passed = jnp.where(depth > 0, depth, jnp.inf)
@@ -354,9 +365,9 @@ def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar
 
 
 def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
-    """The least value of a condition up to heel strike, and the nearest miss before it was broken.
+    """Returns the least value of a condition up to heel strike, and the nearest miss before that.
 
-    A miss is that of the last guard of the mode.
+    The miss is that of the last guard of the mode, before the condition was violated.
     """
     infinite = zero_at(parts[0].start) + jnp.inf
     least, before, broken = infinite, -infinite, jnp.asarray(False)
@@ -375,7 +386,7 @@ def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
 
 
 def force_at_start(parts: tuple[Part, ...]) -> Scalar:
-    """The contact force in the state in which a stride begins to move."""
+    """Returns the contact force in the state in which a stride begins to move."""
     force, later = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
     for part in parts:
         here = ~later & (part.verdict == Outcome.RUNNING)
@@ -387,5 +398,5 @@ def force_at_start(parts: tuple[Part, ...]) -> Scalar:
 
 
 def not_above_zero(margin: Scalar) -> Scalar:
-    """The margin of what has happened, which only rounding puts above zero; same derivative."""
+    """Removes the positive rounding error of a failed margin, and keeps the derivative."""
     return margin - lax.stop_gradient(jnp.maximum(margin, 0))

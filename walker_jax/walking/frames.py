@@ -1,4 +1,4 @@
-"""Frames of a stride, for pictures and films: to its end, or to that of the fall."""
+"""Frames of a stride, for pictures and films: to its end, or to the end of the fall."""
 
 from typing import Any
 
@@ -31,9 +31,9 @@ def ends_of_modes(
     step: Float[Array, ""] | None,
     integrator: Integrator,
 ) -> Float[Array, " modes"]:
-    """When each phase ends, and when there is no more to see of the stride; infinite if never.
+    """Returns the time at which each phase ends, and at which the picture ends; infinite if never.
 
-    That is where the swing foot comes down, or the walker is on the ground.
+    The picture ends where the swing foot comes down, or the walker is on the ground.
     """
     walker = during_stride(walker, x)
     *phases, swing = map(to_the_ground, modes_from(walker, x, to_the_end=True))
@@ -50,7 +50,7 @@ def ends_of_modes(
 
 
 def to_the_ground(mode: Mode) -> Mode:
-    """The same motion, where a leg that stops goes on until it is down."""
+    """Returns the same motion, in which a leg that stops goes on until it is down."""
     down = lambda state: state.theta - np.pi / 2
     guards = [
         one._replace(value=down, persists=False) if one.leads_to == Outcome.BACKWARD else one
@@ -69,11 +69,11 @@ def frames_of_stride(
     height: float | None = None,
     tolerance: float | None = None,
 ) -> tuple[Float[np.ndarray, " frames"], Any]:
-    """Times about `step` apart from the start of a stride to its end, and the states then.
+    """Returns times about `step` apart from the start of a stride to its end, and the states then.
 
-    Of the stride its outcome and duration are known. One that fails is shown to its end, or before
-    a condition is violated, and not for longer than `longest`. `height` is the step up to the next
-    foothold, on rough ground.
+    `stride` is its outcome and duration. A failing stride is shown to its end, or to the violation
+    of a condition, and for `longest` at most. `height` is the step up to the next foothold, on
+    rough ground.
     """
     outcome, duration = stride
     ends = np.array([duration])
@@ -91,7 +91,7 @@ def find_ends(
     height: float | None = None,
     tolerance: float | None = None,
 ) -> Float[np.ndarray, " modes"]:
-    """`ends_of_modes`, of arguments as those of `stride`."""
+    """Computes `ends_of_modes`, with arguments as in `stride`."""
     walker, start, integrator = prepare(walker, x, tolerance)
     step = None if height is None else jnp.asarray(height, start.dtype)
     return np.asarray(ends_of_modes(walker, start, step, integrator))
@@ -100,16 +100,16 @@ def find_ends(
 def swings_at(
     times: Float[np.ndarray, " frames"], ends: Float[np.ndarray, " modes"]
 ) -> Bool[np.ndarray, " frames"]:
-    """Whether the phases before the swing are over."""
+    """Returns whether the phases before the swing are over."""
     return times >= (ends[-2] if len(ends) > 1 else 0)
 
 
 def frames_shown(
     walker: Walker, outcome: Outcome, states: Any, swings: Bool[np.ndarray, " frames"]
 ) -> int:
-    """How many frames there are before the condition is violated that ended a stride, if one did.
+    """Counts the frames before the violation of the condition that ended a stride, if one did.
 
-    At least one. Before the swing states are those of the first phase.
+    The count is at least one. Before the swing, states are those of the first phase.
     """
     violated, modes = np.zeros(len(swings), bool), walker.modes()
     parts = [(modes[-1], legs(states) if len(modes) > 1 else states, swings)]

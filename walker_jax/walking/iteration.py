@@ -1,8 +1,8 @@
 """The stride function over many starts, and its iteration over many strides.
 
-A walk is iterated in one place, `walk_on`: until a failure, until it is within reach of a target,
-or for a number of strides. `iterate` does that for many starts at once. Two other functions
-return every state: `orbits`, of many starts, and `walk`, of one that JAX may trace.
+One function, `walk_on`, iterates a walk: until a failure, until it is within reach of a target, or
+for a number of strides. `iterate` does that for many starts at once. Two other functions return
+every state: `orbits`, for many starts, and `walk`, for one that JAX may trace.
 """
 
 from __future__ import annotations
@@ -34,38 +34,38 @@ from walker_jax.walking.stride import follow_step, follow_stride
 
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
-the next. Most starts on a grid around a basin fail within four strides."""
+the next round. Most starts on a grid around a basin fail within four strides."""
 SINGLE_STRIDES, MANY_WALKS = 32, 5000
-"""Rounds on a CPU have one stride as long as so few are made and so many walks go on: in a longer
-round the lanes of a kernel wait for the one that walks farthest, half of the time or more. Most
-walks have ended by then, and a round of fewer takes about as long as it takes to begin."""
+"""On a CPU, rounds have one stride up to this many strides, while at least this many walks go on.
+In a longer round the lanes of a kernel wait for the longest walk, half of the time or more. Most
+walks end early, and a round of few walks takes about as long as its start."""
 ROUNDS_OF_MAPS = 256, 1024
-"""The same of systems that say themselves how they advance: a stride takes less than a call."""
+"""The same for systems that define their own maps: a stride takes less time than a call."""
 ROUNDS_ON_GPU = 64, 1024
-"""The same by kernels on a GPU: a warp of threads waits for the one that walks farthest, but it
-takes longer to bring the cells to the host, sort them and bring them back."""
+"""The same for kernels on a GPU: a warp of threads waits for its longest walk, but it takes longer
+to bring the cells to the host, sort them and bring them back."""
 RECORDED = 16
-"""Strides of which one call returns all states. More of them save no time, as a call takes much
-longer than it takes to make, and take longer to compile."""
+"""Strides whose states one call returns. More strides save no time, as a call already takes much
+longer than its start, and take longer to compile."""
 MAX_COMPILED_TARGETS = 32
-"""Largest number of targets of a compiled walk: it takes 3 s to compile for 32, 18 s for 128. The
-host tests more of them after each stride."""
+"""Largest number of targets of a compiled walk: it takes 3 s to compile for 32, 18 s for 128. With
+more targets, the host tests them after each stride."""
 
 
 class Targets(NamedTuple):
-    """Where walks end: the states x with |frame (x - state)| < 1 in all coordinates, of any one."""
+    """Ends of walks: the states x with |frame (x - state)| < 1 in all coordinates."""
 
     states: Float[Any, "m section"]
     frames: Float[Any, "m section section"]
 
 
 class WalkEnd(NamedTuple):
-    """Where a walk ends, and why: arrays of JAX or of NumPy."""
+    """The end of a walk, and its reason: arrays of JAX or of NumPy."""
 
     state: Float[Any, "*starts section"]
     """NaN after a failure."""
     outcome: Int[Any, "*starts"]
-    """`Outcome` of the last stride; `STRIDE` where none was made."""
+    """`Outcome` of the last stride; `STRIDE` if none was made."""
     strides: Int[Any, "*starts"]
     """Number of completed strides."""
     target: Int[Any, "*starts"]
@@ -81,12 +81,18 @@ def strides(
     solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Stride:
-    """`stride` for each of n starts, on all devices and cores; NumPy arrays.
+    """Makes one stride from each of n starts, on all devices and cores.
 
-    The walker's parameters are numbers, or arrays of n, as `jax.vmap(RoundFootWalker)(slopes)`
-    makes them: then every start has a walker of its own.
-    It is fastest where neighbours in `xs` are close on the section.
-    `progress` is what to call the work in a progress bar, shown on a terminal only.
+    ```python
+    starts = [(0.2, -0.2), (0.2, -0.25), (0.3, -0.3)]
+    ends = wj.strides(wj.SimplestWalker(0.004), starts)
+    ends.outcome, ends.state  # arrays over the starts
+    ```
+
+    Results are NumPy arrays; other arguments are those of `stride`. The walker's parameters are
+    numbers, or arrays of n, as `jax.vmap(RoundFootWalker)(slopes)` makes them: every start then has
+    its own walker. It is fastest where neighbours in `xs` are close on the section. `progress` is
+    the label of a progress bar, shown on a terminal only.
     """
     return for_each_start(follow_stride, walker, xs, tolerance, solver, progress)
 
@@ -99,7 +105,7 @@ def for_each_start(
     solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Any:
-    """function(walker, x, integrator) for n starts, and one walker or n; NumPy arrays."""
+    """Computes function(walker, x, integrator) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, System)
     xs = array("xs", xs)
     if xs.dtype.kind not in "fiub":
@@ -122,9 +128,9 @@ def for_each_start(
 
 
 def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
-    """One walker, or n of them, with parameters of one dtype, and whether there are n.
+    """Returns one walker, or n of them, with parameters of one dtype, and whether there are n.
 
-    Whatever numbers they were given as: parameters of another dtype would be compiled anew.
+    Parameters of another dtype would be compiled anew.
     """
     many = any(np.ndim(leaf) for leaf in jax.tree.leaves(walker))
     if many:
@@ -134,14 +140,14 @@ def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
 
 
 def broadcast_parameters(walker: AnySystem, n: int, dtype) -> AnySystem:
-    """A walker, or n of them, with every parameter as an array of n."""
+    """Returns a walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
 
 
 def with_parameters(
     walker: AnySystem, parameters: Sequence[str], values: Float[np.ndarray, "n parameters"]
 ) -> AnySystem:
-    """n walkers, each with its own values of some parameters, unchecked."""
+    """Returns n walkers, each with its own values of some parameters, unchecked."""
     walkers = broadcast_parameters(walker, len(values), values.dtype)
     for parameter, column in zip(parameters, values.T, strict=True):
         walkers = with_parameter(walkers, parameter, column)
@@ -149,12 +155,12 @@ def with_parameters(
 
 
 def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) -> AnySystem:
-    """Some of many walkers; the one, where all starts have it in common."""
+    """Returns some of many walkers; the single one, if all starts share it."""
     return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
 
 
 def check_parameter_arrays(walker: System, n: int) -> None:
-    """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
+    """Raises `WrongUse` for parameters that are neither one number nor n, or out of range."""
     for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
@@ -173,10 +179,17 @@ def walk(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Walk:
-    """n strides, one after the other, from x on the section. As `stride` otherwise.
+    """Makes n strides, one after the other, from x on the section.
 
-    `ground` makes it rough: the `step` of each stride, the height of its foothold above the one
-    before. Then states are full ones, just after heel strike.
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    made = wj.walk(walker, (0.2, -0.2), 20)
+    made.states, made.outcomes, made.times  # 21 states, 20 outcomes and step times
+    ```
+
+    Other arguments are those of `stride`. `ground` makes the ground rough: it is the `step` of each
+    stride, the height of its foothold above the one before. States are then full states, just after
+    heel strike.
     """
     check_whole("n", n)
     walker, x, integrator = prepare(walker, x, tolerance, solver)
@@ -215,7 +228,7 @@ def follow_rough_walk(
     ground: Float[Array, " n"],
     integrator: Integrator,
 ) -> Walk:
-    """Strides, each onto its own height above the last."""
+    """Follows strides, each onto its own height above the last."""
 
     def follow(carry, step):
         x, fate = carry
@@ -237,7 +250,7 @@ def walk_on(
     limit: Int[Array, ""],
     integrator: Integrator,
 ) -> WalkEnd:
-    """Walk on until a failure, until a target is reached, or for a number of strides."""
+    """Walks on until a failure, until a target is reached, or for a number of strides."""
 
     def distances(x, targets):
         distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
@@ -273,10 +286,10 @@ def iterate(
     *,
     progress: str | None = None,
 ) -> WalkEnd:
-    """`walk_on` from each of n starts, on all devices and cores; NumPy arrays.
+    """Runs `walk_on` from each of n starts, on all devices and cores; NumPy arrays.
 
-    The walker's parameters may be arrays of n. Walks continue in rounds, each of the walks that
-    have not ended yet. `progress` is the label of a progress bar.
+    The walker's parameters may be arrays of n. Walks continue in rounds, each of the unfinished
+    walks. `progress` is the label of a progress bar.
     """
     n, size = starts.shape
     walker, many = as_arrays(walker, n, starts.dtype)
@@ -297,7 +310,7 @@ def iterate(
     while len(active) and done < limit:
         single = in_lanes and done < SINGLE_STRIDES and len(active) >= MANY_WALKS
         count = 1 if for_host or single else min(next(rounds), limit - done)
-        here = active if len(active) < n else slice(None)  # which copies nothing
+        here = active if len(active) < n else slice(None)  # a slice copies nothing
         part = map_cells(
             walk_on,
             (select_walkers(walker, here), end.state[here], compiled, np.int32(count), integrator),
@@ -314,7 +327,7 @@ def iterate(
 
 
 def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
-    """The same targets, repeated up to a power of two, so that few programs are compiled.
+    """Repeats targets up to a power of two, so that few programs are compiled.
 
     Of equal targets the first is the nearest. Without targets the result is one that no state
     reaches.
@@ -326,7 +339,7 @@ def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
 
 
 def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[np.ndarray, " n"]:
-    """Number of the target that each state is within reach of, the nearest of several, or -1."""
+    """Returns the number of the nearest target within reach of each state; -1 for none."""
     number, smallest = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, (state, frame) in enumerate(zip(*targets, strict=True)):
         distance = np.abs((x - state) @ frame.T).max(axis=1)
@@ -340,9 +353,9 @@ def orbits(
     count: int,
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "n states section"], Int[np.ndarray, " n"]]:
-    """All states of `count` strides from each of n starts, and the outcome of the last stride.
+    """Returns all states of `count` strides from each of n starts, and the last outcomes.
 
-    States that follow a failure are NaN. The walker's parameters may be arrays of n.
+    States after a failure are NaN. The walker's parameters may be arrays of n.
     """
     n, size = starts.shape
     walker, many = as_arrays(walker, n, starts.dtype)
@@ -364,7 +377,7 @@ def orbits(
 def record_walk(
     walker: System, x: Float[Array, " section"], limit: Int[Array, ""], integrator: Integrator
 ) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
-    """The states of `RECORDED` strides, NaN after a failure or the limit, and the last outcome."""
+    """Returns the states of `RECORDED` strides, NaN from the end on, and the last outcome."""
 
     def unfinished(walk):
         made, _, outcome, _ = walk

@@ -1,7 +1,7 @@
-"""Walks as motions: angles and places at many times, over strides joined one to the next.
+"""Walks as motions: angles and places at many times, over consecutive strides.
 
-For pictures and films. Places are along the slope and normal to it, from where the stance foot of
-the first stride is when its leg is upright.
+They serve pictures and films. Places are along the slope and normal to it, relative to the stance
+foot of the first stride when its leg is upright.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from walker_jax.walking.movement_in_space import SHOWN_IN_SPACE, move_in_space
 from walker_jax.walking.trajectories import legs
 
 FALL_TIME = 40.0
-"""Time in which a walker that fails is on the ground, for legs of length 1."""
+"""Time after which a failing walker is on the ground, for legs of length 1."""
 
 
 @refuses_tracers()
@@ -41,34 +41,45 @@ def motion(
     ground: Float[ArrayLike, " strides"] | None = None,
     tolerance: float | None = None,
 ) -> xr.Dataset:
-    """A walk of some strides from x, and the fall in which it ends, at times about `step` apart.
+    """Computes the motion of a walk from x, and of its fall, at times about `step` apart.
 
-    Frames are evenly spaced within each stride, with its start and its end among them: so there are
+    ```python
+    walker = wj.SimplestWalker(0.009)
+    walk = wj.motion(walker, wj.find_gait(walker).states[0], 3)
+    figures.step(walk).savefig("step.png")  # from walker_jax import figures
+    ```
+
+    Frames are evenly spaced within each stride, with its start and its end among them. So there are
     two at every heel strike, before and after the legs exchange roles. A fall is shown to the
-    ground; one that runs to where its foot leaves the ground; one that stops on both feet to there.
+    ground; a run until the foot leaves the ground; a stop until both feet stand.
 
     **Arguments:**
 
     - `walker`, `tolerance`: as in `stride`.
     - `x`: a feasible start, on the section.
-    - `strides`: how many, at most.
-    - `step`: of time.
+    - `strides`: most strides.
+    - `step`: time between frames, approximately.
     - `ground`: heights of footholds, each above the one before, as in `walk`.
 
-    **Returns** a data set, over `frame`: `time`; `stride`, its number, from 0; `theta`, `phi`,
-    `thetadot` and `phidot`, and what else a state of the stride's first phase has, such as `knee`;
-    and, over `axis` too, the places of the `hip`, of the ends of the legs, `stance` and `swing`,
-    which are centres of the feet's arcs where the feet are round, and of a `swing_knee`. Over
-    `start`: `states`, those on the section, the one after the last stride too. Over `made`:
-    `outcome` of each stride, a failure at most the last, and its `duration`, NaN if it failed.
-    On rough ground also, over `foothold` and `axis`, `footholds`: places on the ground where feet
-    stand, one after the other; where a stride fails the next one is a step's length ahead.
-    Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
-    these. `ValueError` for a start that is not feasible, and as for `walk`.
+    **Returns** a data set. Over `frame` it has
 
-    Of a walker in space there are all four angles, and places have three coordinates, along the
-    slope, to the left and normal to it: of the discs' centres, `stance` and `swing`, of the ends of
-    the axle, `stance_hip` and `swing_hip`; `axle` is the direction of that.
+    - `time`, and `stride`, its number, from 0;
+    - `theta`, `phi`, `thetadot` and `phidot`, and the other coordinates of the stride's first
+      phase, such as `knee`;
+    - over `axis` too, the places of the `hip`, of a `swing_knee`, and of the ends of the legs,
+      `stance` and `swing`: on round feet, the centres of the arcs.
+
+    Over `start` it has `states`, those on the section, the one after the last stride included. Over
+    `made` it has the `outcome` of each stride, a failure only for the last one, and its `duration`,
+    NaN if it failed. On rough ground it has, over `foothold` and `axis`, `footholds`: successive
+    places of feet on the ground; after a failed stride, the next one is a step's length ahead.
+    Attributes `leg_length`, to the end of the leg, and `foot_radius` are sizes for drawing.
+
+    For a walker in space there are all four angles, and places have three coordinates, along the
+    slope, to the left and normal to it: `stance` and `swing` of the discs' centres, `stance_hip`
+    and `swing_hip` of the ends of the axle; `axle` is its direction.
+
+    Raises `ValueError` for a start that is not feasible, and as `walk` does.
     """
     check_number("step", step)
     if not 0 < step < np.inf:
@@ -121,7 +132,7 @@ def motion(
 def step_ahead(
     walker: Walker, states: Any, height: float | None, failed: bool
 ) -> Float[np.ndarray, "2"]:
-    """From the stance foot to the next foothold; on rough ground, after a failure, a step ahead."""
+    """Returns the way from the stance foot to the next foothold; one step, after a failure."""
     shown = lambda i: jax.tree.map(lambda values: jnp.asarray(values[i]), legs(states))
     ahead = float(walker.reach(shown(-1)))
     if failed and height is not None:
@@ -130,10 +141,11 @@ def step_ahead(
 
 
 def leg_shape(walker: Walker) -> tuple[float, float]:
-    """From the hip to the centre of the foot's arc, and its radius, 0 for point feet.
+    """Returns the length from hip to the centre of the foot's arc, and its radius, or 0.
 
-    Told by how far the swing foot goes as legs turn by half a turn from being parallel, the stance
-    leg from upright: that is twice the length down, and half the arc's circumference along.
+    They follow from the way of the swing foot as legs turn by half a turn from being parallel, the
+    stance leg from upright. That way is twice the length down, and half the arc's circumference
+    along.
     """
     half, zero = jnp.asarray(np.pi), jnp.asarray(0.0)
     turned = State(half, half, zero, zero)
@@ -144,7 +156,7 @@ def leg_shape(walker: Walker) -> tuple[float, float]:
 def leg_positions(
     walker: Walker, states: Any, foot: Float[np.ndarray, "2"], length: float, radius: float
 ) -> dict[str, Float[np.ndarray, "frames 2"]]:
-    """Stance foot, hip and swing foot; of round feet, the arcs' centres. And a swing knee."""
+    """Returns stance foot, hip and swing foot, or the arcs' centres; and a swing knee."""
     along = lambda angle: np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     theta, phi = np.asarray(states.theta), np.asarray(states.phi)
     stance = foot + np.stack([-radius * theta, np.full(len(theta), radius)], axis=1)

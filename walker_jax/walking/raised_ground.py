@@ -1,4 +1,4 @@
-"""Modes of a stride on ground that is higher or lower than the foot that stands."""
+"""Modes of a stride on ground higher or lower than the standing foot."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -10,7 +10,7 @@ from walker_jax.walking.starts import overrides
 
 
 def raise_ground(mode: Mode, step: Scalar) -> Mode:
-    """A phase in which the swing foot must not come down on ground that is higher by `step`."""
+    """Returns a phase whose swing foot must not come down on ground that is higher by `step`."""
     above = lambda guard: lambda state: step + guard.value(state)
     raised = [
         guard._replace(value=above(guard)) if guard.leads_to == Outcome.BENT_KNEE else guard
@@ -22,11 +22,11 @@ def raise_ground(mode: Mode, step: Scalar) -> Mode:
 def onto_step(
     walker: Walker, swing: Mode, step: Scalar, to_step: Bool[Array, ""] | None = None
 ) -> Mode:
-    """The swing to where the foot comes down, ahead of the other, on ground higher by `step`.
+    """Returns the swing up to the foot's contact, ahead of the other, on ground higher by `step`.
 
-    Where that is not `to_step`, the swing as it is. Both cases share one loop, which keeps the
-    lanes of a kernel together. On a step the foot is ahead where it has passed the other leg; a
-    rule of a walker's own holds too.
+    If not `to_step`, it is the swing as it is. Both cases share one loop, which keeps the lanes of
+    a kernel together. On a step the foot is ahead once it has passed the other leg; a walker's own
+    rule holds too.
     """
     *others, strike = swing.guards
     above = lambda state: step - walker.clearance(state)
@@ -39,7 +39,7 @@ def onto_step(
     admits = tuple(choose(one, walker.is_ahead) for one in admits)
     onto = Guard(choose(above, strike.value), Outcome.STRIDE, admits)
     foregone = swing.foregone
-    if foregone is not None:  # nor does a foot come up again to a step that is higher
+    if foregone is not None:  # a foot does not come up again to a higher step either
         holds, sinks = foregone.holds, ~to_step | (step > 0)
         foregone = foregone._replace(holds=lambda state: sinks & holds(state))
     return swing._replace(guards=(*others, onto), foregone=foregone)

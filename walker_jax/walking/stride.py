@@ -1,11 +1,11 @@
 """The stride function: from one heel strike to the next (Schwab and Wisse 2001, section 3.3).
 
 A stride follows the modes of a walker, one after the other: its phases and, last, the swing, which
-ends at heel strike or in a fall. A mode begins in the state that the one before was reset to, and
-is over at once if the walker has fallen then, or if the event of the phase is due.
+ends at heel strike or in a fall. A mode begins in the state to which the mode before was reset. It
+is over at once if the walker has fallen by then, or if the event of the phase is due.
 
-Conditions, such as a force that would have to pull (`RUNNING`), count in strides that reach heel
-strike; but the stride of a walker that is in tension at its start is over.
+Conditions, such as a contact force that would have to pull (`RUNNING`), count in strides that reach
+heel strike. A stride that starts in tension is over at once.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from walker_jax.walking.starts import (
 )
 
 ROUNDING = 100
-"""Largest height of a step that is made from the level, over the spacing of floating-point numbers
-at 1."""
+"""Largest height of a step that counts as level, over the spacing of floating-point numbers at
+1."""
 
 
 class Part(NamedTuple):
@@ -54,24 +54,24 @@ class Part(NamedTuple):
     mode: Mode
     start: Any
     verdict: Int[Array, ""]
-    """As it began; it was followed if that is `UNDECIDED`."""
+    """Verdict as it began; the mode was followed if that is `UNDECIDED`."""
     end: End
     misses: Misses
 
 
 class Arrival(NamedTuple):
-    """Where a stride has led so far."""
+    """The point that a stride has reached so far."""
 
     state: Any
-    """The state in which the next mode begins; after the swing, that before heel strike."""
+    """The state in which the next mode begins; after the swing, the state before heel strike."""
     time: Scalar
-    """Since the start of the stride; infinite if the integration gave no answer in a phase."""
+    """Time since the start of the stride; infinite if the integration gave no answer in a phase."""
     verdict: Int[Array, ""]
     """`UNDECIDED` before the swing, `STRIDE` after it, unless the walker falls."""
     violated: Violated
-    """Which conditions were violated, the contact force Q_v >= 0 among them."""
+    """Conditions that were violated, the contact force Q_v >= 0 among them."""
     parts: tuple[Part, ...] = ()
-    """Its modes so far, of a stride that is measured."""
+    """Its modes so far, for a stride that is measured."""
 
 
 def stride(
@@ -82,7 +82,13 @@ def stride(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Stride:
-    """One stride, S(x), equation (20); of any `System`, the step to its next point.
+    """Makes one stride, S(x), equation (20); for any `System`, the step to its next point.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    end = wj.stride(walker, (0.2, -0.2))
+    end.outcome, end.state, end.time
+    ```
 
     Works under JAX's transformations, in the dtype of x, float32 or float64: `jax.jit`, `jax.vmap`,
     `jax.lax.scan`; `jax.jacfwd`, `jax.grad` and `jax.jacrev`, and derivatives of these. On a CPU
@@ -93,22 +99,22 @@ def stride(
     - `walker`: any walker or other system; derivatives with respect to its parameters are right
       too.
     - `x`: the start, on the walker's section just after heel strike; or a full state
-      (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
-      finite and the stance leg stands, |theta| < pi/2.
+      (theta, phi, thetadot, phidot), for a launch or after a push. A full state is feasible if it
+      is finite and the stance leg stands, |theta| < pi/2.
     - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
       length; by default 0. The swing foot comes down there ahead of the other, with a straight
-      knee; if it does not rise as high, the walker falls. Scuffing is judged by the present level.
-      The result's state is then a full one, just after heel strike and off the section, as one foot
-      is lower. `stride` takes it from there, on a slope through the foot that stands now.
+      knee; if it does not rise that high, the walker falls. Scuffing is judged by the present
+      level. The result's state is then a full state, just after heel strike and off the section, as
+      one foot is lower. `stride` takes it from there, on a slope through the standing foot.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
       rate (`integrators.taylor_steps.step_length`), or of the error that another solver estimates.
-      By default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
-      the stride amplifies errors, up to 1e5 times near falling backward.
+      By default 1e-12 in float64 and 1e-6 in float32. A stride amplifies this error, up to 1e5
+      times near falling backward.
     - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
       of the Taylor series. It does not know where a vector field has kinks.
 
-    **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
-    for a tolerance that the dtype cannot hold.
+    **Returns** a `Stride`. A failure is an `Outcome`. Raises `ValueError` for a wrong shape or
+    dtype, and for a tolerance that the dtype cannot hold.
     """
     walker, x, integrator = prepare(walker, x, tolerance, solver)
     if step is None:
@@ -134,9 +140,9 @@ def follow_stride(
 def modes_from(
     walker: HybridSystem, x: Float[Array, " coordinates"], *, to_the_end: bool = False
 ) -> list[Mode]:
-    """The modes of the stride from x.
+    """Returns the modes of the stride from x.
 
-    A walker that was launched, and did not start on the section, is followed to the end of a fall.
+    A launched walker, which did not start on the section, is followed to the end of a fall.
     """
     *phases, swing = walker.modes()
     check_outcomes(walker, *phases, swing)
@@ -150,7 +156,7 @@ def modes_from(
 
 
 def begin_stride(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Arrival:
-    """The full state at the start."""
+    """Returns the full state at the start."""
 
     def begin(walker, x):
         start = full_state(walker, x)
@@ -164,9 +170,9 @@ def begin_stride(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Arriv
 def follow_modes(
     modes: list[Mode], begun: Arrival, integrator: Integrator, measured: bool = False
 ) -> Arrival:
-    """From a state of the first mode to heel strike, the end of the last.
+    """Follows modes from a state of the first one to heel strike, the end of the last.
 
-    If it is `measured`, the parts of the stride have their misses.
+    If `measured`, the parts of the stride have their misses.
     """
     *phases, swing = modes
     last = follow_phases(phases, begun, integrator, measured)[-1]
@@ -176,7 +182,7 @@ def follow_modes(
 def follow_phases(
     phases: list[Mode], begun: Arrival, integrator: Integrator, measured: bool = False
 ) -> list[Arrival]:
-    """The start of a stride, and where each phase leads, reset for the next one."""
+    """Returns the start of a stride, and the end of each phase, reset for the next one."""
     ends = [begun]
     for mode in phases:
         last = ends[-1]
@@ -201,13 +207,13 @@ def follow_phases(
 def follow_swing(
     mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False
 ) -> Arrival:
-    """The last mode, from where the phases have led."""
+    """Follows the last mode, from the end of the phases."""
     return follow_on(mode, begin_mode(mode, last, jnp.asarray(False)), integrator, measured)
 
 
 def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
-    """The verdict as a mode begins: the walker may have fallen, or be in tension at the start of
-    the stride, unless this mode is `over`."""
+    """Judges how a mode begins: the walker may have fallen, or, unless the mode is `over`, be in
+    tension at the start of the stride."""
     going = last.verdict == Outcome.UNDECIDED
     verdict = jnp.where(going, with_fast_sincos(partial(fall_of, mode))(last.state), last.verdict)
     for one in mode.conditions:
@@ -218,7 +224,7 @@ def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
 
 
 def fall_of(mode: Mode, state: Any) -> Int[Array, ""]:
-    """How a walker has fallen in a state in which a mode begins; `UNDECIDED` if it has not."""
+    """Returns how a walker has fallen as a mode begins; `UNDECIDED` if it has not."""
     outcome = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
     for guard in reversed(mode.guards):
         if guard.at_once:
@@ -228,7 +234,7 @@ def fall_of(mode: Mode, state: Any) -> Int[Array, ""]:
 
 
 def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False) -> Arrival:
-    """A mode from where the one before has led; the verdict is what its guard leads to."""
+    """Follows a mode from the end of the one before; its guard gives the verdict."""
     going = (last.verdict == Outcome.UNDECIDED) & jnp.isfinite(last.time)
     method = method_of(mode, last.state, integrator)
     found = follow_mode(mode, last.state, going, method, measured=measured)
@@ -248,7 +254,7 @@ def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool 
 
 
 def judge_end(mode: Mode, state: Any, verdict: Int[Array, ""]) -> Int[Array, ""]:
-    """The verdict on the state in which a mode has ended: the motion may not go on from there."""
+    """Judges the state in which a mode has ended: the motion may have to end there."""
     for one in reversed(mode.at_end):
         value = one.value(state)
         fails = jnp.where(jnp.isnan(value), Outcome.UNDECIDED, one.outcome)
@@ -257,14 +263,14 @@ def judge_end(mode: Mode, state: Any, verdict: Int[Array, ""]) -> Int[Array, ""]
 
 
 def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
-    """The method by which a mode is integrated: its steps end at kinks of guards too."""
+    """Returns the method that integrates a mode; its steps also end at kinks of guards."""
     functions = tuple(function for guard in mode.functions() for function in guard)
     watched = () if mode.as_smooth else functions
     return integrator.method(mode.field, start, *functions, watched=watched)
 
 
 def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[Any, Stride]:
-    """The state after a heel strike, legs exchanged, and the stride, on the section."""
+    """Returns the state after a heel strike, legs exchanged, and the stride, on the section."""
     lift, following = begin_next(walker, modes[-1], last.state)
     fallen = fall_of(judging_mode(walker, modes), following)
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
@@ -278,14 +284,20 @@ def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[
 
 
 def judging_mode(walker: HybridSystem, modes: list[Mode]) -> Mode:
-    """The mode whose guards tell whether the next stride begins with a fall: the one in whose state
-    the last one has led. A walker's is that of the swing, before its first phase begins."""
+    """Returns the mode whose guards decide whether the next stride begins with a fall.
+
+    Its state is the one that the last mode leads to: for a walker that of the swing, before its
+    first phase begins.
+    """
     return modes[-1] if isinstance(walker, Walker) else modes[0]
 
 
 def begin_next(walker: HybridSystem, last: Mode, state: Any) -> tuple[Scalar, Any]:
-    """How fast the trailing foot of a walker lifts after its heel strike, 1 for what has none; and
-    the state in which the next stride begins, of that in which the last mode has ended."""
+    """Returns the speed at which the trailing foot lifts, and the next stride's start.
+
+    The start follows from the state in which the last mode has ended. The speed is 1 for systems
+    without feet.
+    """
     if not isinstance(walker, Walker):
         return zero_at(state) + 1, last.reset(state)
     (_, lift), after = walker.impact(state)
@@ -299,9 +311,15 @@ def step_down(
     *,
     tolerance: Real | None = None,
 ) -> Stride:
-    """One stride whose heel strike is on ground that is lower by `drop`, not negative.
+    """Makes one stride whose heel strike is on ground lower by `drop`, which is not negative.
 
-    `stride(walker, x, step=-drop)`.
+    It is `stride(walker, x, step=-drop)`.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    end = wj.step_down(walker, wj.find_gait(walker).states[0], 0.001)
+    end.state  # a full state: the feet stand at different heights
+    ```
     """
     if not isinstance(drop, Tracer):
         check_number("drop", drop)
@@ -312,7 +330,7 @@ def step_down(
 
 
 def height_of_step(step: Any, dtype) -> Float[Array, ""]:
-    """A step's height, checked."""
+    """Returns a step's height, checked."""
     if not isinstance(step, Tracer):
         check_number("step", step)
         if not abs(step) <= np.finfo(float).max:
@@ -327,13 +345,13 @@ def follow_step(
     step: Float[Array, ""],
     integrator: Integrator,
 ) -> Stride:
-    """One stride to ground that is higher by `step`; the result's state is a full one."""
+    """Makes one stride to ground higher by `step`; the result's state is a full state."""
     walker = during_stride(walker, x)
     *phases, swing = modes_from(walker, x)
     raised = [raise_ground(mode, step) for mode in phases]
     last = follow_phases(raised, begin_stride(walker, x), integrator)[-1]
     last = follow_to_step(walker, swing, last, step, integrator)
-    # On even ground nothing is left to swing, but the derivative with respect to the step is.
+    # On even ground no swing is left, but its derivative with respect to the step is.
     contact = lambda state: step - walker.clearance(state)
     arrival, delay = method_of(swing, last.state, integrator).refine_event(contact, last.state)
     last = last._replace(state=arrival, time=last.time + delay)
@@ -354,13 +372,13 @@ def follow_to_step(
     integrator: Integrator,
     measured: bool = False,
 ) -> Arrival:
-    """The swing on even ground made one to ground that is higher by `step`, and followed.
+    """Follows the swing on even ground, and on to ground that is higher by `step`.
 
     A foot that goes below the ground has passed its level first, ahead of the other: the legs may
     pass each other below the level, and that is no heel strike.
     """
-    # A step within rounding is not told from the level: its foot may be there already, or have been
-    # as the legs passed each other.
+    # A step within rounding counts as level: its foot may be there already, or have been there as
+    # the legs passed each other.
     rounding = ROUNDING * jnp.finfo(step.dtype).eps
     passed = step > rounding
     if walker.phases():  # a foot in front may be below the level as a knee strikes

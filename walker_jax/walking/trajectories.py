@@ -1,4 +1,4 @@
-"""Where a walker is during a stride: states at given times, and when its phases end."""
+"""Motion during a stride: states at given times, and the times at which its phases end."""
 
 from __future__ import annotations
 
@@ -38,13 +38,20 @@ def trajectory(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Any:
-    """Angles and rates at `times` after the start x of a stride, 0 or later, in any order.
+    """Computes angles and rates at `times` after the start x of a stride, 0 or later, in any order.
 
-    The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
+    The motion follows the equations alone: it does not end at heel strike, whose time `stride`
     gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
+
+    ```python
+    walker = wj.SimplestWalker(0.004)
+    state = wj.trajectory(walker, (0.2, -0.2), (0.0, 1.0, 2.0))
+    state.theta, state.phi  # at each of the three times
+    ```
+
     Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN
-    where that takes more than `MAX_STEPS` of integration. `ValueError` as for `stride`, and for
-    times that are not finite or negative.
+    where that takes more than `MAX_STEPS` of integration. Raises `ValueError` as `stride` does, and
+    for times that are not finite or negative.
     """
     walker, x, integrator = prepare(walker, x, tolerance, solver)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
@@ -66,11 +73,11 @@ def state_after(
     time: Scalar,
     integrator: Integrator,
 ) -> Any:
-    """The state a time after the start of a stride; of the first phase, if there are any."""
+    """Computes the state a time after the start of a stride; of the first phase, if any."""
     walker = during_stride(walker, x)
     start, now = full_state(walker, x), jnp.zeros_like(time)
     *phases, swing = walker.modes()
-    # Nothing but its event ends a phase.
+    # A phase ends at its event only.
     alone = [mode._replace(guards=mode.guards[-1:], conditions=()) for mode in phases]
     going = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
     ends = follow_phases(alone, Arrival(start, now, going, {}), integrator)
@@ -86,7 +93,7 @@ def state_after(
 
 
 def state_of_motion(mode: Mode, start: Any, time: Scalar, integrator: Integrator) -> Any:
-    """The state a time after another, in one mode."""
+    """Computes the state a time after another, in one mode."""
     method = integrator.method(mode.field, start)
     solution = method.solve(start, jnp.zeros_like(time), time)
     arrived = solution.result == diffrax.RESULTS.successful
@@ -94,7 +101,7 @@ def state_of_motion(mode: Mode, start: Any, time: Scalar, integrator: Integrator
 
 
 def legs(states: Any) -> State:
-    """Angles and rates of the legs, of states of any phase."""
+    """Returns the angles and rates of the legs, from states of any phase."""
     return State(*(getattr(states, name) for name in State._fields))
 
 
@@ -105,10 +112,17 @@ def phase_times(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Float[Array, " phases"]:
-    """When each phase of a stride ends, since its start; the last is the time of `stride`.
+    """Computes the time at which each phase of a stride ends; the last is the time of `stride`.
 
-    Of a kneed walker: the times of knee strike, 0 where the knee locks at once, and of heel strike.
-    NaN for phases that do not end with their event. Arguments and errors are those of `stride`.
+    For a kneed walker these are the times of knee strike, 0 where the knee locks at once, and of
+    heel strike. NaN for phases that do not end with their event. Arguments and errors are those of
+    `stride`.
+
+    ```python
+    walker = wj.KneedWalker(0.05)
+    gait = wj.find_gait(walker)
+    knee_strike, heel_strike = wj.phase_times(walker, gait.states[0])
+    ```
     """
     return follow_phase_times(*prepare(walker, x, tolerance, solver))
 
