@@ -20,7 +20,7 @@ import optax
 
 import walker_jax as wj
 from walker_jax.control.actions import Actions
-from walker_jax.control.policies import easiest, interpolate_actions
+from walker_jax.control.policies import interpolate_actions, least_effort_actions
 from walker_jax.control.steered import steer
 from walker_jax.walking.failure_margins import failure_margin
 
@@ -35,7 +35,9 @@ def main():
         grid = wj.Grid.sheared(theta=(0.0, 0.8, nx), sum=(-0.4, 0.05, ny))
         begun = time.perf_counter()
         data = wj.viable(walker, grid, {"push_off": (0.0, LARGEST, 17)}, bounds=False)
-        action = easiest(walker, data, Actions(("push_off",), data["push_off"].values[:, None], 0))
+        action = least_effort_actions(
+            walker, data, Actions(("push_off",), data["push_off"].values[:, None], 0)
+        )
         found = time.perf_counter() - begun
         pushes = np.where(action >= 0, data["push_off"].values[action], 0.0).ravel()
         begun = time.perf_counter()

@@ -8,7 +8,7 @@ computed it. Each is used again only for the same code, which reads the same val
 - of containers, arrays and plain values what they hold.
 
 So it is with a user's own code; that of Python, of this package or installed counts by its name.
-`Walk` is for programs of this process, `ForStores` for stores, and `program_cache.Reach` for
+`Walk` is for programs of this process, `ForStores` for stores, and `program_cache.ReachedCode` for
 programs on disk.
 """
 
@@ -178,11 +178,11 @@ def values_in(value: Any, largest: int) -> Hashable:
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         with contextlib.suppress(TypeError):  # of a tracer, or of a key
             if value.dtype != object and value.nbytes <= largest:
-                return str(value.dtype), value.shape, digest_of(np.asarray(value).tobytes())
+                return str(value.dtype), value.shape, hash_content(np.asarray(value).tobytes())
     return None
 
 
-def digest_of(content: Any) -> str:
+def hash_content(content: Any) -> str:
     content = content if isinstance(content, bytes) else repr(content).encode()
     return hashlib.sha256(content).hexdigest()
 
@@ -193,7 +193,7 @@ def words_of_code(code: types.CodeType) -> str:
     names = code.co_qualname, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
     words = code.co_code, code.co_exceptiontable, names, counts, Walk().words(code.co_consts)
-    return digest_of(words)
+    return hash_content(words)
 
 
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
@@ -293,7 +293,7 @@ def code_fingerprint(kind: type, parts: tuple = ()) -> str:
     if not walk.bases and not parts:
         return ""
     described = walk.describe(*walk.bases, *parts)
-    return digest_of([described, sorted(walk.sources.items())])[:16]  # alike once in 2^64
+    return hash_content([described, sorted(walk.sources.items())])[:16]  # alike once in 2^64
 
 
 class ForStores(Walk):

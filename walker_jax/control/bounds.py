@@ -69,14 +69,14 @@ def narrow(task: Task, images: MappedCells, levels: int, map_cells: MapCells) ->
             images = map_cells(task._replace(grid=grid), cells, f"level {level}")
             rows.append(images.image)
             whole.append(np.ones(len(cells), bool))
-        bounds = close_in(images, grid.shape, cells, bounds)
+        bounds = update_bounds(images, grid.shape, cells, bounds)
         mapped.append(len(cells))
         areas.append(tuple(float(one.sum() * grid.cell_area) for one in bounds))
     points, number = join_levels(rows, whole, number) if levels else (Points(*rows), number)
     return Narrowed(points, number, bounds, mapped, areas)
 
 
-def close_in(
+def update_bounds(
     images: MappedCells, shape: tuple[int, ...], cells: Int[np.ndarray, " n"], before: Bounds
 ) -> Bounds:
     """The bounds, given those of before, of which only the cells that have images may change."""

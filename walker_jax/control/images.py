@@ -110,11 +110,11 @@ def map_in_tiles(
     tiles = [(some, actions) for some in ranges[0] for actions in ranges[1]]
     values = each(functools.partial(map_tile, task, cells), tiles)
     for tile, part in track(values, label, progress, len(tiles)):
-        put(found, tile, part._asdict())
+        insert_tile(found, tile, part._asdict())
     return found
 
 
-def put(found: MappedCells, tile: Tile, part: Mapping[str, np.ndarray]) -> None:
+def insert_tile(found: MappedCells, tile: Tile, part: Mapping[str, np.ndarray]) -> None:
     """Put the images of a tile where they belong."""
     at = tuple(slice(*ends) for ends in tile)
     for name, new in part.items():

@@ -28,15 +28,15 @@ from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 DRAWS, NODES = 2**16, 13
 """Disturbances that are drawn; and those that stand for them, if they vary in one way. In two ways
 there are four times as many, in three nine times."""
-SAME = 1e-6
+CONSTANT_SCATTER = 1e-6
 """Scatter, relative, up to which draws are the same but for rounding."""
 SEED = 2009
 """Of these draws: walks have other random numbers."""
 STRIDES_PER_ROUND, MAX_ROUNDS = 50, 60
 """Strides by which the horizon grows from one choice of actions to the next, and most choices."""
-SETTLED = 1e-3
+SETTLED_SHARE = 1e-3
 """Share of cells with another action than before at which that ends."""
-BETTER = 1e-12
+LEAST_IMPROVEMENT = 1e-12
 """By how much another action must be better, relative: less is rounding."""
 
 
@@ -79,7 +79,7 @@ def find_longest(
         chain = transitions(spread, action)
         for _ in range(STRIDES_PER_ROUND):
             value[spread.cells] = chain @ (1 + value[spread.cells])
-        if number and (action != former).mean() <= SETTLED:
+        if number and (action != former).mean() <= SETTLED_SHARE:
             break
     chosen = np.full(grid.size, -1, np.int32)
     chosen[spread.cells] = action
@@ -96,7 +96,7 @@ def choose_nodes(ground: RandomDisturbance) -> Nodes:
     if not np.isfinite(drawn).all():
         raise WrongUse("ground must be finite whenever it is drawn, and is not always")
     centre, scale = drawn.mean(axis=0), drawn.std(axis=0)
-    varied = scale > SAME * np.abs(centre)
+    varied = scale > CONSTANT_SCATTER * np.abs(centre)
     points = (drawn - centre)[:, varied] / scale[varied]
     farthest = int((points**2).sum(axis=1).argmin())
     distance, nearest = np.full(DRAWS, np.inf), np.zeros(DRAWS, int)
@@ -156,7 +156,7 @@ def improve(
         at, share = corners(spread.place[:, number], spread.shape)
         found[:, number] = (lasting[at] * share).sum(axis=-1) @ spread.weights
     best, row = found.argmax(axis=1), np.arange(len(found))
-    better = found[row, best] > found[row, action] * (1 + BETTER)
+    better = found[row, best] > found[row, action] * (1 + LEAST_IMPROVEMENT)
     return np.where(better, best, action).astype(np.int32)
 
 

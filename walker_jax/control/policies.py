@@ -98,11 +98,11 @@ def Policy(
     if objective == "fewest-strides":
         action = data["action"].values
     elif objective == "least-effort":
-        action = easiest(walker, data, actions)
+        action = least_effort_actions(walker, data, actions)
     elif ground is None:
         raise WrongUse(f"ground is required for {objective}")
     else:
-        action = longest(check_planar(walker), data, actions, read_ground(ground))
+        action = longest_walk_actions(check_planar(walker), data, actions, read_ground(ground))
     choose = interpolate_actions(grid_of(data), action, actions.values)
     return steer(walker, tuple(names), choose, float(data.attrs["tolerance"]))
 
@@ -117,7 +117,9 @@ def whole_grid(data: xr.Dataset) -> xr.Dataset:
     return data.transpose(*grid.names, ...)
 
 
-def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndarray, "*shape"]:
+def least_effort_actions(
+    walker: System, data: xr.Dataset, actions: Actions
+) -> Int32[np.ndarray, "*shape"]:
     """The actions of least effort; those of `data` where no way leads into the target."""
     grid = grid_of(data)
     each = bytes_of_cell(len(actions.values), len(grid.names), bounds=False)
@@ -130,7 +132,7 @@ def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndar
     return np.where(action >= 0, action, known)
 
 
-def longest(
+def longest_walk_actions(
     walker: Walker, data: xr.Dataset, actions: Actions, ground: RandomDisturbance
 ) -> Int32[np.ndarray, "*shape"]:
     """The actions of the longest walks on rough ground."""

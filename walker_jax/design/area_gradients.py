@@ -242,7 +242,7 @@ def integrate_along_boundary(
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
     totals, extrapolated = np.zeros((LINE_GROUPS, count)), np.zeros(count)
-    squares, crossings, lost, untold, made = np.zeros(count), 0, 0, 0, 0
+    squares, crossings, lost, unknown_count, made = np.zeros(count), 0, 0, 0, 0
     limits = MAX_WEIGHTS[len(shape)]
 
     def follow(places: Float[np.ndarray, "n axes"]) -> Labels:
@@ -272,7 +272,7 @@ def integrate_along_boundary(
         known = np.isfinite(moves).all(axis=1)
         crossings, lost = crossings + len(x), lost + int(np.sum(~known))
         fixed = (labels.fate == Outcome.OUTSIDE) & (labels.strides == 0)
-        untold += int(np.sum(~known & ~fixed))
+        unknown_count += int(np.sum(~known & ~fixed))
         squares += np.sum(moves[known] ** 2, axis=0)
         most, half = (inverse_chances(outside, axis, c)[known, None] for c in limits)
         weight = 2 * most - half if len(shape) == 3 else half
@@ -282,10 +282,10 @@ def integrate_along_boundary(
     cell = fine.cell_area
     scatter = np.sqrt(LINE_GROUPS) * np.std(totals, axis=0, ddof=1)
     error = np.hypot(scatter, extrapolated) * cell
-    if untold:  # unlike others, they may all move the same way
-        told = crossings - lost
-        typical = np.sqrt(squares / told) if told else np.full(count, np.inf)
-        error = np.hypot(error, untold * typical * cell)
+    if unknown_count:  # unlike others, they may all move the same way
+        known_count = crossings - lost
+        typical = np.sqrt(squares / known_count) if known_count else np.full(count, np.inf)
+        error = np.hypot(error, unknown_count * typical * cell)
     return Integral(totals.sum(axis=0) * cell, error, crossings, lost, made)
 
 

@@ -41,7 +41,7 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
     import optax  # here alone: it takes a quarter of a second
 
     problem = trace.problem
-    if trace.is_over() and (run, stage) != (0, 0):
+    if trace.is_out_of_time() and (run, stage) != (0, 0):
         return Climb(
             None, None, False, f"{problem.describe_values(problem.values(place))}: no time"
         )
@@ -60,7 +60,7 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
         state = optimiser.init(jnp.asarray(begin))
     best = here
     for _ in range(MAX_STAGE_STEPS):
-        if trace.is_over():
+        if trace.is_out_of_time():
             break
         place = problem.place_of(best.parameters)
         uphill = problem.sign * best.gradient * (problem.high - problem.low)

@@ -172,7 +172,10 @@ def optimise(
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
-    ended = {"converged": last.converged, "out_of_time": trace.is_over() and not last.converged}
+    ended = {
+        "converged": last.converged,
+        "out_of_time": trace.is_out_of_time() and not last.converged,
+    }
     found = measure_ends(trace, start, best) | ended
     found |= scan_objective(trace, best, scan) if scan else {}
     found |= {} if problem.grid is None else compare_basins(problem, start, best)

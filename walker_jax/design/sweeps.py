@@ -36,9 +36,9 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
 """Measures of a gait besides its state, multiplier and step time."""
-OF_OWN = ("attractor_period", "attractor_states")
+ATTRACTOR_ARRAYS = ("attractor_period", "attractor_states")
 """What is kept of the attractors of each basin."""
-OWN = 8
+MOST_ATTRACTORS = 8
 """Attractors of a basin whose states are kept: more than any walker's so far."""
 MAX_COMBINATIONS = 2**20
 """Combinations of parameters; each takes about twenty files of a store."""
@@ -96,7 +96,7 @@ def sweep(
     - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
       iteration from the cells' centres. Attractors are numbered separately in each basin, which
       has so many `attractors`;
-    - of each of these, up to `OWN`: `attractor_period`, `attractor_states`, and its common number
+    - of each of these, up to `MOST_ATTRACTORS`: `attractor_period`, `attractor_states`, and its common number
       `attractor_number`, which is that of the gait of the same period in neighbouring combinations
       (`basins.matching.number_alike`);
     - `area` of the cells that converge to one; `total_area` and its standard error
@@ -191,7 +191,7 @@ def compute_missing(
         label = " × ".join(plan.names)
         for i, row in missing_pieces(place, each, compute, values_of, label, progress):
             place.write(i, unknown | row, done=True)
-        period, states = (np.asarray(place.array(name)[...]) for name in OF_OWN)
+        period, states = (np.asarray(place.array(name)[...]) for name in ATTRACTOR_ARRAYS)
         numbered = {"attractor_number": ((*plan.names, "own"), number_alike(period, states))}
         place.finish(about.assign(numbered))
     return storage.open_dataset(out)
@@ -206,9 +206,9 @@ def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
         "gait_state": unknown_state,
         **dict.fromkeys(("attractors", "failed", "gait_period"), 0),
         **dict.fromkeys(("reason", "note"), ""),
-        "attractor_period": ("own", np.full(OWN, -1)),
+        "attractor_period": ("own", np.full(MOST_ATTRACTORS, -1)),
     }
-    shape = OWN, LONGEST_PERIOD, plan.grid.coordinates
+    shape = MOST_ATTRACTORS, LONGEST_PERIOD, plan.grid.coordinates
     row |= {"attractor_states": (("own", "phase", "coordinate"), np.full(shape, np.nan))}
     row = (without_gait(plan.walker) if plan.robust else {}) | row
     return arrays_to_compute(plan.walker, plan.grid) | {
@@ -246,8 +246,8 @@ def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
     cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
     row: dict[str, Any] = {name: cells[name].values for name in ARRAYS}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
-    period, states = (empty_row(plan)[name].values.copy() for name in OF_OWN)
-    kept = cells.isel(number=slice(OWN))
+    period, states = (empty_row(plan)[name].values.copy() for name in ATTRACTOR_ARRAYS)
+    kept = cells.isel(number=slice(MOST_ATTRACTORS))
     period[: kept.sizes["number"]] = kept["period"]
     states[: kept.sizes["number"], : kept.sizes["phase"]] = kept["states"]
     row |= {"attractor_period": period, "attractor_states": states}

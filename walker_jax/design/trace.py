@@ -51,7 +51,7 @@ class Trace:
         self.ends = self.began + seconds
         """When climbs make no further step."""
 
-    def is_over(self) -> bool:
+    def is_out_of_time(self) -> bool:
         """Whether the time for climbs has passed."""
         return time.perf_counter() >= self.ends
 

@@ -10,7 +10,7 @@ from walker_jax.gaits.defining_systems import DOUBLING, TORUS
 from walker_jax.gaits.normal_forms import criticality
 from walker_jax.systems.outcomes import Outcome
 
-LONGEST_TOLD = 8
+LONGEST_LISTED_PERIOD = 8
 """Longest period of which a chart tells the share."""
 
 
@@ -86,7 +86,7 @@ def summarise_chart(data: xr.Dataset) -> dict:
             }
         )
     fate, periods = data["cell_fate"].values, data["cell_period"].values
-    walks, short = fate == Outcome.STRIDE, (periods > 0) & (periods <= LONGEST_TOLD)
+    walks, short = fate == Outcome.STRIDE, (periods > 0) & (periods <= LONGEST_LISTED_PERIOD)
     shares = {f"period {n}": walks & (periods == n) for n in np.unique(periods[walks & short])}
     shares |= {"no period, or a longer one": walks & ~short}
     shares |= {"fails": ~walks & (fate != NO_GAIT), "no gait": fate == NO_GAIT}

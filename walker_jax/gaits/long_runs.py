@@ -23,7 +23,7 @@ START_OFFSET = 1e-6
 """Distance from a gait, in the first coordinate, at which walkers start: small, so that a walker
 converges to a stable gait with a narrow basin, and above rounding errors, so that it leaves an
 unstable gait and converges to an attractor."""
-SETTLED = 1e-11
+SETTLED_DISTANCE = 1e-11
 """Distance, in every coordinate, within which a walk that returns to a state has converged to a
 cycle, up to rounding errors. From `START_OFFSET` of an unstable gait it does not return that close,
 unless a multiplier is nearer to 1 than 1e-5."""
@@ -146,7 +146,7 @@ def iterate_to_cycles(
         if made < limit:
             walkers, states = select_walkers(walker, active), end.state[active]
             states, _ = orbits(walkers, states, RECORDED_STATES, integrator)
-            returns = np.abs(states[:, 1:] - states[:, :1]).max(axis=2) < SETTLED
+            returns = np.abs(states[:, 1:] - states[:, :1]).max(axis=2) < SETTLED_DISTANCE
             settled = np.flatnonzero(returns.any(axis=1))
             phase = (limit - made) % (returns[settled].argmax(axis=1) + 1)
             end.state[active[settled]] = states[settled, phase]

@@ -45,7 +45,7 @@ def reason_without_gait(walker: System, period: int, search: Gait | None, *, gue
     """Why no gait was found: by the end of one `search`, or None for searches from all cells."""
     single = guessed or (moves_like(walker, SimplestWalker) and period == 1)
     if search is None or not (np.isfinite(search.residual) or single):
-        return reason_of_all(walker)
+        return reason_without_any_gait(walker)
     if not np.isfinite(search.residual):
         start = "the guess" if guessed else "where the search begins"
         made = "no stride" if period == 1 else f"fewer than {period} strides"
@@ -60,7 +60,7 @@ def reason_without_gait(walker: System, period: int, search: Gait | None, *, gue
     return "the search ended too close to a bifurcation"
 
 
-def reason_of_all(walker: System) -> str:
+def reason_without_any_gait(walker: System) -> str:
     """Why searches from all cells of the walker's `gait_region` found none."""
     grid = walker.gait_region()
     starts = grid.centres(np.arange(grid.size))

@@ -82,7 +82,7 @@ class Method(eqx.Module):
         return diffrax.ODETerm(lambda t, y, args: field(y))
 
     @property
-    def by_stages(self) -> Solver:
+    def forward_solver(self) -> Solver:
         """The solver with a loop over stages that has derivatives in forward mode."""
         if not isinstance(self.solver, diffrax.AbstractRungeKutta):
             return self.solver
@@ -125,7 +125,7 @@ class Method(eqx.Module):
             return ()
         zero, terms, controller = zero_at(state), self.terms, self.controller()
         order = self.solver.error_order(terms)
-        first = self.by_stages.init(terms, zero, zero + 1, state, None)
+        first = self.forward_solver.init(terms, zero, zero + 1, state, None)
         length, kept = controller.init(
             terms, zero, jnp.full_like(zero, jnp.inf), state, None, None, self.solver.func, order
         )
@@ -146,7 +146,7 @@ class Method(eqx.Module):
             return series, evaluate_series(series, length), length, ()
         length, kept, first = memory
         zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
-        end, error, dense, last, _ = self.by_stages.step(
+        end, error, dense, last, _ = self.forward_solver.step(
             terms, zero, length, state, None, first, False
         )
         order: Any = self.solver.error_order(terms)
@@ -174,7 +174,7 @@ class Method(eqx.Module):
         """The state a time after the start of a step, by its series or by a shorter step."""
         if isinstance(self.solver, Taylor):
             return evaluate_series(series, time)
-        zero, solver = jnp.zeros_like(time), self.by_stages
+        zero, solver = jnp.zeros_like(time), self.forward_solver
         first = solver.init(self.terms, zero, time, state, None)
         return solver.step(self.terms, zero, time, state, None, first, False)[0]
 

@@ -20,7 +20,7 @@ from walker_jax.integrators.taylor_steps import (
     cut_at_switches,
     evaluate_series,
     scale_of,
-    step_length,
+    step_size,
     taylor_step,
 )
 
@@ -88,7 +88,7 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
             # A step over a kink gets an error that every controller rejects; a step to just behind
             # it does not.
             eps = float(jnp.finfo(length.dtype).eps)
-            least = 1e3 * eps * jnp.maximum(step_length(series, eps), jnp.abs(t1))
+            least = 1e3 * eps * jnp.maximum(step_size(series, eps), jnp.abs(t1))
             over = length > cut_at_switches(switches, length, least)
             error = jax.tree.map(lambda e: jnp.where(over, scale_of(series), e), error)
         return (

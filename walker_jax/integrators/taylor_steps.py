@@ -34,7 +34,7 @@ harmonic motion are at most a third as long; and its length instead, in which fu
 that is a polynomial of time seldom turn more than once."""
 
 
-def step_length(series: PyTree, tolerance: Real) -> Scalar:
+def step_size(series: PyTree, tolerance: Real) -> Scalar:
     """Length of a step in which the last terms of the series stay below the tolerance.
 
     h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the largest norm over all
@@ -45,15 +45,15 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
     few digits, and powers are cheap in float32.
     """
     scale = scale_of(series)
-    shortest = reach(series, tolerance, scale)
+    shortest = uncapped_step_size(series, tolerance, scale)
     rate = (largest_coefficient(series, 1) / scale).astype(jnp.float32)
     unit = 1 / jnp.maximum(rate, float(jnp.finfo(scale.dtype).eps))
     shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
     return shortest.astype(scale.dtype)
 
 
-def reach(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
-    """The h of `step_length`, infinite where the last terms vanish; in float32."""
+def uncapped_step_size(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
+    """The h of `step_size`, infinite where the last terms vanish; in float32."""
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
@@ -95,12 +95,14 @@ def taylor_step(
     the tolerance, relative to |y| or |y'|.
     """
     series = solution_series(vector_field, state, order)
-    length = step_length(series, tolerance)
+    length = step_size(series, tolerance)
     for function in watched:
         known = function_series(function, lax.stop_gradient(series))
         # it may begin at zero with rate zero, as 1 - cos does
         scale = jnp.maximum(scale_of((known,)), largest_coefficient((known,), 2))
-        length = jnp.minimum(length, reach((known,), tolerance, scale).astype(length.dtype))
+        length = jnp.minimum(
+            length, uncapped_step_size((known,), tolerance, scale).astype(length.dtype)
+        )
     if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length

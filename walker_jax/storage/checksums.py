@@ -18,7 +18,7 @@ from walker_jax.storage.damage import (
     VERSION,
     Damaged,
     damaged,
-    naming,
+    name_damage,
     read_metadata,
 )
 from walker_jax.storage.kind import SCHEMA_VERSION
@@ -66,7 +66,7 @@ def check_chunks(path: Path, array: Any) -> None:
     counts = map(lambda whole, size: -(-whole // size), array.shape, array.shards or array.chunks)
     for place in np.ndindex(*counts):
         key = f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
-        with naming(path, key, "is missing"):
+        with name_damage(path, key, "is missing"):
             (path / key).stat()
         if not is_intact((path / key).read_bytes()):
             raise damaged(path, key)
@@ -75,7 +75,7 @@ def check_chunks(path: Path, array: Any) -> None:
 # ---------------------------------------------------------------------------------------- metadata
 
 
-def digest(metadata: dict) -> str:
+def hash_metadata(metadata: dict) -> str:
     words = json.dumps(metadata, sort_keys=True).encode()
     return hashlib.blake2b(words, digest_size=DIGEST_BYTES).hexdigest()
 
@@ -86,11 +86,11 @@ def seal(path: Path, attributes: dict | None = None, without: Iterable[str] = ()
     Arrays `without` a checksum are about to be removed.
     """
     arrays = sorted({file.parent.name for file in path.glob(f"*/{METADATA}")} - {*without})
-    sums = {name: digest(read_metadata(path / name)) for name in arrays}
+    sums = {name: hash_metadata(read_metadata(path / name)) for name in arrays}
     group = read_metadata(path)
     given = group["attributes"] if attributes is None else attributes
     known = json.loads(json.dumps(given | {VERSION: SCHEMA_VERSION}))  # as it will be read
-    sums = {"": digest(group | {"attributes": known | {CHECKSUMS: sums}})} | sums
+    sums = {"": hash_metadata(group | {"attributes": known | {CHECKSUMS: sums}})} | sums
     open_group(path, "r+").attrs.put(known | {CHECKSUMS: json.dumps(sums)})
 
 
@@ -99,7 +99,7 @@ def check_metadata(path: Path) -> list[str]:
 
     Raises `Damaged` where metadata are not as they were written, or have another schema.
     """
-    with naming(path, METADATA):
+    with name_damage(path, METADATA):
         found = read_metadata(path)
         attributes = found["attributes"]
         version = attributes.get(VERSION)
@@ -108,10 +108,10 @@ def check_metadata(path: Path) -> list[str]:
             raise Damaged(f"{path} {said}, and this package reads {SCHEMA_VERSION}")
         sums = json.loads(attributes[CHECKSUMS])
         own = sums.pop("")
-    if digest(found | {"attributes": attributes | {CHECKSUMS: sums}}) != own:
+    if hash_metadata(found | {"attributes": attributes | {CHECKSUMS: sums}}) != own:
         raise damaged(path, METADATA)
     for name, wanted in sums.items():
-        with naming(path, f"{name}/{METADATA}"):
-            if digest(read_metadata(path / name)) != wanted:
+        with name_damage(path, f"{name}/{METADATA}"):
+            if hash_metadata(read_metadata(path / name)) != wanted:
                 raise damaged(path, f"{name}/{METADATA}")
     return [*sums]

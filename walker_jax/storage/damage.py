@@ -29,14 +29,14 @@ def damaged(path: Path, part: str, why: str = "is not as it was written") -> Dam
 
 
 @contextmanager
-def naming(path: Path, part: str, why: str = "cannot be read") -> Iterator[None]:
+def name_damage(path: Path, part: str, why: str = "cannot be read") -> Iterator[None]:
     """Raises `Damaged` for what Zarr or a codec raises, if `path` is a data set of this package."""
     try:
         yield
     except (StoreConflict, MemoryError, PermissionError):
         raise
     except Exception as error:
-        if is_own(path):
+        if is_own_dataset(path):
             raise damaged(path, part, why) from error
         raise
 
@@ -49,7 +49,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     return found
 
 
-def is_own(path: Path) -> bool:
+def is_own_dataset(path: Path) -> bool:
     """Whether a folder is known to be a data set of this package, damaged or not."""
     try:
         if {"request", CHECKSUMS} & read_metadata(path)["attributes"].keys():

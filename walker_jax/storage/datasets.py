@@ -21,7 +21,14 @@ from walker_jax.storage.checksums import (
     seal,
     with_checksums,
 )
-from walker_jax.storage.damage import CHECKSUMS, METADATA, VERSION, Damaged, is_own_array, naming
+from walker_jax.storage.damage import (
+    CHECKSUMS,
+    METADATA,
+    VERSION,
+    Damaged,
+    is_own_array,
+    name_damage,
+)
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
@@ -145,9 +152,12 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     import xarray
 
     kept = check_metadata(path)
-    with naming(path, METADATA):
+    with name_damage(path, METADATA):
         group = open_group(path, "r")
-    with naming(path, "it"), warnings.catch_warnings():  # of arrays that a run is about to begin
+    with (
+        name_damage(path, "it"),
+        warnings.catch_warnings(),
+    ):  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
         unfinished = bool(group.attrs.get("unfinished"))
         for name in kept:
@@ -162,7 +172,7 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     if data.nbytes > LAZY_FROM_BYTES:
         return data
     for name, variable in data.variables.items():
-        with naming(path, str(name)):
+        with name_damage(path, str(name)):
             variable.load()
     return data
 

@@ -23,7 +23,7 @@ from walker_jax.storage.checksums import (
     seal,
     with_checksums,
 )
-from walker_jax.storage.damage import naming
+from walker_jax.storage.damage import name_damage
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     RESUME_HINT,
@@ -122,7 +122,9 @@ class Pieces(NamedTuple):
     def read(self, name: str, piece: int) -> np.ndarray:
         """Read the part of an array that is of a piece."""
         array = self.array(name)
-        with naming(self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()):
+        with name_damage(
+            self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()
+        ):
             return np.asarray(array[self.at(piece)])
 
     def chunk_file(self, array: Any, piece: int) -> Path:

@@ -48,26 +48,26 @@ OF_SLICES = {"phidot"}
 
 def names_in_use(kind: str) -> frozenset[str]:
     """Names of the arrays and dimensions of a kind, which no axis of its grid may have."""
-    variables = variables_of(kind)
+    variables = variables_of_kind(kind)
     dimensions = {name for one in variables.values() for name in one.dims.split()}
     return frozenset(variables.keys() - OF_SLICES | dimensions)
 
 
-def variables_of(kind: str) -> dict[str, Variable]:
+def variables_of_kind(kind: str) -> dict[str, Variable]:
     """The variables of a kind, those of its base among them."""
     base = KINDS[kind].base
-    return (variables_of(base) if base else {}) | KINDS[kind].variables
+    return (variables_of_kind(base) if base else {}) | KINDS[kind].variables
 
 
-def attributes_of(kind: str) -> dict[str, str]:
+def attributes_of_kind(kind: str) -> dict[str, str]:
     """The attributes of a kind, those of its base among them."""
     base = KINDS[kind].base
-    return (attributes_of(base) if base else {}) | KINDS[kind].attributes
+    return (attributes_of_kind(base) if base else {}) | KINDS[kind].attributes
 
 
 def check_dataset(data: "xarray.Dataset", kind: str) -> None:
     """Raise `WrongUse` for a data set that is not of a kind of `KINDS`, and say why in one line."""
-    variables, attributes = variables_of(kind), attributes_of(kind)
+    variables, attributes = variables_of_kind(kind), attributes_of_kind(kind)
     missing = [name for name, one in variables.items() if not one.when and name not in data]
     missing += [f"attribute {name}" for name in attributes if name not in data.attrs]
     if missing:

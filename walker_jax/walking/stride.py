@@ -99,7 +99,7 @@ def stride(
       The result's state is then a full one, just after heel strike and off the section, as one foot
       is lower. `stride` takes it from there, on a slope through the foot that stands now.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
-      rate (`integrators.taylor_steps.step_length`), or of the error that another solver estimates.
+      rate (`integrators.taylor_steps.step_size`), or of the error that another solver estimates.
       By default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
       the stride amplifies errors, up to 1e5 times near falling backward.
     - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
