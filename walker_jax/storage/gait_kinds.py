@@ -1,4 +1,4 @@
-"""Data sets of walks, of gaits and of what is optimised: one table for each kind."""
+"""Data sets of walks, gaits and optimisations: one table for each kind."""
 
 from walker_jax.storage.kind import DIFFERS, SECTION, STATE, TIME, WALKER, Kind
 from walker_jax.storage.kind import Variable as V
