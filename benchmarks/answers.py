@@ -1,8 +1,8 @@
 """How long do the commands take, compared with another checkout, in one run?
 
-Each command is run with this checkout and with another, one after the other, in folders of their
-own: first with an empty cache of machine code, then with it. Processor time compares best on a
-machine that others use too. `--commands` chooses among them.
+Each command runs with this checkout and with the other in turn, each in a folder of its own: first
+with an empty cache of machine code, then with a full one. On a shared machine compare processor
+times. `--commands` selects commands.
 
     python benchmarks/answers.py OTHER_CHECKOUT --commands bifurcation robustness
 """

@@ -41,9 +41,9 @@ from walker_jax.control.images import (
     MappedCells,
     Task,
     bytes_of_cell,
+    insert_tile,
     map_in_tiles,
     map_tile,
-    put,
     tile_shape,
 )
 from walker_jax.controlled_maps import (
@@ -308,7 +308,9 @@ def compute_in_pieces(
             values = {stored: getattr(part, name) for stored, name in names.items()}
             place.write(i, values, done=True)
         for i in range(place.count):
-            put(cells, tile_of(i), {name: place.read(stored, i) for stored, name in names.items()})
+            insert_tile(
+                cells, tile_of(i), {name: place.read(stored, i) for stored, name in names.items()}
+            )
         place.finish(plan.answer(cells, each, progress))
     return storage.open_dataset(out)
 
