@@ -92,8 +92,8 @@ def optimise(
 ) -> xr.Dataset:
     """Find the best values of a walker's parameters within bounds, by gradient ascent.
 
-        walker = wj.SpringWalker(slope=0.004, stiffness=0.1)
-        found = wj.optimise(walker, {"stiffness": (0.0, 0.5)}, "area")
+        walker = wj.SpringWalker(slope=0.004, hip_stiffness=1.0)
+        found = wj.optimise(walker, {"hip_stiffness": (0, 30)}, "area")
         found["optimum"], found["exact_optimum"]
 
     **Arguments:**

@@ -79,9 +79,9 @@ def sweep(
 ) -> xr.Dataset:
     """Compute the basin, its area and the gait for all combinations of parameter values.
 
-        walker = wj.SpringWalker(slope=0.004, stiffness=0.1)
-        over = {"slope": [0.004, 0.008], "stiffness": [0.0, 0.1, 0.2]}
-        wj.sweep(walker, over)["total_area"]
+        walker = wj.SimplestWalker(slope=0.004)
+        data = wj.sweep(walker, {"slope": [0.004, 0.009]})
+        data["total_area"], data["multiplier"]
 
     **Arguments:**
 

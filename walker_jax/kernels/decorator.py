@@ -24,7 +24,7 @@ def kernel(
         def energy(q, p):
             return p**2 / 2 - jnp.cos(q)
 
-        jax.vmap(energy)(qs, ps)
+        jax.vmap(energy)(jnp.linspace(0, 1, 1000), jnp.zeros(1000))
 
     Call a kernel as its function, and map it over cells by `jax.vmap`. On a CPU it works on as many
     cells at once as a register holds, and on all cores under `jax.jit`. On other devices, and where

@@ -15,10 +15,6 @@ from walker_jax.systems.system import System
 class HybridSystem(System):
     """A system of modes of motion, such as flights and stances, or one period of a flow.
 
-        class Ball(wj.HybridSystem):  # and its section, modes, lift and project
-            def lift(self, x):
-                return Flight(height=0.0, speed=x[0])
-
     A stride begins in the state of the first mode that `lift` returns. Each mode is followed to the
     guard that ends it, and its `reset` returns the state in which the next mode begins. The reset
     of the last mode leads back to the section, where `project` reads the coordinates. A guard leads
@@ -26,6 +22,7 @@ class HybridSystem(System):
     the failures that the system names in `failures`.
 
     States may have any structure: trees of scalars or arrays, such as a `NamedTuple` of numbers.
+    `systems.bouncing_ball` is a short example.
     """
 
     @abc.abstractmethod

@@ -34,7 +34,10 @@ SHARED_FAILURES = tuple(
 class System(eqx.Module):
     """A return map; its fields are scalar parameters, or static options.
 
-        class Logistic(wj.System):  # with a section and a gait_region
+        class Logistic(wj.System):
+            r: jax.Array = 3.2
+            section = ("x",)
+
             def advance(self, x):
                 return self.r * x * (1 - x), wj.Outcome.STRIDE, 1.0
 
