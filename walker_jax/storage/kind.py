@@ -15,7 +15,7 @@ STATE = "rad, rad/√(l/g)"
 AREA = "rad²/√(l/g)"
 TIME = "√(l/g)"
 FAILS = "the `Outcome` of its last stride; -1 for none"
-DIFFERS = "the gait of `find_gait`, where another one attracts"
+DIFFERS = "the gait of `find_gait`, if another one attracts"
 
 
 class Variable(NamedTuple):
