@@ -13,7 +13,7 @@ import pytest
 import walker_jax as wj
 from walker_jax import kernels
 
-PUBLIC = {name: getattr(wj, name) for name in wj.MODULES} | {
+PUBLIC = {name: getattr(wj, name) for name in wj.__all__} | {
     name: getattr(kernels, name) for name in ("kernel", "why_not")
 }
 

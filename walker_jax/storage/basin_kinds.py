@@ -226,7 +226,7 @@ BASINS = {
             "attractor_states": V(
                 "*parameters own phase coordinate", "real", STATE, "the cycle; NaN after it"
             ),
-            "area": V("*parameters", "real", AREA, "of the cells that converge to any"),
+            "area": V("*parameters", "real", AREA, "of all cells that converge"),
             "gait_period": V("*parameters", "integer", "strides", "0 where no gait attracts"),
             "gait_state": V("*parameters coordinate", "real", STATE, "NaN where no gait attracts"),
             "note": V("*parameters", "text", "", DIFFERS),
