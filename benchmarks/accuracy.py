@@ -1,14 +1,13 @@
 """How far are strides, gaits, bifurcations and areas from reference values?
 
-The values of `tests/data`: computed elsewhere with 40 digits, or printed by others. What this
-prints, in a minute or two, are the tables of `docs/accuracy.md`, in Markdown; how long each took
-goes to standard error.
+The reference values are those of `tests/data`, computed elsewhere with 40 digits, or published. In
+a minute or two this prints the tables of `docs/accuracy.md` in Markdown, and the times on standard
+error.
 
-The answer: of 68,000 outcomes and as many fates none differs; gaits and period doublings are the
-same to 5e-14, step times to 5e-13, multipliers to 6e-12, half a unit of the last digit given or
-little more. Two printed values are not recovered: T1 of the long gait's expansion, against which
-the reference gaits speak too; and a gait on round feet that an impact with a term too many has.
-Shortened:
+The answer: none of 68,000 outcomes and as many fates differs. Gaits and period doublings agree to
+5e-14, step times to 5e-13, multipliers to 6e-12: half a unit of the last digit given, or little
+more. Two published values are not recovered: T1 of the long gait's expansion, which disagrees with
+the reference gaits too; and a gait on round feet, from an impact with one term too many. Shortened:
 
 | quantity | slope 0.004, 200 x 250 cells | slope 0.0165, 120 x 150 cells |
 | strides | 50000 | 18000 |

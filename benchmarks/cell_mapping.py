@@ -1,9 +1,9 @@
 """How far is cell mapping from the truth, how does that shrink with the cell, and what is made up?
 
-The simplest walker in the window of Schwab and Wisse (2001), Figure 4. First on grids ever finer at
-slope 0.004; then on their own grid, near where they say that the basin vanishes. The cells in which
-the methods differ become fewer about as the cell shrinks; steeper than 0.018, cell mapping misses
-the true basin, and from 0.0195 on shows cells of its own making alone:
+The simplest walker in the window of Schwab and Wisse (2001), Figure 4: first on ever finer grids at
+slope 0.004, then on their own grid, near the slope at which they find that the basin vanishes. The
+share of cells in which the methods differ is about proportional to the size of a cell. Above a
+slope of 0.018, cell mapping misses the true basin, and from 0.0195 on shows only artefacts:
 
 50 x 50: differ in 0.4400%, power of the cell -; ...
 100 x 100: differ in 0.3000%, power of the cell 0.55; ...

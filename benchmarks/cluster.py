@@ -2,9 +2,9 @@
 
     python benchmarks/cluster.py [rows]
 
-On the same cores, one after the other, twice. What the cluster takes more is its start, in which
-each worker loads and compiles, and what it costs to send pieces to and fro; two sizes tell these
-apart.
+Both use the same cores, one after the other, twice. The cluster takes longer because each worker
+loads and compiles at its start, and because pieces are sent to and fro; two sizes of the basin
+separate these costs.
 """
 
 import os

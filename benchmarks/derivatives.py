@@ -1,18 +1,17 @@
 """What do derivatives of strides cost beside the strides, and how long is it to a first answer?
 
 One stride, and a walk of ten, from 5000 starts about a gait, under `jax.jit(jax.vmap(...))`: the
-state that comes out, and its derivatives by start and slope together, three numbers for the
-simplest walker and four for one on round feet. `jvp` is along one direction, `jacfwd` and `jacrev`
-are the whole Jacobian, `grad` is the gradient of the last angle alone. Repeats are interleaved;
-`times as long` is the ratio to the stride, or the walk, in the same repeat (median, least and
-greatest). `first` is how long the first answer takes, with no machine code on disk: tracing,
-compiling and one run. What has one program is compiled once: rows below the first that uses it
-find it there.
+final state, and its derivatives by start and slope together, three numbers for the simplest walker
+and four for one on round feet. `jvp` is along one direction, `jacfwd` and `jacrev` are the whole
+Jacobian, and `grad` is the gradient of the last angle alone. Repeats are interleaved; `times as
+long` is the ratio to the stride, or the walk, in the same repeat (median, least and greatest).
+`first` is the time to a first answer, with no machine code on disk: tracing, compiling and one run.
+Rows that share a program compile it only once, in the first of them.
 
-The answer: a derivative costs two or three strides, a whole Jacobian about two for each direction,
-and reverse mode the same, as it goes through no stride backwards. The derivative of a stride is
-compiled once, in seconds, and serves all ways and any number of strides. The machine was busy with
-other work, which doubles times.
+The answer: a derivative costs two or three strides, and a whole Jacobian about two for each
+direction. Reverse mode costs the same, as it goes through no stride backwards. The derivative of a
+stride is compiled once, in seconds, and serves all modes and any number of strides. The machine was
+busy with other work, which doubles times.
 
     2 cores; jax 0.10.2; 5000 starts, 5 repeats
 

@@ -1,10 +1,10 @@
 """Is the least disturbance the least, how long does it take, and at which slope is it largest?
 
-The simplest walker's, at ten slopes, against a polar grid about its gait: 20,000 directions, and
-distances 0.02 % apart outwards from 0.9 of the size found, until a walker does not come back. On
-nine of them nothing on the grid is nearer, and what is nearest there is one step farther; at
-0.0105, where the boundary is fractal, the grid meets a finger that comes nearer by 0.04 %.
-The largest is at 0.0077. On two cores:
+The least disturbance of the simplest walker at ten slopes is compared with a polar grid about its
+gait: 20,000 directions, and distances 0.02 % apart from 0.9 of the least disturbance outwards,
+until a walker does not return. At nine slopes no point of the grid is nearer, and the nearest is
+one step farther. At 0.0105, where the boundary is fractal, the grid meets a finger that is nearer
+by 0.04 %. The least disturbance is largest at 0.0077. On two cores:
 
 slope 0.001: 0.00192270 ..., FORWARD after 24, in 7.1 s; polar grid 1.00020 times as large
 slope 0.0025: 0.00215421 ..., FORWARD after 20, in 3.6 s; polar grid 1.00020 times as large

@@ -1,11 +1,11 @@
 """Is any event of a stride missed? Strides at the default tolerance against those at 1e-15.
 
-At a tolerance of 1e-15 a step is about half as long, so an event that one step hides shows in
-the other. Walkers have parameters drawn at random over their ranges, one for each stride, and start
-at random. An outcome counts as different if it is not found, at 1e-15, from any start within 1e-9
-of this one either: nearer to a boundary the two may differ by rounding. Per family: strides; those
-that have another outcome; those near a boundary; strides of which the states differ by more than
-1e-6; the largest difference of all others; processor time.
+At a tolerance of 1e-15 a step is about half as long, so an event hidden by one step shows in the
+other. Each stride has random parameters over the walker's ranges and a random start. An outcome
+counts as different if no start within 1e-9 has it at 1e-15; nearer to a boundary the two may differ
+by rounding. Per family: strides; the share with a heel strike; strides with another outcome; those
+near a boundary; those whose states differ by more than 1e-6; the largest difference of all others;
+processor time.
 
     family                  made      to strike, differ, near, off, largest, time
     simplest             10000000 strides   9%   0   0   0   1e-09   41 s

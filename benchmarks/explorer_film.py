@@ -1,8 +1,8 @@
 """The film of the explorer in the README: `python benchmarks/explorer_film.py docs/explorer.gif`.
 
 A hand drags the slope there and back, zooms into the fingers of the basin and out again, and clicks
-a start, from which the walker walks. Every frame is a screenshot of the real page, of a moment at
-which its picture is complete, so the film is the same on a slow machine.
+a start, from which the walker walks. Every frame is a screenshot of the real page at a moment when
+its picture is complete, so the film is the same on a slow machine.
 """
 
 import io

@@ -1,16 +1,15 @@
 """How many gaits are searched for in a second, against scipy's `fsolve` over `solve_ivp`?
 
-10,000 Newton searches at a slope of 0.009, one from the centre of each cell of a region around
-the period-one gaits, as `walker_jax.find_gaits` makes them in one call; and some of the same
-searches by `scipy.optimize.fsolve` on a stride function of `scipy.integrate.solve_ivp`, as one
-would write it, at tolerances that give the gait to about ten digits. Each is run once before it is
-timed, which compiles it; repeats are interleaved. `times as long` is the time for one search, over
-that of walker_jax in the same repeat (median, least and greatest); `reached` the share of the
-searches that end in a gait.
+`walker_jax.find_gaits` makes 10,000 Newton searches in one call, at a slope of 0.009, one from the
+centre of each cell of a region around the period-one gaits. `scipy.optimize.fsolve` makes some of
+the same searches on a plain stride function by `scipy.integrate.solve_ivp`, at tolerances that give
+the gait to about ten digits. Each runs once before it is timed, which compiles it; repeats are
+interleaved. `times as long` is the time for one search over that of walker_jax in the same repeat
+(median, least and greatest), and `reached` the share of the searches that end in a gait.
 
-The answer: about 53,000 searches a second on two cores, 1,500 times as many as scipy's 32 on one,
-which is what such a loop uses. Both reach a gait from four starts in five; the others make no
-stride, or leave for where none is made.
+The answer: about 53,000 searches a second on two cores, 1,500 times as many as scipy's 32 on the
+one core that such a loop uses. Both reach a gait from four starts in five; the other searches begin
+or end in states that make no stride.
 
     2 cores; jax 0.10.2, scipy 1.17.1; 10000 searches by walker_jax, 20 by scipy, 5 repeats
                   searches/s               times as long  reached

@@ -1,17 +1,17 @@
 """How many strides a second does an accelerator make, and are they those of a processor?
 
-One program each, `jax.jit(jax.vmap(wj.stride))`, is given the same starts on the first device that
-JAX finds and on the processor, where it becomes a kernel. Starts are resident on the device, and
-results stay there. Compared are outcomes, next states of those that stride, and derivatives by the
-start, `jax.jacfwd`. Then `wj.basin`, followed directly, of a million cells, on the first device
-alone: run the script again with `JAX_PLATFORMS=cpu` for the processor.
+`jax.jit(jax.vmap(wj.stride))` gets the same starts on the first device that JAX finds and on the
+processor, where it becomes a kernel. Starts are resident on the device, and results stay there. The
+script compares outcomes, next states of successful strides, and derivatives by the start
+(`jax.jacfwd`). Then `wj.basin` follows a million cells directly, on the first device alone: run the
+script again with `JAX_PLATFORMS=cpu` for the processor.
 
-On a GPU each row has a second one, `kernel`, of the same by kernels (`WALKER_JAX_KERNELS=gpu`), so
-that both stand side by side; so has the basin. Then come a sweep of a thousand basins, the strides
-of the tests' reference map, and an ensemble that others have timed, Lorenz' systems of
-GPUODEBenchmarks: t from 0 to 1, (1, 0, 0) at first, r from 0 to 21, adaptive steps of Tsit5 with
-tolerances of 1e-8, in float32. For 8,388,608 of them they print 48.8 ms (MPGOS), 69.5 (DiffEqGPU)
-and 2,611 (diffrax), on a V100. `--registers 96 128 168 255` and `--threads 32 64 128` try other
+On a GPU each row has a second one, `kernel`, with the same by kernels (`WALKER_JAX_KERNELS=gpu`);
+so has the basin. Then come a sweep of a thousand basins, the strides of the tests' reference map,
+and an ensemble that others have timed, the Lorenz systems of GPUODEBenchmarks: t from 0 to 1, start
+(1, 0, 0), r from 0 to 21, adaptive steps of Tsit5 with tolerances of 1e-8, in float32. For
+8,388,608 of them the published times are 48.8 ms (MPGOS), 69.5 (DiffEqGPU) and 2,611 (diffrax), on
+a V100. `--registers 96 128 168 255` and `--threads 32 64 128` try other
 programs of kernels. Kernels have not been run on a GPU yet: the table below is of XLA.
 
 The answer: the same strides, five times as many as 16 cores make for the simplest walker, and no
@@ -36,9 +36,9 @@ median and the largest difference of the next states, where strides amplify roun
     basin, 1000 x 1000 cells on gpu: first 26.6 s, then 0.65 s
     basin, 1000 x 1000 cells on cpu: first 2.2 s, then 0.42 s; the same tally
 
-A basin is followed in rounds of a few strides, between which the host sorts the cells: that, and
-not the strides, takes the time on a GPU. Calls of 32,768 or 131,072 cells took 0.65 s, 262,144
-cells 0.72 s, a million 1.7 s.
+A basin is followed in rounds of a few strides, and the host sorts the cells between rounds. On a
+GPU this sorting takes the time, not the strides. Calls of 32,768 or 131,072 cells took 0.65 s,
+262,144 cells 0.72 s, a million 1.7 s.
 """
 
 import argparse

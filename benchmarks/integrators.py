@@ -4,10 +4,10 @@ On one core, repeats interleaved, after compilation. First the paper's 50,000 st
 series of several orders, by kernels, and by XLA in tiles of 1024 cells with vectors of 512 and 256
 bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close together: by
 `follow_mode` to a time on a clock; by `diffeqsolve` to a final time, without and with a boolean
-event that reads the state at the end of a step; and by
-Runge-Kutta methods, with XLA's sines and with the package's. Rows without `kernel` are by XLA in
-the same tiles. Each is run at several tolerances, or numbers of constant steps; what is printed is
-the time where its largest error is that of the column.
+event that reads the state at the end of a step; and by Runge-Kutta methods, with XLA's sines and
+with the package's. Rows without `kernel` are by XLA in the same tiles. Each method runs at several
+tolerances, or numbers of constant steps. A column gives the time at which the largest error is the
+column's.
 
 The answer: orders 10 to 16 are alike; a kernel takes a fifth of the time of XLA's tiles, and
 compiles sooner; in kernels, Taylor series take a quarter to a fourteenth of the time of

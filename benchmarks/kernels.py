@@ -2,18 +2,18 @@
 
 The three functions of docs/kernels.md: an ensemble of oscillators with adaptive steps, Kepler's
 equation by Newton's iteration, and a fractal of Newton's iteration. `vmap` is
-`jax.jit(jax.vmap(f))` of the same function, and `batches` is `jax.lax.map` with a thousand cells to
-a batch, where fewer wait for the slowest. Numba's loops are written by hand, number by number, and
-it shares out the cells over all cores. Each is called once before, with no code on disk (`first`,
-in seconds); repeats are interleaved. `times as long` is the ratio to the kernel in the same repeat
+`jax.jit(jax.vmap(f))` of the same function, and `batches` is `jax.lax.map` with batches of a
+thousand cells, so that fewer wait for the slowest. Numba's loops are written by hand, number by
+number, and run on all cores. Each is called once before, with no code on disk (`first`, in
+seconds); repeats are interleaved. `times as long` is the ratio to the kernel in the same repeat
 (median, least and greatest), `processor` that of processor times. `error` is the largest difference
 from the kernel's results. JAX solves the equations of the fractal by a call of LAPACK for each
 cell; `Cramer` is a function without it.
 
 The answer, by processor times: where cells differ much, as in the ensemble, a kernel takes a
 seventh of the time of `vmap`, half of that of batches, and a fifth of Numba's, whose loops work on
-one cell at a time. Where sines and cosines take most of the time, as for Kepler's equation, the
-four are alike: they are those of the C library, one cell after the other, and XLA's are faster.
+one cell at a time. If sines and cosines take most of the time, as for Kepler's equation, the four
+are alike: kernels call the C library for one cell after the other, and XLA's sines are faster.
 LAPACK's calls for 2 x 2 matrices make `vmap` of the fractal 170 times as slow as a kernel.
 
     2 cores; jax 0.10.2, Numba 0.68.1; 7 repeats

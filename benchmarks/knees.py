@@ -1,21 +1,21 @@
 """Do knees enlarge the basin, and do round feet undo it?
 
-Volumes of whole basins and least disturbances of walkers with straight legs and with knees, on
-point and on round feet, of equal mass distribution: a straight leg has the mass, the centre of mass
-and the moment of inertia of a thigh and a shank in line. First over the slope, then over the radius
-of the feet, with what the gait loses at impacts.
+The script compares the volumes of whole basins and the least disturbances of walkers with straight
+legs and with knees, on point and on round feet. They have equal mass distributions: a straight leg
+has the mass, the centre of mass and the moment of inertia of a thigh and a shank in line. It varies
+first the slope, then the radius of the feet, and gives the energy that the gait loses at impacts.
 
-Lengths are in legs, times in sqrt(l / g). Volumes, rad^3 g/l, are those of all starts of the
-section that converge to any attractor, refined once, and checked
-by 100,000 random starts; their errors are standard errors. The least disturbance is the plain
-length of a change of (theta, thetadot, phidot); the nearest failure along 1000 directions, by
-distances of 0.000125, so an upper bound.
+Lengths are in legs, times in sqrt(l / g). Volumes, in rad^3 g/l, are those of all starts of the
+section that converge to any attractor, refined once, and checked by 100,000 random starts; their
+errors are standard errors. The least disturbance is the plain length of a change of (theta,
+thetadot, phidot). It is that of the nearest failure along 1000 directions, at distances in steps of
+0.000125, and so an upper bound.
 
     python benchmarks/knees.py PLACE [STEP ...]
 
-writes what it computes to the JSON file PLACE, takes from there what it has, and prints the tables;
-a picture of the same name lies beside it. Steps are gaits, branches, volumes, disturbances,
-slices and starts; without any, all. On two busy cores a volume takes 3 to 10 processor seconds.
+writes the results to the JSON file PLACE, reuses those that are there, and prints the tables; a
+picture of the same name lies beside it. Steps are gaits, branches, volumes, disturbances, slices
+and starts; without any, all. On two busy cores a volume takes 3 to 10 processor seconds.
 """
 
 import json

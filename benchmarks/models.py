@@ -1,11 +1,11 @@
-"""How long does each function take for each of the systems that are no walkers?
+"""How long does each function take for each of the systems other than walkers?
 
-In one process for a model: its gait, the basin and four levels of its refinement in a window around
-the gait, the least disturbance, the edge state towards the nearest start that fails, the dimension
-of the boundary, a branch of gaits, the gradient of the area, and an optimum of the area. Seconds of
-the first call, which compiles, and of the second; and what came out. Models with a section of one
-coordinate have no refinement, gradient or optimum of an area; those of more than two are cut
-through the gait.
+One process measures one model: its gait, the basin and four levels of its refinement in a window
+around the gait, the least disturbance, the edge state towards the nearest start that fails, the
+dimension of the boundary, a branch of gaits, the gradient of the area, and an optimum of the area.
+It prints the seconds of the first call, which compiles, and of the second, and the result. Models
+with a section of one coordinate have no refinement, gradient or optimum of an area; those with more
+than two are measured in a slice through the gait.
 
     WALKER_JAX_CACHE_DIR= python benchmarks/models.py [MODEL ...]
 """

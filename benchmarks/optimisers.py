@@ -1,10 +1,11 @@
 """What does the gradient of a basin's area cost, is it right, and is it worth it?
 
-It takes 2.3 times as long as the area alone, and is within 4 % of differences of areas on finer
-grids; where the edge is fractal it is itself an average over a band, by areas on coarser ones. One
-parameter and a limit are too easy a problem to tell it from searches with models or simplices: by
-the strides of a gradient search of five places these come as far, and random search does not. Best
-areas are given as parts of that of the gradient search, for five seeds; on two busy cores:
+The gradient takes 2.3 times as long as the area alone, and is within 4 % of differences of areas on
+finer grids. At a fractal boundary it is itself an average over a band, from areas on coarser grids.
+One parameter and a limit are too easy a problem to tell a gradient search from searches with models
+or simplices: with the strides of a gradient search of five places these come as far, and random
+search does not. Best areas are given relative to that of the gradient search, for five seeds; on
+two busy cores:
 
 area           1.24 s, 434,462 strides, 349,183 a second
 and gradient   2.98 s, 1,206,947 strides, 405,194 a second

@@ -1,10 +1,10 @@
 """Which number predicts how rough a ground a walker bears, and what does swing-leg control add?
 
-Hobbelen and Wisse (2007) print a correlation of 93 % between their gait sensitivity norm and the
+Hobbelen and Wisse (2007) report a correlation of 93 % between their gait sensitivity norm and the
 largest disturbance that a walker survives, over slope, foot radius and hip stiffness. Here the
 roughness that a walker bears is the standard deviation of normally distributed steps at which it
 falls after 100 strides on average. Its logarithm is compared with those of five numbers, each
-turned so that more is better, over walkers with random parameters that have a stable gait: point
+oriented so that more is better, over walkers with random parameters that have a stable gait: point
 feet over slope, hip stiffness and damping; round feet over slope and radius; and point feet with a
 spring whose slack angle is fed back at each heel strike with random gains. Rank correlation
 (Spearman) and linear correlation (Pearson), with bootstrap intervals of 95 %.

@@ -1,10 +1,10 @@
 """Is the most probable fall the least one, and do walks on rough ground last as long as it says?
 
-For three walkers the sequence of steps of least action that topples them: it is replayed by `walk`,
-and none of 100,000 random sequences of 0.99 of its length topples the walker. Then the mean number
-of strides to a fall by the law of large deviations, with its factor in front: beside importance
-sampling out to 1e12 strides, and beside a stochastic cell map and walks that are followed, where
-these have an answer.
+The sequence of steps of least action that topples a walker is found for three walkers. `walk`
+replays it, and none of 100,000 random sequences of 0.99 of its length topples the walker. Then the
+law of large deviations, with its prefactor, gives the mean number of strides to a fall. It is
+compared with importance sampling out to 1e12 strides, and with a stochastic cell map and simulated
+walks where these have an answer.
 """
 
 import sys

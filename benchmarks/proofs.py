@@ -5,8 +5,8 @@
 Verified strides are those of `prove_basin`: boxes of half a side `r` about the gait at slope 0.004,
 as polynomials of second degree, without derivatives. `overestimation` is the radius of an enclosure
 over the largest error of its polynomial at random points. The checker (tests/helpers) replays one
-random start in each of the boxes, in interval arithmetic of 40 digits, from the proof of 99 % of
-the least disturbance.
+random start in each box of the proof of 99 % of the least disturbance, in interval arithmetic of 40
+digits.
 """
 
 import argparse

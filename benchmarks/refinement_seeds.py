@@ -1,8 +1,8 @@
-"""Are areas as `sweep` computes them right on average, and their errors as large as is said?
+"""Are the areas of `sweep` right on average, and are their errors as large as stated?
 
-The full basin of the simplest walker at two slopes, refined twice from 200 x 200 cells, with each
-of a hundred seeds; against what `benchmarks/refinement.py` finds on far finer grids. They are. The
-default seed is a rare one at 0.004, where 1 in 100 is as far off.
+The full basin of the simplest walker at two slopes is refined twice from 200 x 200 cells, with each
+of a hundred seeds, and compared with the areas of `benchmarks/refinement.py` on far finer grids.
+They are. The default seed is a rare one at 0.004, where 1 in 100 is as far off.
 
 100 seeds, 800 x 800 cells: areas, standard errors
 0.004: mean 0.00167407, on finer grids 0.00167448, apart by -4.1e-07 +- 4.7e-07, -0.87 errors;

@@ -1,13 +1,13 @@
 """Do walks last as long as the stochastic cell map says, and how fast are strides on rough ground?
 
-First, the mean number of strides until a fall of the simplest walker at slope 0.009, for normally
-distributed steps of ever smaller standard deviation: by Monte Carlo, with its 95 % interval, and
-by a stochastic cell map, with 1.96 standard errors. Then the same for pushes and slopes, and for
-other walkers. Then strides a second of walks on rough ground, and on even ground in the same run,
-in processor time and as measured by a clock. docs/accuracy-basins.md shows the results.
+First comes the mean number of strides until the simplest walker falls at slope 0.009, for normally
+distributed steps of ever smaller standard deviation: by Monte Carlo, with its 95 % interval, and by
+a stochastic cell map, with 1.96 standard errors. Then the same for pushes and slopes, and for other
+walkers. Then the strides per second on rough ground, and on even ground in the same run, in
+processor time and wall time. docs/accuracy-basins.md shows the results.
 
 A stride on rough ground takes 1.1 us of processor time, 1.6 times one on even ground: 1.7 million
-a second of the clock on two cores that nothing else uses.
+a second of wall time on two free cores.
 
     ground  strides     cpu s  wall s  a second of the clock
     even    2,000,000    1.36    0.74   2,714,708

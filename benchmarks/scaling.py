@@ -1,9 +1,9 @@
 """How do time and memory grow with the number of cells, and how long does a start take?
 
-The one-stride map (where a stride takes the centre of each cell) of ever finer grids over the
-paper's window, a process for each: strides per second, and memory at its peak beyond that of the
-process with a map of a hundred cells. The result itself takes 4 bytes a cell. Then the command
-`walker-jax basin` from a new cache directory, and again. `--figure` draws the first table.
+The one-stride map (the image of each cell's centre) is computed on ever finer grids over the
+paper's window, in a process for each: strides per second, and peak memory beyond that of a process
+with a map of a hundred cells. The result itself takes 4 bytes a cell. Then the command `walker-jax
+basin` runs from a new cache directory, and again. `--figure` draws the first table.
 
 The answer: strides per second do not fall, and memory is 12 bytes a cell.
 

@@ -1,22 +1,22 @@
-"""Do the regions that a search without a guess looks through hold the gaits that attract?
+"""Do the regions of a search without a guess contain the gaits that attract?
 
-`find_gait` without a guess searches from the cells of a walker's `gait_region`, and where no gait
+`find_gait` without a guess searches from the cells of a walker's `gait_region` and, if no gait
 there is stable, from those of its `further_gait_region`; it returns the most stable gait. For
 walkers with parameters drawn over their ranges (a Latin square, seed 0), the gait with the largest
-basin in a region several times as wide is found by following starts from it. Per family: walkers
-drawn; those to whose gait of period one most of these starts converge (walkers that converge to
-longer ones are counted apart); those of them whose gait lies in one of the two regions; those for
-which the search finds a stable gait; and this very gait, where the most stable gait is that with
-the largest basin. Walkers whose gait lies in neither region, or for which the search finds no
-stable gait, stand below, one a line.
+basin in a region several times as wide is found by following starts from that region. Per family
+the table counts the walkers drawn; those whose starts mostly converge to a gait of period one
+(longer periods are counted apart); among these, the walkers whose gait lies in one of the two
+regions, those for which the search finds a stable gait, and those for which it finds this very
+gait, the one with the largest basin. Walkers whose gait lies in neither region, or for which the
+search finds no stable gait, are listed below, one a line.
 
-In space hardly a start returns from so wide a region. There the stable gait of the default walker,
-the toy of Coleman and others, is followed along one parameter after the other, each step from the
-state of the one before, and a search without a guess is tried at every value.
+In space hardly any start returns from so wide a region. There the stable gait of the default
+walker, the toy of Coleman and others, is followed along one parameter after the other, each step
+from the state of the one before, and a search without a guess is tried at every value.
 
-The answer: all are inside, and the search finds a stable gait of every one. Stiff springs have two
-stable gaits, of which the one that is less stable has the larger basin; so have some with round
-feet.
+The answer: all are inside, and the search finds a stable gait of every one. Walkers with stiff
+springs have two stable gaits, and the less stable one has the larger basin; the same holds for some
+walkers on round feet.
 
     spring                 80 drawn    0 longer   80 walk   80 inside   80 stable   44 same   221 s
     point-foot             60 drawn    2 longer   17 walk   17 inside   17 stable   17 same    66 s

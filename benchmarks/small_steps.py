@@ -1,14 +1,15 @@
 """Strides of all walkers against an integration by small steps that knows nothing of guards.
 
-Runge-Kutta steps of fourth order and of one length, with Hermite's cubic in between; events by
-signs at the ends and in the middle of each step, bisected. It shares a walker's own methods with
-the package (equations, contact, impact, falls, conditions), but no integration and no search.
-Walkers and starts are those of `events.py`. Where two events fall into half a step, or one where it
-is just being admitted, it says so and decides nothing. An outcome that differs is looked at again
-in steps a tenth as long, and then counts as near a boundary if a start within 1e-7 has it too.
+The reference makes Runge-Kutta steps of fourth order and constant length, with Hermite's cubic in
+between. It finds events by signs at the ends and in the middle of each step, and bisects them. It
+shares a walker's own methods with the package (equations, contact, impact, falls, conditions), but
+no integration and no search. Walkers and starts are those of `events.py`. If two events fall into
+half a step, or one occurs just as it is admitted, the stride counts as undecided. A different
+outcome is computed again with steps a tenth as long, and then counts as near a boundary if a start
+within 1e-7 has it too.
 
-Per family: strides; those that led to a heel strike; those that were not decided; outcomes that
-differ; those near a boundary; the largest difference of states, and that of 99.9 per cent; time.
+Per family: strides; those with a heel strike; undecided ones; different outcomes; those near a
+boundary; the largest difference of states, and that of 99.9 per cent; time.
 
     family                  made      to strike, undecided, differ, near, largest, 99.9 %, time
     simplest               100000 strides   9%     0   0   0   6e-09  6e-11   23 s

@@ -1,16 +1,17 @@
 """What does a walk in space cost, and how far does the basin of the toy reach?
 
-First the time: starts are spread by 0.02 about the gait of each walker, and followed to their end,
-an attractor or a failure. A walker in space has ten variables and seven dimensions of starts, a
-planar one on round feet four and three. Processor time of both, in turn, in one run. Then, with
-`--study`, the basin: how far along each coordinate of the section walkers return, up to the first
-that does not; the share that returns from a cube about the gait; and that over hip width, radius of
-the discs and inertia. `--design` follows the exact gradient of the least disturbance, of all seven
-coordinates, to a design with a larger basin. `--picture` draws a slice of the basin.
+First the time: starts are spread by 0.02 about the gait of each walker, and followed to an
+attractor or a failure. A walker in space has ten variables and seven dimensions of starts; a planar
+one on round feet has four and three. The processor time of both is measured in turn, in one run.
+Then, with `--study`, the basin: how far along each coordinate of the section walkers return, up to
+the first that does not; the share that returns from a cube about the gait; and this share over hip
+width, radius of the discs and inertia. `--design` follows the exact gradient of the least
+disturbance in all seven coordinates to a design with a larger basin. `--picture` draws a slice of
+the basin.
 
-A stride in space takes 11 times as long as a planar one on round feet, as walks go, which end at
-different strides, and as many where all of 20,000 starts make one stride (`wj.strides`, 25.9
-against 2.48 us of processor time). `--study` gives the numbers of docs/results.md.
+A stride in space takes 11 times as long as a planar one on round feet, both in walks, which end at
+different strides, and when all of 20,000 starts make one stride (`wj.strides`, 25.9 against 2.48 us
+of processor time). `--study` gives the numbers of docs/results.md.
 
     in space: 5.8 strides a start, 34.51 us of processor time a stride, 57958 strides a second on
     two cores, 101 s for a million starts there

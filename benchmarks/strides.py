@@ -1,21 +1,21 @@
-"""How long do 50,000 strides take, and a basin followed directly, against other integrators?
+"""How long do 50,000 strides, and a basin followed directly, take with other integrators?
 
-One stride from the centre of every cell of the paper's grid at a slope of 0.004, row after row, by
+One stride is made from the centre of every cell of the paper's grid at a slope of 0.004, by
 
 - `walker_jax.strides`, at a tolerance that makes the largest error less than 1e-8, and at its own;
-- `jax.jit(jax.vmap(...))` of `walker_jax.stride`, as one would write it in a program of one's own;
-- heyoka, adaptive Taylor series with events, in batches, their size tried, on all cores by
-  processes that are started before; its callbacks are Python functions, of which a stride needs
-  one or two;
+- `jax.jit(jax.vmap(...))` of `walker_jax.stride`, as in a program of one's own;
+- heyoka, adaptive Taylor series with events, in batches of several sizes, on all cores, by
+  processes that are started before; a stride calls one or two of its callbacks, which are Python
+  functions;
 - a jitted and vmapped `diffrax.diffeqsolve` with real-valued events and a root finder, all cells at
   once and a thousand at a time;
 - `scipy.integrate.solve_ivp` with events, for a sample, on one core.
 
-Tolerances are such that the largest error of a next state is below 1e-8 and above 1e-9 or so.
-Each way is compiled first, repeats are interleaved, and `times as long` is the ratio to the first
-row in the same repeat (median, least and greatest). `wrong` counts the outcomes that are not those
-of the tests' reference. Then a heavier job: walkers from a million cells of the same window, each
-followed until it falls or is within 1e-6 of the gait, by this project and by heyoka.
+Tolerances are such that the largest error of a next state is below 1e-8 and above 1e-9 or so. Each
+method is compiled first, repeats are interleaved, and `times as long` is the ratio to the first row
+in the same repeat (median, least and greatest). `wrong` counts outcomes that differ from the tests'
+reference. Then comes a heavier job: walkers from a million cells of the same window, each followed
+until it falls or is within 1e-6 of the gait, by this project and by heyoka.
 
 The answer: 16 ms on two cores, a tenth of heyoka's time and less than a hundredth of what diffrax
 alone takes. The row `jit(vmap(stride))` is newer than the table below: it takes as long as the

@@ -1,13 +1,13 @@
 """How long do basins of a map and of a flow take, against loops written by hand?
 
-Hénon's map at a = 1.02, and Duffing's oscillator, of which a stride is one period of its force.
-Every cell of a square grid is followed until it escapes, or is within 1e-6 of a known cycle, by
+The systems are Hénon's map at a = 1.02, and Duffing's oscillator over periods of its force. Every
+cell of a square grid is followed until it escapes, or is within 1e-6 of a known cycle, by
 
 - `wj.basin(..., "direct")`, which also searches for the cycles;
 - the loop over one start in JAX, `jax.jit(jax.vmap(...))`, for the map;
 - the same loop written by hand in numba, parallel over cells: the map itself, and the classical
-  Runge-Kutta method with as many steps to a period as make its largest error that of `wj.strides`,
-  or 1e-8;
+  Runge-Kutta method, with enough steps per period for the largest error of `wj.strides`, or for
+  1e-8;
 - `scipy.integrate.solve_ivp` by DOP853 in two processes, a sample of cells for one period, scaled.
 
 Everything is compiled first. `times as long` is the ratio to the first row of the same job.

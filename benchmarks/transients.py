@@ -1,9 +1,10 @@
 """How long do walkers walk beyond the loss of walking, and by which law?
 
-The mean life of the simplest walker over the slope, beyond the crisis near 0.019045, from starts
-on what was the attractor; laws (slope - crisis)^-exponent in windows of slopes, beside exponents
-from the multipliers of orbits that the attractor may meet; the chaotic saddle at some slopes; and
-the states, modulo a stride, from which walkers fall, before and after the life drops near 0.0191.
+The script measures the mean life of the simplest walker over the slope, beyond the crisis near
+0.019045, from starts on the former attractor. It fits laws (slope - crisis)^-exponent in windows of
+slopes, and compares them with exponents from the multipliers of orbits that the attractor may meet.
+It finds the chaotic saddle at some slopes, and the states, modulo a stride, from which walkers
+fall, before and after the life drops near 0.0191.
 """
 
 import sys

@@ -2,13 +2,13 @@
 
     python benchmarks/verify_readme.py            # all, half an hour
     python benchmarks/verify_readme.py --quick    # without the slow ones
-    python benchmarks/verify_readme.py --only 75  # those whose quotation has this in it
+    python benchmarks/verify_readme.py --only 75  # numbers whose quotation contains this
     python benchmarks/verify_readme.py --gpu      # and those of a GPU, on a machine that has one
     python benchmarks/verify_readme.py --page     # writes docs/numbers.md anew, and ends
 
-Each command runs once, and what it prints is searched for the number. What differs, or is not
-there, is marked, and the exit code is 1. Times are of another machine: they may be three times as
-long here.
+Each command runs once, and its output is searched for the number. Numbers that differ or are
+missing are marked, and the exit code is then 1. Times are of another machine: they may be three
+times as long here.
 """
 
 import argparse

@@ -1,34 +1,34 @@
 """How large could the basin be? Passive, with a spring, with feedback, and with any control.
 
-For the simplest walker with push-off, with a motor that turns a spring in its hip, and with both;
-for one on round feet with push-off; and for the spring-mass runner with its angle of attack. All
-areas are of one window each:
+The systems are the simplest walker with push-off, with a motor that turns a spring in its hip, and
+with both; a walker on round feet with push-off; and the spring-mass runner with its angle of
+attack. All areas of a system are of the same window:
 
-- `passive`: of the basin without actions, by cell mapping;
-- `spring`: of the largest basin that a spring gives, in the hip of a walker or the leg of a runner,
+- `passive`: area of the basin without actions, by cell mapping;
+- `spring`: area of the largest basin with a spring, in the hip of a walker or the leg of a runner,
   with the best of 41 stiffnesses;
-- `constant`: of the largest basin that one of the actions has if it is taken at every stride;
-- `linear`: of the largest basin with linear feedback from the state within the same limits, of
+- `constant`: area of the largest basin with the same action at every stride;
+- `linear`: area of the largest basin with linear feedback from the state within the same limits,
   parameters c + K x, by differential evolution of c and K from the best constant action on;
-- `1`, `2`: of states that lead into the passive basin within so many strides (1- and 2-step
+- `1`, `2`: area of states that lead into the passive basin within this many strides (1- and 2-step
   capturable);
-- `kernel`: of the viability kernel, from which some choice of actions goes on for ever, and what it
-  is at least and at most by what cells do as a whole;
-- `policy`, `effort`: of the basin of the walker whose actions are `Policy`'s, of the fewest strides
-  and of the least effort, followed directly;
-- `strides`: the most that one of the fewest strides takes into the passive basin.
+- `kernel`: area of the viability kernel, from which some choice of actions goes on for ever, and
+  its bounds by the images of whole cells;
+- `policy`, `effort`: area of the basin of `Policy`, with the fewest strides and with the least
+  effort, followed directly;
+- `strides`: the most strides that the policy of fewest strides takes into the passive basin.
 
 The best of each kind is searched for on coarser grids.
 
-Then strides to a fall on rough ground, of which the standard deviation of steps is given, with 95 %
-intervals: by 10,000 walks (of the first row 100,000) of 300 strides at most, of the passive walker,
-of the one with that linear feedback, and of that with the policy of the most steps to a fall, found
-on a grid half as fine. These begin in the passive gait; the last column's where the policy leads to
-on even ground.
+Then come strides to a fall on rough ground, for given standard deviations of steps, with 95 %
+intervals: by 10,000 walks (100,000 in the first row) of at most 300 strides, of the passive walker,
+of the one with that linear feedback, and of the one with the policy of the most steps to a fall,
+from a grid half as fine. These begin in the passive gait; those of the last column begin where the
+policy leads to on even ground.
 
-Then how fast areas converge with the grid. Last a kernel of a million cells and 64 actions, and
-strides alone for comparison: on two cores 31.6 s without bounds, 85.4 s with, and 0.4 s; and bounds
-on grids of the same finest cells, which are coarser at first.
+Then the convergence of areas with the grid. Last comes a kernel of a million cells and 64 actions,
+with its strides alone for comparison: on two cores 31.6 s without bounds, 85.4 s with bounds, and
+0.4 s; and bounds on grids with the same finest cells that begin coarser.
 """
 
 import argparse

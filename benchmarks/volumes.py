@@ -1,11 +1,11 @@
 """Does the cost of a volume grow as the surface of the basin, and is the volume right?
 
-The whole basin of the default walkers on round feet and with an upper body, in three dimensions.
-First, volumes of one walker by ever finer grids, each in a process of its own: processor seconds
-and peak memory grow as the cells that are followed, about fourfold a level, not eightfold. Then
-volumes over slopes against the same volume by random starts (basin stability), with its 95 %
-interval. Then the derivative of a volume on ever finer grids against a difference. Last, the change
-of the volume over the slopes against the integral of its derivative.
+The volumes are of the whole basin of the default walkers on round feet and with an upper body, in
+three dimensions. First, volumes of one walker on ever finer grids, each in a process of its own:
+processor seconds and peak memory grow like the cells that are followed, about fourfold a level, not
+eightfold. Then volumes over slopes are compared with the same volume by random starts (basin
+stability), with its 95 % interval; the derivative of a volume on ever finer grids with a
+difference; and the change of the volume over the slopes with the integral of its derivative.
 
 On two busy cores (a volume takes 4.5 times as many followed cells a level; docs/accuracy-basins.md):
 

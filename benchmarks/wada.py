@@ -1,14 +1,14 @@
 """Is the boundary of the simplest walker's basin Wada, common to walking and both ways to fall?
 
-No, on no slope; from about 0.0075 on a part of it is. On each slope the boundaries of merged
+No, on no slope; but from about 0.0075 on a part of it is. On each slope the boundaries of merged
 regions are compared on a grid of 1000 x 1000 cells and on coarser ones: more than half of a
-boundary is far from another one, and on finer grids that share grows. Around points of the
-boundary, found by bisection, the fates of 200 starts within shares of the axes from 1e-4 to 1e-10
-are then looked at. Where walking and falling forward meet no point has all three fates beside it.
-Where the two falls meet, a tenth to a half of the points have, at all distances, from 0.0075 on; on
-gentler slopes none at small distances. Walking and falling backward meet nowhere: bisection between
-the two always ends at a layer of falls forward. Okamoto and others (2020) show where the fractal
-boundary comes from.
+boundary is far from another one, and this share grows on finer grids. Then the fates of 200 starts
+are computed around points of the boundary, found by bisection, at distances from 1e-4 to 1e-10 of
+the axes. Where walking and falling forward meet, no point has all three fates nearby. Where the two
+falls meet, a tenth to a half of the points have them at all distances, from a slope of 0.0075 on;
+on gentler slopes none has them at small distances. Walking and falling backward meet nowhere:
+bisection between the two always ends at a layer of falls forward. Okamoto and others (2020) show
+the origin of the fractal boundary.
 
 slope 0.004: entropy 0.0172, of the boundary 0.563 +- 0.006; lacks 53% at 1000, 42% at 500, ...
   STRIDE/FORWARD: all three within 1e-4 ... 1e-10: 0.00 0.00 0.00 0.00 0.00 0.00 0.00

@@ -9,7 +9,7 @@ the code that computed it. Each is used again only while the code is the same, w
 - for containers, arrays and plain values, their contents.
 
 All this holds for a user's own code; code of Python, of this package or installed counts by name.
-`Describer` serves programs of this process, `StoreDescriber` stores, and `program_cache.Reach`
+`Describer` serves programs of this process, `StoreDescriber` stores, and `program_cache.ReachedCode`
 programs on disk.
 """
 

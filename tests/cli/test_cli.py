@@ -170,7 +170,7 @@ def test_what_xla_compiles_is_kept_from_others(tmp_path, monkeypatch):
     for place in (folder, folder.parent):
         place.chmod(0o777)
         settings.clear()
-        private_files.warn_of.cache_clear()
+        private_files.warn_once.cache_clear()
         with pytest.warns(RuntimeWarning, match=f"compiled programs in {place} are not used"):
             startup.keep_compiled()
         assert settings == {}

@@ -158,7 +158,7 @@ def test_two_parameters_along_a_limit():
 def test_the_area_is_largest_on_the_gentlest_slope(no_basins, monkeypatch):
     """In one stage, of long steps."""
     for module in ("climbs", "optimisation"):
-        monkeypatch.setattr(f"walker_jax.design.{module}.STEP_LENGTHS", (0.4,))
+        monkeypatch.setattr(f"walker_jax.design.{module}.STEP_SIZES", (0.4,))
     bounds, walker = {"slope": (0.003, 0.009)}, wj.SimplestWalker(0.007)
     found = optimise(walker, bounds, grid=GRID, starts=1, scan=3, levels=3)
     assert values(found, "optimum") == [0.003] and values(found, "at_bound") == [-1]
@@ -434,7 +434,7 @@ def test_the_fastest_walk_on_level_ground_at_a_cost(no_basins):
 def test_an_optimal_basin_stability_is_that_of_other_starts(no_basins, monkeypatch):
     """Under a density about one place, the best slope is one whose basin is there."""
     for module in ("climbs", "optimisation"):
-        monkeypatch.setattr(f"walker_jax.design.{module}.STEP_LENGTHS", (0.2, 0.05))
+        monkeypatch.setattr(f"walker_jax.design.{module}.STEP_SIZES", (0.2, 0.05))
     mean, covariance = [0.2, -0.2], np.array([[4e-4, -3e-4], [-3e-4, 2.6e-4]])
     distribution: Any = multivariate_normal
     found = optimise(

@@ -21,7 +21,7 @@ from jax.interpreters import mlir
 
 from walker_jax.kernels import ffi, gpu, launcher, primitive, program, ptx
 from walker_jax.kernels.handler import VERSION
-from walker_jax.kernels.machine import digest_of, load_program
+from walker_jax.kernels.machine import hash_source, load_program
 
 STREAM = 0xABC0
 
@@ -185,7 +185,7 @@ def a_card() -> Iterator[Card]:
     register, lowering = ffi.register, jax.ffi.ffi_lowering
 
     def ptx_of(source):
-        text = f"PTX of {digest_of(source)}"
+        text = f"PTX of {hash_source(source)}"
         card.sources[text] = source
         return text
 

@@ -26,7 +26,7 @@ def done_with(stride: Callable, task: Task) -> Any:
 
 def first_derivatives(stride: Callable, request: Request) -> Linearisation:
     zeros = np.zeros((*request.cycle.shape[:1], request.cycle.shape[1] + 1))
-    found = looked_at(stride)(request.cycle, float(request.value), zeros)
+    found = compiled_derivatives(stride)(request.cycle, float(request.value), zeros)
     state, by_columns = (np.asarray(x)[None] for x in found[:2])
     times = np.ones((1, len(request.cycle)))
     return Linearisation(state, times, by_columns[..., :-1], by_columns[..., -1])
@@ -34,7 +34,7 @@ def first_derivatives(stride: Callable, request: Request) -> Linearisation:
 
 def second_derivatives(stride: Callable, request: Expansion) -> SecondDerivatives:
     found = [
-        looked_at(stride)(request.cycle, float(request.values[0]), one)
+        compiled_derivatives(stride)(request.cycle, float(request.values[0]), one)
         for one in request.directions
     ]
     state, by_columns, along, changes = (
@@ -46,7 +46,7 @@ def second_derivatives(stride: Callable, request: Expansion) -> SecondDerivative
 def derivatives_along(stride: Callable, request: Curves) -> Jet:
     jet = request.first, request.second, np.zeros_like(request.first)
     for x in request.cycle:
-        along = lambda *rows, x=x: looked_along(stride)(x, float(request.values[0]), *rows)
+        along = lambda *rows, x=x: compiled_jet(stride)(x, float(request.values[0]), *rows)
         found = [along(*rows) for rows in zip(*jet, strict=True)]
         jet = tuple(
             np.stack([np.asarray(one) for one in part]) for part in zip(*found, strict=True)
@@ -58,7 +58,7 @@ ANSWERS = {Request: first_derivatives, Expansion: second_derivatives, Curves: de
 
 
 @cache
-def looked_at(stride: Callable) -> Callable:
+def compiled_derivatives(stride: Callable) -> Callable:
     """Ends of strides and their derivatives by all columns, and those along a direction."""
 
     def derivatives(x, p, direction):
@@ -76,7 +76,7 @@ def looked_at(stride: Callable) -> Callable:
 
 
 @cache
-def looked_along(stride: Callable) -> Callable:
+def compiled_jet(stride: Callable) -> Callable:
     """The first three derivatives of the end of a stride along a curve."""
 
     def derivatives(x, p, first, second, third):

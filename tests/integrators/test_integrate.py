@@ -18,7 +18,7 @@ from walker_jax.integrators.roots import bracketed_newton, polynomial_jet
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import solution_series
 from walker_jax.integrators.taylor_solver import SeriesSteps, Taylor, TaylorInterpolation
-from walker_jax.integrators.taylor_steps import SERIES_ORDER, evaluate_series, step_length
+from walker_jax.integrators.taylor_steps import SERIES_ORDER, evaluate_series, step_size
 from walker_jax.kernels import kernel
 
 TOLERANCE = 1e-12
@@ -145,11 +145,11 @@ def test_solver_follows_its_arguments_and_differentiates():
 def test_step_length_puts_the_last_terms_at_the_tolerance():
     """The exponential, c_k = 1/k!: |c_k| h^k <= tolerance, with equality for the worse term."""
     series = [jnp.array(1 / np.prod(np.arange(1.0, k + 1))) for k in range(13)]
-    length = float(step_length(series, 1e-10))
+    length = float(step_size(series, 1e-10))
     terms = np.array([float(series[k]) * length**k for k in (11, 12)])
     assert np.max(terms) == pytest.approx(1e-10, rel=1e-5)
     several = {"a": series, "b": [0.1 * c for c in series]}
-    assert step_length(several, 1e-10) == pytest.approx(length)
+    assert step_size(several, 1e-10) == pytest.approx(length)
 
 
 @pytest.mark.parametrize("rate", [0.2, 5.0])
@@ -161,7 +161,7 @@ def test_step_length_is_relative_to_the_state_or_its_rate(rate):
     }
     limit = 1e-9 * max(1.0, rate)
     expected = min((limit / 40) ** (1 / 3), (limit / 7) ** (1 / 4))
-    assert step_length(series, 1e-9) == pytest.approx(expected, rel=1e-5)
+    assert step_size(series, 1e-9) == pytest.approx(expected, rel=1e-5)
 
 
 def test_step_length_does_not_depend_on_units():
@@ -169,9 +169,9 @@ def test_step_length_does_not_depend_on_units():
     series = solution_series(lambda y: jnp.sin(y), jnp.array(1.0), 12)
     scaled = [1e-6 * c for c in series]
     slowed = [c * 2.0**-k for k, c in enumerate(series)]
-    length = step_length(series, 1e-9)
-    np.testing.assert_allclose(step_length(scaled, 1e-9), length, rtol=1e-6)
-    np.testing.assert_allclose(step_length(slowed, 1e-9), 2 * length, rtol=1e-6)
+    length = step_size(series, 1e-9)
+    np.testing.assert_allclose(step_size(scaled, 1e-9), length, rtol=1e-6)
+    np.testing.assert_allclose(step_size(slowed, 1e-9), 2 * length, rtol=1e-6)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64, "float32", np.dtype("float64")])

@@ -208,7 +208,7 @@ def planted(folder):
     (path,) = folder.iterdir()
     plant(path, code)
     assert square() == 6  # one's own folder is not protected from oneself
-    private_files.warn_of.cache_clear()
+    private_files.warn_once.cache_clear()
     return path
 
 
@@ -310,7 +310,7 @@ def test_a_thousand_corrupted_and_foreign_programs(folder, monkeypatch):
         if private and how in ("foreign", "garbage, right checksum"):
             os.chown(path, owners[-1], -1)  # of one's own these are not told from others
             path.chmod(0o602)
-        private_files.warn_of.cache_clear()
+        private_files.warn_once.cache_clear()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             assert square() == 9, (how, [oct(place.stat().st_mode) for place in places])

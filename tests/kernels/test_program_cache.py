@@ -54,7 +54,7 @@ def name_of(walker=None, dtype=float, function=stride.follow_stride, solver=None
     leaves, structure = jax.tree.flatten(arguments)
     avals = [jax.typeof(jnp.asarray(leaf, dtype)) for leaf in leaves]
     function = getattr(function, "of_one_cell", function)
-    return program_cache.name_of(function, structure, avals, program.current_settings())
+    return program_cache.trace_name(function, structure, avals, program.current_settings())
 
 
 def test_another_process_need_not_trace(folder, traces):

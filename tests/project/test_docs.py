@@ -312,5 +312,5 @@ def test_what_is_said_of_knees_and_feet_follows_from_the_table():
     assert "{} and {} times for straight legs, {} and {} times for knees".format(*human) in plain
     lost = [key for key in rows if "no gait" in rows[key]]
     assert (
-        lost == [("human-like", "0.04", "round")] and "one with knees has none on round" in readme
+        lost == [("human-like", "0.04", "round")] and "one kneed walker has none on round" in readme
     )

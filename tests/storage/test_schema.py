@@ -9,7 +9,7 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import WrongUse
-from walker_jax.storage.schema import KINDS, TYPES, check_dataset, variables_of
+from walker_jax.storage.schema import KINDS, TYPES, check_dataset, variables_of_kind
 
 PAGE = Path(__file__).parents[2] / "docs" / "data.md"
 FIRST = "## "
@@ -51,7 +51,7 @@ def test_the_page_has_the_tables_of_the_code():
 
 def test_every_variable_has_a_type_and_a_meaning():
     for kind in KINDS:
-        for name, one in variables_of(kind).items():
+        for name, one in variables_of_kind(kind).items():
             assert one.type in TYPES and one.about, (kind, name)
 
 
@@ -68,7 +68,7 @@ def data():
 def check_known(data: xr.Dataset, kind: str, *more: str) -> None:
     """A data set is of a kind, and has no variable of which its table does not know."""
     check_dataset(data, kind)
-    assert set(map(str, data.data_vars)) <= {*variables_of(kind), *more}
+    assert set(map(str, data.data_vars)) <= {*variables_of_kind(kind), *more}
 
 
 def test_the_library_keeps_to_the_tables(data, tmp_path):
@@ -128,7 +128,7 @@ def test_one_dimension_is_not_two(data):
     table = xr.Dataset(
         {
             name: (["slope", *one.dims.split()[1:]], zeros(one))
-            for name, one in variables_of("robustness table").items()
+            for name, one in variables_of_kind("robustness table").items()
         },
         attrs={"walker": "SimplestWalker"},
     )

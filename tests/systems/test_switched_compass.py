@@ -210,15 +210,15 @@ def test_strides_end_as_those_of_the_reference_do():
     feasible = xs[:, 2] > 2 * xs[:, 1]
     found = wj.strides(stacked(walkers), xs)
     np.testing.assert_array_equal(found.outcome == Outcome.OUTSIDE, ~feasible)
-    looked_at = np.flatnonzero(feasible)
-    expected = [reference(walkers[i], xs[i], samples=100) for i in looked_at]
+    checked = np.flatnonzero(feasible)
+    expected = [reference(walkers[i], xs[i], samples=100) for i in checked]
     states, outcomes, times = (np.array(values) for values in zip(*expected, strict=True))
-    outcome, state, time = (part[looked_at] for part in (found.outcome, found.state, found.time))
+    outcome, state, time = (part[checked] for part in (found.outcome, found.state, found.time))
     # a strike that turns the walker back is BACKWARD in both
     np.testing.assert_array_equal(outcome, outcomes)
     assert set(outcomes) == {0, 1, 2, 3, 4}
     walks = outcome == Outcome.STRIDE
-    before = xs[looked_at, 0] < [walkers[i].switch_angle for i in looked_at]
+    before = xs[checked, 0] < [walkers[i].switch_angle for i in checked]
     assert min((walks & before).sum(), (walks & ~before).sum()) >= 5
     np.testing.assert_allclose(state[walks], states[walks], rtol=0, atol=1e-9)
     np.testing.assert_allclose(time[walks], times[walks], rtol=0, atol=1e-9)

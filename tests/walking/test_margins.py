@@ -43,7 +43,7 @@ PARAMS = [pytest.param(name, marks=[pytest.mark.slow] * (name != "simplest")) fo
 
 
 @pytest.fixture(scope="module", params=PARAMS)
-def looked_at(request):
+def margins_found(request):
     walker = WALKERS[request.param]
     xs = starts(walker)
     return walker, xs, margins_of_many(walker, xs)
@@ -88,8 +88,8 @@ def test_signs_are_the_outcomes_of_the_reference(name):
     np.testing.assert_allclose(found.stride.time, stride.time, rtol=0, atol=1e-9)
 
 
-def test_signs_are_the_outcomes_of_every_walker(looked_at):
-    walker, xs, found = looked_at
+def test_signs_are_the_outcomes_of_every_walker(margins_found):
+    walker, xs, found = margins_found
     np.testing.assert_array_equal(found.stride.outcome, wj.strides(walker, xs).outcome)
     assert len(set(found.stride.outcome.tolist())) >= 4
     assert_signs(found)
@@ -136,8 +136,8 @@ def assert_derivatives(walker, xs, seed=0, scale=1e-4):
     return settled & np.isfinite(values), np.isfinite(values)
 
 
-def test_derivatives_are_those_of_differences(looked_at):
-    walker, xs, _ = looked_at
+def test_derivatives_are_those_of_differences(margins_found):
+    walker, xs, _ = margins_found
     settled, known = assert_derivatives(walker, xs[:1500])
     # of each margin that a walker without phases has, nearly everywhere
     settled, known = settled.sum(axis=1), known.sum(axis=1)
@@ -168,8 +168,8 @@ def pairs_at(walker, code):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_margins_are_zero_at_the_boundaries(looked_at, way):
-    walker, *_ = looked_at
+def test_margins_are_zero_at_the_boundaries(margins_found, way):
+    walker, *_ = margins_found
     code = {name: code for code, name in DECIDES.items()}[way]
     good, bad = pairs_at(walker, code)
     before, after = margins_of_many(walker, good), margins_of_many(walker, bad)

@@ -13,7 +13,7 @@ from part_of_swing import PartOfSwing
 import walker_jax as wj
 from walker_jax.hybrid.modes import Guard
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.taylor_steps import step_length, taylor_step
+from walker_jax.integrators.taylor_steps import step_size, taylor_step
 from walker_jax.kernels import kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome
@@ -124,7 +124,7 @@ def test_steps_of_flights_clocks_and_rest_are_finite(dtype):
             length = taylor_step(field, start, 12, tolerance)[1]
             assert np.isfinite(length) and length > 0, (name, state)
     broken = [jnp.asarray(np.nan, dtype)] * 13
-    assert np.isnan(step_length(broken, 1e-6))
+    assert np.isnan(step_size(broken, 1e-6))
 
 
 # Falls and heel strikes of one's own

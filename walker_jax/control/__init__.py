@@ -1,1 +1,1 @@
-"""How much any control can do: viability, and policies for each of three objectives."""
+"""The limits of control: viability, and policies for three objectives."""

@@ -16,7 +16,7 @@ from walker_jax.systems.system import System, check_single, numbers_of
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 MOST_ACTIONS = 10_000
-"""More would hardly be tried on purpose."""
+"""Most combinations of values; a request for more is likely a mistake."""
 
 
 class Actions(NamedTuple):
@@ -25,10 +25,10 @@ class Actions(NamedTuple):
     names: tuple[str, ...]
     values: Float[np.ndarray, "m parameters"]
     own: int
-    """Number of the one that leaves the system as it is."""
+    """Number of the action that leaves the system as it is."""
 
     def of(self, system: System, number: int) -> System:
-        """The system during a stride by one of the actions."""
+        """Return the system during a stride by one of the actions."""
         dtype = jnp.asarray(0.0).dtype
         for name, value in zip(self.names, self.values[number], strict=True):
             system = with_parameter(system, name, np.asarray(value, dtype))
@@ -36,9 +36,9 @@ class Actions(NamedTuple):
 
 
 def read_actions(system: System, actions: Any) -> Actions:
-    """All combinations of the values that a user gives for each parameter.
+    """Return all combinations of the values that a user gives for each parameter.
 
-    The system's own values are one more, the last, unless they are among these.
+    The system's own values are added as the last combination, unless they are among these.
     """
     check_single(system)
     check_kind("actions", actions, Mapping)
@@ -62,13 +62,13 @@ def read_actions(system: System, actions: Any) -> Actions:
 
 
 def check_count(count: int) -> None:
-    """Refuse more combinations than actions are numbered."""
+    """Refuse more combinations than there are numbers for actions."""
     if count > MOST_ACTIONS:
         raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
 
 
 def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:
-    """The values of a parameter: those of a range with both of its ends, or as they are."""
+    """Return the values of a parameter, given as a list or as a range that includes both ends."""
     if isinstance(given, tuple) and len(given) == 3 and all(map(is_number, given)):
         low, high, count = check_axis(name, given)
         if count < 2:

@@ -1,9 +1,10 @@
-"""Bounds on the viability kernel, narrowed by finer cells where they are apart.
+"""Bounds on the viability kernel, narrowed by finer cells where they differ.
 
 Cells between the bounds, in the outer one but not in the inner one, are cut in two along each axis,
-and their parts mapped anew; and so on, level by level. All others are settled: parts of `inner`
-cells stay viable, as their boxes lie in cells that do, and of others than `outer` ones no part is.
-So bounds never move apart, and strides are made for the kernel's boundary alone.
+and their parts are mapped anew; and so on, level by level. All other cells are settled. All parts
+of an `inner` cell stay viable, as its box lies in viable cells; a cell outside the `outer` bound
+has no viable part. So bounds never move apart, and only the kernel's boundary takes further
+strides.
 """
 
 from collections.abc import Callable
@@ -19,32 +20,32 @@ from walker_jax.controlled_maps import Points, find_viable
 from walker_jax.grids import MAX_SINKS
 
 MapCells = Callable[[Task, Int[np.ndarray, " n"], str], MappedCells]
-"""Gives the images of some cells of a task's grid, under a label of its progress."""
+"""Returns the images of some cells of a task's grid, and labels its progress."""
 
 
 class Bounds(NamedTuple):
-    """Marks of the cells of a grid within each bound, in the order of their indices."""
+    """Cells of a grid within each bound, in the order of their indices."""
 
     inner: Bool[np.ndarray, " n"]
     outer: Bool[np.ndarray, " n"]
 
 
 class Narrowed(NamedTuple):
-    """Cells of several sizes that fill the grid, where they lead, and the bounds."""
+    """Cells of several sizes that fill the grid, their images, and the bounds."""
 
     points: Points
-    """Their images among each other."""
+    """Images of the cells among each other."""
     number: Int32[np.ndarray, " finest"]
-    """Which of them holds each cell of the finest grid."""
+    """Number of the cell that holds each cell of the finest grid."""
     bounds: Bounds
-    """Over the finest grid."""
+    """Bounds over the finest grid."""
     mapped: list[int]
-    """How many cells were mapped, level by level."""
+    """Number of cells mapped, level by level."""
     areas: list[tuple[float, float]]
     """Inner and outer area, level by level."""
 
     def of_parts(self, chosen: Bool[np.ndarray, " finest"]) -> Bool[np.ndarray, " n"]:
-        """Mark the cells that are chosen, given whether their parts are."""
+        """Mark the chosen cells, given their chosen parts."""
         found = np.zeros(self.points.shape[0], bool)
         found[self.number] = chosen
         return found
@@ -69,17 +70,17 @@ def narrow(task: Task, images: MappedCells, levels: int, map_cells: MapCells) ->
             images = map_cells(task._replace(grid=grid), cells, f"level {level}")
             rows.append(images.image)
             whole.append(np.ones(len(cells), bool))
-        bounds = close_in(images, grid.shape, cells, bounds)
+        bounds = update_bounds(images, grid.shape, cells, bounds)
         mapped.append(len(cells))
         areas.append(tuple(float(one.sum() * grid.cell_area) for one in bounds))
     points, number = join_levels(rows, whole, number) if levels else (Points(*rows), number)
     return Narrowed(points, number, bounds, mapped, areas)
 
 
-def close_in(
+def update_bounds(
     images: MappedCells, shape: tuple[int, ...], cells: Int[np.ndarray, " n"], before: Bounds
 ) -> Bounds:
-    """The bounds, given those of before, of which only the cells that have images may change."""
+    """Return new bounds from the previous ones; only cells with images may change."""
     inner, outer = before.inner.copy(), before.outer.copy()
     for bound, every in ((inner, True), (outer, False)):
         bound[cells] = find_viable(images.boxes(shape, every=every), cells, before.outer) < 0
@@ -91,10 +92,10 @@ def join_levels(
     whole: list[Bool[np.ndarray, " _cells"]],
     number: Int32[np.ndarray, " finest"],
 ) -> tuple[Points, Int32[np.ndarray, " finest"]]:
-    """The images of cells of all levels that were not cut, among each other.
+    """Return the images, among each other, of the cells of all levels that were not cut.
 
-    Images are cells of the finest grid at first. `number` says which of all cells, the cut ones
-    too, holds each of these. It is returned for those that are left.
+    At first, images are cells of the finest grid. `number` gives, for each of these, the number of
+    the cell that holds it, counting cut cells too. It is returned renumbered, without cut cells.
     """
     kept = np.concatenate(whole)
     number = (np.cumsum(kept, dtype=np.int32) - 1)[number]
@@ -105,7 +106,7 @@ def join_levels(
 
 
 def subdivide(values: np.ndarray, shape: tuple[int, ...], levels: int = 1) -> np.ndarray:
-    """Values of a grid's cells, for their parts when each is cut in two along each axis."""
+    """Repeat the values of a grid's cells for their parts, two along each axis."""
     values = values.reshape(shape)
     for axis in range(len(shape)):
         values = values.repeat(2**levels, axis)

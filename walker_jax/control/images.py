@@ -1,9 +1,9 @@
-"""Where actions take the cells of a grid: images of centres, and boxes around those of whole cells.
+"""Images of a grid's cells by actions: of their centres, and boxes around those of whole cells.
 
-A stride is made from the centre of each cell, and one from each corner of cells. The box around the
-images of a cell's corners, widened by how far that of its centre is from the mean of theirs, holds
-the image of the whole cell to first order in its size. Of the second order it holds what bends to
-one side; curvatures along two axes that are opposite cancel in the centre.
+A stride is made from the centre of each cell, and from each corner. A box encloses the images of a
+cell's corners, widened by the distance of the centre's image from their mean. It holds the image of
+the whole cell to first order in its size. To second order it holds an image that bends to one side;
+opposite curvatures along two axes cancel at the centre.
 """
 
 import functools
@@ -27,34 +27,34 @@ from walker_jax.systems.system import System
 from walker_jax.walking.stride import stride
 
 TILE = (2**17, 2**20)
-"""Cells of a tile, and its strides from centres, at most."""
+"""Most cells of a tile, and most of its strides from centres."""
 Tile = tuple[tuple[int, int], ...]
-"""The first of some cells and the end of them, and the same of actions."""
+"""Range of cells, and range of actions."""
 
 
 class Task(NamedTuple):
-    """All that images depend on."""
+    """Everything that images depend on."""
 
     walker: System
     actions: Actions
     integrator: Integrator
     grid: Grid
-    """Its cells are mapped."""
+    """The grid whose cells are mapped."""
     finest: Grid
-    """Its cells are images: the grid, or a finer one, whose cells are parts of its cells."""
+    """The grid of the images: the same, or a finer one that divides its cells."""
     bounds: bool
-    """Whether boxes are wanted."""
+    """Whether to compute boxes."""
 
 
 class MappedCells(NamedTuple):
-    """The images of cells by all actions; boxes are empty where none are wanted."""
+    """The images of cells by all actions; boxes are empty if not requested."""
 
     image: Int32[np.ndarray, "n m"]
     """Cells of the finest grid, or sinks, to which strides from centres lead."""
     low: Int[np.ndarray, "boxes m d"]
     """First place of the box on each axis of the grid."""
     high: Int[np.ndarray, "boxes m d"]
-    """The last one."""
+    """Last place of the box on each axis."""
     whole: Bool[np.ndarray, "boxes m"]
     """Whether all of a cell makes a stride, and its box lies on the grid."""
     some: Bool[np.ndarray, "boxes m"]
@@ -62,34 +62,34 @@ class MappedCells(NamedTuple):
 
     @classmethod
     def empty(cls, task: Task, n: int) -> "MappedCells":
-        """Room for those of n cells."""
+        """Allocate memory for the images of n cells."""
         m, d = len(task.actions.values), len(task.grid.names)
         boxes, place = n * task.bounds, np.min_scalar_type(-max(task.grid.shape))
         ends = [np.empty((boxes, m, d), place) for _ in range(2)]
         return cls(np.empty((n, m), np.int32), *ends, *np.empty((2, boxes, m), bool))
 
     def boxes(self, shape: tuple[int, ...], *, every: bool) -> Boxes:
-        """The boxes of the inner bound, or, if not `every`, of the outer one."""
+        """Return the boxes of the inner bound, or, if not `every`, of the outer one."""
         return Boxes(self.low, self.high, self.whole if every else self.some, shape, every)
 
 
 class Arrivals(NamedTuple):
-    """Where an action takes points."""
+    """Images of points by an action."""
 
     place: Float[np.ndarray, "n d"]
-    """On each axis, in cells from the grid's lower end; of strides that were made."""
+    """Place on each axis, in cells from the grid's lower end, if the stride was made."""
     made: Bool[np.ndarray, " n"]
     image: Int32[np.ndarray, " n"]
     """The cell of the finest grid, or the sink."""
 
 
 def bytes_of_cell(actions: int, axes: int, *, bounds: bool) -> int:
-    """Memory for each cell that is mapped: its images, its boxes, and what is found of it."""
+    """Return the memory for each mapped cell: its images, its boxes, and its results."""
     return (5 + (2 + 8 * axes) * bounds) * actions + 25
 
 
 def tile_shape(n: int, m: int) -> tuple[int, int]:
-    """How many cells and actions are in a tile."""
+    """Return the number of cells and of actions in a tile."""
     cells, strides = TILE
     cells = -(-n // -(-n // cells))
     return cells, min(m, max(1, strides // cells))
@@ -98,7 +98,7 @@ def tile_shape(n: int, m: int) -> tuple[int, int]:
 def map_in_tiles(
     task: Task, cells: Int[np.ndarray, " n"] | None, each: Compute, label: str, progress: bool
 ) -> MappedCells:
-    """The images of some cells of a grid, or of all."""
+    """Compute the images of some cells of a grid, or of all."""
     n, m = task.grid.size if cells is None else len(cells), len(task.actions.values)
     found = MappedCells.empty(task, n)
     if not n:
@@ -110,11 +110,11 @@ def map_in_tiles(
     tiles = [(some, actions) for some in ranges[0] for actions in ranges[1]]
     values = each(functools.partial(map_tile, task, cells), tiles)
     for tile, part in track(values, label, progress, len(tiles)):
-        put(found, tile, part._asdict())
+        insert_tile(found, tile, part._asdict())
     return found
 
 
-def put(found: MappedCells, tile: Tile, part: Mapping[str, np.ndarray]) -> None:
+def insert_tile(found: MappedCells, tile: Tile, part: Mapping[str, np.ndarray]) -> None:
     """Put the images of a tile where they belong."""
     at = tuple(slice(*ends) for ends in tile)
     for name, new in part.items():
@@ -123,7 +123,7 @@ def put(found: MappedCells, tile: Tile, part: Mapping[str, np.ndarray]) -> None:
 
 
 def map_tile(task: Task, cells: Int[np.ndarray, " n"] | None, tile: Tile) -> MappedCells:
-    """The images of a tile's cells by its actions."""
+    """Compute the images of a tile's cells by its actions."""
     (first, end), (action, last) = tile
     starts = np.arange(first, end) if cells is None else cells[first:end]
     starts = starts.astype(np.int32)
@@ -147,7 +147,7 @@ def map_tile(task: Task, cells: Int[np.ndarray, " n"] | None, tile: Tile) -> Map
 
 
 def corner_grid(grid: Grid) -> Grid:
-    """A grid whose cells have the corners of another one's for their centres."""
+    """Return the grid whose cells are centred on the corners of another grid's cells."""
     ends = zip(grid.names, grid.lower, grid.upper, grid.spacing / 2, grid.shape, strict=True)
     axes = {name: (low - half, high + half, count + 1) for name, low, high, half, count in ends}
     return Grid(axes, grid.shear, grid.origin)
@@ -156,7 +156,7 @@ def corner_grid(grid: Grid) -> Grid:
 def corners_of(
     cells: Int[np.ndarray, " n"], shape: tuple[int, ...]
 ) -> tuple[Int[np.ndarray, " k"], Int32[np.ndarray, "n corners"]]:
-    """The corners of cells, each once, as cells of `corner_grid`, and which of them each has."""
+    """Return the corners of cells, each once, as cells of `corner_grid`, and each cell's own."""
     places, more = np.unravel_index(cells, shape), tuple(count + 1 for count in shape)
     steps = np.ndindex((2,) * len(shape))
     ends = [
@@ -174,7 +174,7 @@ def corners_of(
 def take_stride(
     shared: tuple[System, Grid, Grid, Grid, Integrator], index: Int[Array, ""]
 ) -> tuple[Float[Array, " d"], Bool[Array, ""], Int[Array, ""]]:
-    """`Arrivals` of the centre of a cell: its place on one grid, and its image on a finer one."""
+    """Return `Arrivals` of a cell's centre: its place on one grid, its image on a finer one."""
     walker, starts, grid, finest, integrator = shared
     by = {"tolerance": integrator.tolerance, "solver": integrator.solver}
     made = stride(walker, starts.centre(index), **by)
@@ -187,10 +187,11 @@ def box_around(
     centre: Arrivals,
     corners: tuple[Float[Array, "corners d"], Bool[Array, " corners"]],
 ) -> tuple[Int[Array, " d"], Int[Array, " d"], Bool[Array, ""], Bool[Array, ""]]:
-    """The box that holds the image of a cell, to first order, and whether each bound counts it.
+    """Return the box around the image of a cell, to first order, and whether each bound counts it.
 
-    Returns its first and last places on each axis. The inner bound counts it if all strides, from
-    corners and centre, are made and all of the box lies on the grid, the outer one if some are.
+    The box has its first and last places on each axis. The inner bound counts it if all strides,
+    from corners and centre, are made and the whole box lies on the grid. The outer bound counts it
+    if some strides are made and the box touches the grid.
     """
     grid, finest = shared
     counts, finer = jnp.asarray(grid.counts), jnp.asarray(finest.counts)
@@ -208,13 +209,13 @@ def box_around(
         for pick in (jnp.logical_or, jnp.logical_and)
     )
     bend = jnp.abs(centre.place - sum(corners[0]) / len(corners[0]))
-    # Where a part of a cell fails, how far its image goes is known to the size of that alone.
+    # If part of a cell fails, the extent of its image is known only to the size of that image.
     bend = jnp.where(whole, bend, jnp.maximum(most - least, 1))
     least, most = jnp.floor(least - bend), jnp.floor(most + bend)
     end = counts.astype(least.dtype)
     inside, touches = ((least >= 0) & (most < end)).all(), ((most >= 0) & (least < end)).all()
     low, high = (jnp.clip(one, 0, end - 1).astype(jnp.int32) for one in (least, most))
-    # The centre's own cell belongs to the box, however its place is rounded.
+    # The centre's image belongs to the box, however its place is rounded.
     held = finest.cell_place(jnp.where(on_grid, centre.image, 0)) // (finer // counts)
     low = jnp.where(on_grid, jnp.minimum(low, held), low)
     high = jnp.where(on_grid, jnp.maximum(high, held), high)

@@ -9,10 +9,10 @@ from walker_jax.systems.system import System, numbers_of
 
 
 def effort_of(walker: System, actions: Actions) -> Float[np.ndarray, " m"]:
-    """The effort of a stride by each action.
+    """Return the effort of a stride by each action.
 
-    It is the square of how far each parameter is from the walker's own value, in parts of the range
-    of all actions, summed over parameters.
+    It is the sum over parameters of the squared deviation from the walker's own value, in units of
+    the range of all actions.
     """
     own = np.array([float(numbers_of(walker)[name]) for name in actions.names])
     ranges = np.ptp(actions.values, axis=0)
@@ -22,10 +22,11 @@ def effort_of(walker: System, actions: Actions) -> Float[np.ndarray, " m"]:
 def find_least_effort(
     points: Points, target: Bool[np.ndarray, " n"], effort: Float[np.ndarray, " m"]
 ) -> tuple[Int32[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The action from each cell on the way of least effort into a target, and the effort in all.
+    """Find the action from each cell on the path of least effort into a target, and the effort.
 
-    That is -1 and infinite where no way leads there; -1 and 0 in the target. An action changes only
-    where that takes less effort, so no way goes round a cycle of strides without any.
+    The action is -1 in the target, where the effort is 0, and where no path leads there, where the
+    effort is infinite. An action changes only if that takes less effort, so no path goes round a
+    cycle of strides without effort.
     """
     n, m = points.shape
     total = np.where(target, 0.0, np.inf)

@@ -2,9 +2,9 @@
 
 Walking on rough ground is metastable: every walk ends in a fall (Byl and Tedrake 2009, Int. J.
 Robot. Res. 28:1040-1064). The mean number V of strides that follow a state, with the best actions,
-solves Bellman's equation V = max P (1 + V), where P are the chances of states after one stride by
-an action, short of 1 by the chance to fall. Between centres of cells, V is interpolated linearly,
-which blurs it by a cell about, and it is 0 off the kernel.
+solves Bellman's equation V = max P (1 + V). P are the probabilities of the states after one stride
+by an action; they sum to 1 less the probability of a fall. Between centres of cells, V is
+interpolated linearly, which blurs it by about a cell. V is 0 outside the kernel.
 """
 
 from typing import Any, NamedTuple
@@ -26,36 +26,36 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 
 DRAWS, NODES = 2**16, 13
-"""Disturbances that are drawn; and those that stand for them, if they vary in one way. In two ways
-there are four times as many, in three nine times."""
-SAME = 1e-6
-"""Scatter, relative, up to which draws are the same but for rounding."""
+"""Number of disturbances drawn, and of nodes that represent them if one quantity varies. Two
+quantities take four times as many nodes, three take nine times as many."""
+CONSTANT_SCATTER = 1e-6
+"""Relative scatter below which draws differ by rounding only."""
 SEED = 2009
-"""Of these draws: walks have other random numbers."""
+"""Seed of these draws; walks have other random numbers."""
 STRIDES_PER_ROUND, MAX_ROUNDS = 50, 60
-"""Strides by which the horizon grows from one choice of actions to the next, and most choices."""
-SETTLED = 1e-3
-"""Share of cells with another action than before at which that ends."""
-BETTER = 1e-12
-"""By how much another action must be better, relative: less is rounding."""
+"""Strides by which the horizon grows between choices of actions, and most choices."""
+SETTLED_SHARE = 1e-3
+"""Share of cells with changed actions at which the search ends."""
+LEAST_IMPROVEMENT = 1e-12
+"""Least relative improvement that counts; a smaller one is rounding."""
 
 
 class Nodes(NamedTuple):
-    """A few disturbances that stand for a random one."""
+    """A few disturbances that represent a random one."""
 
     values: Float[np.ndarray, "nodes 3"]
     weights: Float[np.ndarray, " nodes"]
 
 
 class Spread(NamedTuple):
-    """Where the strides from some cells lead, by each action and disturbance."""
+    """Ends of strides from some cells, by each action and disturbance."""
 
     cells: Int[np.ndarray, " n"]
     place: Float[np.ndarray, "n m nodes d"]
-    """On each axis of the grid, in cells from its lower end; NaN for a fall."""
+    """Place on each axis of the grid, in cells from its lower end; NaN for a fall."""
     weights: Float[np.ndarray, " nodes"]
     shape: tuple[int, ...]
-    """Of the grid."""
+    """Shape of the grid."""
 
 
 def find_longest(
@@ -66,9 +66,9 @@ def find_longest(
     nodes: Nodes,
     integrator: Integrator,
 ) -> tuple[Int32[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The best action of each cell of a kernel, else -1; and the mean strides of walks from there.
+    """Find the best action of each cell of a kernel, else -1, and the mean strides from there.
 
-    These are strides up to a horizon, which grows until the actions no longer change. They do not
+    Strides count up to a horizon, which grows until the actions no longer change. That is the case
     as soon as walks forget where they began.
     """
     spread = disturbed_strides(walker, grid, actions, kernel, nodes, integrator)
@@ -79,7 +79,7 @@ def find_longest(
         chain = transitions(spread, action)
         for _ in range(STRIDES_PER_ROUND):
             value[spread.cells] = chain @ (1 + value[spread.cells])
-        if number and (action != former).mean() <= SETTLED:
+        if number and (action != former).mean() <= SETTLED_SHARE:
             break
     chosen = np.full(grid.size, -1, np.int32)
     chosen[spread.cells] = action
@@ -87,16 +87,16 @@ def find_longest(
 
 
 def choose_nodes(ground: RandomDisturbance) -> Nodes:
-    """Disturbances spread over all that are drawn, each with the share of those nearest to it.
+    """Choose disturbances spread over all draws, each with the share of draws nearest to it.
 
-    The first is nearest to their mean; each next one is farthest from those before, as the rare
-    ones count most for falls. Their variance is that of all.
+    The first is nearest to the mean of the draws; each next one is farthest from those before, as
+    rare disturbances matter most for falls. The nodes have the variance of the draws.
     """
     drawn = np.asarray(draw(ground, jax.random.split(jax.random.key(SEED), DRAWS), 0, 1))[:, 0]
     if not np.isfinite(drawn).all():
         raise WrongUse("ground must be finite whenever it is drawn, and is not always")
     centre, scale = drawn.mean(axis=0), drawn.std(axis=0)
-    varied = scale > SAME * np.abs(centre)
+    varied = scale > CONSTANT_SCATTER * np.abs(centre)
     points = (drawn - centre)[:, varied] / scale[varied]
     farthest = int((points**2).sum(axis=1).argmin())
     distance, nearest = np.full(DRAWS, np.inf), np.zeros(DRAWS, int)
@@ -123,7 +123,7 @@ def disturbed_strides(
     nodes: Nodes,
     integrator: Integrator,
 ) -> Spread:
-    """Strides from all cells of a kernel, by all actions, with all disturbances."""
+    """Make strides from all cells of a kernel, by all actions, with all disturbances."""
     cells, count = np.flatnonzero(kernel), len(nodes.weights)
     place = np.empty((len(cells), len(actions.values), count, len(grid.names)), np.float32)
     starts = np.repeat(cells, count)
@@ -138,7 +138,7 @@ def disturbed_strides(
 def arrive(
     shared: tuple[Walker, Grid, Integrator], cell: Int[Array, ""], disturbance: Disturbance
 ) -> Float[Array, " d"]:
-    """Where a disturbed stride from the centre of a cell leads; NaN for a fall."""
+    """Return the place where a disturbed stride from a cell's centre ends; NaN for a fall."""
     walker, grid, integrator = shared
     made = follow_disturbed(walker, grid.centre(cell), disturbance, integrator)
     end = walker.project(walker.state(*made.state))
@@ -148,7 +148,7 @@ def arrive(
 def improve(
     spread: Spread, value: Float[np.ndarray, " all"], action: Int32[np.ndarray, " n"]
 ) -> Int32[np.ndarray, " n"]:
-    """The best action of each cell, given the strides that follow each; as before, of equals."""
+    """Return the best action of each cell, given the strides that follow; equals keep theirs."""
     lasting = np.zeros(value.shape)
     lasting[spread.cells] = 1 + value[spread.cells]
     found = np.empty((len(spread.cells), spread.place.shape[1]))
@@ -156,12 +156,12 @@ def improve(
         at, share = corners(spread.place[:, number], spread.shape)
         found[:, number] = (lasting[at] * share).sum(axis=-1) @ spread.weights
     best, row = found.argmax(axis=1), np.arange(len(found))
-    better = found[row, best] > found[row, action] * (1 + BETTER)
+    better = found[row, best] > found[row, action] * (1 + LEAST_IMPROVEMENT)
     return np.where(better, best, action).astype(np.int32)
 
 
 def transitions(spread: Spread, action: Int32[np.ndarray, " n"]) -> csr_array:
-    """Chances to reach each cell of the kernel from each, by one action for each."""
+    """Return the probabilities of transitions within the kernel, by the action of each cell."""
     n = len(spread.cells)
     at, share = corners(spread.place[np.arange(n), action], spread.shape)
     chance = (share * spread.weights[:, None]).reshape(n, -1)
@@ -174,7 +174,7 @@ def transitions(spread: Spread, action: Int32[np.ndarray, " n"]) -> csr_array:
 
 
 def corners(place: Any, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The cells between whose centres places are, and the share of each; 0 off the grid."""
+    """Return the cells whose centres surround each place, and their shares; 0 off the grid."""
     first = np.floor(place - 0.5)
     share = place - 0.5 - first
     cells, shares = [], []

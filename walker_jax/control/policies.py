@@ -49,31 +49,35 @@ def Policy(
     *,
     ground: float | RandomDisturbance | None = None,
 ) -> System:
-    """The system with the best of the actions that `viable` was given, chosen before each stride.
+    """Return the system with the best action of `viable` chosen before each stride.
+
+        walker = wj.PoweredWalker(slope=0.004)
+        grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 125))
+        policy = wj.Policy(walker, wj.viable(walker, grid, {"push_off": (0, 0.1, 17)}))
 
     In a cell with an action, parameters are interpolated linearly along each axis between the
     centres of that cell and of neighbours with actions, so they have derivatives. Elsewhere they
     are the system's own.
 
-    The result is a system like any other, with the parameters of `walker`: its basin, its
-    robustness and all else are computed as usual. Of a walker it is a walker, which walks on rough
-    ground too: it acts by the section's coordinates, and does not know the disturbances to come.
+    The result is a system like any other, with the parameters of `walker`; its basin, robustness
+    and other properties are computed as usual. The policy of a walker is a walker, on rough ground
+    too: it acts by the section's coordinates, and does not know the disturbances to come.
 
     **Arguments:**
 
-    - `walker`: the one that `viable` was given, or one with other parameters, for which target,
-      kernel and actions stay those of `data`. Strides of a policy of what is no walker have the
-      tolerance of `data`.
-    - `data`: what `viable` returned.
-    - `objective`: "fewest-strides" into the target, as `data` has them, or "least-effort" on the
-      way there: the squares of how far parameters are from the walker's own values, in parts of the
-      range of actions, summed. In the target and off the kernel no action is taken, so a walker in
-      the target converges to its attractor. Or "steps-to-fall": the most strides, on average, until
-      a fall on rough `ground`; then actions are taken in all of the kernel.
-    - `ground`: as in `steps_to_fall`, which tells how long the policy lasts there.
+    - `walker`: the walker that `viable` was given, or one with other parameters; target, kernel and
+      actions are those of `data` in both cases. If it is a system other than a walker, the strides
+      of the policy have the tolerance of `data`.
+    - `data`: the result of `viable`.
+    - `objective`: "fewest-strides" into the target, as in `data`; "least-effort" on the way there,
+      the sum of squared deviations of parameters from the walker's own values, in units of the
+      range of actions; or "steps-to-fall", the most strides, on average, until a fall on rough
+      `ground`. The first two take no action in the target and outside the kernel, so a walker in
+      the target converges to its attractor. The third acts in the whole kernel.
+    - `ground`: as in `steps_to_fall`, which computes how long the policy lasts there.
 
-    Raises `ValueError` for another data set, or one of another section, for another objective, and
-    for rough ground without it or the other way round, or of what is no walker in the plane.
+    Raises `ValueError` for any other data set, section or objective, for "steps-to-fall" without
+    `ground` or for `ground` without it, and for `ground` with a system that is not a planar walker.
     """
     check_kind("walker", walker, System)
     if isinstance(walker, SteeredWalker | Steered):
@@ -94,21 +98,21 @@ def Policy(
         raise WrongUse(f"ground is for the objective steps-to-fall, not for {objective}")
     data = whole_grid(data)
     values = np.stack([data[name].values for name in names], axis=-1)
-    actions = Actions(tuple(names), values, -1)  # the walker's own one is not asked for
+    actions = Actions(tuple(names), values, -1)  # -1, as the walker's own action is not needed
     if objective == "fewest-strides":
         action = data["action"].values
     elif objective == "least-effort":
-        action = easiest(walker, data, actions)
+        action = least_effort_actions(walker, data, actions)
     elif ground is None:
         raise WrongUse(f"ground is required for {objective}")
     else:
-        action = longest(check_planar(walker), data, actions, read_ground(ground))
+        action = longest_walk_actions(check_planar(walker), data, actions, read_ground(ground))
     choose = interpolate_actions(grid_of(data), action, actions.values)
     return steer(walker, tuple(names), choose, float(data.attrs["tolerance"]))
 
 
 def whole_grid(data: xr.Dataset) -> xr.Dataset:
-    """The data set with its axes in the order of the grid, of which it must have all cells."""
+    """Return the data set with its axes in the order of the grid; refuse one with missing cells."""
     grid = grid_of(data)
     for name, low, high, count in zip(grid.names, grid.lower, grid.upper, grid.counts, strict=True):
         centres = low + (high - low) * (np.arange(count) + 0.5) / count
@@ -117,8 +121,10 @@ def whole_grid(data: xr.Dataset) -> xr.Dataset:
     return data.transpose(*grid.names, ...)
 
 
-def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndarray, "*shape"]:
-    """The actions of least effort; those of `data` where no way leads into the target."""
+def least_effort_actions(
+    walker: System, data: xr.Dataset, actions: Actions
+) -> Int32[np.ndarray, "*shape"]:
+    """Return the actions of least effort; those of `data` if no path leads into the target."""
     grid = grid_of(data)
     each = bytes_of_cell(len(actions.values), len(grid.names), bounds=False)
     check_grid(walker, grid, "cell-map", each, kind="viability")
@@ -130,10 +136,10 @@ def easiest(walker: System, data: xr.Dataset, actions: Actions) -> Int32[np.ndar
     return np.where(action >= 0, action, known)
 
 
-def longest(
+def longest_walk_actions(
     walker: Walker, data: xr.Dataset, actions: Actions, ground: RandomDisturbance
 ) -> Int32[np.ndarray, "*shape"]:
-    """The actions of the longest walks on rough ground."""
+    """Return the actions of the longest walks on rough ground."""
     grid, kernel, nodes = grid_of(data), data["viable"].values.ravel(), choose_nodes(ground)
     if not kernel.any():
         raise WrongUse("data must have viable cells for steps-to-fall: its kernel is empty")
@@ -145,7 +151,7 @@ def longest(
 
 
 def integrator_for(data: xr.Dataset) -> Any:
-    """The integrator by which a kernel was made."""
+    """Return the integrator with which a kernel was computed."""
     return integrator_of(jnp.asarray(0.0).dtype, float(data.attrs["tolerance"]))
 
 
@@ -154,8 +160,10 @@ def interpolate_actions(
     action: Int32[np.ndarray, "*shape"],
     values: Float[np.ndarray, "m parameters"],
 ) -> Callable[[Array, Array], Array]:
-    """A function of a point and of own values of parameters: the values between cells with actions,
-    and the own ones elsewhere."""
+    """Return a function of a point and of the system's own parameters that interpolates actions.
+
+    It returns the values between cells with actions, and the system's own elsewhere.
+    """
     return partial(values_between, grid, values[action.ravel()], action >= 0)
 
 
@@ -166,7 +174,7 @@ def values_between(
     x: Float[Array, " section"],
     own: Float[Array, " parameters"],
 ) -> Any:
-    """The values at a point between cells that have some; elsewhere the own ones."""
+    """Interpolate values at a point between cells that have some; elsewhere return the own ones."""
     counts, d = np.array(has.shape), has.ndim
     steps = np.append(np.cumprod(counts[:0:-1])[::-1], 1).astype(np.int32)
     to = lambda values: jnp.asarray(values, x.dtype)

@@ -1,4 +1,4 @@
-"""Systems whose parameters are set anew before each stride, by a function of the state."""
+"""Systems whose parameters are chosen before each stride by a function of the state."""
 
 import functools
 from collections.abc import Callable
@@ -15,13 +15,13 @@ from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.stride import stride
 
 Choice = Callable[[Float[Array, " section"], Float[Array, " parameters"]], Any]
-"""Values of parameters in a state, given the system's own ones."""
+"""Function from a state and the system's own parameters to the parameters of the next stride."""
 
 
 def steer(system: System, names: tuple[str, ...], choose: Choice, tolerance: float) -> System:
-    """The system with parameters that are chosen before each stride; of a walker, a walker.
+    """Return the system with parameters chosen before each stride; a walker stays a walker.
 
-    `tolerance` is that of strides of a system that is no walker: its policy is a map.
+    The policy of any other system is a map, whose strides have this `tolerance`.
     """
     if isinstance(system, Walker):
         return remake(type(system), names, choose, vars(system))
@@ -44,10 +44,10 @@ def steer(system: System, names: tuple[str, ...], choose: Choice, tolerance: flo
 
 
 class SteeredWalker(Walker):
-    """A walker whose parameters are set anew at each heel strike."""
+    """A walker whose parameters are chosen at each heel strike."""
 
     chosen: eqx.AbstractClassVar[tuple[str, ...]]
-    """Names of these parameters."""
+    """Names of the chosen parameters."""
     steered: eqx.AbstractClassVar[type[Walker]]
     """The walker without a policy, which may have feedback of its own."""
     choose: eqx.AbstractVar[Choice]
@@ -65,13 +65,13 @@ class SteeredWalker(Walker):
 
 
 def remake(kind: type[Walker], names: tuple[str, ...], choose: Choice, values: dict) -> Walker:
-    """The steered walker of these parameters."""
+    """Rebuild a steered walker from its parameters."""
     return steered_class(kind, names)(**values | {"choose": choose})
 
 
 @functools.cache
 def steered_class(kind: type[Walker], names: tuple[str, ...]) -> type[Walker]:
-    """The class of walkers of a kind of which some parameters are chosen."""
+    """Return the class of walkers of a kind with some chosen parameters."""
     namespace = {
         "__annotations__": {"choose": Any},
         "__module__": __name__,
@@ -85,12 +85,12 @@ def steered_class(kind: type[Walker], names: tuple[str, ...]) -> type[Walker]:
 
 
 class Steered(Map):
-    """A system that is no walker, whose parameters are set anew before each stride."""
+    """A system, other than a walker, whose parameters are chosen before each stride."""
 
     plain: Callable[[dict[str, Any]], System] = code_field()
-    """The system without a choice, with values of its parameters."""
+    """Returns the system without a policy, with these values of its parameters."""
     acting: Callable[[Any, dict[str, Any]], System] = code_field()
-    """The system as it is during the stride from a point, given these values."""
+    """Returns the system during the stride from a point, given these values."""
 
     def __init__(self, advance: Callable, plain: Callable, acting: Callable, system: System):
         feasible = lambda x, **parameters: acting(x, parameters).feasible(x)
@@ -113,5 +113,5 @@ class Steered(Map):
 
 @functools.cache
 def steered_map(failures: tuple[str, ...]) -> type[Steered]:
-    """`Steered`, with the failures that a system has of its own."""
+    """Return `Steered` with a system's own failures."""
     return type("Steered", (Steered,), {"failures": failures}) if failures else Steered

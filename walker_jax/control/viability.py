@@ -1,9 +1,9 @@
-"""Viability: from which states some choice of actions keeps a system from failing.
+"""Viability: the states from which some choice of actions keeps a system from failing.
 
-A controller chooses an action before each stride, as values of parameters within limits. The states
-from which some choice keeps it going for ever are the viability kernel (Aubin 1991), outside of
-which no controller can prevent a failure. States from which some choice leads into a target, such
-as the basin of a gait, within n strides are n-step capturable (Koolen and others 2012,
+A controller chooses an action before each stride: values of parameters within limits. The viability
+kernel (Aubin 1991) is the set of states from which some choice keeps the system going for ever; no
+controller can prevent a failure outside it. States from which some choice leads within n strides
+into a target, such as the basin of a gait, are n-step capturable (Koolen and others 2012,
 International Journal of Robotics Research 31:1094-1113). The share of actions that keep a state
 viable is the measure of robustness of Heim and Sprowitz (2019, IEEE Transactions on Robotics
 35:939-952).
@@ -41,9 +41,9 @@ from walker_jax.control.images import (
     MappedCells,
     Task,
     bytes_of_cell,
+    insert_tile,
     map_in_tiles,
     map_tile,
-    put,
     tile_shape,
 )
 from walker_jax.controlled_maps import (
@@ -83,54 +83,58 @@ def viable(
     overwrite: bool = False,
     cluster: Any = None,
 ) -> xr.Dataset:
-    """The viability kernel of a system on a grid, and what leads to its gait.
+    """Compute the viability kernel of a system on a grid, and the actions that lead to its gait.
 
-    Before each stride a controller chooses an action, one of all combinations. To leave the grid
+        walker = wj.PoweredWalker(slope=0.004)
+        grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 125))
+        wj.viable(walker, grid, {"push_off": (0, 0.1, 17)}).area
+
+    Before each stride a controller chooses an action, one of all combinations. Leaving the grid
     counts as a failure.
 
     **Arguments:**
 
     - `walker`: any walker or other system, such as one of `systems`.
-    - `grid`: of its section, whole.
-    - `actions`: by the name of a parameter, a tuple (low, high, count) for so many values with both
-      ends, or a list of values; of several parameters all combinations. The system's own values are
-      one more action, the last, unless they are among these.
-    - `target`: whether each cell belongs to the target. By default those whose centres converge to
-      an attractor of `walker` as it is, by cell mapping: its passive basin.
-    - `bounds`: whether to bound the kernel by what cells do as a whole. A stride is made from the
-      corners of each cell too. The box around their images, widened by how far that of the centre
-      is from the mean of theirs, holds the image of the cell, to first order in its size. An
+    - `grid`: a grid over its whole section, not a slice.
+    - `actions`: values of each parameter by name: a tuple (low, high, count), which includes both
+      ends, or a list of values. Several parameters take all combinations. The system's own values
+      are added as the last action, unless they are among these.
+    - `target`: whether each cell belongs to the target. By default the target is the passive basin:
+      the cells whose centres converge to an attractor of `walker` as it is, by cell mapping.
+    - `bounds`: whether to bound the kernel by the images of whole cells. A stride is then made from
+      the corners of each cell too. A box encloses their images, widened by the distance of the
+      centre's image from their mean; it holds the image of the cell to first order in its size. An
       `inner` cell has an action whose box lies in inner cells. An `outer` cell has an action that
       makes a stride from a corner or the centre, with a box that meets an outer cell.
     - `levels`: how many times cells between the bounds are cut in two along each axis, and their
       parts mapped anew.
-    - `tolerance`: of the integration, as in `stride`.
+    - `tolerance`: tolerance of the integration, as in `stride`.
     - `progress`: whether to show a progress bar on a terminal.
     - `out`, `request`, `overwrite`, `cluster`: as in `basin`. A piece holds the images of some
       cells by some actions. An interrupted run is resumed from there, with the same result to the
       last bit; strides from parts of cells are made again.
 
-    **Returns** a data set over the axes of the grid, or of the finest one, 2^levels times as fine
-    along each axis, on which parts of a cell that was not cut are alike:
+    **Returns** a data set over the axes of the grid, or of a grid 2^levels times as fine along each
+    axis, in which all parts of an uncut cell are alike:
 
-    - `viable`: whether some choice of actions keeps the walker on the grid for ever, cell by cell;
+    - `viable`: whether some choice of actions keeps the walker on the grid for ever;
     - `inner`, `outer`: bounds on that, with `bounds`;
-    - `safe_actions`: how many actions keep it viable;
+    - `safe_actions`: how many actions keep a cell viable;
     - `lasting`: the most strides that any choice makes from a cell that is not viable, else -1;
-    - `failure`: the `Outcome` in which the longest of these walks ends, 0 where it is viable;
-    - `capture`: the fewest strides into the target, 0 within it, -1 where none lead there;
-    - `action`: the number of one that leads there soonest, or, where none does, keeps it viable;
-      of several, the one that leads to the cell with the most safe actions; -1 in the target, where
-      the system is left alone, and where there is none;
+    - `failure`: the `Outcome` that ends the longest of these walks, 0 if the cell is viable;
+    - `capture`: the fewest strides into the target, 0 within it, -1 if none lead there;
+    - `action`: the number of the action that leads into the target soonest or, if none does, keeps
+      the cell viable. Of several, it is the one that leads to the cell with the most safe actions.
+      It is -1 in the target, where the system is left alone, and where no such action exists;
 
-    over `action_number` the values of each parameter, by its name; and with `bounds` over the
-    levels `mapped`, how many cells were mapped, and the areas within bounds after each,
+    over `action_number`, the values of each parameter, by its name; and with `bounds`, over the
+    levels, `mapped`, the number of cells mapped, and the areas within the bounds after each level,
     `level_inner_area` and `level_outer_area`. Attributes: `area` of the kernel in the state's
     coordinates, `inner_area` and `outer_area`, and `target_area`.
 
-    Raises `ValueError` for a grid that does not fit the section, or is a slice, or that this
-    machine has not the memory for, for actions that are none, for a target of another shape, and
-    for `out` as `basin` does.
+    Raises `ValueError` for a grid that does not fit the section, is a slice, or needs more memory
+    than this machine has; for invalid actions; for a target of another shape; and for `out` as
+    `basin` does.
     """
     check_kind("walker", walker, System)
     d = grid_axes(grid)
@@ -164,13 +168,13 @@ def viable(
 
 
 def grid_axes(grid: Any) -> int:
-    """The number of axes of a grid, checked to be one."""
+    """Return the number of axes of a grid; refuse anything that is not a grid."""
     check_kind("grid", grid, Grid)
     return len(grid.names)
 
 
 def read_target(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
-    """A target, checked, as a row."""
+    """Return a checked target as a row."""
     values = array("target", target)
     if values.dtype != bool or values.shape != grid.shape:
         raise WrongUse(
@@ -181,15 +185,15 @@ def read_target(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
 
 
 class Plan(NamedTuple):
-    """All that is to be computed."""
+    """Everything that is to be computed."""
 
     task: Task
     levels: int
     target: Bool[np.ndarray, " n"] | None
-    """Whether each cell of the finest grid belongs to it; by default the passive basin."""
+    """Cells of the finest grid that belong to the target; None for the passive basin."""
 
     def about(self) -> xr.Dataset:
-        """The axes of the finest grid, and what all depends on."""
+        """Return the axes of the finest grid, and the settings."""
         walker, choice, integrator, _, grid, _ = self.task
         settings = {"actions": list(choice.names), "tolerance": float(integrator.tolerance)}
         frame = {
@@ -204,7 +208,7 @@ class Plan(NamedTuple):
         return describe(walker, grid, settings).assign(frame)
 
     def request(self) -> dict:
-        """All that the result depends on, by which a stored one is recognised."""
+        """Return everything the result depends on, by which a stored result is recognised."""
         choice, target = self.task.actions, self.target
         own = {
             "command": "viable",
@@ -216,7 +220,7 @@ class Plan(NamedTuple):
         return request_of(self.about(), self.task.grid) | own
 
     def answer(self, cells: MappedCells, each: Compute, progress: bool) -> xr.Dataset:
-        """The data set, given the images of all cells of the coarse grid."""
+        """Return the data set, given the images of all cells of the coarse grid."""
         grid, target = self.task.finest, self.target
         if not self.task.bounds:
             found = settle(self.task, Points(cells.image), target)
@@ -239,14 +243,14 @@ class Plan(NamedTuple):
 def settle(
     task: Task, points: Points, target: Bool[np.ndarray, " n"] | None
 ) -> dict[str, np.ndarray]:
-    """Answers for each cell, given where each leads."""
-    if target is None:  # those that converge to an attractor without a choice of actions
+    """Compute the results for each cell from the images of all cells."""
+    if target is None:  # cells that converge to an attractor without a choice of actions
         passive = resolve(points.image[:, task.actions.own], sinks=len(Outcome))
         target = passive.attractor >= 0
     lasting = find_viable(points)
     kernel = lasting < 0
     capture, safe = find_capture(points, target), count_safe(points, kernel)
-    # The soonest into the target; and of these, the one with most room for others after it.
+    # The soonest into the target; of several, the one that leaves most safe actions.
     soonest = np.where(capture < 0, 0, capture.max() + 1 - capture).astype(np.int64)
     action = best_action(points, (len(task.actions.values) + 1) * soonest + safe)
     return {
@@ -260,7 +264,7 @@ def settle(
 
 
 def with_areas(data: xr.Dataset, grid: Grid, found: dict[str, np.ndarray]) -> xr.Dataset:
-    """The same with arrays over the grid, and their areas as attributes."""
+    """Add arrays over the grid, and their areas as attributes."""
     areas = {"viable": "area", "inner": "inner_area", "outer": "outer_area"}
     sizes = {areas[name]: found[name].sum() for name in areas if name in found}
     sizes["target_area"] = (found["capture"] == 0).sum()
@@ -273,10 +277,10 @@ def with_areas(data: xr.Dataset, grid: Grid, found: dict[str, np.ndarray]) -> xr
 def compute_in_pieces(
     plan: Plan, out: Path, *, request: dict | None, overwrite: bool, cluster: Any, progress: bool
 ) -> xr.Dataset:
-    """`viable`, with images that are computed piece by piece into a store, and removed at the end.
+    """Compute `viable` with images written piece by piece into a store, and removed at the end.
 
-    The kernel follows when all images are there, with strides from parts of cells. If that is
-    interrupted it is repeated, with the same result.
+    Once all images are there, the kernel is computed, with strides from parts of cells. If this is
+    interrupted, it is repeated with the same result.
     """
     task = plan.task
     request = request or plan.request()
@@ -304,13 +308,15 @@ def compute_in_pieces(
             values = {stored: getattr(part, name) for stored, name in names.items()}
             place.write(i, values, done=True)
         for i in range(place.count):
-            put(cells, tile_of(i), {name: place.read(stored, i) for stored, name in names.items()})
+            insert_tile(
+                cells, tile_of(i), {name: place.read(stored, i) for stored, name in names.items()}
+            )
         place.finish(plan.answer(cells, each, progress))
     return storage.open_dataset(out)
 
 
 def summarise_viability(data: xr.Dataset) -> dict:
-    """The areas of the kernel and of capturable states, and the failures around it, for JSON."""
+    """Summarise the areas of the kernel and of capturable states, and the failures, for JSON."""
     capture, failure = data["capture"].values, data["failure"].values
     cell = grid_of(data).cell_area
     steps = range(1, int(capture.max(initial=0)) + 1)

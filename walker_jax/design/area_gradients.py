@@ -1,12 +1,12 @@
 """The area or volume of a basin, and its derivatives by parameters of the walker.
 
-An area is the integral of an indicator, which has no derivative; but the basin's boundary is where
-the margin m of some failure is zero, and moves outwards, at right angles to itself, by
-v = (dm/dp) / |grad m| for each unit of a parameter p. So dA/dp is the integral of v along the
-boundary, by derivatives of strides and margins alone. A volume's derivative is an integral over a
-surface in the same way. Where the boundary is fractal the area falls by jumps, whose sum that
-integral misses; there a derivative means something only as its average over a band of the
-parameter, which is the change of the area over the band.
+An area is the integral of an indicator, which has no derivative. But the basin's boundary is where
+the margin m of some failure is zero. Per unit of a parameter p it moves outwards, at right angles
+to itself, by v = (dm/dp) / |grad m|. So dA/dp is the integral of v along the boundary, and needs
+only derivatives of strides and margins. In the same way the derivative of a volume is an integral
+over a surface. At a fractal boundary the area changes by jumps, which the integral misses. There
+only the average derivative over a band of the parameter is meaningful: the change of the area over
+the band.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,15 +28,15 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 
 BISECTIONS = 8
-"""Bisections of the distance between two centres, to locate the boundary between them."""
+"""Bisections that locate the boundary between two centres."""
 LINE_GROUPS = 4
 """Groups of lines, each a coarser grid, whose scatter gives the error of sampling."""
 MAX_WEIGHTS = {2: (2, 1), 3: (4, 2)}
-"""The most that a crossing counts for those that are not found, in two sums, by the dimensions.
-Without a limit there is no bias, but few crossings decide the sum. Two dimensions afford grids on
-which weights bring more noise than they take bias: there all count once."""
+"""Largest weights of a crossing, which stands for others that are missed: two sums, by dimension.
+Without a limit there is no bias, but few crossings decide the sum. In two dimensions grids are so
+fine that weights would add more noise than they remove bias: there all crossings count once."""
 MAX_RELATIVE_ERROR = 0.05
-"""Relative error above which an integral along the boundary is not used where a band is given."""
+"""Relative error above which a band, if given, replaces the integral along the boundary."""
 
 
 Density = Callable[[Float[np.ndarray, "n section"]], Float[np.ndarray, " n"]]
@@ -47,25 +47,25 @@ class AreaGradient(NamedTuple):
     """The area of a basin, and its derivatives by parameters of the walker."""
 
     area: float
-    """Within the grid, of all attractors together (rad^2 per unit of time; of a slice, in it); over
+    """Area of the basins of all attractors within the grid or slice (rad^2 per unit of time); over
     three dimensions a volume (rad^3 per unit of time squared)."""
     gradient: Float[np.ndarray, " parameters"]
     """Its derivatives."""
     area_error: float
     error: Float[np.ndarray, " parameters"]
-    """Standard errors; of the gradient, by the scatter between lines of the grid, by an estimate of
-    what parts thinner than its cells bring, and by the crossings of which no motion is known."""
+    """Standard errors. That of the gradient combines the scatter between lines of the grid, an
+    estimate for parts thinner than a cell, and the crossings of unknown velocity."""
     averaged: Bool[np.ndarray, " parameters"]
     """Whether each derivative is an average over a band."""
     crossings: int
-    """Number of points in which lines cross the boundary."""
+    """Number of points where lines cross the boundary."""
     lost: int
-    """Crossings of unknown velocity: they border on another attractor, on starts that are not
-    feasible, or on a failure without a margin. Those that border on infeasible starts count as
-    fixed, since most walkers' parameters do not move that border. Each other counts in the error
-    with the root-mean-square velocity of the known ones."""
+    """Crossings of unknown velocity: they border on another attractor, on infeasible starts, or on
+    a failure without a margin. Those at infeasible starts count as fixed, since the parameters of
+    most walkers do not move that border. Each of the others enters the error with the
+    root-mean-square velocity of the known ones."""
     strides: int
-    """Strides made in all; those with derivatives count once for each direction."""
+    """Total number of strides; those with derivatives count once for each direction."""
 
 
 @refuses_tracers("it gives derivatives itself, by the parameters named")
@@ -82,51 +82,56 @@ def area_gradient(
     tolerance: float | None = None,
     density: Density | None = None,
 ) -> AreaGradient:
-    """The area of the basin within a grid, and its derivatives by parameters of the walker.
+    """Compute the area of the basin within a grid, and its derivatives by parameters.
+
+        walker = wj.SimplestWalker(slope=0.004)
+        grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
+        found = wj.area_gradient(walker, grid, ["slope"])
 
     With n the unit normal of the boundary,
 
-        dA/dp = integral of v ds = sum over the axes i of the integral of v |n_i| |n_i| ds,
+        dA/dp = integral of v ds = sum over the axes i of the integral of v |n_i| |n_i| ds.
 
-    and lines of the grid along axis i meet a piece ds of the boundary in proportion to |n_i| ds: so
-    v |n_i| is summed over the points in which lines through the cells' centres cross the boundary.
-    Bisection locates each point; beyond it the walker fails after a number of strides, and v
+    Lines of the grid along axis i meet a piece ds of the boundary in proportion to |n_i| ds. So
+    v |n_i| is summed over the points where lines through the cells' centres cross the boundary.
+    Bisection locates each point. Beyond it the walker fails after a number of strides, and v
     follows from the forward-mode derivatives of that failure's margin. There is no smoothing.
 
     Lines miss parts of the basin, or gaps in it, that are thinner than a cell. A part of a line of
-    length l < 1, in cells, holds a centre with probability l; so its ends count 1 / l times
-    (Horvitz and Thompson 1952), but c times at most. Over three dimensions the sums S(c) of c = 2
-    and 4 are extrapolated to those without a limit, 2 S(4) - S(2), which is right where all lengths
-    below 1/2 are as likely, and S(4) - S(2) counts as an error. Over two, grids are fine enough
-    for S(1), whose noise is less, and S(2) - S(1) counts as an error.
+    length l < 1, in cells, holds a centre with probability l. So its ends count 1 / l times
+    (Horvitz and Thompson 1952), but c times at most. In three dimensions the sums S(c) for c = 2
+    and 4 are extrapolated to the sum without a limit, 2 S(4) - S(2). This is exact if all lengths
+    below 1/2 are equally likely; S(4) - S(2) counts as an error. In two dimensions grids are fine
+    enough for S(1), which has less noise, and S(2) - S(1) counts as an error.
 
     At a fractal boundary the derivative of the area is of little use: fingers of failure grow
     into the basin like the square root of the distance in p from the value at which they are born.
     There, if the error exceeds 1/20 of the integral and `bands` are given, the derivative is the
     average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
 
-    Over three dimensions the same is true of the surface of the basin and of its volume; and of the
-    integral of a `density` over the basin, basin stability, whose derivative is that of density
+    In three dimensions the same holds for the surface of the basin and its volume. With a `density`
+    the integral over the basin is the basin stability, and its derivative the integral of density
     times v along the boundary.
 
     **Arguments:**
 
-    - `walker`: of one kind, with numbers for parameters.
+    - `walker`: a single walker, with numbers for parameters.
     - `grid`: as in `refine`, which divides it at the boundary; its borders are fixed.
     - `parameters`: names of parameters of the walker.
-    - `bands`: a half width for each of them, above 0; it is reduced on a side on which the walker
+    - `bands`: a half width above 0 for each parameter; it is reduced on a side where the walker
       refuses the value.
     - `levels`: number of times that cells on the boundary are halved.
     - `strides`: number of strides for which a walker is followed.
-    - `check`, `seed`: of the areas, as in `refine`.
-    - `tolerance`: of the integration, as in `stride`.
-    - `density`: of starts, a function of states of shape (n, section), which returns n numbers and
-      does not depend on parameters. Then all areas are the chances of such starts to converge.
+    - `check`, `seed`: as in `refine`, for the areas.
+    - `tolerance`: tolerance of the integration, as in `stride`.
+    - `density`: density of starts, a function of states of shape (n, section) that returns n
+      numbers and does not depend on parameters. All areas are then probabilities that such starts
+      converge.
 
-    **Returns** an `AreaGradient`, with zeros where nothing walks.
+    **Returns** an `AreaGradient`, with zeros if nothing walks.
 
-    Raises `ValueError` for parameters that the walker does not have, for bands that are not such
-    numbers, for a grid of one axis, and as `refine`.
+    Raises `ValueError` for parameters that the walker does not have, for bands that are not
+    positive numbers, for a grid of one axis, and as `refine`.
     """
     widths = check_bands(walker, parameters, bands)
     check_grid(walker, grid, "direct")
@@ -188,7 +193,7 @@ class Integral(NamedTuple):
 
 
 class Size(NamedTuple):
-    """The area of a basin, or the chance of starts in it, with its error; and strides made."""
+    """The area of a basin, or the probability of starts in it, with its error, and the strides."""
 
     area: float
     area_error: float
@@ -196,9 +201,9 @@ class Size(NamedTuple):
 
 
 def integrate_over_basin(found: Refined, density: Density | None) -> Size:
-    """The area, or the integral of a density by the centres of cells, corrected as the area is.
+    """Compute the area, or the integral of a density at the cells' centres, corrected alike.
 
-    Where cells are wrong, they are at the boundary; so its error is that of the area, at the mean
+    Wrong cells are at the boundary, so the error of the integral is that of the area, at the mean
     density of the cells that were followed.
     """
     if density is None:
@@ -219,7 +224,7 @@ def integrate_over_basin(found: Refined, density: Density | None) -> Size:
 
 
 def density_at(density: Density, x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, " n"]:
-    """The density of states, checked."""
+    """Return the density of states, checked."""
     values = np.asarray(density(x), float)
     if values.shape != (len(x),) or not (np.isfinite(values) & (values >= 0)).all():
         raise WrongUse(
@@ -232,17 +237,14 @@ def density_at(density: Density, x: Float[np.ndarray, "n section"]) -> Float[np.
 def integrate_along_boundary(
     walker: System, found: Refined, parameters: Sequence[str], density: Density | None = None
 ) -> Integral:
-    """The sum of v |n_i| over the points in which lines of a grid cross the boundary.
-
-    Each times the density there, if one is given.
-    """
+    """Sum v |n_i|, times the density if given, over the points where lines cross the boundary."""
     if not parameters:
         return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)
     fine = found.grid
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
     totals, extrapolated = np.zeros((LINE_GROUPS, count)), np.zeros(count)
-    squares, crossings, lost, untold, made = np.zeros(count), 0, 0, 0, 0
+    squares, crossings, lost, unknown_count, made = np.zeros(count), 0, 0, 0, 0
     limits = MAX_WEIGHTS[len(shape)]
 
     def follow(places: Float[np.ndarray, "n axes"]) -> Labels:
@@ -272,7 +274,7 @@ def integrate_along_boundary(
         known = np.isfinite(moves).all(axis=1)
         crossings, lost = crossings + len(x), lost + int(np.sum(~known))
         fixed = (labels.fate == Outcome.OUTSIDE) & (labels.strides == 0)
-        untold += int(np.sum(~known & ~fixed))
+        unknown_count += int(np.sum(~known & ~fixed))
         squares += np.sum(moves[known] ** 2, axis=0)
         most, half = (inverse_chances(outside, axis, c)[known, None] for c in limits)
         weight = 2 * most - half if len(shape) == 3 else half
@@ -282,19 +284,19 @@ def integrate_along_boundary(
     cell = fine.cell_area
     scatter = np.sqrt(LINE_GROUPS) * np.std(totals, axis=0, ddof=1)
     error = np.hypot(scatter, extrapolated) * cell
-    if untold:  # unlike others, they may all move the same way
-        told = crossings - lost
-        typical = np.sqrt(squares / told) if told else np.full(count, np.inf)
-        error = np.hypot(error, untold * typical * cell)
+    if unknown_count:  # they may all move the same way
+        known_count = crossings - lost
+        typical = np.sqrt(squares / known_count) if known_count else np.full(count, np.inf)
+        error = np.hypot(error, unknown_count * typical * cell)
     return Integral(totals.sum(axis=0) * cell, error, crossings, lost, made)
 
 
 def inverse_chances(
     places: Float[np.ndarray, "n axes"], axis: int, most: int
 ) -> Float[np.ndarray, " n"]:
-    """How many crossings of lines along an axis each of these counts for, found between centres.
+    """Return the weight of each crossing on lines along an axis.
 
-    One that is a length l < 1, in cells, from the next on its line is found with probability l.
+    A crossing at a distance l < 1, in cells, from the next on its line is found with probability l.
     """
     lines = np.floor(np.delete(places, axis, axis=1))
     order = np.lexsort([places[:, axis], *lines.T])
@@ -309,9 +311,9 @@ def inverse_chances(
 def boundary_pairs(
     found: Refined, axis: int
 ) -> tuple[Float[np.ndarray, "n axes"], Float[np.ndarray, "n axes"]]:
-    """Neighbours along an axis of which one walks: that one, and the other.
+    """Find neighbours along an axis, both followed, where one walks and the other does not.
 
-    As places in the grid, in cells; centres are at halves. Both have been followed.
+    Returns the places of those that walk, and of the others, in cells; centres are at halves.
     """
     runs, shape = found.runs, found.grid.shape
     walks = runs.attractor >= 0

@@ -11,7 +11,7 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 MAX_BAND_HALVINGS = 20
-"""Times that a band is halved on a side on which the walker refuses it."""
+"""Most halvings of a band on a side where the walker refuses the value."""
 
 
 def check_bands(
@@ -19,7 +19,7 @@ def check_bands(
     parameters: Sequence[str],
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
 ) -> Float[np.ndarray, " parameters"]:
-    """The half widths of bands, 1 where none are given; refuses wrong parameters and widths."""
+    """Return the half widths of bands, 1 if none are given; refuse wrong parameters and widths."""
     check_kind("parameters", parameters, Sequence)
     for name in parameters:
         check_parameter(walker, name)
@@ -30,7 +30,7 @@ def check_bands(
 
 
 def walkers_at_band_ends(walker: System, parameter: str, width: float) -> tuple[System, System]:
-    """The walkers with a parameter lower and higher by a width, or by less if they refuse it."""
+    """Return walkers with a parameter lower and higher by a width, or by less if refused."""
     value, ends = float(getattr(walker, parameter)), []
     for step in (-width, width):
         for _ in range(MAX_BAND_HALVINGS):

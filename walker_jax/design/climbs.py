@@ -1,4 +1,4 @@
-"""One ascent along the gradient, within bounds and limits."""
+"""One ascent along the gradient of an objective, within bounds and limits."""
 
 from typing import NamedTuple
 
@@ -7,21 +7,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.design.evaluation import STEP_LENGTHS, Evaluation
+from walker_jax.design.evaluation import STEP_SIZES, Evaluation
 from walker_jax.design.measures import gait_measures
 from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.trace import Trace
 
 TRIAL_STEPS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
-"""Multiples of an optimiser's step, tried in turn until one improves the objective; if none does,
-the stage ends. Some objectives are discontinuous: just before a jump a shorter step improves them,
-or one in the opposite direction."""
+"""Multiples of the optimiser's step, tried in turn until one improves the objective; if none does,
+the stage ends. Some objectives are discontinuous: just before a jump, a shorter step or a step in
+the opposite direction may improve them."""
 MAX_STAGE_STEPS = 40
-"""Largest number of steps of a stage."""
+"""Most steps of a stage."""
 MAX_RESCUE_STEPS = 8
-"""Largest number of long steps from where nothing walks to a more stable gait."""
+"""Most long steps towards a more stable gait, from a start where nothing walks."""
 SIGNIFICANT_ERRORS = 2
-"""Standard errors above which a difference of values is significant."""
+"""Number of standard errors above which a difference of values is significant."""
 
 
 class Climb(NamedTuple):
@@ -36,12 +36,12 @@ class Climb(NamedTuple):
 def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Climb:
     """Climb from a place by the steps of one stage, until none improves the objective.
 
-    It ends earlier where the time is over; the first start is measured all the same.
+    It ends earlier if the time is over, but the first start is always measured.
     """
-    import optax  # here alone: it takes a quarter of a second
+    import optax  # only here, as it takes a quarter of a second
 
     problem = trace.problem
-    if trace.is_over() and (run, stage) != (0, 0):
+    if trace.is_out_of_time() and (run, stage) != (0, 0):
         return Climb(
             None, None, False, f"{problem.describe_values(problem.values(place))}: no time"
         )
@@ -54,13 +54,13 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
         here = rescue(trace, run, start)
     if here is None:
         return Climb(start, None, False, explain_failure(trace, begin))
-    optimiser = optax.adam(STEP_LENGTHS[stage], b1=0.5, b2=0.9, eps=1e-12)
+    optimiser = optax.adam(STEP_SIZES[stage], b1=0.5, b2=0.9, eps=1e-12)
     standard = lambda: jax.numpy_dtype_promotion("standard")  # as optax's own arithmetic needs
     with standard():
         state = optimiser.init(jnp.asarray(begin))
     best = here
     for _ in range(MAX_STAGE_STEPS):
-        if trace.is_over():
+        if trace.is_out_of_time():
             break
         place = problem.place_of(best.parameters)
         uphill = problem.sign * best.gradient * (problem.high - problem.low)
@@ -71,7 +71,7 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
             goal = trace.limits.nearest_allowed(np.clip(place + share * np.asarray(update), 0, 1))
             if goal is None:
                 continue
-            blocked = share == 1 and np.abs(goal - place).max() < STEP_LENGTHS[stage] / 100
+            blocked = share == 1 and np.abs(goal - place).max() < STEP_SIZES[stage] / 100
             if blocked and np.array_equal(goal, place):
                 return Climb(start, best, True)
             there = trace.measure(run, stage, goal)
@@ -86,7 +86,7 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
 
 
 def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
-    """Whether a value is higher; where errors do not tell, whether it is uphill at both ends."""
+    """Whether a value is higher; if errors hide that, whether it is uphill at both ends."""
     gain = problem.sign * (there.value - here.value)
     if np.abs(gain) > SIGNIFICANT_ERRORS * np.hypot(here.value_error, there.value_error):
         return bool(gain > 0)
@@ -95,7 +95,7 @@ def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
 
 
 def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
-    """Whether the objective has a gradient, and a basin or disturbance in it is positive."""
+    """Whether the objective has a gradient, and its basin or disturbance, if any, is positive."""
     sizes = [
         size
         for name, size in zip(problem.measures, row.measures, strict=True)
@@ -106,7 +106,7 @@ def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
 
 
 def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
-    """Move by long steps to more stable gaits, until an objective that was zero can be climbed."""
+    """Take long steps to more stable gaits, until an objective that was zero can be climbed."""
     problem = trace.problem
     for _ in range(MAX_RESCUE_STEPS):
         gait = trace.gait(row.parameters)
@@ -116,7 +116,7 @@ def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
         steepest = np.abs(growth).max()
         if not (np.isfinite(steepest) and steepest > 0):
             return None
-        place = problem.place_of(row.parameters) - STEP_LENGTHS[0] * growth / steepest
+        place = problem.place_of(row.parameters) - STEP_SIZES[0] * growth / steepest
         goal = trace.limits.nearest_allowed(np.clip(place, 0, 1))
         if goal is None:
             return None
@@ -127,7 +127,7 @@ def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
 
 
 def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
-    """The reason why a climb from a place fails."""
+    """Say why a climb from a place fails."""
     problem, values = trace.problem, trace.problem.values(place)
     where, refusal = problem.describe_values(values), problem.refusal(values)
     if refusal:

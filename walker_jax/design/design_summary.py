@@ -1,4 +1,4 @@
-"""Results of optimisations and of sweeps, summarised."""
+"""Summaries of optimisations and sweeps."""
 
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ ENDS = ("start", "optimum")
 
 
 def summarise_optimum(data: xr.Dataset) -> dict:
-    """The start and the optimum that `optimise` found, in what JSON can hold."""
+    """Summarise the start and the optimum that `optimise` found, for JSON."""
     names = data["parameter"].values.tolist()
     by_name = lambda key: dict(zip(names, data[key].values.tolist(), strict=True))
     at_ends = lambda key: {end: float(data[key.format(end)]) for end in ENDS}
@@ -32,7 +32,7 @@ def summarise_optimum(data: xr.Dataset) -> dict:
 
 
 def tabulate_sweep(data: xr.Dataset, names: list[str]) -> "pandas.DataFrame":
-    """A table of the scalar variables, with a row for each combination of the parameters."""
+    """Tabulate the scalar variables, with a row for each combination of the parameters."""
     single = [name for name in data if set(data[name].dims) == set(names)]
     table = data[single].load()
     return table.stack(point=names).to_dataframe()[[str(name) for name in single]].reset_index()

@@ -1,6 +1,6 @@
 """The least disturbance of a gait, and its derivatives by parameters of the walker.
 
-By the envelope theorem it changes as the nearest point of the boundary does.
+By the envelope theorem, its derivative follows from the nearest point of the boundary.
 """
 
 from __future__ import annotations
@@ -48,17 +48,22 @@ def disturbance_gradient(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> DisturbanceGradient:
-    """The least disturbance, and its derivatives by parameters of the walker.
+    """Compute the least disturbance that topples a walker, and its derivatives by parameters.
 
-    It is the least from which the walker does not return or, with `fall`, from which it falls.
+        walker = wj.SimplestWalker(slope=0.004)
+        found = wj.disturbance_gradient(walker, ["slope"])
+        found.size, found.gradient
+
+    The least disturbance (the minimal fatal shock) is the smallest from which the walker does not
+    return or, with `fall`, from which it falls.
 
     At the nearest point of the boundary, x = g + r u with g the gait's state and u of length one,
     the margin stays zero: dr/dp = -(dm/dp + grad m . dg/dp) / (grad m . u). The rotation of u is of
-    second order. Where two points are equally near, the size has a kink; this is the derivative on
-    the side of the point found.
+    second order. Where two points are equally near, the size has a kink, and the derivative is the
+    one on the side of the point found.
 
-    Where the nearest point leads to another motion instead of a failure it has no margin. Then
-    derivatives are averages over `bands`, as in `area_gradient`, as far as the gait is stable
+    If the nearest point leads to another motion instead of a failure, it has no margin. The
+    derivatives are then averages over `bands`, as in `area_gradient`, as far as the gait is stable
     there, or NaN without bands.
 
     Other arguments and errors are those of `least_disturbance`, in its plain metric.
@@ -102,7 +107,7 @@ def mean_derivative_over_band(
     width: float,
     tolerance: float | None,
 ) -> float:
-    """Average derivative of the least disturbance over a band, where its ends have the gait."""
+    """Average the derivative of the least disturbance over a band whose ends have the gait."""
     ends = []
     for one in walkers_at_band_ends(walker, parameter, width):
         there = search_gait(one, gait.states, len(gait.states), tolerance=tolerance)

@@ -1,4 +1,4 @@
-"""Measurements of one walker of a problem: the objective, its gradient, and limited measures."""
+"""Measurements of one walker of a problem: objective, gradient, and measures with limits."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -18,27 +18,27 @@ from walker_jax.stability.rays import DENSE
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import check_planar, is_planar
 
-STEP_LENGTHS = (0.1, 0.03, 0.01, 0.003)
-"""Lengths of the steps of each stage, in places."""
+STEP_SIZES = (0.1, 0.03, 0.01, 0.003)
+"""Step sizes of each stage, in places."""
 BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
-"""Half widths, in places, of the bands over which derivatives are averaged where there are none.
-They are wide enough for the errors of areas at their ends."""
+"""Half widths, in places, of the bands that replace derivatives where there are none. They are wide
+enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
-"""Levels of refinement that areas and volumes have less in each stage than at the ends."""
+"""Levels of refinement omitted in each stage; areas at the ends have all."""
 SCAN_LEVELS_OMITTED = 2
-"""The same in the scan, which serves a picture."""
+"""Levels omitted in the scan, which serves a picture."""
 HOW_MEASURED = tuple(zip(LEVELS_OMITTED, BAND_HALF_WIDTHS, strict=True))
-"""On what the measurements of each stage depend, beside the parameters."""
+"""Settings on which the measurements of each stage depend, beside the parameters."""
 SCAN_STAGE, ENDS_STAGE = -1, -2
-"""Numbers in place of a stage: of the scan for a picture, and of the ends."""
+"""Stage numbers of the scan for a picture, and of both ends."""
 CHECK_STARTS = 50_000, 500_000
 """Starts that correct an area during optimisation, and at the ends."""
 CHECK_STARTS_IN_SPACE = 5_000, 50_000
-"""The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py); the
-errors of areas say what that costs."""
+"""The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py). The
+errors of areas show the loss of accuracy."""
 DIRECTIONS = DENSE // 8, DENSE
-"""Directions in which the least disturbance is searched for during optimisation, and at the ends.
-An eighth finds it to 1e-3 or better, except at fractal boundaries."""
+"""Search directions for the least disturbance during optimisation, and at the ends. An eighth of
+them finds it to 1e-3 or better, except at fractal boundaries."""
 
 
 class Evaluation(NamedTuple):
@@ -48,7 +48,7 @@ class Evaluation(NamedTuple):
     stage: int
     parameters: Float[np.ndarray, " parameters"]
     value: float
-    """Value of the objective; NaN where it is not known."""
+    """Value of the objective; NaN if unknown."""
     value_error: float
     gradient: Float[np.ndarray, " parameters"]
     """Derivatives of the objective by the parameters."""
@@ -121,7 +121,7 @@ def evaluate_objective(
 
 
 def check_starts(walker: System, exact: bool) -> int:
-    """How many starts correct an area: at the ends, where it is to be `exact`, more."""
+    """Return how many starts correct an area: more at the ends, where it is to be `exact`."""
     return (CHECK_STARTS if is_planar(walker) else CHECK_STARTS_IN_SPACE)[exact]
 
 
@@ -133,7 +133,7 @@ def evaluate_disturbance(
     bands: Float[np.ndarray, " bands"],
     directions: int,
 ) -> Measure:
-    """The least disturbance and its gradient; NaN where the search for it fails."""
+    """Measure the least disturbance and its gradient; NaN if the search for it fails."""
     options: Any = {"strides": problem.strides, "tolerance": problem.tolerance}
     options |= {"bands": bands, "directions": directions}
     try:

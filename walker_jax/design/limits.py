@@ -1,4 +1,4 @@
-"""Limits of measures of the gait: their slack at a place, and the nearest place that keeps them."""
+"""Limits on measures of the gait: their slack at a place, and the nearest place that keeps them."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,16 +11,16 @@ from walker_jax.design.problem import Problem
 from walker_jax.gaits.cycles import Gait
 
 MAX_NEWTON_STEPS = 20
-"""Newton steps to a place that keeps the limits; each about squares the error."""
+"""Most Newton steps to a place that keeps the limits; each roughly squares the error."""
 MAX_VIOLATION = 1e-9
-"""Largest relative violation of a limit: the error that Newton's last step leaves."""
+"""Largest relative violation of a limit: the error left by the last Newton step."""
 BINDING_SLACK = 1e-6
-"""Relative distance from a limit, or share of the bounds from one of them, below which it counts as
-reached, well above `MAX_VIOLATION`."""
+"""Distance below which a limit or bound counts as reached, relative to the limit or to the width of
+the bounds; well above `MAX_VIOLATION`."""
 
 
 class Slack(NamedTuple):
-    """Relative slack of a limit, negative where it is violated, and its gradient by the place."""
+    """Relative slack of a limit, negative if the limit is violated, and its gradient by place."""
 
     name: str
     value: float
@@ -37,7 +37,7 @@ class Limits:
         self.known: dict[bytes, list[Slack]] = {}
 
     def slacks(self, place: Float[np.ndarray, " parameters"]) -> list[Slack]:
-        """Slacks of all limits at a place; NaN where there is no gait."""
+        """Return the slacks of all limits at a place; NaN if there is no gait."""
         problem, values = self.problem, self.problem.values(place)
         if not problem.limits:
             return []
@@ -59,7 +59,7 @@ class Limits:
     def nearest_allowed(
         self, place: Float[np.ndarray, " parameters"]
     ) -> Float[np.ndarray, " parameters"] | None:
-        """The place, or one near it that keeps all limits; None where none is found."""
+        """Return the place, or one near it that keeps all limits; None if none is found."""
         violating = None
         for _ in range(MAX_NEWTON_STEPS):
             if self.problem.refusal(self.problem.values(place)):
@@ -70,7 +70,7 @@ class Limits:
                 smallest = min((one.value for one in found), default=0.0)
                 if violating is None or smallest < BINDING_SLACK:
                     return place
-                return self.crossing(place, violating)  # Newton's step was too long
+                return self.crossing(place, violating)  # the Newton step was too long
             violating, worst = place, min(broken, key=lambda one: one.value)
             at_bound = ((place == 0) & (worst.gradient < 0)) | ((place == 1) & (worst.gradient > 0))
             gradient = np.where(at_bound, 0.0, worst.gradient)
@@ -84,7 +84,7 @@ class Limits:
         within: Float[np.ndarray, " parameters"],
         violating: Float[np.ndarray, " parameters"],
     ) -> Float[np.ndarray, " parameters"]:
-        """The place where a limit binds, between one that keeps it and one that violates it."""
+        """Find where a limit binds, between a place that keeps it and one that violates it."""
 
         def smallest_slack(share: float) -> float:
             slack = min(one.value for one in self.slacks(within + share * (violating - within)))
@@ -100,7 +100,7 @@ class Limits:
         place: Float[np.ndarray, " parameters"],
         direction: Float[np.ndarray, " parameters"],
     ) -> Float[np.ndarray, " parameters"]:
-        """A direction, projected so that it crosses neither bounds nor binding limits."""
+        """Project a direction so that it crosses neither bounds nor binding limits."""
         binding = [one.gradient for one in self.slacks(place) if one.value < BINDING_SLACK]
         for _ in range(1 + len(place)):
             leaves = ((place == 0) & (direction < 0)) | ((place == 1) & (direction > 0))
@@ -111,5 +111,5 @@ class Limits:
         return direction
 
     def binding(self, place: Float[np.ndarray, " parameters"]) -> set[str]:
-        """The measures whose limits bind at a place."""
+        """Return the measures whose limits bind at a place."""
         return {one.name for one in self.slacks(place) if one.value < BINDING_SLACK}

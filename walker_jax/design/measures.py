@@ -1,7 +1,7 @@
 """Measures of gaits, and their derivatives by the walker's parameters.
 
-Speed, step length, largest multiplier and cost of transport follow from the gait, and so do the
-derivatives, by the implicit function.
+Speed, step length, largest multiplier and cost of transport follow from the gait, and their
+derivatives from the implicit function theorem.
 """
 
 from collections.abc import Sequence
@@ -40,19 +40,24 @@ def gait_measures(
     *,
     tolerance: float | None = None,
 ) -> dict[str, Measure]:
-    """Measures of a gait, and their derivatives by parameters of the walker.
+    """Measure a gait's speed, step length, stability and cost, with derivatives by parameters.
 
-    - "step-length": the length of a step along the slope, the mean over the gait;
+        walker = wj.SimplestWalker(slope=0.004)
+        speed = wj.gait_measures(walker, ["slope"])["speed"]
+        speed.value, speed.gradient
+
+    - "step-length": the mean length of a step along the slope;
     - "speed": the step length over the mean step time;
-    - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
-      the gait;
-    - "cost-of-transport": the energy lost per unit of weight and of distance along the slope:
-      sin(slope), and what motors give in a step over its length (`Walker.motor_work`), the hip's
-      and push-off together; NaN where that is not known. On level ground it is the motors' work
-      alone, and uphill what gravity does not take of it.
+    - "spectral-radius": the modulus of the gait's largest multiplier, per stride: its root of the
+      order of the period;
+    - "cost-of-transport": the energy lost per unit of weight and of distance along the slope. It is
+      sin(slope) plus the work of all motors in a step over the step's length
+      (`Walker.motor_work`), hip and push-off together; NaN if that work is not known. So on level
+      ground it is the motors' work alone, and uphill that work less what gravity takes.
 
-    Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
-    NaN where none is found; and all but the spectral radius of a system that is no walker.
+    Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All
+    measures are NaN if there is no gait. A system that is not a walker has only the spectral
+    radius; its other measures are NaN.
 
     Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
     gait that is not one of this walker.
@@ -69,11 +74,11 @@ def gait_measures(
     states, period = np.asarray(gait.states), len(gait.states)
 
     def mean_step_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
-        """The mean length of the steps, each measured at the heel strike that ends it."""
+        """Average the lengths of the steps, each measured at the heel strike that ends it."""
         return jnp.mean(jnp.stack([step_length(walker, x) for x in states]))
 
     def work_per_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
-        """Work of motors per unit of weight and of distance."""
+        """Return the motors' work per unit of weight and of distance."""
         works = [
             walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x))
             for x in states
@@ -116,7 +121,7 @@ def gait_measures(
 
 
 def step_length(walker: Walker, x: Float[Array, " section"]) -> Scalar:
-    """The length of a step of a gait: of the one before x in the plane, in space of the one after.
+    """Return the length of a step of a gait: in the plane the step before x, in space the next.
 
     A planar foot stands, or rolls by the angle of its leg, so the state at heel strike gives the
     length. How far a disc rolls in space depends on the whole stride.
@@ -127,7 +132,7 @@ def step_length(walker: Walker, x: Float[Array, " section"]) -> Scalar:
 
 
 def end_of_stride(walker: Walker, x: Float[Array, " section"]) -> Any:
-    """The full state just before the heel strike that ends a stride."""
+    """Return the full state just before the heel strike that ends a stride."""
     motion = trajectory(walker, x, stride(walker, x).time[None])
     return jax.tree.map(lambda values: values[0], motion)
 

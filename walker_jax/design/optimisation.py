@@ -1,11 +1,11 @@
-"""Walkers designed by gradient: the best values of any of their parameters.
+"""Design by gradient: the best values of any parameters of a walker.
 
-A parameter's place is where it is between its bounds, from 0 to 1. From each of several starts Adam
-(optax) climbs the gradient of an objective by long steps, with areas on coarse grids; the best of
-these climbs goes on by ever shorter steps on finer grids. A step that leads no higher is not made,
-but shorter ones are tried. Steps end between the bounds, and where they break a limit go back, by
-Newton's iteration along its gradient, to what that allows. Both ends are measured once more, areas
-on a grid finer than any before.
+The place of a parameter is its position between its bounds, from 0 to 1. From each of several
+starts, Adam (optax) climbs the gradient of an objective by long steps, with areas on coarse grids.
+The best of these climbs continues by ever shorter steps on finer grids. A step that leads no higher
+is rejected, and shorter ones are tried. Steps end between the bounds. A step that breaks a limit
+goes back to it by Newton's iteration along the limit's gradient. At the end both the start and the
+optimum are measured again, with areas on the finest grid.
 """
 
 import math
@@ -35,7 +35,7 @@ from walker_jax.design.climbs import Climb, climb
 from walker_jax.design.evaluation import (
     ENDS_STAGE,
     SCAN_STAGE,
-    STEP_LENGTHS,
+    STEP_SIZES,
     Evaluation,
     check_starts,
 )
@@ -59,11 +59,11 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, check_planar, is_planar
 
 ATTRACTED = -1
-"""Instead of a fate, in those basins, where the walker converges to an attractor."""
+"""Stands for a fate, in `fate_start` and `fate_optimum`, where the walker converges."""
 USUAL_MEASUREMENTS = 10
-"""Of one climb, for a guess of how long an optimisation takes."""
+"""Measurements of one climb, to estimate how long an optimisation takes."""
 VIEW_CELLS = 300
-"""Cells along each axis in which the basins at both ends are shown."""
+"""Cells along each axis of the basins shown for the start and the optimum."""
 VIEW_CELLS_IN_SPACE = 100
 """The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py): a
 ninth of the starts."""
@@ -90,64 +90,76 @@ def optimise(
     seconds: float | int | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The best values of a walker's parameters, within bounds.
+    """Find the best values of a walker's parameters within bounds, by gradient ascent.
+
+        walker = wj.SpringWalker(slope=0.004, hip_stiffness=1.0)
+        found = wj.optimise(walker, {"hip_stiffness": (0, 30)}, "area")
+        found["optimum"], found["exact_optimum"]
 
     **Arguments:**
 
-    - `walker`: of one kind. Its own values are the first start, where they are within the bounds.
-    - `bounds`: the lowest and the highest value of each free parameter.
-    - `objective`: "area" (of the basin, all attractors together; of walkers with mass on their
-      legs, in a slice), "volume" (the same in the three dimensions of the section of such walkers),
-      "basin-stability" (the chance that starts of a given `density` converge to an attractor),
-      "least-disturbance" (from which the walker does not return), "speed" or "step-length", which
-      are maximised, "spectral-radius", "sensitivity-norm" (`gait_sensitivity`) or
-      "cost-of-transport", which are minimised; or weights by name, for a sum to maximise. All have
-      gradients; that of basin stability is, as that of the area, an integral along the boundary.
-    - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
+    - `walker`: a single walker. Its own values are the first start, if they are within the bounds.
+    - `bounds`: lowest and highest value of each free parameter.
+    - `objective`: its name, or weights by name for a sum to maximise. Maximised are "area" (of the
+      basins of all attractors; in a slice for walkers with mass on their legs), "volume" (the same
+      in the three dimensions of the section of such walkers), "basin-stability" (the probability
+      that starts of a given `density` converge to an attractor), "least-disturbance" (from which
+      the walker does not return), "speed" and "step-length". Minimised are "spectral-radius",
+      "sensitivity-norm" (`gait_sensitivity`) and "cost-of-transport". All have gradients; those of
+      areas, volumes and basin stability are integrals along the boundary.
+    - `at_least`, `at_most`: limits on "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
-    - `grid`: where the area or volume is measured, the same for all parameters. By default that of
-      `basins.windows.whole_section` for volumes; for areas as in
-      `robustness`: of walkers with mass on their legs, the slice around the gait of the first start
-      that has one. The slice stays where it is as gaits move away, so areas in it compare walkers
-      whose gaits have about the same phidot.
-    - `starts`: number of starts. Those after the first are spread over the bounds.
-    - `levels`: of refinement, for the areas or volumes at both ends; by default 4 for areas, and 2
-      for volumes.
+    - `grid`: where the area or volume is measured, the same for all parameters. By default it is
+      `basins.windows.whole_section` for volumes, and that of `robustness` for areas: for walkers
+      with mass on their legs, the slice around the gait of the first start that has one. The slice
+      stays in place as gaits move away, so its areas compare walkers whose gaits have about the
+      same phidot.
+    - `starts`: number of starts. All but the first are spread over the bounds.
+    - `levels`: levels of refinement for the areas or volumes at both ends; by default 4 for areas,
+      and 2 for volumes.
     - `strides`: number of strides for which a walker is followed.
     - `scan`: number of values of each parameter, with the others as in the optimum, at which the
-      objective is measured too.
-    - `seed`: of the starts, and of `refine`.
-    - `tolerance`: of the integration, as in `stride`.
-    - `density`: for basin stability, the density of starts: a function of states, of shape
-      (n, section), which returns n numbers, the same for all parameters; 0 beyond the grid.
-    - `known`: an earlier result, or the trace of a run that was interrupted, whose measurements are
-      taken as they are.
+      objective is also measured.
+    - `seed`: seed of the starts, and of `refine`.
+    - `tolerance`: tolerance of the integration, as in `stride`.
+    - `density`: for basin stability, the density of starts: a function of states of shape
+      (n, section) that returns n numbers, the same for all parameters; 0 beyond the grid.
+    - `known`: an earlier result, or the trace of an interrupted run; its measurements are reused.
     - `keep`: called with the trace after each measurement.
-    - `seconds`: after which no further step is made; the best walker so far is the optimum then. A
-      measurement that has begun is ended, and both ends are measured. `known` goes on from there.
+    - `seconds`: time after which no further step is made; the best walker so far is then the
+      optimum. A measurement in progress is completed, and both ends are measured. The run can be
+      continued by `known`.
     - `progress`: whether to show progress on a terminal.
 
-    **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
-    `objective_start` and `objective_optimum`, as that climb measured them; `exact_start` and
-    `exact_optimum`, with standard errors `exact_start_error` and `exact_optimum_error`, which are 0
-    except for areas and volumes, and NaN with the least disturbance, of which the search gives an
-    upper bound; `at_bound`, -1 or 1 for parameters that end at their lower or
-    upper bound; `binding`, the measures whose limits bind at the optimum; `converged`, whether
-    it ended because no step of the last stage along the gradient improved the objective, and
-    `out_of_time`, whether because the `seconds` were over; and
-    `note_start` and `note_optimum`, the gait of `find_gait` where that is another one. The
-    trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`,
-    `value` and `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and
-    the `strides` that were made for them; `note`, the reason why a run failed. `scan_parameters`,
-    `scan_value` and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at
-    both ends, on a grid that shows them; -1 where a walker converges to an attractor. Where `found`
-    is false all starts failed, and all but the trace is missing.
+    **Returns** a data set. Over the parameters:
 
-    Measures of the gait are those of the one with the largest basin in the grid, of any period;
-    where none attracts there, of the one that `find_gait` finds.
+    - `start` and `optimum` of the best climb;
+    - `at_bound`: -1 or 1 for parameters that end at their lower or upper bound.
 
-    Where nothing walks, areas, volumes and disturbances are zero and have no gradient: from such a
-    start up to eight long steps lead to a more stable gait, if it has one.
+    Of the best climb:
+
+    - `objective_start` and `objective_optimum`, as measured during the climb;
+    - `exact_start` and `exact_optimum`, with standard errors `exact_start_error` and
+      `exact_optimum_error`. These are 0 except for areas and volumes, and NaN with the least
+      disturbance, for which the search gives an upper bound;
+    - `binding`: the measures whose limits bind at the optimum;
+    - `converged`: whether it ended because no step of the last stage along the gradient improved
+      the objective; `out_of_time`: whether it ended because the `seconds` were over;
+    - `note_start` and `note_optimum`: the gait of `find_gait`, if that is another one.
+
+    Over all evaluations, the trace: `run`, `stage` (-1 for the scan, -2 for the ends),
+    `parameters`, `value` and `value_error`, `gradient` and `gradient_error` (by the parameters),
+    `measures`, and the number of `strides` made for them. Over the starts, `note`: the reason why a
+    run failed. Of the scan: `scan_parameters`, `scan_value` and `scan_allowed` (by the limits). Of
+    both ends: the basins `fate_start` and `fate_optimum`, on a grid that shows them; -1 where a
+    walker converges to an attractor. If `found` is false, all starts failed, and everything but the
+    trace is missing.
+
+    The measured gait is the one with the largest basin in the grid, of any period; if none attracts
+    there, the one that `find_gait` finds.
+
+    Where nothing walks, areas, volumes and disturbances are zero and have no gradient. From such a
+    start up to eight long steps lead to a more stable gait, if there is one.
 
     Raises `ValueError` for wrong parameters, bounds, names and numbers, and as `refine`.
     """
@@ -162,7 +174,7 @@ def optimise(
     problem = pose_problem(walker, bounds, goal, limits, how)
     places = starting_places(problem, starts)
     problem = with_grid(problem, places)
-    climbs = starts + len(STEP_LENGTHS) - 1
+    climbs = starts + len(STEP_SIZES) - 1
     expected = climbs * USUAL_MEASUREMENTS + 2 + scan * len(bounds)  # 2 ends
     trace = Trace(problem, known, keep, progress, expected, budget)
     with bar(f"{starts} starts", progress):
@@ -172,7 +184,10 @@ def optimise(
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
-    ended = {"converged": last.converged, "out_of_time": trace.is_over() and not last.converged}
+    ended = {
+        "converged": last.converged,
+        "out_of_time": trace.is_out_of_time() and not last.converged,
+    }
     found = measure_ends(trace, start, best) | ended
     found |= scan_objective(trace, best, scan) if scan else {}
     found |= {} if problem.grid is None else compare_basins(problem, start, best)
@@ -180,7 +195,7 @@ def optimise(
 
 
 def check_budget(seconds: Any) -> float:
-    """The time for climbs; raises `WrongUse` unless it is above zero."""
+    """Return the time for climbs; refuse a time that is not above zero."""
     if seconds is None:
         return math.inf
     check_number("seconds", seconds)
@@ -196,7 +211,7 @@ def pose_problem(
     limits: dict[str, tuple[float, float]],
     how: tuple[Any, ...],
 ) -> Problem:
-    """The problem, checked; `goal` is the objective as `parse_objective` returns it."""
+    """Return the checked problem; `goal` is the result of `parse_objective`."""
     check_kind("walker", walker, System)
     check_kind("bounds", bounds, Mapping)
     if not bounds:
@@ -224,7 +239,7 @@ def pose_problem(
 
 
 def with_grid(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Problem:
-    """The problem with a grid, if it needs one, and that checked."""
+    """Give the problem a checked grid, if it needs one."""
     if problem.grid is None:
         problem = problem._replace(grid=grid_for(problem, places))
     if problem.grid is None:
@@ -243,7 +258,7 @@ def with_grid(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) 
 
 
 def climb_from_each(trace: Trace, places: list[Float[np.ndarray, " parameters"]]) -> list[Climb]:
-    """The climbs of the first stage."""
+    """Climb from each start by the steps of the first stage."""
     climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
     first = list(side_by_side(climb_from, enumerate(places)))
     trace.sort_runs()
@@ -251,21 +266,21 @@ def climb_from_each(trace: Trace, places: list[Float[np.ndarray, " parameters"]]
 
 
 def climb_on(trace: Trace, first: list[Climb]) -> tuple[int, Climb]:
-    """The number of the climb that led highest, and the last one that goes on from its end."""
+    """Return the number of the highest climb, and the last climb that continues from its end."""
     sign = trace.problem.sign
     height = lambda one: -np.inf if one.best is None else sign * one.best.value
     run = max(range(len(first)), key=lambda i: height(first[i]))
     last = first[run]
-    for stage in range(1, len(STEP_LENGTHS)):
+    for stage in range(1, len(STEP_SIZES)):
         if last.best is not None:
             further = climb(trace, run, stage, trace.problem.place_of(last.best.parameters))
-            # what walked on a coarse grid alone is still the best that is known
+            # a walker that walks only on a coarse grid is still the best known
             last = further if further.best is not None else last._replace(converged=False)
     return run, last
 
 
 def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Grid | None:
-    """The grid for a problem without one: the whole section for a volume, or the first region."""
+    """Choose a grid: the whole section for a volume, else the region of the first gait."""
     walkers = (problem.walker_at(problem.values(place)) for place in places)
     if problem.size == "volume":
         first = next(walkers)
@@ -292,7 +307,7 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
         error = np.nan if "least-disturbance" in problem.weights else exact.value_error
         found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, error
     place = problem.place_of(best.parameters)
-    at_ends = (place < BINDING_SLACK, place > 1 - BINDING_SLACK)  # rounding may leave it beside
+    at_ends = (place < BINDING_SLACK, place > 1 - BINDING_SLACK)  # not equal, because of rounding
     side = at_ends[1].astype(np.int8) - at_ends[0].astype(np.int8)
     binding = trace.limits.binding(place)
     found["at_bound"] = "parameter", side
@@ -301,7 +316,7 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
 
 
 def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
-    """The objective at values of each parameter, others as in the best row."""
+    """Measure the objective at values of each parameter, with others as in the best row."""
     problem, middle = trace.problem, trace.problem.place_of(best.parameters)
     places = np.tile(middle, (len(middle), count, 1))
     for k in range(len(middle)):
@@ -322,7 +337,7 @@ def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
 
 
 def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dict:
-    """The fates of a grid that holds both basins; for a volume, of the slice at the gait of one."""
+    """Return both basins on one grid; for a volume, in the slice at one of the gaits."""
     grid = problem.grid
     if problem.size == "volume":
         ends = (problem.walker_at(row.parameters) for row in (start, best))

@@ -29,12 +29,12 @@ OBJECTIVES = {
     "sensitivity-norm": -1.0,
     "cost-of-transport": -1.0,
 }
-"""Objectives of design: 1 where more is better, -1 where less is."""
+"""Objectives of design: 1 if more is better, -1 if less is."""
 SIZES = {"area": 2, "volume": 3, "basin-stability": 2}
-"""Objectives that are the size of the basin in a grid, and how many axes that has."""
+"""Objectives that measure the basin in a grid, and the grid's number of axes."""
 
 DENSITY_CELLS = 10_000
-"""Cells whose densities tell one density from another."""
+"""Number of cells at which densities are compared."""
 
 
 class Problem(NamedTuple):
@@ -48,16 +48,16 @@ class Problem(NamedTuple):
     weights: dict[str, float]
     """Weights of the measures in the objective."""
     sign: float
-    """1 where the objective is maximised, -1 where it is minimised."""
+    """1 if the objective is maximised, -1 if it is minimised."""
     limits: dict[str, tuple[float, float]]
-    """Lowest and highest value allowed of measures of the gait."""
+    """Lowest and highest allowed value of measures of the gait."""
     grid: Grid | None
     levels: int
     strides: int
     seed: int
     tolerance: float | None
     density: Density | None = None
-    """Of starts, for basin stability."""
+    """Density of starts, for basin stability."""
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -66,29 +66,29 @@ class Problem(NamedTuple):
 
     @property
     def size(self) -> str:
-        """The objective that is the size of the basin, if one is; otherwise empty."""
+        """The objective that measures the basin, if there is one; otherwise empty."""
         return next((name for name in SIZES if name in self.weights), "")
 
     def values(self, place: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
-        """Parameters at a place, of which 0 and 1 are the bounds; exact at a bound."""
+        """Return the parameters at a place, exact at the bounds 0 and 1."""
         inner = self.low + (self.high - self.low) * place
         return np.where(place == 0, self.low, np.where(place == 1, self.high, inner))
 
     def place_of(
         self, values: Float[np.ndarray, " parameters"]
     ) -> Float[np.ndarray, " parameters"]:
-        """The place of parameters between their bounds, from 0 to 1."""
+        """Return the place of parameters between their bounds, from 0 to 1."""
         return (values - self.low) / (self.high - self.low)
 
     def walker_at(self, values: Float[np.ndarray, " parameters"]) -> System:
-        """The walker with these values of the free parameters."""
+        """Return the walker with these values of the free parameters."""
         walker = self.walker
         for name, value in zip(self.names, values, strict=True):
             walker = with_parameter(walker, name, jnp.asarray(float(value)))
         return walker
 
     def refusal(self, values: Float[np.ndarray, " parameters"]) -> str:
-        """Why the walker's constructor refuses these parameters; empty where it accepts them."""
+        """Say why the walker's constructor refuses these parameters; empty if it accepts them."""
         try:
             check_parameter(self.walker_at(values), self.names[0], float(values[0]))
         except ValueError as error:
@@ -96,13 +96,13 @@ class Problem(NamedTuple):
         return ""
 
     def describe_values(self, values: Float[np.ndarray, " parameters"]) -> str:
-        """The free parameters and their values, in words."""
+        """Describe the free parameters and their values in words."""
         pairs = zip(self.names, values, strict=True)
         return ", ".join(f"{name} {value:.6g}" for name, value in pairs)
 
 
 def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], float]:
-    """The weights of an objective, checked, and its sign as in `Problem`."""
+    """Return the checked weights of an objective, and its sign as in `Problem`."""
     named = isinstance(objective, str)
     if not named:
         check_kind("objective", objective, Mapping)
@@ -129,14 +129,14 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
 
 
 def default_levels(objective: str | Mapping[str, Any]) -> int:
-    """Levels of refinement at both ends; each takes four times as long for a volume, else two."""
+    """Return the levels at both ends; each takes four times as long for a volume, else twice."""
     return 2 if "volume" in objective else 4
 
 
 def parse_limits(
     at_least: Mapping[str, Any] | None, at_most: Mapping[str, Any] | None
 ) -> dict[str, tuple[float, float]]:
-    """The lowest and the highest value of each measure that has limits, checked."""
+    """Return the checked lowest and highest value of each measure that has limits."""
     limits: dict[str, tuple[float, float]] = {}
     for side, given in enumerate((at_least, at_most)):
         given = {} if given is None else given
@@ -166,7 +166,7 @@ def parse_limits(
 
 
 def check_bounds(walker: System, name: str, ends: Any) -> None:
-    """Refuse bounds that are not two numbers that the walker may have, the lower one first."""
+    """Refuse bounds that are not two numbers allowed for the walker, the lower one first."""
     try:
         low, high = map(float, ends)
     except (TypeError, ValueError):
@@ -179,7 +179,7 @@ def check_bounds(walker: System, name: str, ends: Any) -> None:
 
 
 def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " parameters"]]:
-    """The walker's own place, if it is within the bounds, and a Latin hypercube of others."""
+    """Return the walker's own place, if within the bounds, and a Latin hypercube of others."""
     own = problem.place_of(
         np.array([float(getattr(problem.walker, name)) for name in problem.names])
     )
@@ -188,9 +188,9 @@ def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " p
 
 
 def latin_hypercube(n: int, axes: int, seed: int) -> Float[np.ndarray, "n axes"]:
-    """One random place in each of n layers along every axis, from 0 to 1.
+    """Draw one random place in each of n layers along every axis, from 0 to 1.
 
-    As by `scipy.stats.qmc.LatinHypercube`, which takes a second to import.
+    As `scipy.stats.qmc.LatinHypercube`, which takes a second to import.
     """
     (rng,) = np.random.default_rng(seed).spawn(1)
     within = rng.uniform(size=(n, axes))
@@ -201,7 +201,7 @@ def latin_hypercube(n: int, axes: int, seed: int) -> Float[np.ndarray, "n axes"]
 
 
 def describe_problem(problem: Problem) -> dict:
-    """The problem, as attributes of a data set."""
+    """Describe the problem as attributes of a data set."""
     bounds = zip(problem.names, problem.low.tolist(), problem.high.tolist(), strict=True)
     limits = {
         name: [end if np.isfinite(end) else None for end in ends]
@@ -226,7 +226,7 @@ def describe_problem(problem: Problem) -> dict:
 
 
 def describe_region(grid: Grid | None) -> dict:
-    """The axes of a grid; its origin and directions too, unless the names of its axes tell them."""
+    """Describe a grid's axes, and origin and directions unless the axes' names imply them."""
     if grid is None:
         return {}
     origin, shear = np.asarray(grid.origin), np.asarray(grid.shear)
@@ -239,7 +239,7 @@ def describe_region(grid: Grid | None) -> dict:
 
 
 def describe_density(problem: Problem) -> dict:
-    """A hash of the values of the density, if there is one, in some cells of the grid."""
+    """Hash the values of the density, if there is one, in some cells of the grid."""
     if problem.density is None or problem.grid is None:
         return {}
     cells = sample_indices(problem.grid.size, DENSITY_CELLS)

@@ -1,4 +1,4 @@
-"""Quantities read from the data set of an optimisation: its runs, scan, gain and limits."""
+"""Results read from the data set of an optimisation: runs, scan, improvement and limits."""
 
 import json
 from typing import NamedTuple
@@ -14,21 +14,21 @@ class Run(NamedTuple):
     """The evaluations of one run, over one parameter."""
 
     best: bool
-    """Whether it led to the optimum."""
+    """Whether the run led to the optimum."""
     stage: np.ndarray
     parameter: Float[np.ndarray, " n"]
     value: Float[np.ndarray, " n"]
 
 
 class Scan(NamedTuple):
-    """The objective over one parameter, others as in the optimum, which is one of its points."""
+    """The objective over one parameter, with others as in the optimum, one of the points."""
 
     parameter: Float[np.ndarray, " n"]
     value: Float[np.ndarray, " n"]
     allowed: Bool[np.ndarray, " n"]
-    """By the limits."""
+    """Whether the limits allow each point."""
     forbidden: list[tuple[float, float]]
-    """Intervals from points that are not allowed to the next ones that are."""
+    """Intervals from forbidden points to the next allowed ones."""
 
 
 def is_optimum(data: xr.Dataset) -> bool:
@@ -37,30 +37,30 @@ def is_optimum(data: xr.Dataset) -> bool:
 
 
 def free_parameters(data: xr.Dataset) -> list[str]:
-    """The free parameters."""
+    """Return the free parameters."""
     return data["parameter"].values.tolist()
 
 
 def weights(data: xr.Dataset) -> dict[str, float]:
-    """The weights of the objective."""
+    """Return the weights of the objective."""
     return {name: float(one) for name, one in json.loads(data.attrs["objective"]).items()}
 
 
 def bounds(data: xr.Dataset, parameter: str) -> tuple[float, float]:
-    """The bounds of a parameter."""
+    """Return the bounds of a parameter."""
     low, high = json.loads(data.attrs["bounds"])[parameter]
     return float(low), float(high)
 
 
 def limits(data: xr.Dataset) -> dict[str, tuple[float | None, float | None]]:
-    """The lowest and the highest allowed value of measures."""
+    """Return the lowest and the highest allowed value of measures."""
     number = lambda end: None if end is None else float(end)
     pairs = json.loads(data.attrs["limits"])
     return {name: (number(low), number(high)) for name, (low, high) in pairs.items()}
 
 
 def slice_coordinates(data: xr.Dataset) -> dict[str, float]:
-    """Fixed coordinates of the slice in which areas were measured, or in which basins are shown."""
+    """Return the fixed coordinates of the slice in which areas are measured or basins shown."""
     region = json.loads(data.attrs["region"])
     shown = {name: data[name] for name in data.attrs["section"] if name in data}
     return {name: float(at) for name, at in region.items() if not isinstance(at, list)} | {
@@ -69,7 +69,7 @@ def slice_coordinates(data: xr.Dataset) -> dict[str, float]:
 
 
 def runs(data: xr.Dataset, parameter: str) -> list[Run]:
-    """All runs, over one parameter."""
+    """Return all runs, over one parameter."""
     at = data["parameters"].sel(parameter=parameter).values
     run, stage, value = (data[name].values for name in ("run", "stage", "value"))
     best = run[stage == ENDS_STAGE][0]
@@ -81,13 +81,13 @@ def runs(data: xr.Dataset, parameter: str) -> list[Run]:
 
 
 def scan_of(data: xr.Dataset, parameter: str) -> Scan | None:
-    """The scan over a parameter, if there is one."""
+    """Return the scan over a parameter, if there is one."""
     if "scan_value" not in data:
         return None
     own = data.sel(parameter=parameter)
     at, value, allowed = (own[f"scan_{name}"].values for name in ("parameters", "value", "allowed"))
     allowed, optimum = allowed.astype(bool), float(own["optimum"])
-    if optimum not in at:  # where a limit binds, the forbidden interval begins at the optimum
+    if optimum not in at:  # if a limit binds, the forbidden interval begins at the optimum
         place = np.searchsorted(at, optimum)
         at = np.insert(at, place, optimum)
         value = np.insert(value, place, float(own["objective_optimum"]))
@@ -99,17 +99,17 @@ def scan_of(data: xr.Dataset, parameter: str) -> Scan | None:
 
 
 def improvement(data: xr.Dataset) -> float | None:
-    """The exact objective at the optimum over that at the start; none unless both are positive."""
+    """Return the exact objective at the optimum over that at the start; None unless positive."""
     start, optimum = float(data["exact_start"]), float(data["exact_optimum"])
     return optimum / start if start > 0 and optimum > 0 else None
 
 
 def area_at(data: xr.Dataset, side: str) -> float | None:
-    """The area of the basin at the start or the optimum, if nothing else was optimised."""
+    """Return the area of the basin at the start or the optimum, if that alone was optimised."""
     given = weights(data)
     return float(data[f"exact_{side}"]) / given["area"] if [*given] == ["area"] else None
 
 
 def binding_limits(data: xr.Dataset) -> list[str]:
-    """The measures whose limits bind at the optimum."""
+    """Return the measures whose limits bind at the optimum."""
     return data["measure"].values[data["binding"].values.astype(bool)].tolist()

@@ -18,14 +18,14 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.starts import prepare
 
 ALL = tuple(DISTURBANCES.values()), tuple(INDICATORS.values())
-"""All disturbances and indicators that have names, as `gait_sensitivity` has by default."""
+"""All named disturbances and indicators, the defaults of `gait_sensitivity`."""
 
 
 class SensitivityGradient(NamedTuple):
     """The gait sensitivity norm, and its derivatives by parameters of the walker."""
 
     norm: float
-    """NaN without a gait of period one, infinite if that is not stable."""
+    """NaN without a gait of period one; infinite if that gait is not stable."""
     gradient: Float[np.ndarray, " parameters"]
 
 
@@ -37,10 +37,15 @@ def sensitivity_gradient(
     *,
     tolerance: float | None = None,
 ) -> SensitivityGradient:
-    """The gait sensitivity norm, and its derivatives by parameters of the walker.
+    """Compute the gait sensitivity norm, and its derivatives by parameters of the walker.
 
-    d norm / dp is that at a fixed state, and that by the state times the change of the gait's.
-    Disturbances and indicators are those of `gait_sensitivity` by default, of each unit size.
+        walker = wj.SimplestWalker(slope=0.004)
+        found = wj.sensitivity_gradient(walker, ["slope"])
+        found.norm, found.gradient
+
+    d norm / dp is the derivative at a fixed state, plus the derivative by the state times that of
+    the gait's state. Disturbances and indicators are the defaults of `gait_sensitivity`, each of
+    unit size.
 
     Arguments and errors are those of `gait_measures`.
     """

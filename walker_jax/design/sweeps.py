@@ -38,16 +38,16 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
 """Measures of a gait besides its state, multiplier and step time."""
-OF_OWN = ("attractor_period", "attractor_states")
-"""What is kept of the attractors of each basin."""
-OWN = 8
-"""Attractors of a basin whose states are kept: more than any walker's so far."""
+ATTRACTOR_ARRAYS = ("attractor_period", "attractor_states")
+"""Arrays kept for the attractors of each basin."""
+MOST_ATTRACTORS = 8
+"""Attractors of a basin whose states are kept: more than any walker has had so far."""
 MAX_COMBINATIONS = 2**20
-"""Combinations of parameters; each takes about twenty files of a store."""
+"""Most combinations of parameters; each takes about twenty files of a store."""
 
 
 class Measurement(NamedTuple):
-    """The measurements of every combination, as the arguments of `sweep` ask for them."""
+    """The measurements that `sweep` is asked to make for every combination."""
 
     walker: System
     grid: Grid
@@ -79,35 +79,38 @@ def sweep(
     cluster: Any = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The basin of a walker, its area and its gait, for all combinations of parameter values.
+    """Compute the basin, its area and the gait for all combinations of parameter values.
+
+        walker = wj.SimplestWalker(slope=0.004)
+        data = wj.sweep(walker, {"slope": [0.004, 0.009]})
+        data["total_area"], data["multiplier"]
 
     **Arguments:**
 
     - `walker`: gives the values of its other parameters.
     - `over`: values of each of the parameters.
-    - `grid`: of all basins; by default that of `robustness` for this walker.
-    - `levels`, `check`: of the refinement of areas, as in `refine`.
-    - `robust`: whether to measure all that `robustness` does, which takes half a minute for each.
+    - `grid`: grid of all basins; by default that of `robustness` for this walker.
+    - `levels`, `check`: refinement of areas, as in `refine`.
+    - `robust`: whether to measure all that `robustness` does, half a minute for each combination.
     - `strides`: number of strides for which a walker is followed.
-    - `seed`, `tolerance`: of random numbers, and of the integration.
+    - `seed`, `tolerance`: seed of random numbers, and tolerance of the integration.
     - `out`, `request`, `overwrite`, `cluster`: as in `basin`; a piece is one combination.
     - `progress`: whether to show a progress bar on a terminal.
 
-    **Returns** a data set with the parameters as dimensions, in the order given, of
+    **Returns** a data set with the parameters as dimensions, in the given order:
 
-    - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
-      iteration from the cells' centres. Attractors are numbered separately in each basin, which
-      has so many `attractors`;
-    - of each of these, up to `OWN`: `attractor_period`, `attractor_states`, and its common number
-      `attractor_number`, which is that of the gait of the same period in neighbouring combinations
-      (`basins.matching.number_alike`);
-    - `area` of the cells that converge to one; `total_area` and its standard error
-      `total_area_error`, as `refine` gives them; volumes where the grid has three dimensions;
-    - of the gait with the largest basin, of any period: `gait_period` (0 where none attracts, and
-      NaN in the others), `gait_state`, `multiplier` (the largest modulus), `step_time`,
-      `step_length`, `speed` and `cost_of_transport`;
-    - `note`: the gait of `find_gait`, where that is another one, otherwise empty;
-    - if `robust`, what `robustness` gives of the same gait.
+    - over the grid too: `fate`, `attractor` and `strides`, as in `basin`, by direct iteration from
+      the cells' centres. `attractors` is their number in each basin; each basin numbers its own;
+    - for up to `MOST_ATTRACTORS` of these: `attractor_period`, `attractor_states`, and
+      `attractor_number`, which is the same for a gait of the same period in neighbouring
+      combinations (`basins.matching.number_alike`);
+    - `area` of the cells that converge to any attractor; `total_area` and its standard error
+      `total_area_error`, as in `refine`; volumes if the grid has three dimensions;
+    - for the gait with the largest basin, of any period: `gait_period`, `gait_state`, `multiplier`
+      (the largest modulus), `step_time`, `step_length`, `speed` and `cost_of_transport`; if no gait
+      attracts, the period is 0 and the others are NaN;
+    - `note`: the gait of `find_gait`, if that is another one, otherwise empty;
+    - if `robust`, the results of `robustness` for the same gait.
 
     A combination that cannot be computed, such as one that the walker refuses, has `failed` 1, a
     `reason` (empty otherwise), fates of -1, and NaN; the others are computed. Other errors, such as
@@ -151,7 +154,7 @@ def sweep(
 
 
 def check_values(walker: System, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
-    """Refuse parameters that the walker does not have, and values."""
+    """Refuse parameters and values that the walker does not have."""
     if not values:
         raise WrongUse("over must name at least one parameter")
     for name, given in values.items():
@@ -174,7 +177,7 @@ def compute_missing(
     cluster: Any,
     progress: bool,
 ) -> xr.Dataset:
-    """Compute what is missing of a sweep, and return all of it."""
+    """Compute the missing combinations of a sweep, and return all of it."""
     shape = [about.sizes[name] for name in plan.names]
     compute = partial(compute_combination, plan)
     before = empty_row(plan)
@@ -193,14 +196,14 @@ def compute_missing(
         label = " × ".join(plan.names)
         for i, row in missing_pieces(place, each, compute, values_of, label, progress):
             place.write(i, unknown | row, done=True)
-        period, states = (np.asarray(place.array(name)[...]) for name in OF_OWN)
+        period, states = (np.asarray(place.array(name)[...]) for name in ATTRACTOR_ARRAYS)
         numbered = {"attractor_number": ((*plan.names, "own"), number_alike(period, states))}
         place.finish(about.assign(numbered))
     return storage.open_dataset(out)
 
 
 def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
-    """The variables of one combination before it is computed."""
+    """Return the variables of one combination before it is computed."""
     single = ("area", "total_area", "total_area_error", "multiplier", "step_time")
     single += tuple(name.replace("-", "_") for name in GAIT_NUMBERS)
     unknown_state = "coordinate", np.full(plan.grid.coordinates, np.nan)
@@ -208,9 +211,9 @@ def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
         "gait_state": unknown_state,
         **dict.fromkeys(("attractors", "failed", "gait_period"), 0),
         **dict.fromkeys(("reason", "note"), ""),
-        "attractor_period": ("own", np.full(OWN, -1)),
+        "attractor_period": ("own", np.full(MOST_ATTRACTORS, -1)),
     }
-    shape = OWN, LONGEST_PERIOD, plan.grid.coordinates
+    shape = MOST_ATTRACTORS, LONGEST_PERIOD, plan.grid.coordinates
     row |= {"attractor_states": (("own", "phase", "coordinate"), np.full(shape, np.nan))}
     row = (without_gait(plan.walker) if plan.robust else {}) | row
     return arrays_to_compute(plan.walker, plan.grid) | {
@@ -219,13 +222,13 @@ def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
 
 
 def broadcast(value: xr.Variable, names: Sequence[str], shape: list[int]) -> xr.Variable:
-    """The same for every combination of parameters, without taking memory for it."""
+    """Repeat a variable for every combination of parameters, without taking memory."""
     everywhere = np.broadcast_to(value.values, (*shape, *value.shape))
     return xr.Variable((*names, *value.dims), everywhere, value.attrs)
 
 
 def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[str, Any]:
-    """The variables of one combination of values; why it failed, where it did."""
+    """Compute the variables of one combination of values, or the reason why it failed."""
     try:
         there = plan.walker
         for name, value in zip(plan.names, values, strict=True):
@@ -235,7 +238,7 @@ def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[st
     except Exception as error:  # one bad combination must not cost the others
         full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
         if full or isinstance(error, MemoryError | OSError | ImportError):
-            raise  # of the machine, not of the combination
+            raise  # the machine's fault, not the combination's
         words = str(error).split()
         if not isinstance(error, WrongUse):
             words.insert(0, f"{type(error).__name__}{':' * bool(words)}")
@@ -243,13 +246,13 @@ def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[st
 
 
 def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
-    """The basin of a walker, its area, and its gait."""
+    """Measure the basin of a walker, its area, and its gait."""
     grid, strides, tolerance = plan.grid, plan.strides, plan.tolerance
     cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
     row: dict[str, Any] = {name: cells[name].values for name in ARRAYS}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
-    period, states = (empty_row(plan)[name].values.copy() for name in OF_OWN)
-    kept = cells.isel(number=slice(OWN))
+    period, states = (empty_row(plan)[name].values.copy() for name in ATTRACTOR_ARRAYS)
+    kept = cells.isel(number=slice(MOST_ATTRACTORS))
     period[: kept.sizes["number"]] = kept["period"]
     states[: kept.sizes["number"], : kept.sizes["phase"]] = kept["states"]
     row |= {"attractor_period": period, "attractor_states": states}
@@ -264,7 +267,7 @@ def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
         tolerance=tolerance,
     )
     gait = gait_of_basins(walker, fine, tolerance)
-    if not plan.robust and has_gait_region(walker):  # `robustness` says it too
+    if not plan.robust and has_gait_region(walker):  # `robustness` gives a note of its own
         row["note"] = compare_with_search(gait, search_gait(walker, tolerance=tolerance))
     if gait is not None:
         row |= {"gait_period": len(gait.states), "gait_state": np.asarray(gait.states[0])}

@@ -23,7 +23,7 @@ from walker_jax.systems.system import has_gait_region
 
 
 class Trace:
-    """The measurements so far, and about how many are `expected`."""
+    """The measurements so far, and roughly how many are `expected`."""
 
     def __init__(
         self,
@@ -37,11 +37,11 @@ class Trace:
         self.problem, self.keep = problem, keep
         self.rows: list[Evaluation] = []
         self.lock = threading.Lock()
-        """Climbs are made side by side, and add rows one at a time."""
+        """Climbs run side by side, but add rows one at a time."""
         self.measuring: dict[tuple, threading.Lock] = {}
-        """By key, lest two climbs measure the same."""
+        """Locks by key, so that two climbs do not make the same measurement."""
         self.failure: BaseException | None = None
-        """What `keep` has raised: all climbs end with it."""
+        """The error that `keep` has raised; it ends all climbs."""
         if known is not None:
             check_known(problem, known)
         self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
@@ -49,16 +49,16 @@ class Trace:
         self.limits = Limits(problem, self.gait)
         self.progress, self.expected, self.began = progress, expected, time.perf_counter()
         self.ends = self.began + seconds
-        """When climbs make no further step."""
+        """Time after which climbs make no further step."""
 
-    def is_over(self) -> bool:
+    def is_out_of_time(self) -> bool:
         """Whether the time for climbs has passed."""
         return time.perf_counter() >= self.ends
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
-        """The gait of the walker with these parameters: that with the largest basin in the grid.
+        """Return the walker's gait with the largest basin in the grid.
 
-        Where none attracts there, that of a search, which may be unstable.
+        If no gait attracts there, return that of a search, which may be unstable.
         """
         if values.tobytes() not in self.gaits:
             problem, found = self.problem, None
@@ -70,7 +70,7 @@ class Trace:
         return self.gaits[values.tobytes()]
 
     def note(self, values: Float[np.ndarray, " parameters"]) -> str:
-        """How a search without a guess differs from the gait that is measured; empty if not."""
+        """Say how the gait of `find_gait` differs from the measured one; empty if it does not."""
         problem = self.problem
         walker = problem.walker_at(values)
         of_gaits = {*problem.measures} - {problem.size}
@@ -80,14 +80,14 @@ class Trace:
         return compare_with_search(self.gait(values), searched)
 
     def measure(self, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Evaluation:
-        """Measure the walker at a place, unless the measurement is known."""
+        """Measure the walker at a place, or return the known measurement."""
         (row,) = self.measure_all(run, stage, [place])
         return row
 
     def measure_all(
         self, run: int, stage: int, places: Iterable[Float[np.ndarray, " parameters"]]
     ) -> list[Evaluation]:
-        """Measure the walker at several places, side by side, unless a measurement is known."""
+        """Measure the walker at several places side by side, or return known measurements."""
         all_values = [self.problem.values(place) for place in places]
         unknown = {one.tobytes(): one for one in all_values if key_at(stage, one) not in self.known}
         rows: list[Evaluation] = []
@@ -108,7 +108,7 @@ class Trace:
         return rows
 
     def add(self, key: tuple, row: Evaluation, own: Evaluation, *, new: bool) -> None:
-        """Add a row, in the words of its own run and stage; keep the trace if it is a new one."""
+        """Add a row with its own run and stage; keep the trace if the measurement is new."""
         with self.lock:
             if self.failure is not None:
                 raise self.failure
@@ -122,18 +122,18 @@ class Trace:
                 raise
 
     def sort_runs(self) -> None:
-        """Put the measurements in the order of runs, which were made side by side."""
+        """Sort the measurements by run, as runs were made side by side."""
         self.rows.sort(key=lambda row: row.run)
 
     def keep_all(self) -> None:
-        """Keep the trace, with what is known beside it."""
+        """Keep the trace, together with the other known measurements."""
         if self.keep is not None:
             visited = {key_of(one) for one in self.rows}
             left = [one for place, one in self.known.items() if place not in visited]
             self.keep(self.data([*self.rows, *left]))
 
     def label(self, values: Float[np.ndarray, " parameters"]) -> str:
-        """The label of a measurement in the progress: its number, and how much time is left."""
+        """Return the progress label of a measurement: its number, and the time left."""
         done = len(self.rows)
         each = (time.perf_counter() - self.began) / max(done, 1)
         left = f", {in_words(each * max(self.expected - done, 1))} left" if done else ""
@@ -141,7 +141,7 @@ class Trace:
         return f"{number}: {self.problem.describe_values(values)}"
 
     def data(self, rows: list[Evaluation] | None = None) -> xr.Dataset:
-        """The measurements, as `optimise` returns them."""
+        """Return the measurements as in the result of `optimise`."""
         rows = self.rows if rows is None else rows
         problem, count = self.problem, len(rows)
         dims = dict.fromkeys(("parameters", "gradient", "gradient_error"), "parameter")
@@ -160,23 +160,23 @@ class Trace:
 
 
 def string_array(values: Iterable[str]) -> np.ndarray:
-    """An array of strings, of a type that a store can hold."""
+    """Return an array of strings, of a type that a store can hold."""
     return np.array(list(values), dtype=object)
 
 
 def key_at(stage: int, values: Float[np.ndarray, " parameters"]) -> tuple[int, bytes]:
-    """The key of a measurement: the first stage that measures alike, and the parameters."""
+    """Return the key of a measurement: the first stage that measures alike, and the parameters."""
     alike = stage if stage < 0 else HOW_MEASURED.index(HOW_MEASURED[stage])
     return alike, values.tobytes()
 
 
 def key_of(row: Evaluation) -> tuple[int, bytes]:
-    """The key of a measurement."""
+    """Return the key of a measurement."""
     return key_at(int(row.stage), row.parameters)
 
 
 def evaluations_in(data: xr.Dataset) -> list[Evaluation]:
-    """The measurements in a data set."""
+    """Return the measurements in a data set."""
     return [
         Evaluation(*row)
         for row in zip(*(data[name].values for name in Evaluation._fields), strict=True)
@@ -184,7 +184,7 @@ def evaluations_in(data: xr.Dataset) -> list[Evaluation]:
 
 
 def check_known(problem: Problem, known: xr.Dataset) -> None:
-    """Refuse measurements of another problem, of a walker with other options among them."""
+    """Refuse measurements of another problem, or of a walker with other options."""
     about = describe_problem(problem)
     whole = [*about, *(name for name in known.attrs if name.startswith(("walker_", "code")))]
     for name in dict.fromkeys([*whole, "density"]):

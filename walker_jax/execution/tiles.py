@@ -35,7 +35,7 @@ from walker_jax.kernels.program import (
     current_settings,
     program_of,
 )
-from walker_jax.kernels.program_cache import states_of
+from walker_jax.kernels.program_cache import user_code_states
 from walker_jax.kernels.ptx import THREADS
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
@@ -111,7 +111,7 @@ def map_cells(
     few = platform == "cpu" and n <= math.prod(SMALL_CALL_SHAPE)
     tile, tiles = SMALL_CALL_SHAPE if few else CALL_SHAPES.get(platform, CALL_SHAPES["gpu"])
     call = tile * tiles * len(devices)
-    states = states_of(function, jax.tree.structure(args))
+    states = user_code_states(function, jax.tree.structure(args))
     run = compile_call(function, states, mapped, platform, tile, tiles)
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:

@@ -15,7 +15,7 @@ from walker_jax.gaits.requests import Request, Task
 
 CORRECTOR_STEPS = 12
 """Newton steps to a point or to a bifurcation. From a good prediction the corrector converges
-quadratically, in a few steps; where it takes more, the step along the branch is halved."""
+quadratically, in a few steps; if it takes more, the step along the branch is halved."""
 
 
 class Point(NamedTuple):
@@ -32,9 +32,9 @@ def correct(
     row: Float[np.ndarray, " size"] | None,
     width: float,
 ) -> Task:
-    """The corrector: Newton's iteration to the branch, on the plane across `row`.
+    """Correct a point by Newton's iteration to the branch, on the plane across `row`.
 
-    Without a `row` the parameter keeps its value. Returns None where the iteration fails.
+    Without a `row` the parameter keeps its value. Returns None if the iteration fails.
     """
     row = np.append(np.zeros(cycle.size), 1.0) if row is None else row
     period, size = cycle.shape
@@ -59,26 +59,26 @@ def correct(
 
 
 def scaled_jacobian(local: Linearisation, width: float) -> Float[np.ndarray, "rows columns"]:
-    """Derivatives of S(x_i) - x_{i+1} by the scaled states and parameter."""
+    """Return the derivatives of S(x_i) - x_{i+1} by the scaled states and parameter."""
     period = local.state.shape[1]
     by_states = cycle_matrices(local.jacobian)[0] * np.sqrt(period)
     return np.append(by_states, local.by_parameter.reshape(-1, 1) * width, axis=1)
 
 
 def tangent(point: Point, width: float) -> Float[np.ndarray, " size"]:
-    """Unit tangent of the branch, in scaled states and parameter; of either sign."""
+    """Return the unit tangent of the branch, in scaled states and parameter; of either sign."""
     return np.linalg.svd(scaled_jacobian(point.local, width))[2][-1]
 
 
 def displace(
     point: Point, step: Float[np.ndarray, " size"], width: float
 ) -> tuple[float, Float[np.ndarray, "period section"]]:
-    """The predictor: value of the parameter and states at a scaled step from a point."""
+    """Predict the parameter and the states at a scaled step from a point."""
     change = step[:-1].reshape(point.cycle.shape) * np.sqrt(len(point.cycle))
     return point.value + float(step[-1]) * width, point.cycle + change
 
 
 def scaled_step(one: Point, other: Point, width: float) -> Float[np.ndarray, " size"]:
-    """The scaled step from one point to another."""
+    """Return the scaled step from one point to another."""
     change = (other.cycle - one.cycle).ravel() / np.sqrt(len(one.cycle))
     return np.append(change, (other.value - one.value) / width)

@@ -1,14 +1,14 @@
 """Branches of gaits over a parameter of the walker: continuation and bifurcations.
 
-Pseudo-arclength continuation (Keller 1977): the cycle's states and the parameter p are unknowns
-together, and the next point is where the branch meets a plane across its tangent. So continuation
-passes folds. At a fold a Floquet multiplier is 1, and two branches of gaits meet and end; at a
-period doubling one is -1, and a gait of twice the period branches off. At a Neimark-Sacker point
-a pair of conjugate ones is on the unit circle, and motions without a period branch off. At a branch
-point one is 1 again, and two branches cross. Newton's iteration locates all: its unknowns are the
-states, the parameter and the vectors that belong to the critical multipliers
-(`defining_systems`). It takes second derivatives of the stride function by automatic
-differentiation, and normal forms (`normal_forms`) take third ones.
+Pseudo-arclength continuation (Keller 1977) passes folds: the cycle's states and the parameter p are
+unknowns together, and the next point is where the branch meets a plane across its tangent. At a
+fold a Floquet multiplier is 1, and two branches of gaits meet and end. At a period doubling a
+multiplier is -1, and a gait of twice the period branches off. At a Neimark-Sacker point a conjugate
+pair is on the unit circle, and motions without a period branch off. At a branch point a multiplier
+is 1, and two branches cross. Newton's iteration locates all of these: its unknowns are the states,
+the parameter and the vectors of the critical multipliers (`defining_systems`). It takes second
+derivatives of the stride function by automatic differentiation, and normal forms (`normal_forms`)
+take third ones.
 
 Distances along a branch are sqrt(mean |dx|^2 + (dp / width of the range)^2).
 """
@@ -45,11 +45,11 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 
 class Branch(NamedTuple):
-    """Gaits of one period over a parameter, in their order along the branch."""
+    """Gaits of one period over a parameter, in order along the branch."""
 
     parameter: str
     values: Float[np.ndarray, " points"]
-    """Values of the parameter; at folds they change direction."""
+    """Values of the parameter; they change direction at folds."""
     states: Float[np.ndarray, "points period section"]
     multipliers: Complex[np.ndarray, "points section"]
     """Floquet multipliers, the largest first."""
@@ -60,7 +60,7 @@ class Branch(NamedTuple):
     """The reasons why the branch ends, at its first point and at its last."""
     neimark_sackers: tuple[Bifurcation, ...] = ()
     branch_points: tuple[Bifurcation, ...] = ()
-    """Where another branch of gaits of the same period crosses this one."""
+    """Points where another branch of gaits of the same period crosses this one."""
 
     @property
     def period(self) -> int:
@@ -68,7 +68,7 @@ class Branch(NamedTuple):
 
     @property
     def events(self) -> list[Bifurcation]:
-        """All its bifurcations, kind by kind."""
+        """All bifurcations, kind by kind."""
         return [*self.folds, *self.doublings, *self.neimark_sackers, *self.branch_points]
 
     @property
@@ -87,30 +87,33 @@ def continue_gait(
     normal_forms: bool = False,
     tolerance: Real | None = None,
 ) -> Branch:
-    """The branch of a gait over a range of a parameter, in both directions, past its folds.
+    """Follow a gait over a range of a parameter, in both directions and past folds.
+
+        walker = wj.SimplestWalker(slope=0.004)
+        branch = wj.continue_gait(walker, "slope", (0.002, 0.02))
+        branch.doublings[0].value
 
     Steps are as long as the curvature of the branch allows. Two folds, or two doublings, within one
-    step are missed. Where a multiplier passes 1 without a fold two branches cross: a branch point.
-    That happens over gains of `Feedback`, where the gait does not depend on the gain. The branch
-    ends where it leaves the range, where a state no
-    longer makes a stride however short the step, where it closes, or where it returns to the gait
-    of half the period from which it doubled.
+    step are missed. If a multiplier passes 1 without a fold, two branches cross: a branch point.
+    This happens over gains of `Feedback`, as the gait does not depend on the gain. The branch ends
+    where it leaves the range, where even the shortest step leads to a state that makes no stride,
+    where it closes, or where it returns to the gait of half the period from which it doubled.
 
     **Arguments:**
 
     - `walker`: any walker.
     - `parameter`: name of one of its parameters.
-    - `interval`: its lowest and highest value; the walker's own is one of them or between them.
-    - `gait`: of this walker; by default, that of `find_gait`.
-    - `normal_forms`: whether to compute them at bifurcations, which tell those that are
-      supercritical. Their third derivatives take ten seconds to compile, and minutes for walkers
-      with knees.
-    - `tolerance`: of the integration, as in `stride`.
+    - `interval`: lowest and highest value of the parameter; the walker's own value must be within.
+    - `gait`: a gait of this walker; by default, the one of `find_gait`.
+    - `normal_forms`: whether to compute normal forms at bifurcations, which tell sub- from
+      supercritical ones. Their third derivatives take ten seconds to compile, and minutes for
+      walkers with knees.
+    - `tolerance`: tolerance of the integration, as in `stride`.
 
-    **Returns** a `Branch`; it begins at the end to which the parameter falls at first.
+    **Returns** a `Branch`. It begins at the end towards which the parameter falls at first.
 
-    Raises `ValueError` for a parameter that the walker does not have, a range without its value,
-    and a gait that is not one.
+    Raises `ValueError` for a parameter that the walker does not have, a range without the walker's
+    value, and a `gait` that is none, such as the result of a failed search.
     """
     check_interval(walker, parameter, interval)
     check_kind("normal_forms", normal_forms, bool)
@@ -132,7 +135,7 @@ def continue_gaits(
     *,
     tolerance: Real | None = None,
 ) -> list[Branch]:
-    """The branches through many starts of any periods, all followed at once.
+    """Follow the branches through many starts of any periods, all at once.
 
     Otherwise as `continue_gait`. The walker gives the values of its other parameters. A start that
     is not a gait gives a branch without points.
@@ -177,7 +180,7 @@ def add_normal_forms(
 def check_interval(
     walker: System, parameter: str, interval: tuple[float, float]
 ) -> tuple[float, float]:
-    """The two ends of an interval of a walker's parameter, checked."""
+    """Return the two ends of an interval of a walker's parameter, checked."""
     check_parameter(walker, parameter)
     ends = numbers("interval", interval)
     if ends.shape != (2,) or not -np.inf < ends[0] < ends[1] < np.inf:
@@ -187,13 +190,13 @@ def check_interval(
 
 
 def float64_tolerance(tolerance: Real | None) -> Real:
-    """The tolerance in float64; in float32 rounding errors would hide bifurcations."""
+    """Return the tolerance in float64; in float32, rounding errors would hide bifurcations."""
     check_precision(jnp.asarray(0.0).dtype, "following gaits over a parameter")
     return default_tolerance(jnp.float64, tolerance)
 
 
 def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Branch:
-    """The branch of which two paths are the two sides of its start, or one is all of it."""
+    """Join the paths on both sides of a start into a branch; one may be the whole branch."""
     if forward.end == BRANCH_CLOSES:
         backward = Path(backward.points[:1], [], forward.end)
     points = [*reversed(backward.points[1:]), *forward.points]
@@ -233,7 +236,7 @@ def solve_at(
     guesses: Sequence[tuple[float, Float[np.ndarray, "_ section"]]],
     tolerance: Real,
 ) -> list[Float[np.ndarray, "_ section"] | None]:
-    """The cycles to which Newton's iteration converges at values of the parameter, from guesses.
+    """Find cycles from guesses by Newton's iteration, at given values of the parameter.
 
     None where it fails. The parameter keeps its value, unlike along a branch.
     """
@@ -250,7 +253,7 @@ def solve_at(
 
 
 def interpolate_cycles(branch: Branch, value: float) -> list[Float[np.ndarray, "period section"]]:
-    """States of a branch's gaits at a value of the parameter, interpolated between its points."""
+    """Interpolate the states of a branch's gaits at a value of the parameter."""
     cycles = []
     for i in np.flatnonzero((branch.values[:-1] - value) * (branch.values[1:] - value) <= 0):
         low, high = branch.values[i], branch.values[i + 1]

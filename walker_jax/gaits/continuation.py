@@ -10,16 +10,16 @@ from walker_jax.gaits.events import Bifurcation, crosses_half_period, find_bifur
 from walker_jax.gaits.requests import Task
 
 FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.005, 0.05, 1e-7
-"""Lengths of the first step along a branch, of the longest, and of the shortest, below which the
-branch ends; in widths of the range. The longest takes at least 20 steps over the range."""
+"""Lengths of the first, the longest and the shortest step along a branch, in widths of the range.
+The branch ends if it needs a shorter step; it takes at least 20 steps over the range."""
 HALF_PERIOD_RESOLUTION = 1e-3
-"""Length of the step at which a branch ends that returns to the gait from which it doubled."""
+"""Shortest step near the gait from which a branch doubled; the branch ends there."""
 MAX_POINTS = 2000
-"""Points on each side of a branch: with the longest steps, a hundred times the range."""
+"""Most points on each side of a branch: with the longest steps, a hundred times the range."""
 BRANCH_CLOSES = "the branch closes"
-"""The end of a path that comes back to its start."""
+"""Reason for the end of a path that comes back to its start."""
 MIN_COSINE = 0.95
-"""Smallest cosine of the angle between the tangents at the ends of a step, 18 degrees."""
+"""Smallest cosine of the angle between the tangents at both ends of a step (18 degrees)."""
 
 
 class Start(NamedTuple):
@@ -29,11 +29,11 @@ class Start(NamedTuple):
     """Value of the parameter."""
     states: Float[np.ndarray, "period section"]
     direction: Float[np.ndarray, "period section"] | None = None
-    """Direction of the first step, at a constant parameter; without one, both along the branch."""
+    """Direction of the first step, at a constant parameter; None for both along the branch."""
 
 
 def start_at_doubling(doubling: Bifurcation) -> Start:
-    """The start of the branch of twice the period at a period doubling."""
+    """Return the start of the branch of twice the period at a period doubling."""
     cycle = np.concatenate([doubling.states, doubling.states])
     return Start(doubling.value, cycle, np.concatenate([doubling.vectors, -doubling.vectors]))
 
@@ -46,12 +46,12 @@ class Path(NamedTuple):
     end: str
 
     def of_kind(self, kind: str) -> list[Bifurcation]:
-        """Its bifurcations of one kind."""
+        """Return its bifurcations of one kind."""
         return [one for one in self.events if one.kind == kind]
 
 
 def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Task:
-    """Follow a branch from a start, at first with a growing (sign 1) or falling (-1) parameter."""
+    """Follow a branch from a start; the parameter at first grows (sign 1) or falls (-1)."""
     width = bounds[1] - bounds[0]
     path = Path([], [], "no gait")
     first = yield from correct(start.value, start.states, None, width)
@@ -109,7 +109,7 @@ def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Tas
 
 
 def passes_start(step: Float[np.ndarray, " size"], offset: Float[np.ndarray, " size"]) -> bool:
-    """Whether a branch passes its start, which is at an offset from where this step begins."""
+    """Whether a step passes the start of the branch, which is at an offset from its beginning."""
     length = np.linalg.norm(step)
     along = offset @ step / length
     across = np.linalg.norm(offset - along * step / length)

@@ -1,4 +1,4 @@
-"""The loss of walking, a boundary crisis: the parameter beyond which all walkers fall."""
+"""The loss of walking in a boundary crisis: the parameter value beyond which all walkers fall."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import with_parameter
 
 VALUES_PER_PASS = 32
-"""Parts into which one pass of the search for the loss of walking divides an interval: enough to
-fill the cores with walkers."""
+"""Parts into which one pass of the search divides an interval: enough walkers to fill all cores."""
 
 
 class Loss(NamedTuple):
     """The two values of a parameter between which walking is lost."""
 
     below: float
-    """The highest value tried at which a walker made all strides; NaN where none did at any."""
+    """The highest value tried at which a walker made all strides; NaN if none ever did."""
     above: float
-    """The next value tried, at which all fell; NaN where one walks at the end of the interval."""
+    """The next value tried, at which all fell; NaN if one walks at the end of the interval."""
     strides: int
     """Strides after which a walker counts as walking."""
 
@@ -44,14 +43,20 @@ def loss_of_walking(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Loss:
-    """The value of a parameter above which all walkers fall, at a boundary crisis.
+    """Find the boundary crisis: the value of a parameter above which all walkers fall.
 
-    At each value of a row, walkers start near the gaits of the branches there, stable or not:
-    unstable gaits are dense in a chaotic attractor. The interval between the highest value at which
-    one still walks after `strides` strides and the next value is divided again, until it is no
-    wider than `resolution`. The search misses attractors that exist only between two values of a
-    row, such as a gait that doubles to chaos soon after the fold at which it was born. Beyond the
-    loss of the main attractor there may be such gaits; the branches show them.
+        walker = wj.SimplestWalker(slope=0.015)
+        branch = wj.continue_gait(walker, "slope", (0.014, 0.022))
+        wj.loss_of_walking(walker, "slope", (0.014, 0.022), [branch])
+
+    The interval is divided into a row of values. At each of them walkers start near the gaits of
+    the branches there, stable or not: unstable gaits are dense in a chaotic attractor. The next
+    interval lies between the highest value at which one still walks after `strides` strides and the
+    value above it. This is repeated until the interval is no wider than `resolution`.
+
+    The search misses attractors that exist only between two values of a row, such as a gait that
+    doubles to chaos soon after the fold at which it was born. Beyond the loss of the main attractor
+    there may be such gaits; the branches show them.
 
     **Returns** a `Loss`. Otherwise as `attractors`.
     """

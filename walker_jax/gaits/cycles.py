@@ -1,4 +1,4 @@
-"""A gait as a cycle of strides: its equations, their solution, its multipliers."""
+"""Gaits as cycles of strides: their equations, solution and Floquet multipliers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from walker_jax.systems.system import System
 from walker_jax.walking.stride import follow_stride
 
 MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
-"""Largest residual of a gait: above the rounding errors of a stride, and below the distance between
-two gaits."""
+"""Largest residual of a gait: above the rounding errors of a stride, below the distance between two
+gaits."""
 SAME_STATE_DISTANCE = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
 """States closer than this in every coordinate count as one: a hundred times the largest residual
 in float64, ten times in float32."""
 MAX_SEARCH_STEPS = 40
-"""Newton steps of a search. Near a gait the iteration converges quadratically, in a few steps; one
-that takes more than this is far from any."""
+"""Newton steps of a search. Near a gait the iteration converges quadratically, in a few steps; a
+search that takes more than this is far from any gait."""
 
 
 class Gait(NamedTuple):
@@ -43,24 +43,24 @@ class Gait(NamedTuple):
     residual: Float[Array | np.ndarray, ""]
     """Largest distance, in any coordinate, from the end of a stride to the next state."""
     found: Bool[Array | np.ndarray, ""]
-    """Whether this is a gait, of its period and no shorter one; a walk over the period repeats it.
+    """Whether this is a gait of its period and no shorter one, repeated by a walk over the period.
 
-    It is false where the residual exceeds rounding, or where rounding errors could move the states
-    noticeably: so within about 1e-9 of a bifurcation with a multiplier of 1.
+    It is false if the residual exceeds rounding, or if rounding errors could move the states
+    noticeably, as they do within about 1e-9 of a bifurcation with a multiplier of 1.
     """
 
     @property
     def return_strides(self) -> Float[Array, ""]:
-        """Characteristic return time, in strides: small disturbances shrink by a factor of e in it.
+        """Characteristic return time, in strides, in which small disturbances shrink by a factor e.
 
-        -period / log |largest multiplier|; infinite where the gait is not stable, NaN if not found.
+        -period / log |largest multiplier|; infinite if the gait is not stable, NaN if not found.
         """
         rate = -jnp.log(jnp.abs(self.multipliers[0])) / len(self.states)
         return jnp.where(rate <= 0, jnp.inf, 1 / jnp.where(rate <= 0, 1, rate))
 
 
 def check_found(gait: Any) -> None:
-    """Raises `WrongUse` for what is no gait, or the end of a failed search."""
+    """Refuse anything that is not a gait, including the result of a failed search."""
     check_kind("gait", gait, Gait)
     if not gait.found:
         raise WrongUse(
@@ -70,7 +70,7 @@ def check_found(gait: Any) -> None:
 
 
 def clear_values(gait: Gait) -> Gait:
-    """A failed search, with NaN for its states, multipliers and step times."""
+    """Return a failed search with NaN for its states, multipliers and step times."""
     states, multipliers, times = (np.full_like(x, np.nan) for x in gait[:3])
     return gait._replace(states=states, multipliers=multipliers, step_times=times)
 
@@ -79,7 +79,7 @@ def clear_values(gait: Gait) -> Gait:
 def solve_cycle(
     walker: System, states: Float[Array, "period section"], integrator: Integrator
 ) -> Gait:
-    """The gait to which Newton's iteration on all states of a cycle converges."""
+    """Find a gait by Newton's iteration on all states of a cycle."""
     dtype = states.dtype
     accuracy = 500 * float(jnp.finfo(dtype).eps)
     solution = optimistix.root_find(
@@ -118,10 +118,10 @@ def solve_cycle(
 
 
 def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
-    """Eigenvalues of a matrix, with derivatives up to the third order where they are distinct.
+    """Return the eigenvalues of a matrix; distinct ones have derivatives up to the third order.
 
     LAPACK finds them. They are the roots of the characteristic polynomial (Faddeev and LeVerrier),
-    and two of Newton's steps on it give their dependence on the matrix.
+    and two Newton steps on it give their dependence on the matrix.
     """
     n = len(matrix)
     minors, coefficients = jnp.zeros_like(matrix), [jnp.ones_like(matrix[0, 0])]
@@ -141,7 +141,7 @@ def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
 def cycle_mismatch(
     states: Float[Array, "period section"], args: tuple[System, Integrator]
 ) -> Float[Array, "period section"]:
-    """S(x_i) - x_{i+1} for the states of a cycle; zero for a gait."""
+    """Return S(x_i) - x_{i+1} for the states of a cycle; zero for a gait."""
     walker, integrator = args
     ends, _ = apply_strides(walker, states, integrator)
     return ends - jnp.roll(states, -1, axis=0)
@@ -150,16 +150,16 @@ def cycle_mismatch(
 def apply_strides(
     walker: System, states: Float[Array, "n section"], integrator: Integrator
 ) -> tuple[Float[Array, "n section"], Float[Array, " n"]]:
-    """The ends of strides, and their durations."""
+    """Return the ends of strides, and their durations."""
     ends = jax.vmap(follow_stride, (None, 0, None))(walker, states, integrator)
     return ends.state, ends.time
 
 
 def estimate_error(residual, matrix):
-    """A bound on the distance from the states of a cycle to those of a gait.
+    """Bound the distance from the states of a cycle to those of a gait.
 
-    (residual + rounding) / (smallest singular value of the matrix), the change of the solution of
-    the linear equations of Newton's iteration.
+    The bound is (residual + rounding) / (smallest singular value of the matrix): the change of the
+    solution of the linear equations of Newton's iteration.
     """
     linalg = jnp.linalg if isinstance(matrix, jax.Array) else np.linalg
     smallest = linalg.svd(matrix, compute_uv=False)[..., -1]
@@ -167,7 +167,7 @@ def estimate_error(residual, matrix):
 
 
 def has_shorter_period(states) -> Bool[Array | np.ndarray, "..."]:
-    """Whether cycles, of shape (..., period, section), have a shorter period than theirs."""
+    """Whether cycles, of shape (..., period, section), repeat themselves within their period."""
     period, numpy = states.shape[-2], jnp if isinstance(states, jax.Array) else np
     shorter = numpy.zeros(states.shape[:-2], bool)
     for shift in range(1, period):
@@ -178,14 +178,14 @@ def has_shorter_period(states) -> Bool[Array | np.ndarray, "..."]:
 
 
 def gait_at(gaits: Gait, index: int | np.integer | Bool[np.ndarray, " n"]) -> Gait:
-    """One of many gaits, or some of them."""
+    """Select one of many gaits, or some of them."""
     return Gait(*(field[index] for field in gaits))
 
 
 def cycle_matrices(
     jacobians: Float[np.ndarray, "n period section section"], multiplier: float = 1.0
 ) -> Float[np.ndarray, "n size size"]:
-    """The matrices of x -> (J_i x_i - x_{i+1}) over a cycle, with x_{k+1} = multiplier x_1."""
+    """Return the matrices of x -> (J_i x_i - x_{i+1}) over a cycle, x_{k+1} = multiplier x_1."""
     n, period, size, _ = jacobians.shape
     matrix = np.zeros((n, period, size, period, size), jacobians.dtype)
     for i in range(period):
@@ -198,7 +198,7 @@ def cycle_matrices(
 def solve_linear_systems(
     matrices: Float[np.ndarray, "n size size"], vectors: Float[np.ndarray, "n size"]
 ) -> Float[np.ndarray, "n size"]:
-    """Solutions of many linear systems; of each that is singular, by least squares."""
+    """Solve many linear systems; singular ones by least squares."""
     solutions = np.empty_like(vectors)
     singular = np.linalg.det(matrices) == 0
     regular, right = matrices[~singular], vectors[..., None]
@@ -210,7 +210,7 @@ def solve_linear_systems(
 def multiply_jacobians(
     jacobians: Float[np.ndarray, "n period section section"],
 ) -> Float[np.ndarray, "n section section"]:
-    """The Jacobians of whole cycles, J_k ... J_1."""
+    """Return the Jacobians of whole cycles, J_k ... J_1."""
     cycle_jacobians = jacobians[:, 0]
     for i in range(1, jacobians.shape[1]):
         cycle_jacobians = jacobians[:, i] @ cycle_jacobians
@@ -220,19 +220,19 @@ def multiply_jacobians(
 def find_multipliers(
     cycle_jacobians: Float[np.ndarray, "n section section"],
 ) -> Complex[np.ndarray, "n section"]:
-    """Eigenvalues of the Jacobians of whole cycles, the largest first."""
+    """Return the eigenvalues of the Jacobians of whole cycles, the largest first."""
     values = np.linalg.eigvals(cycle_jacobians)
     values = values.astype(np.result_type(cycle_jacobians, np.complex64))
     return np.take_along_axis(values, order_by_modulus(values), axis=-1)
 
 
 def order_by_modulus(values: Complex[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-    """The order of multipliers along the last axis; of a conjugate pair, the upper one first."""
+    """Sort multipliers along the last axis, the upper one of a conjugate pair first: indices."""
     return np.lexsort((-np.imag(values), -np.abs(values)), axis=-1)
 
 
 def remove_duplicates(gaits: Gait) -> Gait:
-    """The gaits found, each once, from its state with the smallest first coordinate."""
+    """Return each gait found once, from its state with the smallest first coordinate."""
     found = gait_at(gaits, np.asarray(gaits.found))
     states, times = np.asarray(found.states), np.asarray(found.step_times)
     first = states[..., 0].argmin(axis=1)

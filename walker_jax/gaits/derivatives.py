@@ -1,4 +1,4 @@
-"""Derivatives of strides along gaits, and of gaits by a parameter of the walker."""
+"""Derivatives of strides along gaits, and of gaits with respect to a parameter of the walker."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from walker_jax.walking.starts import prepare
 from walker_jax.walking.stride import follow_stride
 
 FEW_STRIDES = 128
-"""Strides whose derivatives take longer to ask for than to compute."""
+"""Most strides for which all columns are computed at once: a second call would cost more."""
 
 MOST_PARAMETERS = 2
-"""Parameters of second derivatives: one program is compiled, whether they are one or two."""
+"""Parameters of second derivatives: the same program serves one or two."""
 
 
 class GaitDerivatives(NamedTuple):
@@ -52,7 +52,11 @@ class GaitDerivatives(NamedTuple):
 def gait_derivatives(
     walker: System, gait: Gait, parameter: str, *, tolerance: Real | None = None
 ) -> GaitDerivatives:
-    """Derivatives of a gait's states, multipliers and step times by a parameter of the walker.
+    """Differentiate a gait's states, multipliers and step times by a parameter of the walker.
+
+        walker = wj.SimplestWalker(slope=0.004)
+        gait = wj.find_gait(walker)
+        wj.gait_derivatives(walker, gait, "slope").multipliers
 
     By the implicit function theorem, dx solves J_i dx_i - dx_{i+1} = -dS(x_i)/dp. The derivative
     of a multiplier is (w dM v) / (w v), where M = J_k ... J_1, v and w are the right and left
@@ -60,14 +64,14 @@ def gait_derivatives(
 
     At a bifurcation with a multiplier of 1 the system for dx is singular, and the derivatives do
     not exist: towards a fold they grow like the inverse square root of the distance in p. They
-    exist at a period doubling. Where two multipliers meet, theirs do not.
+    exist at a period doubling. Multipliers have no derivatives where two of them meet.
 
     **Arguments:**
 
-    - `walker`: with its parameters.
-    - `gait`: of this walker.
+    - `walker`: a walker with its parameters.
+    - `gait`: a gait of this walker.
     - `parameter`: name of the walker's parameter.
-    - `tolerance`: of the integration, as in `stride`.
+    - `tolerance`: tolerance of the integration, as in `stride`.
 
     **Returns** `GaitDerivatives`.
 
@@ -103,16 +107,16 @@ def gait_derivatives(
 
 
 class Linearisation(NamedTuple):
-    """Strides from n cycles of states, and the derivatives of their ends."""
+    """Strides from n cycles of states, with the derivatives of their ends."""
 
     state: Float[np.ndarray, "n period section"]
     """Ends of the strides; NaN where one fails."""
     time: Float[np.ndarray, "n period"]
     """Durations of the strides."""
     jacobian: Float[np.ndarray, "n period section section"]
-    """Derivatives of the ends by the starts, a matrix J for each stride; NaN where it fails."""
+    """Jacobian J of each stride: derivatives of its end by its start; NaN where it fails."""
     by_parameter: Float[np.ndarray, "n period section"]
-    """Derivatives of the ends by the parameter; zero where none is given."""
+    """Derivatives of the ends by the parameter; zero if none is given."""
 
 
 def linearise(
@@ -121,10 +125,10 @@ def linearise(
     integrator: Integrator,
     parameter: str | None = None,
 ) -> Linearisation:
-    """One stride from each state, with its derivatives; a cell for each of their columns.
+    """Make one stride from each state, with its derivatives; each column is a cell of its own.
 
-    The walker's parameters may be arrays of n. The first column shows which states make a stride;
-    unless they are few, the others are computed for these alone.
+    The walker's parameters may be arrays of n. The first column shows which states make a stride.
+    The other columns are computed for these alone, unless there are few states.
     """
     size, names = cycles.shape[2], [] if parameter is None else [parameter]
     shared = integrator.in_dtype(cycles.dtype), parameter_directions(walker, names, cycles.dtype)
@@ -158,7 +162,7 @@ def linearise(
 
 
 class SecondDerivatives(NamedTuple):
-    """Derivatives of strides from n cycles along a direction, and the derivatives of these.
+    """Derivatives of strides from n cycles along a direction, and their own derivatives.
 
     Columns are the coordinates of the start, then the parameters.
     """
@@ -182,7 +186,10 @@ def differentiate_twice(
     integrator: Integrator,
     parameters: Sequence[str],
 ) -> SecondDerivatives:
-    """Second derivatives of one stride from each state, along a direction (start, parameters)."""
+    """Return second derivatives of one stride from each state, along a direction.
+
+    A direction has an entry for each column: the coordinates of the start, then the parameters.
+    """
     n, period, size = cycles.shape
     columns, full = size + len(parameters), size + MOST_PARAMETERS
     filled = np.zeros((n * period, full), cycles.dtype)
@@ -210,7 +217,7 @@ def differentiate_twice(
 def repeat_cells(
     walker: System, cycles: Float[np.ndarray, "n period section"], columns: int
 ) -> tuple[System, Float[np.ndarray, "cells section"]]:
-    """The walker and the start of every stride of the cycles, once for each of its columns."""
+    """Repeat the walker and the start of every stride of the cycles, once for each column."""
     n, period, size = cycles.shape
     walkers = broadcast_parameters(walker, n, cycles.dtype)
     return (
@@ -220,14 +227,14 @@ def repeat_cells(
 
 
 def jvp(shared: tuple[Integrator, System], cell):
-    """A stride of one cell, and its derivative along a direction (start, parameters)."""
+    """Return the stride of one cell, and its derivative along a direction (start, parameters)."""
     integrator, axes = shared
     walker, x, direction = cell
     return jax.jvp(partial(timed_stride, integrator), (walker, x), split(axes, x, direction))
 
 
 def split(axes: System, x: Float[Array, " section"], direction: Float[Array, " columns"]):
-    """A direction as those of the walker and of the start."""
+    """Split a direction into those of the walker and of the start."""
     size = x.shape[0]
     return jax.tree.map(lambda leaf: jnp.sum(leaf * direction[size:]), axes), direction[:size]
 
@@ -238,7 +245,7 @@ def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " secti
 
 
 def second_jvp(shared: tuple[Integrator, System], cell):
-    """((stride, derivative along first), (derivative along second, derivative along both))."""
+    """Return ((stride, its derivative along first), (its derivatives along second, along both))."""
     walker, x, first, second = cell
     derivative = lambda walker, x: jvp(shared, (walker, x, first))
     return jax.jvp(derivative, (walker, x), split(shared[1], x, second))

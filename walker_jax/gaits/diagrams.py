@@ -1,4 +1,4 @@
-"""Bifurcation diagrams: all gaits over a parameter of the walker, and its attractors.
+"""Bifurcation diagrams: all gaits of a walker over a parameter, and its attractors.
 
 Searches find gaits at some values of the parameter. Continuation from these (`branches`) shows how
 each gait is born, loses its stability and ends. Walkers that start near the gaits, stable or not,
@@ -41,19 +41,18 @@ from walker_jax.walkers.parameters import attributes_of, check_parameter, with_p
 from walker_jax.walking.iteration import select_walkers
 
 NO_START = -1
-"""Fate of missing starts, where a value has fewer of them than others."""
+"""Fate of missing starts, at values with fewer starts than others."""
 LONGEST_SEARCHED_PERIOD = 6
-"""Longest period for which gaits are searched; those of longer ones are reached by doublings only.
-Each stride more makes every search longer."""
+"""Longest period for which gaits are searched; longer ones are reached by doublings only. A longer
+period makes every search longer."""
 SEARCH_VALUES = 16
 """Values of the parameter at which gaits are searched, equally spaced over the interval."""
 CELLS_PER_SEARCH = 32
-"""Cells of a gait region for each search: one in so many is a guess, as continuation needs one gait
-of a branch only."""
+"""One cell in this many is the guess of a search; continuation needs only one gait of a branch."""
 
 WALKS, SETTLING = 4, 100
-"""Walks for the exponents at each value of the scan, and strides after which these count: the walks
-begin on the attractor, and only their frames have to settle."""
+"""Walks for the exponents at each value of the scan, and strides before they count. The walks begin
+on the attractor, so only their frames have to settle."""
 
 
 @refuses_tracers()
@@ -70,47 +69,51 @@ def bifurcation_diagram(
     tolerance: Real | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The gaits over a range of a parameter, their bifurcations, and the attractors.
+    """Compute the gaits over a range of a parameter, their bifurcations, and the attractors.
+
+        walker = wj.SimplestWalker(slope=0.015)
+        diagram = wj.bifurcation_diagram(walker, "slope", (0.012, 0.02))
+        diagram["event_value"], diagram["lost"]
 
     Searches from the walker's `gait_region`, at `SEARCH_VALUES` values in the range, find gaits of
     all periods up to `period_max` or `LONGEST_SEARCHED_PERIOD`. Their branches are followed, and
-    those that branch off at period doublings, up to `period_max`. Then walkers start near the gaits
-    at `scan` values, and at more where walking is lost. The diagram may miss a branch between two
-    neighbouring values, and a gait to which no search converges.
+    so are the branches that leave them at period doublings, up to `period_max`. Then walkers start
+    near the gaits at `scan` values, and at more values where walking is lost. The diagram may miss
+    a branch between two neighbouring values, and a gait to which no search converges.
 
     **Arguments:**
 
     - `walker`: gives the values of its other parameters.
     - `parameter`: name of one of its parameters.
-    - `interval`: lowest and highest value of it.
+    - `interval`: lowest and highest value of the parameter.
     - `period_max`: longest period of the branches.
-    - `strides`: number that a walker makes before it counts as converging to an attractor.
-    - `scan`: number of values at which the attractors are recorded; as many again between the first
-      doubling of the cascade and the loss of walking.
-    - `exponents`: number of strides over which Lyapunov exponents are means, at the same values; 0
-      for none.
-    - `normal_forms`: whether to compute them at bifurcations, as in `continue_gait`.
-    - `tolerance`: of the integration, as in `stride`.
+    - `strides`: number of strides before a walker counts as converging to an attractor.
+    - `scan`: number of values at which the attractors are recorded; as many again lie between the
+      first doubling of the cascade and the loss of walking.
+    - `exponents`: number of strides over which Lyapunov exponents are averaged, at the same values;
+      0 for none.
+    - `normal_forms`: whether to compute normal forms at bifurcations, as in `continue_gait`.
+    - `tolerance`: tolerance of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
-    **Returns** a data set of
+    **Returns** a data set over these dimensions:
 
     - `gait`, the points of all branches, one branch after the other: `branch` (a number), `period`,
       `value` of the parameter, `states`, `step_times`, `multipliers` (real and imaginary part),
       `stable`, and whether it is `on_cascade`; NaN after the period;
     - `event`, the bifurcations: `event_fold` (a fold, or a doubling), `event_branch`,
-      `event_period`, `event_value`, `event_states`, `event_multipliers`, the coefficient of its
-      normal form, `event_coefficient` (`gaits.normal_forms`), and whether it belongs to
-      the `cascade`: the doublings of the most stable period-one gait (the simplest walker's long
-      one), and of its descendants;
+      `event_period`, `event_value`, `event_states`, `event_multipliers`, `event_coefficient` of the
+      normal form (`gaits.normal_forms`), and whether it belongs to the `cascade`, the doublings of
+      the most stable period-one gait (the simplest walker's long one) and of its descendants;
     - `torus`, the Neimark-Sacker points, where a pair of multipliers leaves the unit circle:
       `torus_branch`, `torus_period`, `torus_value`, `torus_states`, `torus_multipliers` and
       `torus_coefficient`;
-    - `sample`, the values of the scan: `sample_value`, and what `attractors` gives: `fate`,
+    - `sample`, the values of the scan: `sample_value`, and the results of `attractors`: `fate`,
       `strides`, `orbit` and `attractor_period`, each over `start` too, with one start near each
-      gait; a fate of -1 marks missing starts; the Lyapunov exponents of the first attractor among
-      these, `exponents`, and their errors, `exponent_errors`;
-    - `lost`: the values between which walking is lost, as `Loss`.
+      gait; a fate of -1 marks missing starts; and the Lyapunov `exponents` of the first attractor
+      among these, with their errors `exponent_errors`.
+
+    `lost` has the two values between which walking is lost, as `Loss`.
 
     Raises `ValueError` for a wrong parameter, range or number.
     """
@@ -124,7 +127,7 @@ def bifurcation_diagram(
     parents: list[int] = []
 
     def follow_all(starts: list[Start], parent: int) -> None:
-        """Add the branches of starts to the known ones, each of them once."""
+        """Add the branches of starts to the known ones, each once."""
         for start, branch in zip(
             starts,
             continue_gaits(walker, parameter, (low, high), starts, tolerance=tolerance),
@@ -178,7 +181,7 @@ def bifurcation_diagram(
 def add_exponents(
     walker: System, parameter: str, scanned: xr.Dataset, strides: int, tolerance: Real
 ) -> None:
-    """Add the exponents of the first attractor at each value to what `attractors` has found."""
+    """Add the exponents of the first attractor at each value to the result of `attractors`."""
     walks = scanned["fate"].values == Outcome.STRIDE
     chosen = np.arange(len(walks)), walks.argmax(axis=1)
     known = walks.any(axis=1)
@@ -205,7 +208,7 @@ def find_parent_below(
     interval: tuple[float, float],
     tolerance: Real,
 ) -> int:
-    """The branch from which a branch doubles at a value below the interval, or -1.
+    """Find the branch from which a branch doubles at a value below the interval; -1 if none.
 
     The branch is followed down to the doubling, and the gait of half the period back up into the
     interval.
@@ -231,7 +234,7 @@ def find_parent_below(
 
 
 def widen_downwards(walker: System, parameter: str, low: float, high: float) -> tuple[float, float]:
-    """An interval from a lower value on; the same where the walker does not take that value."""
+    """Return an interval that begins lower; the same one if the walker refuses that value."""
     below = low / 2 if low > 0 else 2 * low - high
     try:
         check_parameter(walker, parameter, below)
@@ -241,7 +244,7 @@ def widen_downwards(walker: System, parameter: str, low: float, high: float) -> 
 
 
 def find_descendants(branches: list[Branch], parents: list[int]) -> list[int]:
-    """Numbers of the most stable branch of period one and of all its descendants."""
+    """Return the numbers of the most stable branch of period one and of all its descendants."""
     period_one = [i for i, branch in enumerate(branches) if branch.period == 1]
     members = sorted(period_one, key=lambda i: np.abs(branches[i].multipliers[:, 0]).min())[:1]
     for member in members:
@@ -256,7 +259,7 @@ def find_starts(
     period: int,
     tolerance: Real,
 ) -> list[Start]:
-    """The gaits of a period that searches find at many values, in the order of these."""
+    """Search for gaits of a period at many values; starts are in the order of the values."""
     points = []
     for value in values:
         grid = with_parameter(walker, parameter, value).gait_region()
@@ -281,7 +284,7 @@ def select_new_starts(
     starts: Sequence[Start],
     tolerance: Real,
 ) -> list[Start]:
-    """The starts that lie on none of the branches."""
+    """Return the starts that lie on none of the branches."""
     guesses = [
         (i, start.value, cycle)
         for i, start in enumerate(starts)
@@ -307,7 +310,7 @@ def assemble_diagram(
     scanned: xr.Dataset,
     loss: Loss,
 ) -> xr.Dataset:
-    """The data set that `bifurcation_diagram` returns."""
+    """Assemble the data set that `bifurcation_diagram` returns."""
     events = [(i, b) for i, one in enumerate(branches) for b in (*one.folds, *one.doublings)]
     tori = [(i, b) for i, one in enumerate(branches) for b in one.neimark_sackers]
     shape = max((branch.period for branch in branches), default=1), len(walker.section)
@@ -345,7 +348,7 @@ def assemble_diagram(
 def variables_of_branches(
     branches: list[Branch], members: list[int], shape: tuple[int, int]
 ) -> dict[str, tuple]:
-    """The gaits of all branches, one branch after the other; `shape` is of a cycle's states."""
+    """Return the gaits of all branches, one after the other; `shape` is that of a cycle."""
     counts, numbers = [len(branch.values) for branch in branches], np.arange(len(branches))
     joined = lambda arrays, dtype: np.concatenate([np.zeros(0, dtype), *arrays]).astype(dtype)
     multipliers = real_and_imaginary([b.multipliers for b in branches], shape[1])
@@ -364,7 +367,7 @@ def variables_of_branches(
 def variables_of_events(
     events: list[tuple[int, Bifurcation]], name: str, shape: tuple[int, int]
 ) -> dict[str, tuple]:
-    """Bifurcations with the numbers of their branches, over a dimension of this name."""
+    """Return bifurcations with the numbers of their branches, over a dimension of this name."""
     found = [b for _, b in events]
     multipliers = real_and_imaginary([b.multipliers[None] for b in found], shape[1])
     states = pad([b.states[None] for b in found], *shape)
@@ -379,7 +382,7 @@ def variables_of_events(
 
 
 def pad(arrays: list[np.ndarray], phases: int, *shape: int) -> np.ndarray:
-    """Arrays over (points, period, ...), concatenated and padded with NaN after each period."""
+    """Concatenate arrays over (points, period, ...), padded with NaN after each period."""
     full = [np.full((len(a), phases, *shape), np.nan) for a in arrays]
     for padded, a in zip(full, arrays, strict=True):
         padded[:, : a.shape[1]] = a
@@ -387,6 +390,6 @@ def pad(arrays: list[np.ndarray], phases: int, *shape: int) -> np.ndarray:
 
 
 def real_and_imaginary(multipliers: list[np.ndarray], size: int) -> np.ndarray:
-    """Rows of so many multipliers, concatenated, each as its two parts."""
+    """Concatenate rows of `size` multipliers, each as its real and imaginary part."""
     whole = np.concatenate([np.zeros((0, size), complex), *multipliers])
     return np.stack([np.real(whole), np.imag(whole)], axis=-1)

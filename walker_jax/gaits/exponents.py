@@ -1,8 +1,8 @@
-"""Lyapunov exponents: the rates at which neighbouring walks part, per stride.
+"""Lyapunov exponents: the rates, per stride, at which neighbouring walks separate.
 
-The derivative of a stride turns and stretches the columns of an orthogonal matrix Q. After every
-stride it is factored anew, J Q = Q' R, and the means of log |R_ii| are the exponents (Benettin and
-others 1980, Meccanica 15, 9-20). Walks that start close together are soon independent where the
+The derivative of a stride rotates and stretches the columns of an orthogonal matrix Q. After every
+stride the product is factored anew, J Q = Q' R. The means of log |R_ii| are the exponents (Benettin
+and others 1980, Meccanica 15, 9-20). Walks that start close together soon become independent if the
 first exponent is positive; their scatter gives the errors.
 """
 
@@ -36,15 +36,15 @@ from walker_jax.walking.stride import follow_stride
 
 
 class Lyapunov(NamedTuple):
-    """Lyapunov exponents of an attractor, in natural logarithms per stride; or of n of them.
+    """Lyapunov exponents of one attractor, or of n, in natural logarithms per stride.
 
-    They are NaN where any walk fails: the walks are then on no attractor.
+    They are NaN if any walk fails, as the walks are then on no attractor.
     """
 
     exponents: Float[np.ndarray, "*systems section"]
-    """The largest first."""
+    """Exponents, the largest first."""
     errors: Float[np.ndarray, "*systems section"]
-    """Their standard errors: the scatter of the walks, and 1/strides for the ends of a mean."""
+    """Standard errors: the scatter of the walks, and 1/strides for the ends of a mean."""
     log_determinant: Float[np.ndarray, "*systems"]
     """The mean of log |det J|, which is their sum."""
     dimension: Float[np.ndarray, "*systems"]
@@ -52,9 +52,9 @@ class Lyapunov(NamedTuple):
     dimension_error: Float[np.ndarray, "*systems"]
     """Its standard error."""
     states: Float[np.ndarray, "*systems walks section"]
-    """Where the walks end; NaN after a failure."""
+    """Ends of the walks; NaN after a failure."""
     outcome: Int[np.ndarray, "*systems"]
-    """`Outcome` of the first walk that fails; `STRIDE` where none does."""
+    """`Outcome` of the first walk that fails; `STRIDE` if none does."""
 
 
 @refuses_tracers()
@@ -69,23 +69,27 @@ def lyapunov(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Lyapunov:
-    """All Lyapunov exponents of the attractor to which a state converges.
+    """Compute all Lyapunov exponents of the attractor to which a state converges.
+
+        walker = wj.SimplestWalker(slope=0.0185)
+        x = wj.find_gait(walker).states[0]
+        wj.lyapunov(walker, x).exponents
 
     **Arguments:**
 
-    - `system`: one, or n: its parameters are numbers, or arrays of n, as of `strides`. So the
-      exponents over a parameter take one call.
-    - `x`: a state on its section; for n systems one for each, of shape (n, section).
-    - `strides`: of each walk, over which the exponents are means.
-    - `walks`: number of walks from about x, which start `START_OFFSET` apart.
-    - `settling`: strides before these, which count for nothing.
-    - `seed`: of the random starts.
-    - `tolerance`: of the integration, as in `stride`.
+    - `system`: one system, or n: its parameters are numbers, or arrays of n, as in `strides`. So
+      one call gives the exponents over a parameter.
+    - `x`: a state on its section, of shape (section,), or one for each of n systems, (n, section).
+    - `strides`: strides of each walk over which the exponents are averaged.
+    - `walks`: number of walks from near x, which start `START_OFFSET` apart.
+    - `settling`: strides before these, which do not count.
+    - `seed`: seed of the random starts.
+    - `tolerance`: tolerance of the integration, as in `stride`.
     - `progress`: label of a progress bar, which is shown on a terminal only.
 
-    **Returns** a `Lyapunov`. On a stable gait or a closed curve the walks keep step, and do not
-    scatter: their exponents are right to about 1/strides. Those of a stable gait are the logarithms
-    of the moduli of its multipliers, over its period.
+    **Returns** a `Lyapunov`. On a stable gait or a closed curve the walks keep step and do not
+    scatter; their exponents are then accurate to about 1/strides. The exponents of a stable gait
+    are the logarithms of the moduli of its multipliers, divided by its period.
 
     Raises `ValueError` for states of a wrong shape, and numbers out of range.
     """
@@ -131,9 +135,9 @@ def follow_frames(
     count: tuple[Int[Array, ""], Int[Array, ""]],
     integrator: Integrator,
 ) -> tuple[Float[Array, " section"], Float[Array, " section"], Float[Array, ""], Int[Array, ""]]:
-    """A walk with an orthogonal matrix carried along: its end, sums of logarithms, its outcome.
+    """Follow a walk that carries an orthogonal matrix; return its end, sums of logs, and outcome.
 
-    `count` holds the number of the first stride that counts, and of that after the last.
+    `count` holds the number of the first stride that counts, and that of the stride after the last.
     """
     first, last = count
 
@@ -169,7 +173,7 @@ def summarise(
     states: Float[np.ndarray, "*systems walks section"],
     outcomes: Int[np.ndarray, "*systems walks"],
 ) -> Lyapunov:
-    """Means over the walks, and their standard errors."""
+    """Average over the walks, with standard errors."""
     failed = outcomes != Outcome.STRIDE
     known = np.where(failed.any(axis=-1), np.nan, 1.0)
     outcome = np.take_along_axis(outcomes, failed.argmax(axis=-1)[..., None], -1)[..., 0]
@@ -196,9 +200,9 @@ def summarise(
 
 
 def kaplan_yorke(exponents: Float[np.ndarray, "*systems section"]) -> Float[np.ndarray, "*systems"]:
-    """k + (l_1 + ... + l_k) / |l_(k+1)|, with the largest k for which the sum is not negative.
+    """Return k + (l_1 + ... + l_k) / |l_(k+1)|, with the largest k of a non-negative sum.
 
-    It is 0 where all exponents are negative, and the number of them where their sum is not.
+    It is 0 if all exponents are negative, and the number of exponents if their sum is not negative.
     """
     sums = np.cumsum(exponents, axis=-1)
     k = np.sum(sums >= 0, axis=-1)

@@ -10,12 +10,12 @@ from walker_jax.gaits.defining_systems import DOUBLING, TORUS
 from walker_jax.gaits.normal_forms import criticality
 from walker_jax.systems.outcomes import Outcome
 
-LONGEST_TOLD = 8
-"""Longest period of which a chart tells the share."""
+LONGEST_LISTED_PERIOD = 8
+"""Longest period whose share of the cells is given separately."""
 
 
 def summarise_gait(gait: Gait) -> dict:
-    """A gait; each multiplier as its real and its imaginary part."""
+    """Summarise a gait; each multiplier is its real and its imaginary part."""
     return {
         "period": len(gait.states),
         "states": np.asarray(gait.states),
@@ -29,14 +29,13 @@ def summarise_gait(gait: Gait) -> dict:
 
 
 def summarise_bifurcations(data: xr.Dataset) -> dict:
-    """Bifurcations and the loss of walking, from a `bifurcation_diagram`.
+    """Summarise the bifurcations and the loss of walking of a `bifurcation_diagram`.
 
     **Returns** `doublings` of the cascade that starts from the most stable gait of period one,
-    `other_doublings`, `folds` and `neimark_sackers`, each in ascending order of period, then of the
-    parameter, which is their `slope`, or the `value` of another one, with their `criticality`
-    where it is known; `lost`, the values `below` and
-    `above` the loss of walking; and `stable_beyond`, the intervals beyond it in which a gait
-    that is born at a fold is stable.
+    `other_doublings`, `folds` and `neimark_sackers`, in ascending order of period, then of the
+    parameter. Each has the `slope`, or the `value` of another parameter, and the `criticality` if
+    known. `lost` has the values `below` and `above` the loss of walking, and `stable_beyond` the
+    intervals beyond it in which a gait born at a fold is stable.
     """
     fold, cascade = data["event_fold"].values, data["cascade"].values
     below, above = map(float, data["lost"].values)
@@ -86,7 +85,7 @@ def summarise_chart(data: xr.Dataset) -> dict:
             }
         )
     fate, periods = data["cell_fate"].values, data["cell_period"].values
-    walks, short = fate == Outcome.STRIDE, (periods > 0) & (periods <= LONGEST_TOLD)
+    walks, short = fate == Outcome.STRIDE, (periods > 0) & (periods <= LONGEST_LISTED_PERIOD)
     shares = {f"period {n}": walks & (periods == n) for n in np.unique(periods[walks & short])}
     shares |= {"no period, or a longer one": walks & ~short}
     shares |= {"fails": ~walks & (fate != NO_GAIT), "no gait": fate == NO_GAIT}
@@ -95,7 +94,7 @@ def summarise_chart(data: xr.Dataset) -> dict:
 
 
 def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
-    """The bifurcations chosen, in ascending order of period, then of value."""
+    """List the chosen bifurcations, in ascending order of period, then of value."""
     periods, values = data["event_period"].values, data["event_value"].values
     order = [i for i in np.lexsort([values, periods]) if chosen[i]]
     events = []
@@ -110,9 +109,9 @@ def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
 
 
 def read_criticality(data: xr.Dataset, name: str, i: int) -> dict[str, str]:
-    """Whether a doubling or a Neimark-Sacker point is super- or subcritical, where that is known.
+    """Return whether a doubling or Neimark-Sacker point is super- or subcritical, if known.
 
-    `name` is the dimension that it is listed along.
+    `name` is the dimension along which the point is listed.
     """
     if f"{name}_coefficient" not in data:
         return {}
@@ -122,12 +121,12 @@ def read_criticality(data: xr.Dataset, name: str, i: int) -> dict[str, str]:
 
 
 def value_key(parameter: str) -> str:
-    """The key of a parameter's value in an event, whose other keys its name might be."""
+    """Return the key of a parameter's value in an event; its name might be another key there."""
     return "slope" if parameter == "slope" else "value"
 
 
 def list_tori(data: xr.Dataset) -> list[dict]:
-    """The Neimark-Sacker points in the same order, and the angles of their pairs of multipliers."""
+    """List the Neimark-Sacker points in the same order, with the angles of their multipliers."""
     periods, values = data["torus_period"].values, data["torus_value"].values
     angles = np.arctan2(*np.moveaxis(data["torus_multipliers"].values[:, 0, ::-1], 1, 0))
     return [
@@ -141,10 +140,10 @@ def list_tori(data: xr.Dataset) -> list[dict]:
 
 
 def find_stable_intervals(data: xr.Dataset, above: float) -> list[dict]:
-    """Intervals of stable gaits on branches born in a fold beyond the loss of walking.
+    """Find the intervals of stable gaits on branches born at a fold beyond the loss of walking.
 
-    Each ends in bifurcations, or where its branch does. Where a branch has no gait between its fold
-    and the doubling after it, those between are stable.
+    An interval ends in a bifurcation or with its branch. If a branch has no gait between its fold
+    and the doubling after it, the interval between these two is stable.
     """
     fold, branch, slope = (data[f"event_{name}"].values for name in ("fold", "branch", "value"))
     intervals = []
@@ -166,5 +165,5 @@ def find_stable_intervals(data: xr.Dataset, above: float) -> list[dict]:
 
 
 def between(ends: Float[np.ndarray, " n"], low: float, high: float) -> tuple[float, float]:
-    """The ends nearest to an interval that they enclose, or its own on a side that has none."""
+    """Return the nearest ends that enclose an interval; its own end on a side that has none."""
     return max(ends[ends <= low], default=low), min(ends[ends >= high], default=high)

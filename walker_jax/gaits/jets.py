@@ -4,9 +4,9 @@ Along a curve x(t) = x_1 + t d_1 + t^2/2 d_2 a return map has the derivatives
 
     A d_1,    B(d_1, d_1) + A d_2,    C(d_1, d_1, d_1) + 3 B(d_1, d_2)
 
-with its Jacobian A and its second and third derivatives B and C, symmetric multilinear functions:
-all that normal forms need of them. Those of a cycle are chained: the image of a curve by one stride
-is the curve from which the next one begins.
+with its Jacobian A and its second and third derivatives B and C, symmetric multilinear functions.
+Normal forms need nothing else of them. The derivatives of a cycle are chained: the image of a curve
+under one stride is the curve from which the next stride begins.
 """
 
 from collections.abc import Sequence
@@ -28,12 +28,12 @@ class Curves(NamedTuple):
     """A request for derivatives of a whole cycle along curves through its first state."""
 
     values: Float[np.ndarray, " parameters"]
-    """Of the parameters."""
+    """Values of the parameters."""
     cycle: Float[np.ndarray, "period section"]
     first: Float[np.ndarray, "curves section"]
     """First derivatives of the curves."""
     second: Float[np.ndarray, "curves section"]
-    """Their second derivatives."""
+    """Second derivatives of the curves."""
 
 
 class Jet(NamedTuple):
@@ -47,7 +47,7 @@ class Jet(NamedTuple):
 def differentiate_curves(
     system: System, parameters: Sequence[str], requests: Sequence[Curves], integrator: Integrator
 ) -> list[Jet]:
-    """The derivatives that are requested; every curve is a cell, followed stride by stride."""
+    """Compute the requested derivatives; every curve is a cell, followed stride by stride."""
     counts = [len(request.first) for request in requests]
     repeat = lambda rows: np.repeat(np.asarray(rows), counts, axis=0)
     jet = [np.concatenate([one.first for one in requests])]
@@ -70,7 +70,7 @@ def differentiate_curves(
 def jet_of_stride(
     integrator: Integrator, cell
 ) -> tuple[Float[Array, " section"], Float[Array, " section"], Float[Array, " section"]]:
-    """The first three derivatives of a stride's end along a curve through its start."""
+    """Return the first three derivatives of a stride's end along a curve through its start."""
     system, x, first, second, third = cell
     one = jnp.ones_like(x[0])
 

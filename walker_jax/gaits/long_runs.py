@@ -1,4 +1,4 @@
-"""The attractors that walkers converge to in thousands of strides, at many parameter values."""
+"""Attractors to which walkers converge in thousands of strides, at many parameter values."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
 
 RECORDED_STATES = 64
-"""Recorded states of an orbit, which bound the periods that are recognised."""
+"""Recorded states of an orbit; longer periods are not recognised."""
 START_OFFSET = 1e-6
-"""Distance from a gait, in the first coordinate, at which walkers start: small, so that a walker
-converges to a stable gait with a narrow basin, and above rounding errors, so that it leaves an
-unstable gait and converges to an attractor."""
-SETTLED = 1e-11
+"""Distance from a gait, in the first coordinate, at which walkers start. It is small, so that a
+walker converges to a stable gait with a narrow basin, but above rounding errors, so that a walker
+leaves an unstable gait and converges to an attractor."""
+SETTLED_DISTANCE = 1e-11
 """Distance, in every coordinate, within which a walk that returns to a state has converged to a
-cycle, up to rounding errors. From `START_OFFSET` of an unstable gait it does not return that close,
-unless a multiplier is nearer to 1 than 1e-5."""
+cycle, up to rounding errors. A walk that starts at `START_OFFSET` from an unstable gait does not
+return that close, unless a multiplier is nearer to 1 than 1e-5."""
 SETTLING_STRIDES = 200
-"""Strides before a walk is first tested for that; then after twice as many, and so on."""
+"""Strides before a walk is first tested for this; the number doubles for each further test."""
 RECURRENCE_DISTANCE = 1e-6
 """Distance, in every coordinate, within which two states of an orbit count as the same; ten
 thousand times the largest residual of a gait."""
@@ -47,7 +47,11 @@ def attractors(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> xr.Dataset:
-    """The attractors that walkers converge to, at each of many values of a parameter.
+    """Find the attractors to which walkers converge, at each of many values of a parameter.
+
+        walker, slopes = wj.SimplestWalker(slope=0.004), [0.004, 0.016, 0.018]
+        starts = np.tile(wj.find_gait(walker).states, (len(slopes), 1, 1))
+        wj.attractors(walker, "slope", slopes, starts)["period"]
 
     **Arguments:**
 
@@ -55,13 +59,14 @@ def attractors(
     - `parameter`: name of the parameter that changes.
     - `values`: its values.
     - `starts`: points of the section for each value, of shape (values, starts, section).
-    - `strides`: number that every walker makes before its states are recorded.
-    - `tolerance`: of the integration, as in `stride`.
+    - `strides`: number of strides that every walker makes before its states are recorded.
+    - `tolerance`: tolerance of the integration, as in `stride`.
     - `progress`: label of a progress bar, which is shown on a terminal only.
 
     **Returns** a data set over `value` and `start`: `fate`, the `Outcome` of the stride at which a
-    walker fails, `STRIDE` where it does not; `strides` before that; `orbit`, the `RECORDED_STATES`
-    states that follow, NaN after a failure; and its `period`, 0 where it has none that short.
+    walker fails, `STRIDE` if it does not; `strides` made before that; `orbit`, the
+    `RECORDED_STATES` states that follow, NaN after a failure; and its `period`, 0 if it has none
+    that short.
     """
     values, starts = numbers("values", values), numbers("starts", starts)
     if values.ndim != 1:
@@ -93,13 +98,13 @@ class Settled(NamedTuple):
     """Attractors of n walkers."""
 
     fate: Int[np.ndarray, " n"]
-    """`Outcome` of the stride at which each fails; `STRIDE` where it does not."""
+    """`Outcome` of the stride at which each fails; `STRIDE` if it does not."""
     strides: Int[np.ndarray, " n"]
-    """Made before that."""
+    """Strides made before that."""
     orbit: Float[np.ndarray, "n recent section"]
     """The last `RECORDED_STATES` states; NaN after a failure."""
     period: Int[np.ndarray, " n"]
-    """0 where it has none that short."""
+    """Period of the recorded states; 0 if they have none that short."""
 
 
 def settle(
@@ -109,7 +114,7 @@ def settle(
     integrator: Integrator,
     progress: str | None = None,
 ) -> Settled:
-    """The attractors of n walkers, each with its own parameters, after so many strides."""
+    """Find the attractors of n walkers, each with its own parameters, after many strides."""
     end = iterate_to_cycles(walkers, starts, strides, integrator, progress)
     fate, count = end.outcome, end.strides
     orbit = np.full((len(starts), RECORDED_STATES, starts.shape[1]), np.nan)
@@ -131,7 +136,7 @@ def iterate_to_cycles(
     integrator: Integrator,
     progress: str | None = None,
 ) -> WalkEnd:
-    """`iterate` without targets; of walks that settle on a cycle, the rest is not computed."""
+    """`iterate` without targets, except that a walk ends once it has settled on a cycle."""
     n = len(starts)
     end = WalkEnd(
         starts.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32), np.full(n, -1, np.int32)
@@ -148,7 +153,7 @@ def iterate_to_cycles(
         if made < limit:
             walkers, states = select_walkers(walker, active), end.state[active]
             states, _ = orbits(walkers, states, RECORDED_STATES, integrator)
-            returns = np.abs(states[:, 1:] - states[:, :1]).max(axis=2) < SETTLED
+            returns = np.abs(states[:, 1:] - states[:, :1]).max(axis=2) < SETTLED_DISTANCE
             settled = np.flatnonzero(returns.any(axis=1))
             phase = (limit - made) % (returns[settled].argmax(axis=1) + 1)
             end.state[active[settled]] = states[settled, phase]
@@ -164,7 +169,7 @@ def starts_near_gaits(
     values: Float[np.ndarray, " values"],
     tolerance: Real,
 ) -> Float[np.ndarray, "values starts section"]:
-    """Starts near the gaits of branches, for each value, padded with NaN to a common number."""
+    """Return starts near the gaits of branches at each value, padded with NaN to one number."""
     guesses = [
         (i, cycle)
         for i, value in enumerate(values)

@@ -1,4 +1,4 @@
-"""Reasons why a search finds no gait, and the error that gives them."""
+"""Reasons why a search finds no gait, and the error that states them."""
 
 from collections.abc import Iterable
 
@@ -14,7 +14,7 @@ from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.starts import prepare
 
 LARGE_RESIDUAL = 1e-6
-"""Residual above which a failed search ended far from any gait. One that failed with a smaller
+"""Residual above which a failed search ended far from any gait. A failed search with a smaller
 residual ended at a gait of a shorter period or at a bifurcation."""
 
 
@@ -27,9 +27,9 @@ def no_gait_found(
     instead: str = "",
     arguments: Iterable[str] = (),
 ) -> ComputationFailed:
-    """The error of a search without a gait: the reason, and what to do `instead`.
+    """Return the error of a search that found no gait: the reason, and what to do `instead`.
 
-    `search` is as in `reason_without_gait`, `arguments` those that `instead` names.
+    `search` is as in `reason_without_gait`; `arguments` are the ones named in `instead`.
     """
     reason = reason_without_gait(walker, period, search, guessed=guessed)
     instead = instead or f"try {'another guess' if guessed else 'a guess'}"
@@ -42,10 +42,10 @@ def no_gait_found(
 
 
 def reason_without_gait(walker: System, period: int, search: Gait | None, *, guessed: bool) -> str:
-    """Why no gait was found: by the end of one `search`, or None for searches from all cells."""
+    """Say why no gait was found, from the end of one `search`, or None if all cells were tried."""
     single = guessed or (moves_like(walker, SimplestWalker) and period == 1)
     if search is None or not (np.isfinite(search.residual) or single):
-        return reason_of_all(walker)
+        return reason_without_any_gait(walker)
     if not np.isfinite(search.residual):
         start = "the guess" if guessed else "where the search begins"
         made = "no stride" if period == 1 else f"fewer than {period} strides"
@@ -60,8 +60,8 @@ def reason_without_gait(walker: System, period: int, search: Gait | None, *, gue
     return "the search ended too close to a bifurcation"
 
 
-def reason_of_all(walker: System) -> str:
-    """Why searches from all cells of the walker's `gait_region` found none."""
+def reason_without_any_gait(walker: System) -> str:
+    """Say why searches from all cells of the walker's `gait_region` found no gait."""
     grid = walker.gait_region()
     starts = grid.centres(np.arange(grid.size))
     walker, _, integrator = prepare(walker, starts[0], None)

@@ -23,29 +23,29 @@ from walker_jax.walking.iteration import with_parameters
 
 
 class Request(NamedTuple):
-    """Strides from a cycle of states at a value of the parameter: a `Linearisation`."""
+    """A request for strides from a cycle at a value of the parameter, as a `Linearisation`."""
 
     value: float
     cycle: Float[np.ndarray, "period section"]
 
 
 class Expansion(NamedTuple):
-    """Strides from a cycle, with `SecondDerivatives` along each of some directions."""
+    """A request for strides from a cycle, with `SecondDerivatives` along each direction."""
 
     values: Float[np.ndarray, " parameters"]
     cycle: Float[np.ndarray, "period section"]
     directions: Float[np.ndarray, "vectors period columns"]
-    """Of the states, then of the parameters."""
+    """Columns of the states, then of the parameters."""
 
 
 Task = Generator[Any, Any, Any]
-"""It yields a `Request`, an `Expansion` or `Curves`, and receives the derivatives."""
+"""A generator that yields a `Request`, an `Expansion` or `Curves`, and receives derivatives."""
 
 
 def run_batched(tasks: Sequence[Task], compute: Callable[[list[Any]], list[Any]]) -> list[Any]:
-    """Run tasks side by side, with their requests in batches; returns what each task returns.
+    """Run tasks side by side, their requests in batches, and return the result of each task.
 
-    `compute` gives the response to each of some requests.
+    `compute` returns the response to each of some requests.
     """
     results: list[Any] = [None] * len(tasks)
     pending: dict[int, Any] = {}
@@ -69,7 +69,7 @@ def run_batched(tasks: Sequence[Task], compute: Callable[[list[Any]], list[Any]]
 def compute_responses(
     system: System, parameters: Sequence[str], integrator: Integrator, requests: list[Any]
 ) -> list[Any]:
-    """The responses to requests at values of these parameters."""
+    """Compute the responses to requests at values of these parameters."""
     results: list[Any] = [None] * len(requests)
     kinds = (Request, follow_cycles), (Expansion, expand), (Curves, differentiate_curves)
     for kind, compute in kinds:
@@ -84,7 +84,7 @@ def compute_responses(
 def follow_cycles(
     system: System, parameters: Sequence[str], requests: list[Request], integrator: Integrator
 ) -> list[Linearisation]:
-    """Strides with their first derivatives; every state of every cycle is a cell of its own."""
+    """Make strides with first derivatives; every state of every cycle is a cell of its own."""
     lengths = [len(one.cycle) for one in requests]
     systems = with_parameters(
         system, parameters, repeat([[one.value] for one in requests], lengths)
@@ -97,7 +97,7 @@ def follow_cycles(
 def expand(
     system: System, parameters: Sequence[str], requests: list[Expansion], integrator: Integrator
 ) -> list[SecondDerivatives]:
-    """Strides with second derivatives; every state is a cell of its own for every direction."""
+    """Make strides with second derivatives; every state and direction is a cell of its own."""
     lengths = [one.directions.shape[0] * len(one.cycle) for one in requests]
     systems = with_parameters(system, parameters, repeat([one.values for one in requests], lengths))
     states = np.concatenate([np.tile(one.cycle, (len(one.directions), 1)) for one in requests])
@@ -117,6 +117,6 @@ def repeat(rows: Sequence[Any], counts: Sequence[int]) -> Float[np.ndarray, "n c
 
 
 def cut(values: tuple[np.ndarray, ...], lengths: Sequence[int]) -> list[tuple[np.ndarray, ...]]:
-    """Arrays over all cells and one stride, in parts of these lengths over the cells."""
+    """Cut arrays over all cells and one stride into parts of these lengths."""
     ends = np.cumsum(lengths)[:-1]
     return list(zip(*(np.split(one[:, 0], ends) for one in values), strict=True))

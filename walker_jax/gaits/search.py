@@ -3,12 +3,12 @@
 A gait of period k is a cycle of k states, S(x_1) = x_2, ..., S(x_k) = x_1 (Schwab and Wisse 2001,
 section 4.2). Newton's iteration solves the k equations at once, with all states as unknowns, as in
 multiple shooting: errors do not grow from stride to stride. The Floquet multipliers of a gait are
-the eigenvalues of the product of the strides' Jacobians, J_k ... J_1; it is stable where all are
-inside the unit circle. Jacobians come from automatic differentiation.
+the eigenvalues of the product of the strides' Jacobians, J_k ... J_1. The gait is stable if all of
+them are inside the unit circle. Jacobians come from automatic differentiation.
 
-`find_gait` is one search, a differentiable function of the walker and the guess; `search_gait` is
-the same for those to whom a failed search is an answer. `find_gaits` makes thousands of searches at
-once.
+`find_gait` is one search, a differentiable function of the walker and the guess. `search_gait` does
+the same, but a failed search is a result and not an error. `find_gaits` makes thousands of searches
+at once.
 """
 
 from __future__ import annotations
@@ -70,31 +70,35 @@ def find_gait(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Gait:
-    """The gait to which Newton's iteration (26) converges from a guess.
+    """Find a gait of a walker by Newton's iteration (26), from a guess or a default.
 
-    Works under JAX's transformations. Derivatives with respect to the walker's parameters, in
-    forward and reverse mode, follow from the implicit function theorem: d(state)/dp =
-    (I - J)^{-1} dS/dp for a period of one, and through it those of multipliers and step times.
-    Towards a bifurcation with a multiplier of 1 they grow without bound, and there they do not
-    exist; where two multipliers are equal, the derivatives of these do not exist.
+        walker = wj.SimplestWalker(slope=0.004)
+        gait = wj.find_gait(walker)
+        gait.states, gait.multipliers, gait.stable
+
+    It works under JAX's transformations. Derivatives with respect to the walker's parameters, in
+    forward and reverse mode, follow from the implicit function theorem: for a period of one,
+    d(state)/dp = (I - J)^{-1} dS/dp, and the derivatives of multipliers and step times follow from
+    it. They grow without bound towards a bifurcation with a multiplier of 1, and do not exist
+    there. Multipliers have no derivatives where two of them are equal.
 
     **Arguments:**
 
     - `walker`: any walker.
     - `guess`: a point of the section, from which a walk gives the other states of the cycle; or all
-      states, of shape (period, section). The default for the simplest walker and a period of one
-      is the long gait, which is stable at small slopes. Otherwise the default is the most stable
-      gait that `find_gaits` finds, where none is stable in the walker's `further_gait_region` too;
-      it is not available while JAX traces.
-    - `period`: strides in a cycle.
-    - `tolerance`, `solver`: of the integration, as in `stride`.
+      states, of shape (period, section). For the simplest walker and a period of one, the default
+      is the long gait, which is stable at small slopes. Otherwise it is the most stable gait that
+      `find_gaits` finds; if that is unstable, the walker's `further_gait_region` is searched too.
+      Under a JAX transformation there is no such default.
+    - `period`: number of strides in the cycle.
+    - `tolerance`, `solver`: tolerance and solver of the integration, as in `stride`.
 
-    **Returns** a `Gait`, stable or not. Where JAX traces, nothing can be raised: there `found` is
-    false if the search fails, and states, multipliers and step times are NaN.
+    **Returns** a `Gait`, stable or not. Under a JAX transformation a failed search raises nothing:
+    `found` is then false, and states, multipliers and step times are NaN.
 
-    Raises `ComputationFailed` with the reason where the search fails, or ends in a gait of a
-    shorter period; `ValueError` for a period below 1, for a guess of a wrong shape or one that is
-    not finite, and for none where one is needed.
+    Raises `ComputationFailed` with the reason if the search fails, or ends in a gait of a shorter
+    period; `ValueError` for a period below 1, for a guess of a wrong shape or one that is not
+    finite, and for a missing guess where one is needed.
     """
     gait = search_gait(walker, guess, period, tolerance=tolerance, solver=solver)
     if not is_traced(gait) and not gait.found:
@@ -110,7 +114,7 @@ def search_gait(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Gait:
-    """`find_gait`, but `found` is false where it raises `ComputationFailed`, and the rest NaN."""
+    """`find_gait`, but a failed search returns `found` false and NaN instead of raising."""
     check_kind("walker", walker, System)
     check_whole("period", period)
     given = guess is not None
@@ -130,7 +134,7 @@ def search_gait(
         cycle = cycles[0] if len(cycles) else np.full((period, size), np.nan, first.dtype)
     if traced:
         return solve_cycle(walker, cycle, integrator)
-    # The same iteration, by the program that is compiled for all searches.
+    # The same iteration, in the program that is compiled for all searches.
     gaits = iterate_newton(walker, np.asarray(cycle)[None], integrator)
     gait = gait_at(confirm_gaits(walker, gaits, integrator), 0)
     return gait if gait.found else clear_values(gait)
@@ -139,7 +143,7 @@ def search_gait(
 def first_guess(
     walker: System, period: int, tolerance: Real | None, solver: AnySolver | None
 ) -> Float[Array | np.ndarray, "..."]:
-    """A guess of the most stable gait of a period."""
+    """Guess the most stable gait of a period."""
     if moves_like(walker, SimplestWalker) and period == 1:
         return approximate_long_gait(walker.slope)
     if is_traced((walker, tolerance)):
@@ -157,10 +161,11 @@ def first_guess(
 
 
 def approximate_long_gait(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
-    """The long period-one gait of the simplest walker to 1e-5, up to a slope of 0.2597.
+    """Approximate the simplest walker's long period-one gait to 1e-5, up to a slope of 0.2597.
 
-    A fit to what continuation gives, in the powers of slope^{1/3} of the expansion for small slopes
-    (Garcia, Chatterjee, Ruina and Coleman 1998). Beyond that slope there is no such gait.
+    This is a fit to the result of continuation, in the powers of slope^{1/3} of the expansion for
+    small slopes (Garcia, Chatterjee, Ruina and Coleman 1998). At larger slopes there is no such
+    gait.
     """
     u = jnp.cbrt(slope)
     powers = jnp.stack([jnp.ones_like(u), u**2, u**4, u**6])
@@ -178,23 +183,28 @@ def find_gaits(
     descent: int = 0,
     tolerance: Real | None = None,
 ) -> list[Gait]:
-    """All gaits of a period to which Newton's iteration converges from the cells of a region.
+    """Find all gaits of a period to which Newton's iteration converges from a region's cells.
 
-    The searches run at once, each from the states of a walk from the centre of a cell. A finer
-    region finds more gaits. A walk over the period must repeat each gait to `MAX_RESIDUAL`: gaits
-    so unstable that rounding errors grow beyond it within a period are left out.
+        walker = wj.SimplestWalker(slope=0.004)
+        gaits = wj.find_gaits(walker, period=1)
+        gaits.states, gaits.stable  # the long and the short gait
+
+    All searches run at once, each from the states of a walk that starts at the centre of a cell. A
+    finer region finds more gaits. A walk over the period must repeat each gait to `MAX_RESIDUAL`:
+    gaits so unstable that rounding errors grow beyond it within a period are left out.
 
     **Arguments:**
 
     - `walker`: any walker.
-    - `period`: strides in a cycle.
+    - `period`: number of strides in the cycle.
     - `region`: grid of the section, with a search from each cell; by default the walker's
       `gait_region`.
-    - `descent`: steps of `descend` after which failed searches are repeated.
-    - `tolerance`: of the integration, as in `stride`.
+    - `descent`: number of steps of `descend` after which failed searches are repeated.
+    - `tolerance`: tolerance of the integration, as in `stride`.
 
-    **Returns** the gaits that have a state in the region, each once, from its state with the
-    smallest first coordinate, in ascending order of that.
+    **Returns** a `Gait` whose fields have the gaits along their first axis: those with a state in
+    the region, each once, from its state with the smallest first coordinate, in ascending order of
+    that coordinate.
     """
     check_kind("walker", walker, System)
     check_whole("period", period)
@@ -212,7 +222,7 @@ def search_region(
     tolerance: Real | None,
     solver: AnySolver | None = None,
 ) -> list[Gait]:
-    """`find_gaits` by any solver; a descent is by series."""
+    """`find_gaits` with any solver; a descent always uses series."""
     check_kind("region", grid, Grid)
     if not len(grid.names) == grid.coordinates == len(walker.section):
         raise WrongUse(
@@ -221,7 +231,7 @@ def search_region(
         )
     starts = grid.centres(np.arange(grid.size))
     walker, _, integrator = prepare(walker, starts[0], tolerance, solver)
-    # A period of one needs no walk, which would be one more program to compile.
+    # A period of one needs no walk, which would take one more program.
     cycles = starts[:, None]
     if period > 1:
         _, cycles = cycle_guesses(walker, starts, period, integrator)
@@ -245,26 +255,31 @@ def descend(
     rate: float = 0.003,
     tolerance: Real | None = None,
 ) -> Float[np.ndarray, "n period section"]:
-    """Guesses closer to gaits than the given ones: descent along the gradient of the mismatch.
+    """Move guesses closer to gaits by gradient descent on the mismatch of their strides.
 
-    Minimises |S(x_1) - x_2|^2 + ... + |S(x_k) - x_1|^2 for each of n cycles by Adam, whose rate
-    falls to zero over the steps (optax). Where a step leads to a state that makes no stride it is
-    rejected, and the rate of that search is halved. Descent reaches gaits from guesses from which
-    Newton's iteration diverges; it may also end at a local minimum of the mismatch above zero.
+        walker = wj.SimplestWalker(slope=0.004)
+        cycles = wj.descend(walker, np.array([[[0.15, -0.15]]]))
+        wj.find_gait(walker, cycles[0])
+
+    Adam (optax) minimises |S(x_1) - x_2|^2 + ... + |S(x_k) - x_1|^2 for each of n cycles; its rate
+    falls to zero over the steps. A step to a state that makes no stride is rejected, and the rate
+    of that search is halved. Descent reaches gaits from guesses from which Newton's iteration
+    diverges. It may also end at a local minimum of the mismatch above zero.
 
     **Arguments:**
 
     - `walker`: any walker.
-    - `cycles`: guesses of all states of cycles; they need not be walks.
+    - `cycles`: guesses of all states of cycles, of shape (n, period, section); they need not be
+      walks.
     - `steps`: number of steps.
     - `rate`: length of the first steps in each coordinate.
-    - `tolerance`: of the integration, as in `stride`.
+    - `tolerance`: tolerance of the integration, as in `stride`.
 
-    **Returns** cycles of the same shape; unchanged where a state of the guess makes no stride.
+    **Returns** cycles of the same shape; unchanged if a state of the guess makes no stride.
 
     Raises `ValueError` for another shape, and for numbers that are not above 0.
     """
-    import optax  # here alone: it takes a quarter of a second
+    import optax  # only here, as it takes a quarter of a second
 
     check_kind("walker", walker, System)
     cycles = array("cycles", cycles)
@@ -300,7 +315,7 @@ def descend(
 
 
 def confirm_gaits(walker: System, gaits: Gait, integrator: Integrator) -> Gait:
-    """The same gaits; those that a walk over the period does not repeat count as not found."""
+    """Mark gaits that a walk over the period does not repeat as not found."""
     states, found = np.asarray(gaits.states), np.asarray(gaits.found)
     period = states.shape[1]
     last = states[:, 0]
@@ -314,7 +329,7 @@ def confirm_gaits(walker: System, gaits: Gait, integrator: Integrator) -> Gait:
 def cycle_guesses(
     walker: System, starts: Float[np.ndarray, "n section"], period: int, integrator: Integrator
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m period section"]]:
-    """Indices of the starts that make `period` strides, and the states of these walks.
+    """Return the indices of starts that make `period` strides, and the states of these walks.
 
     The walker's parameters may be arrays of n.
     """
@@ -329,10 +344,10 @@ def iterate_newton(
     integrator: Integrator,
     steps: int = MAX_SEARCH_STEPS,
 ) -> Gait:
-    """Newton's iteration from n guesses of cycles; the first axis of each field is n.
+    """Iterate Newton's method from n guesses of cycles; the first axis of each field is n.
 
-    The walker's parameters may be arrays of n. A search ends where its residual is rounding, or
-    where a state makes no stride.
+    The walker's parameters may be arrays of n. A search ends once its residual is rounding, or a
+    state makes no stride.
     """
     n, period, size = cycles.shape
     cycles = cycles.copy()

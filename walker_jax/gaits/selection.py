@@ -13,9 +13,9 @@ from walker_jax.systems.system import System
 
 
 def require_gait(walker: System, instead: Iterable[str], *, tolerance: Real | None = None) -> Gait:
-    """The gait that `find_gait` finds by default.
+    """Return the gait that `find_gait` finds by default.
 
-    Raises `ComputationFailed` where it finds none, and names the arguments `instead` of a gait.
+    Raises `ComputationFailed` if it finds none, and names the arguments to use `instead`.
     """
     gait = search_gait(walker, tolerance=tolerance)
     if not gait.found:
@@ -33,27 +33,26 @@ def select_gaits(
     every: bool = False,
     instead: str = "",
 ) -> list[Gait]:
-    """One gait of a period, or every gait of that period.
+    """Return one gait of a period, or every gait of that period.
 
     **Arguments:**
 
     - `walker`, `period`, `guess`: as in `find_gait`.
     - `every`: whether to return all gaits that searches from the walker's `gait_region` find.
-    - `instead`: of trying another guess, as the error says it.
+    - `instead`: the error's advice in place of trying another guess.
 
     **Returns** the gait to which the search converges from the guess, if there is a guess.
-    Otherwise, for a period of one, the gait that `find_gait` finds by default, and after it, if
-    `every`, the others; for a longer period the gait with the smallest multiplier, and after it,
-    if `every`, the others.
+    Otherwise the first gait is, for a period of one, the default of `find_gait`, and for a longer
+    period the gait with the smallest multiplier. With `every`, the others follow.
 
-    Raises `ComputationFailed` with the reason where none is found.
+    Raises `ComputationFailed` with the reason if none is found.
     """
     found, first = [], None
     if every or (period > 1 and guess is None):
         found = find_gaits(walker, period)
         found.sort(key=lambda gait: np.abs(gait.multipliers[0]))
         found = found if every else found[:1]
-    # The long gait of period one is not the most stable one on every slope.
+    # The long gait of period one is not the most stable on every slope.
     if period == 1 or guess is not None:
         first = search_gait(walker, guess, period)
         same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)

@@ -1,1 +1,1 @@
-"""Taylor series of solutions, the diffrax solver that uses them, and the roots of events."""
+"""Taylor series of solutions, a diffrax solver that uses them, and the roots of events."""

@@ -1,7 +1,7 @@
 """Power series of functions of power series: a rule for each of JAX's primitives.
 
-If a function has a kink, as |x| has at zero, its series continues the branch on which it starts. It
-is valid until a switching function changes sign: x for |x|, a - b for max(a, b).
+If a function has a kink, as |x| has at zero, its series continues the branch on which it starts.
+The series is valid until a switching function changes sign: x for |x|, a - b for max(a, b).
 """
 
 import operator
@@ -34,11 +34,11 @@ from walker_jax.integrators.series import (
 from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, changes_entries
 
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
-"""The list that collects switching functions, while there is one."""
+"""The list that collects switching functions; None if they are not wanted."""
 
 
 def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
-    """The series of function(y(t)), given those of y(t), where `start` is y(0)."""
+    """Return the series of function(y(t)), given those of y(t), with `start` = y(0)."""
     structure = jax.tree.structure(start)
     flat = lambda *leaves: function(jax.tree.unflatten(structure, leaves))
     closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*jax.tree.leaves(start))
@@ -47,7 +47,7 @@ def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree
 
 
 def with_fast_sincos(function: Callable) -> Callable:
-    """A function with every sine and cosine in it computed by `sincos`."""
+    """Return the function with every sine and cosine computed by `sincos`."""
 
     def faster(*args):
         constants = jax.tree.map(constant, args)
@@ -58,17 +58,17 @@ def with_fast_sincos(function: Callable) -> Callable:
 
 
 class Expansion(Interpreter):
-    """The series of a jaxpr's results, given those of its arguments."""
+    """Computes the series of a jaxpr's results, given those of its arguments."""
 
     def __init__(self):
         self.pairs: dict = {}
-        """By argument: its sine and cosine, circular or hyperbolic, which are computed together."""
+        """By argument: its sine and cosine, circular or hyperbolic, computed together."""
 
     def constant(self, value) -> Series:
         return constant(value)
 
     def keep(self, equation, operands: list[Series]) -> list[Series]:
-        """Results of a primitive without a rule; raises if an operand varies with time."""
+        """Evaluate a primitive without a rule; raise if an operand varies with time."""
 
         def rule(k, operands, bind):
             if any(operand[j] is not None for operand in operands for j in range(1, k + 1)):
@@ -96,19 +96,19 @@ def one_minus_square(k: int, operands: list[Series], bind: Callable) -> Any:
 
 
 def linear(k: int, operands: list[Series], bind: Callable) -> Any:
-    """A result linear in all its real operands jointly; indices and flags are constant."""
-    if all(value is None for value in [x[k] for x in operands]):  # evaluates all: one may raise
+    """Return a result that is jointly linear in its real operands; indices, flags are constant."""
+    if all(value is None for value in [x[k] for x in operands]):  # evaluates all, as one may raise
         return None
     return bind(*(dense_coefficient(k, x) if varies(x) else x[0] for x in operands))
 
 
 def varies(x: Series) -> Any:
-    """Whether a series is of real or complex numbers: others are constant between jumps."""
+    """Whether a series has real or complex numbers; others are constant between jumps."""
     return jnp.issubdtype(jnp.result_type(x[0]), jnp.inexact)
 
 
 def dense_coefficient(k: int, x: Series) -> Any:
-    """The k-th coefficient as an array, zeros for None."""
+    """Return the k-th coefficient as an array, zeros for None."""
     return jnp.zeros_like(x[0]) if x[k] is None else x[k]
 
 
@@ -123,7 +123,7 @@ def smaller_operand(k: int, operands: list[Series], bind: Callable) -> Any:
 
 
 def select_branch(k: int, which, one: Series, other: Series) -> Any:
-    """The k-th coefficient of one series where a flag is true, else of another."""
+    """Return the k-th coefficient of one series where a flag is true, else of another."""
     if one[k] is None and other[k] is None:
         return None
     return jnp.where(which, dense_coefficient(k, one), dense_coefficient(k, other))
@@ -146,7 +146,7 @@ def absolute_value(k: int, operands: list[Series], bind: Callable) -> Any:
 
 
 def by_coefficients(rule: Callable) -> Callable:
-    """c_0 by the primitive itself, the other coefficients by a rule."""
+    """Compute c_0 by the primitive itself, and the other coefficients by a rule."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         bind = binding(equation)
@@ -157,13 +157,13 @@ def by_coefficients(rule: Callable) -> Callable:
 
 
 def binding(equation) -> Callable:
-    """The primitive of an equation, with its parameters, as a function of operands."""
+    """Return the primitive of an equation, with its parameters, as a function of operands."""
     primitive = equation.primitive
     return partial(primitive.bind, **primitive.get_bind_params(equation.params))
 
 
 def parts(series: Series, equation) -> list[Series]:
-    """The series of an equation's results; if it has several, coefficients are lists of them."""
+    """Split a series into those of an equation's results, if coefficients are lists of several."""
     if not equation.primitive.multiple_results:
         return [series]
     part = lambda i: Series(lambda k: None if (all := series[k]) is None else all[i])
@@ -171,7 +171,7 @@ def parts(series: Series, equation) -> list[Series]:
 
 
 def gather_rule(expansion, equation, operands: list[Series]) -> list[Series]:
-    """Entries at computed indices; an entry out of bounds is constant."""
+    """Expand entries at computed indices; an entry out of bounds is constant."""
     bind, (x, places) = binding(equation), operands
     change = partial(bind, fill_value=0)
     return [Series(lambda k: None if x[k] is None else (change if k else bind)(x[k], places[0]))]
@@ -191,7 +191,7 @@ def by_equation(name: str) -> Callable:
 
 
 def by_definition(function: Callable) -> Callable:
-    """The series of a primitive by those of a function that defines it."""
+    """Expand a primitive by the function that defines it."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         start = [x[0] for x in operands]
@@ -202,7 +202,7 @@ def by_definition(function: Callable) -> Callable:
 
 
 def by_pair(values: Callable, sign: int, which: int) -> Callable:
-    """Sine or cosine, from one recurrence for both."""
+    """Expand a sine or cosine, by one recurrence for both."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         (x,) = operands
@@ -219,7 +219,7 @@ def division_rule(expansion, equation, operands: list[Series]) -> list[Series]:
 
 
 def power_rule(expansion, equation, operands: list[Series]) -> list[Series]:
-    """x^p for a real p; if p is a literal integer, p >= 0, x may be zero."""
+    """Expand x^p for a real p; if p is a literal integer, p >= 0, x may be zero."""
     x, p = operands
     exponent = equation.invars[1]
     rule = by_equation("pow")
@@ -238,7 +238,7 @@ def integer_power_rule(expansion, equation, operands: list[Series]) -> list[Seri
 
 
 def by_squaring(x, y: int):
-    """x^y for an integer y >= 0."""
+    """Return x^y for an integer y >= 0."""
     if y < 2:
         return x if y else jnp.ones_like(x)
     half = by_squaring(x, y // 2)
@@ -256,7 +256,7 @@ def reduce_product(x, axes, **_):
 
 
 def reduce_by(operation: Callable) -> Callable:
-    """The largest or the least entry along axes, pair by pair."""
+    """Return the largest or the least entry along axes, pair by pair."""
 
     def reduce_pairs(x, axes, **_):
         rows = jnp.moveaxis(x, axes, range(len(axes)))
@@ -266,7 +266,7 @@ def reduce_by(operation: Callable) -> Callable:
 
 
 def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Callable:
-    """Extends a rule so that it records the primitive's switching functions."""
+    """Extend a rule so that it records the primitive's switching functions."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         if (found := switches.get()) is not None and varies(operands[0]):
@@ -277,7 +277,7 @@ def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Call
 
 
 def conversion_rule(expansion, equation, operands: list[Series]) -> list[Series]:
-    """Conversion to another type; from a real to an integer or a flag, the result jumps."""
+    """Convert to another type; from a real to an integer or a flag, the result jumps."""
     kept = jnp.issubdtype(equation.params["new_dtype"], jnp.inexact)
     rule = (
         by_coefficients(linear)
@@ -288,14 +288,14 @@ def conversion_rule(expansion, equation, operands: list[Series]) -> list[Series]
 
 
 def piecewise_constant(k: int, operands: list[Series], bind: Callable) -> None:
-    """A result that is constant in time between its jumps."""
+    """Return None: the result is constant in time between its jumps."""
     for x in operands:
         if not varies(x):
             x[k]  # raises if its jumps are not known
 
 
 def distances_to_rounding(x: Series, whole: Callable) -> list[Series]:
-    """Distances of x to both ends of the interval that is rounded to the same number."""
+    """Return the distances of x to both ends of the interval that rounds to the same number."""
     below = lambda k: x[0] - whole(x[0]) if k == 0 else x[k]
     above = lambda k: whole(x[0]) + 1 - x[0] if k == 0 else scale(x[k], -1)
     return [Series(below), Series(above)]
@@ -311,7 +311,7 @@ LINEAR = (
     "reshape rev scatter-add select_n slice split squeeze stack stop_gradient transpose "
     "unstack"
 ).split()
-"""Primitives that are linear in all their real operands jointly."""
+"""Primitives that are jointly linear in their real operands."""
 DISCRETE = "and ceil eq floor ge gt is_finite le lt ne not or round sign xor".split()
 """Primitives whose results are constant in time between jumps."""
 Expansion.rules = {
@@ -355,7 +355,7 @@ SWITCHES: dict[str, Callable[..., list[Series]]] = {
     "floor": lambda x: distances_to_rounding(x, jnp.floor),
     "round": lambda x: distances_to_rounding(x, lambda value: jnp.round(value) - 0.5),
 }
-"""By primitive: functions of the operands at whose zeros the result has a kink or a jump."""
+"""By primitive: functions of the operands; the result has a kink or a jump at their zeros."""
 
 Expansion.rules |= {
     name: record_switches(SWITCHES[name], Expansion.rules[name]) for name in SWITCHES

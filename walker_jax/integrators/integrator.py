@@ -22,10 +22,10 @@ TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 
 
 def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
-    """The tolerance given, or the default of a dtype.
+    """Return the given tolerance, or the default of a dtype.
 
-    It must lie between a quarter of the dtype's rounding error, below which no step can be told
-    from a shorter one, and 1. One that JAX traces is not checked.
+    It must lie between a quarter of the dtype's rounding error and 1; smaller tolerances make no
+    difference to steps. A traced tolerance is not checked.
     """
     dtype = jnp.dtype(dtype)
     if dtype not in TOLERANCE:
@@ -44,14 +44,14 @@ def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
 
 
 class Integrator(eqx.Module):
-    """How motions are integrated: the tolerance of a step, and the solver."""
+    """The settings of integration: the tolerance of a step, and the solver."""
 
     tolerance: Real
     solver: Solver | None = eqx.field(static=True, default=None)
-    """One of diffrax's methods, or `Taylor`; by default that, of the order that suits the dtype."""
+    """A method of diffrax, or `Taylor`; None for `Taylor` of the order that suits the dtype."""
 
     def in_dtype(self, dtype) -> "Integrator":
-        """The same, with the tolerance as an array."""
+        """Return the same settings, with the tolerance as an array."""
         return Integrator(jnp.asarray(self.tolerance, dtype), self.solver)
 
     def method(
@@ -61,7 +61,7 @@ class Integrator(eqx.Module):
         *others: Callable[[PyTree], PyTree],
         watched: tuple[Callable[[PyTree], Scalar], ...] = (),
     ) -> Method:
-        """The method by which y' = f(y) is integrated from a state."""
+        """Return the method that integrates y' = f(y) from a state."""
         solver = self.solver or Taylor(series_order(state))
         return Method(field, solver, self.tolerance, others, watched)
 
@@ -69,7 +69,7 @@ class Integrator(eqx.Module):
 def integrator_of(
     dtype, tolerance: Real | None = None, solver: AnySolver | None = None
 ) -> Integrator:
-    """The tolerance and the solver given, checked, or the defaults of a dtype.
+    """Return the integrator of a checked tolerance and solver, or of the defaults of a dtype.
 
     Raises `WrongUse` for a solver that is neither a `Taylor` nor an explicit Runge-Kutta method.
     """

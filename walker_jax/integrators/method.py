@@ -1,6 +1,6 @@
-"""Single steps of any method: by Taylor series, or an explicit Runge-Kutta method of diffrax.
+"""Single steps of any method: a Taylor series, or an explicit Runge-Kutta method of diffrax.
 
-Nothing here knows what is integrated. `hybrid.following` has the loop around the steps.
+The module is independent of the equations. `hybrid.following` has the loop around the steps.
 """
 
 import math
@@ -29,34 +29,34 @@ from walker_jax.integrators.taylor_steps import evaluate_series, taylor_step
 
 Solver = diffrax.AbstractAdaptiveSolver
 MAX_STEPS = 1000
-"""Most steps of one integration, so that each ends."""
+"""Most steps of one integration, so that it always ends."""
 MOST_EXPANDED_AGAIN = 6
-"""Variables of a state whose series is expanded once more for a step that is searched. To carry the
-series of more of them from step to step takes less than that."""
+"""Most variables of a state whose series is expanded again for the search within a step. For more
+variables it is cheaper to carry the series from step to step."""
 INTERPOLATION_ORDER = 8
-"""Order to which the interpolation of a Runge-Kutta method counts: none of diffrax's has more."""
+"""Order of the polynomial that represents a Runge-Kutta interpolation; diffrax has none higher."""
 NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
-"""Parts of a step at which such an interpolation is read, to have it as a polynomial."""
+"""Fractions of a step at which the interpolation is evaluated to fit the polynomial."""
 TIME_REFINEMENTS = 3
-"""Newton's iterations on a time that interpolation gives; each squares its error."""
+"""Newton iterations on a time found by interpolation; each squares its error."""
 
 
 def zero_at(state: PyTree) -> Scalar:
-    """Zero, as a function of a state.
+    """Return zero, as a function of a state.
 
-    A loop should start its values from this if they depend on the state in later turns. For a value
-    that has no derivative at first, JAX differentiates the whole loop once more.
+    The values of a loop should start from this zero if they depend on the state in later turns. If
+    a value has no derivative at first, JAX differentiates the whole loop once more.
     """
     return 0 * jnp.sum(jax.tree.leaves(state)[0])
 
 
 def stop_gradients(tree: PyTree) -> PyTree:
-    """A tree with all arrays constant to derivatives."""
+    """Return a tree in which all arrays are constant to derivatives."""
     return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
 def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scalar]:
-    """The polynomial in 0 <= t <= length with these values at `NODES`, which are parts of it."""
+    """Fit the polynomial in 0 <= t <= length with these values at t = `NODES` length."""
     changes, unit, found = values - values[0], jnp.ones_like(length), [values[0]]
     for row in np.linalg.inv(np.vander(NODES, increasing=True))[1:]:
         unit = unit * length
@@ -66,7 +66,7 @@ def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scala
 
 
 class Method(eqx.Module):
-    """Equations y' = f(y), with the diffrax solver and the tolerance that solve them."""
+    """Equations y' = f(y), with the diffrax solver and the tolerance of their solution."""
 
     field: VectorField
     solver: Solver
@@ -74,7 +74,7 @@ class Method(eqx.Module):
     others: tuple[Callable[[PyTree], PyTree], ...] = ()
     """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f."""
     watched: tuple[Callable[[PyTree], Scalar], ...] = ()
-    """Functions of the state whose series limit its steps as the solution's does."""
+    """Functions of the state whose series limit the steps as the solution's series does."""
 
     @property
     def terms(self):
@@ -82,8 +82,8 @@ class Method(eqx.Module):
         return diffrax.ODETerm(lambda t, y, args: field(y))
 
     @property
-    def by_stages(self) -> Solver:
-        """The solver with a loop over stages that has derivatives in forward mode."""
+    def forward_solver(self) -> Solver:
+        """Return the solver with a loop over stages that supports forward mode."""
         if not isinstance(self.solver, diffrax.AbstractRungeKutta):
             return self.solver
         absent = lambda x: x is None
@@ -96,7 +96,7 @@ class Method(eqx.Module):
         return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
 
     def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
-        """Integrates from `state` at t0 to t1."""
+        """Integrate from `state` at t0 to t1."""
         solver = self.solver
         if isinstance(solver, Taylor):
             solver = Taylor(solver.taylor_order, self.field)
@@ -115,28 +115,28 @@ class Method(eqx.Module):
         )
 
     def carries_series(self, state: PyTree) -> bool:
-        """Whether a loop should pass the polynomial of a step on, not compute it again."""
+        """Whether a loop should carry the polynomial of a step instead of computing it again."""
         series = isinstance(self.solver, Taylor)
         return not series or len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
 
     def first_memory(self, state: PyTree) -> PyTree:
-        """The method's own, for the first step."""
+        """Return the method's memory for the first step."""
         if isinstance(self.solver, Taylor):
             return ()
         zero, terms, controller = zero_at(state), self.terms, self.controller()
         order = self.solver.error_order(terms)
-        first = self.by_stages.init(terms, zero, zero + 1, state, None)
+        first = self.forward_solver.init(terms, zero, zero + 1, state, None)
         length, kept = controller.init(
             terms, zero, jnp.full_like(zero, jnp.inf), state, None, None, self.solver.func, order
         )
         return length, kept, first
 
     def step(self, state: PyTree, memory: PyTree) -> tuple[PyTree[list], PyTree, Scalar, PyTree]:
-        """One step of the method from a state.
+        """Make one step of the method from a state.
 
-        Returns its polynomial, from its start: the series of the solution, or the interpolation of
-        a Runge-Kutta method; its end; its length, zero where the method rejects the step; and what
-        the next step takes from this one.
+        Returns the polynomial of the step, from its start (the series of the solution, or the
+        interpolation of a Runge-Kutta method); its end; its length, zero if the method rejects the
+        step; and the memory for the next step.
         """
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
@@ -146,7 +146,7 @@ class Method(eqx.Module):
             return series, evaluate_series(series, length), length, ()
         length, kept, first = memory
         zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
-        end, error, dense, last, _ = self.by_stages.step(
+        end, error, dense, last, _ = self.forward_solver.step(
             terms, zero, length, state, None, first, False
         )
         order: Any = self.solver.error_order(terms)
@@ -160,31 +160,31 @@ class Method(eqx.Module):
         return series, keep(end, state), jnp.where(good, length, 0), memory
 
     def series_of(self, state: PyTree) -> PyTree[list]:
-        """The series of the solution from a state, of a Taylor method."""
+        """Return the series of the solution from a state, for a Taylor method."""
         assert isinstance(self.solver, Taylor)
         return solution_series(self.field, state, self.solver.taylor_order)
 
     def no_series(self, state: PyTree) -> PyTree[list]:
-        """A polynomial with as many coefficients as those of steps."""
+        """Return a constant polynomial with as many coefficients as those of steps."""
         solver = self.solver
         order = solver.taylor_order if isinstance(solver, Taylor) else INTERPOLATION_ORDER
         return jax.tree.map(lambda x: [x, *[0 * x] * order], state)
 
     def state_at(self, state: PyTree, series: PyTree[list], time: Scalar) -> PyTree:
-        """The state a time after the start of a step, by its series or by a shorter step."""
+        """Return the state at a time after the start of a step, by its series or a shorter step."""
         if isinstance(self.solver, Taylor):
             return evaluate_series(series, time)
-        zero, solver = jnp.zeros_like(time), self.by_stages
+        zero, solver = jnp.zeros_like(time), self.forward_solver
         first = solver.init(self.terms, zero, time, state, None)
         return solver.step(self.terms, zero, time, state, None, first, False)[0]
 
     def refine_time(
         self, event: Callable[[PyTree], Scalar], state: PyTree, series: PyTree[list], time: Scalar
     ) -> Scalar:
-        """Refines the time from the start of a step to an event; constant to derivatives.
+        """Refine the time from the start of a step to an event; constant to derivatives.
 
-        The interpolation of a Runge-Kutta method is less accurate than its steps. So each of
-        Newton's iterations takes a step to the latest time. A series needs no refinement.
+        The interpolation of a Runge-Kutta method is less accurate than its steps. So each Newton
+        iteration takes a step to the latest time. A series needs no refinement.
         """
         if isinstance(self.solver, Taylor):
             return time
@@ -196,7 +196,7 @@ class Method(eqx.Module):
         return time
 
     def series(self, function: Callable, state: PyTree, order: int) -> PyTree[list]:
-        """Taylor coefficients of function(y(t)) along the solution y from a state."""
+        """Return the Taylor coefficients of function(y(t)) along the solution y from a state."""
         if isinstance(self.solver, Taylor):
             return function_series(function, solution_series(self.field, state, order))
         values = []
@@ -210,10 +210,10 @@ class Method(eqx.Module):
     def refine_event(
         self, event: Callable[[PyTree], Scalar], state: PyTree
     ) -> tuple[PyTree, Scalar]:
-        """The state at which `event` is zero, and the time to it, with their derivatives.
+        """Return the state at which `event` is zero, and the time to it, with their derivatives.
 
-        `state` is that state to rounding, at a time that is constant to derivatives, so the values
-        returned are `state` and 0. Two of Newton's iterations, dt = -event / (d event / dt), on a
+        `state` is already that state to rounding, at a time that is constant to derivatives, so the
+        returned values are `state` and 0. Two Newton iterations, dt = -event / (d event / dt), on a
         series of third order make their derivatives exact to third order.
         """
         values = self.series(event, state, 3)

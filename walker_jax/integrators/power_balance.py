@@ -1,4 +1,4 @@
-"""Equations of motion as a balance of power, whose series need no formula for accelerations.
+"""Equations of motion as a balance of power, solved by series without a formula for accelerations.
 
 The series of a solution grows order by order, as in `taylor`, from a balance that is linear in the
 unknown coefficient.
@@ -23,44 +23,41 @@ from walker_jax.integrators.series import (
 
 
 class PowerBalance(eqx.Module):
-    """Equations of motion as a balance of power, whose series needs no formula for accelerations.
-
-    A state holds coordinates first, then rates.
-    """
+    """Equations of motion as a balance of power; a state holds coordinates first, then rates."""
 
     @abc.abstractmethod
     def series(self, state: PyTree, order: int) -> PyTree[list]:
-        """Taylor coefficients of the solution."""
+        """Return the Taylor coefficients of the solution."""
 
     @abc.abstractmethod
     def balance(
         self, state: list[Series], start: list
     ) -> tuple[list[Series], list[Series], list[Series]]:
-        """The series of the balance, and the lists of all series before and of it.
+        """Return the series of the balance, and lists of all series that precede it and form it.
 
-        Those before depend on the unknown coefficient through their own of one order more.
+        The preceding series depend on the unknown coefficient through their own of one order more.
         """
 
 
 class VirtualPower(PowerBalance):
     """Equations of motion as a balance of virtual power, without a formula for accelerations.
 
-    With x = F(q), they are p(q, q', x'') = 0, where p is linear in x'' = F(q(t))''. The series of
-    F(q(t)) follows from that of q(t), so neither derivatives of F nor the solution of linear
+    With x = F(q), the equations are p(q, q', x'') = 0, where p is linear in x'' = F(q(t))''. The
+    series of F(q(t)) follows from that of q(t), so neither derivatives of F nor solutions of linear
     equations are expanded. A state holds the coordinates q first, then their rates.
     """
 
     @abc.abstractmethod
     def transfer(self, q: list) -> list:
-        """F, from scalars q to scalars x."""
+        """Return x = F(q), from scalars q to scalars x."""
 
     @abc.abstractmethod
     def virtual_power(self, q: list, qdot: list, acceleration: list) -> list:
-        """p, of q, q' and x'': one scalar for each of q."""
+        """Return p(q, q', x''): one scalar for each of q."""
 
     @abc.abstractmethod
     def factorise(self, q: list) -> PyTree:
-        """The matrix -dp/dx'' dF/dq, which multiplies q'' in -p, in a form for `solve`."""
+        """Return the matrix -dp/dx'' dF/dq, which multiplies q'' in -p, in a form for `solve`."""
 
     @abc.abstractmethod
     def solve(self, factors: PyTree, right: list) -> list:
@@ -109,7 +106,7 @@ class VirtualPower(PowerBalance):
     def balance(
         self, state: list[Series], start: list
     ) -> tuple[list[Series], list[Series], list[Series]]:
-        """The series of p along q(t), the list of all series of F, and that of all others of p."""
+        """Return the series of p along q(t), a list of all series of F, and one of p's others."""
         half = len(state) // 2
         q, qdot = state[:half], state[half:]
         with recording(series_log) as of_transfer:
@@ -126,39 +123,39 @@ class VirtualPower(PowerBalance):
 
 
 class ConstrainedPower(PowerBalance):
-    """Equations of motion of independent rates u, to which q' = T(q) u gives those of all q.
+    """Equations of motion for independent rates u; all rates are q' = T(q) u.
 
-    With momenta m = P(q) u they are p(q, u, m, m') = 0, one for each of u, where p is linear in m'.
-    A state holds the coordinates q first, then u.
+    With momenta m = P(q) u the equations are p(q, u, m, m') = 0, one for each of u, where p is
+    linear in m'. A state holds the coordinates q first, then u.
     """
 
     @property
     @abc.abstractmethod
     def independent(self) -> tuple[int, ...]:
-        """Indices of the coordinates whose rates u are."""
+        """Indices of the coordinates with the independent rates u."""
 
     @abc.abstractmethod
     def rates(self, q: list, u: list) -> list:
-        """T(q) u: one scalar for each of q."""
+        """Return T(q) u: one scalar for each of q."""
 
     @abc.abstractmethod
     def momentum(self, q: list, u: list) -> list:
-        """P(q) u, to scalars m; more than p needs the rates of, if p needs them themselves."""
+        """Return P(q) u as scalars m, including any that p needs without their rates."""
 
     @abc.abstractmethod
     def power(self, q: list, u: list, momentum: list, momentum_rates: list) -> list:
-        """p: one scalar for each of u."""
+        """Return p: one scalar for each of u."""
 
     @abc.abstractmethod
     def factorise(self, q: list) -> PyTree:
-        """The matrix -dp/dm' P, which multiplies u' in -p, in a form for `solve`."""
+        """Return the matrix -dp/dm' P, which multiplies u' in -p, in a form for `solve`."""
 
     @abc.abstractmethod
     def solve(self, factors: PyTree, right: list) -> list:
         """The solution of linear equations with the matrix of `factorise`."""
 
     def halves(self, leaves: list) -> tuple[list, list]:
-        """Coordinates, and independent rates."""
+        """Split leaves into coordinates and independent rates."""
         count = len(leaves) - len(self.independent)
         return leaves[:count], leaves[count:]
 
@@ -221,7 +218,7 @@ class ConstrainedPower(PowerBalance):
 
 
 def derivative(series: Series, times: int = 1) -> Series:
-    """The derivative of a series by time, of order `times`."""
+    """Return the time derivative of a series, of order `times`."""
 
     def rule(k):
         coefficient = scale(series[k + times], math.perm(k + times, times))
@@ -231,6 +228,6 @@ def derivative(series: Series, times: int = 1) -> Series:
 
 
 def coefficients_up_to(series: Series, order: int) -> list:
-    """The coefficients of a series as arrays, to an order."""
+    """Return the coefficients of a series up to an order, as arrays."""
     zero = jnp.zeros_like(series[0])
     return [zero if series[k] is None else series[k] for k in range(order + 1)]

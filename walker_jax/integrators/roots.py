@@ -1,6 +1,7 @@
 """Roots and extrema of functions of time within one step of integration.
 
-JAX sees the results as constants, unless the docstring says otherwise. No search jumps over a root.
+Results are constant to derivatives, unless the docstring says otherwise. No search jumps over a
+root.
 """
 
 from collections.abc import Callable
@@ -15,11 +16,11 @@ from walker_jax.integrators.series import evaluate_polynomial
 Scalar = Float[Array, ""]
 Real = Scalar | float
 Jet = Callable[[Scalar], tuple[Scalar, Scalar, Scalar]]
-"""A function of the time since the start of a step: its value, slope and curvature."""
+"""A function from the time since the start of a step to a value, slope and curvature."""
 
 
 def polynomial_jet(series: list[Scalar]) -> Jet:
-    """The value, slope and curvature of a polynomial, given by its coefficients."""
+    """Return the value, slope and curvature of a polynomial with these coefficients."""
     series = lax.stop_gradient(series)
 
     def jet(t):
@@ -41,12 +42,12 @@ class Instant(NamedTuple):
 
 
 def derivative_of(series: list[Scalar]) -> list[Scalar]:
-    """The coefficients of a polynomial's derivative."""
+    """Return the coefficients of a polynomial's derivative."""
     return [k * c for k, c in enumerate(series)][1:]
 
 
 def differentiable_zero(series: list[Scalar], time: Scalar) -> Scalar:
-    """The time of a polynomial's zero, with its derivatives, by one step of Newton's iteration."""
+    """Return the time of a polynomial's zero, with derivatives, by one Newton step."""
     time = lax.stop_gradient(time)
     value, slope = (
         evaluate_polynomial(series, time),
@@ -59,10 +60,10 @@ def differentiable_zero(series: list[Scalar], time: Scalar) -> Scalar:
 def bracketed_newton(
     function: Callable[[Scalar], tuple[Scalar, Scalar]], low: Scalar, high: Scalar
 ) -> Scalar:
-    """The root of a function that is negative at `low` and not at `high`.
+    """Find the root of a function that is negative at `low` and not at `high`.
 
-    Newton's iteration from `high`, on (value, slope); a step that leaves the bracket is replaced by
-    bisection. Every turn shrinks the bracket, so the iteration ends. Returns `high` if it equals
+    Newton's iteration starts from `high`, on (value, slope); bisection replaces a step that leaves
+    the bracket. Every turn shrinks the bracket, so the iteration ends. Returns `high` if it equals
     `low`.
     """
     resolution = 2 * float(jnp.finfo(high.dtype).eps) * jnp.abs(high)
@@ -83,12 +84,12 @@ def bracketed_newton(
 
 
 def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scalar:
-    """The first zero of a polynomial in 0 <= t <= length; `length` or more if there is none.
+    """Find the first zero of a polynomial in 0 <= t <= length; `length` or more if there is none.
 
     The polynomial is expanded about points that approach the zero from the left. Each advances by a
-    length that certainly holds no zero, until that is less than the resolution. The convergence is
-    that of Newton's iteration, but no zero is passed. Zero itself counts as a zero of a polynomial
-    that starts there, unless it vanishes identically.
+    length that certainly holds no zero, until that length is less than the resolution. This
+    converges like Newton's iteration, but passes no zero. A polynomial that is zero at t = 0 has
+    its first zero there, unless it vanishes identically.
     """
 
     def unfinished(carry):
@@ -107,9 +108,9 @@ def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scal
 
 
 def length_without_zero(series: list[Scalar], most: Scalar) -> Scalar:
-    """A length, up to `most`, in which a polynomial that is positive at first has no zero.
+    """Return a length, up to `most`, in which a polynomial that starts positive has no zero.
 
-    p(t) >= p_0 + p_1 t - b t^2, with b such that b most^2 is the sum of the later terms' sizes at
+    p(t) >= p_0 + p_1 t - b t^2, where b most^2 is the sum of the moduli of all later terms at
     t = most.
     """
     value, rate = series[:2]
@@ -124,7 +125,7 @@ def length_without_zero(series: list[Scalar], most: Scalar) -> Scalar:
 
 
 def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
-    """The coefficients of p(step + t), by Horner's rule order after order."""
+    """Return the coefficients of p(step + t), by Horner's rule for each order."""
     series = list(series)
     for i in range(len(series) - 1):
         for k in range(len(series) - 2, i - 1, -1):

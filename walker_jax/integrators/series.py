@@ -23,10 +23,10 @@ from jaxtyping import Array, Float
 
 @jax.jit  # traced once for all calls
 def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Sine and cosine of one angle, off by less than the dtype's epsilon up to 1e5 rad.
+    """Return sine and cosine of an angle up to 1e5 rad, with errors below the dtype's epsilon.
 
-    The angle is reduced to [-pi/4, pi/4] by a multiple of pi/2 in three parts (Cody and Waite);
-    there sine and cosine are polynomials. XLA's own float64 sine serves every argument, and costs
+    The angle is reduced to [-pi/4, pi/4] by a multiple of pi/2 in three parts (Cody and Waite).
+    There sine and cosine are polynomials. XLA's own float64 sine accepts any argument, but costs
     seven times as much as this pair on a CPU.
     """
     return sincos_and_derivative(angle)
@@ -68,7 +68,7 @@ def _sincos_jvp(primals, tangents):
 
 
 def evaluate_polynomial(coefficients: list, t):
-    """The polynomial c_0 + c_1 t + c_2 t^2 + ... by Horner's rule."""
+    """Evaluate the polynomial c_0 + c_1 t + c_2 t^2 + ... by Horner's rule."""
     value = coefficients[-1] + jnp.zeros_like(t)
     for coefficient in coefficients[-2::-1]:
         value = value * t + coefficient
@@ -78,7 +78,7 @@ def evaluate_polynomial(coefficients: list, t):
 class Series:
     """A power series whose coefficients are computed when first read.
 
-    A coefficient of `None` is zero. The first one of an argument or a result is never `None`.
+    A coefficient of `None` is zero. The first coefficient of an argument or result is never `None`.
     """
 
     def __init__(self, rule: Callable[[int], Any], coefficients: Iterable = ()):
@@ -118,12 +118,12 @@ class Series:
 
 
 series_log: ContextVar[list[Series] | None] = ContextVar("series_log", default=None)
-"""The list that collects every new series, while there is one."""
+"""The list that collects every new series; None if they are not wanted."""
 
 
 @contextmanager
 def recording(where: ContextVar[list[Series] | None]):
-    """Collects series in a new list of a context variable, inside a `with` block."""
+    """Collect series in a new list of a context variable, inside a `with` block."""
     collected: list[Series] = []
     token = where.set(collected)
     try:
@@ -140,14 +140,14 @@ def constant(value) -> Series:
 
 
 results_known: ContextVar[dict | None] = ContextVar("results_known", default=None)
-"""Results of operations on coefficients, while they are kept: each is traced once."""
+"""Kept results of operations on coefficients, so that each is traced once; None if not kept."""
 
 
 @contextmanager
 def keeping_results():
-    """Equal terms of coefficients are computed once, inside a `with` block.
+    """Compute equal terms of coefficients only once, inside a `with` block.
 
-    A series that is computed again with one coefficient more has most of its terms in common.
+    A series that is computed again with one more coefficient shares most of its terms.
     """
     token = results_known.set({})
     try:
@@ -157,7 +157,7 @@ def keeping_results():
 
 
 def apply_once(operation: Callable, *operands):
-    """operation(*operands), which for the same operands is the same result."""
+    """Return operation(*operands), the same object for the same operands."""
     known = results_known.get()
     if known is None:
         return operation(*operands)
@@ -175,7 +175,7 @@ def scale(value, factor):
 
 @cache
 def number(value: float, dtype) -> np.ndarray:
-    """A number of a type; the same one every time, so that its products are (`apply_once`)."""
+    """Return a number of a type, always the same object, as `apply_once` compares objects."""
     return np.asarray(value, dtype)
 
 
@@ -187,14 +187,14 @@ def add_terms(terms):
 def coefficient_product(
     left: Series, i: int, right: Series, j: int, multiply: Callable = operator.mul
 ):
-    """The product of two coefficients; the right one is not read if the left one is zero."""
+    """Multiply two coefficients; the right one is not read if the left one is zero."""
     if (one := left[i]) is None or (other := right[j]) is None:
         return None
     return apply_once(multiply, one, other)
 
 
 def newest_last(first: int, last: int) -> list[int]:
-    """first ... last, with these two at the end, whose terms are known last.
+    """Return first ... last, with these two moved to the end, as their terms are known last.
 
     A processor can then sum the other terms while it waits for them.
     """
@@ -232,7 +232,7 @@ def times(k: int, operands: list[Series], bind: Callable = operator.mul) -> Any:
 
 
 def square(k: int, x: Series, multiply: Callable) -> Any:
-    """The k-th coefficient of a square, each product of two coefficients computed once."""
+    """Return the k-th coefficient of a square; each product of coefficients is computed once."""
     pairs = (coefficient_product(x, j, x, k - j, multiply) for j in newest_last(0, (k - 1) // 2))
     double = scale(add_terms(pairs), 2) if k else None
     middle = coefficient_product(x, k // 2, x, k // 2, multiply) if k % 2 == 0 else None
@@ -240,7 +240,7 @@ def square(k: int, x: Series, multiply: Callable) -> Any:
 
 
 def quotient(numerator: Series, denominator: Series, divide: Callable | None = None) -> Series:
-    """r = n / d, from n = r d."""
+    """Return r = n / d, from n = r d."""
     # One division for all orders: XLA would repeat the computation of the divisor for each.
     reciprocal = Series(lambda k: 1 / denominator[0])
 
@@ -256,8 +256,8 @@ def quotient(numerator: Series, denominator: Series, divide: Callable | None = N
 
 
 # Functions that solve a differential equation: D y of a result y, given each operand x and D x,
-# where D = t d/dt. The factor of D x stands right of it: D x is zero at t = 0, so the k-th
-# coefficient of D y does not read y_k.
+# with D = t d/dt. D x is the left factor: it is zero at t = 0, so the k-th coefficient of D y does
+# not read y_k.
 EQUATIONS: dict[str, Callable[..., Series]] = {
     "acos": lambda y, x, Dx: -Dx / sqrt_series((1 - x) * (1 + x)),
     "acosh": lambda y, x, Dx: Dx / sqrt_series((x - 1) * (x + 1)),
@@ -286,7 +286,7 @@ EQUATIONS: dict[str, Callable[..., Series]] = {
 
 
 def solution(equation: Callable[..., Series], bind: Callable, *operands: Series) -> Series:
-    """The series y that solves one of these equations, with the primitive's value at t = 0."""
+    """Return the series y that solves one of these equations, with the primitive's value at 0."""
     first = lambda: bind(*(x[0] for x in operands))
     y = Series(lambda k: scale(Dy[k], 1 / k) if k else first())
     Dy = equation(y, *(each for x in operands for each in (x, times_order(x))))
@@ -294,7 +294,7 @@ def solution(equation: Callable[..., Series], bind: Callable, *operands: Series)
 
 
 def times_order(x: Series) -> Series:
-    """D x = t dx/dt."""
+    """Return D x = t dx/dt."""
     return Series(lambda k: scale(x[k], k) if k else None)
 
 
@@ -311,7 +311,7 @@ def sqrt_series(x: Series) -> Series:
 
 
 def sine_and_cosine(x: Series, values: Callable, sign: int) -> tuple[Series, Series]:
-    """s and c from s' = c x' and c' = sign s x'; their values at t = 0 are values(x)."""
+    """Return s and c from s' = c x' and c' = sign s x'; their values at t = 0 are values(x)."""
     sine = Series(lambda k: scale(Dsine[k], 1 / k) if k else values(x[0])[0])
     cosine = Series(lambda k: scale(Dcosine[k], sign / k) if k else values(x[0])[1])
     Dx = times_order(x)

@@ -32,7 +32,7 @@ VectorField = Callable[[PyTree], PyTree]
 
 @eqx.filter_jit
 def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyTree[list]:
-    """Taylor coefficients of the solution of y' = f(y) that starts at `state`.
+    """Compute the Taylor coefficients of the solution of y' = f(y) that starts at `state`.
 
     **Arguments:**
 
@@ -40,15 +40,15 @@ def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyT
       `PowerBalance`. If it is a method of an `equinox.Module`, the expansion is traced once for
       all calls.
     - `state`: y_0, a PyTree of floating-point arrays.
-    - `order`: of the last coefficient.
+    - `order`: order of the last coefficient.
 
     **Returns** a PyTree of the structure of the state with a list of `order + 1` coefficients at
-    each leaf. Raises `NotImplementedError` if f holds a primitive whose series is not known.
+    each leaf. Raises `NotImplementedError` if f uses a primitive without a known series.
     """
     if isinstance(vector_field, PowerBalance):
         return vector_field.series(state, order)
     state = jax.tree.map(jnp.asarray, state)
-    # What the function has in its closure becomes an argument, as derivatives go through it.
+    # The values in the function's closure become arguments, so that derivatives go through them.
     return expand_solution(eqx.filter_closure_convert(vector_field, state), state, order=order)
 
 
@@ -71,12 +71,12 @@ def expand_solution(vector_field, state, *, order):
 
 @expand_solution.def_jvp
 def expand_variation(primals, tangents, *, order):
-    """The series of a solution and of its derivative, as the solution of one system.
+    """Expand a solution and its derivative, as the solution of one system.
 
-    Where f is made of other operations than smooth ones, each coefficient is differentiated.
+    If f contains operations that are not smooth, each coefficient is differentiated instead.
     """
     (vector_field, state), (change, dstate) = primals, tangents
-    # Its terms are those of the series with the derivative. JAX linearises what stands alone.
+    # Its terms are shared with the series of the derivative, and JAX linearises a separate call.
     series = expand_solution(vector_field, state, order=order)
     if not is_smooth(vector_field, state):
         grow = lambda vector_field, state: grow_series(vector_field, state, order)
@@ -88,11 +88,11 @@ def expand_variation(primals, tangents, *, order):
 
 
 SMOOTH = frozenset("add add_any cos div exp integer_pow log mul neg sin sqrt square sub".split())
-"""Primitives whose derivatives are made of one another."""
+"""Primitives whose derivatives consist of these primitives too."""
 
 
 def is_smooth(function: Callable, state: PyTree) -> bool:
-    """Whether a function is made of smooth primitives alone, of real numbers of one type."""
+    """Whether a function consists of smooth primitives, on real numbers of one type."""
     closed = jax.make_jaxpr(function)(state)
     known = [*closed.jaxpr.constvars, *closed.jaxpr.invars, *closed.jaxpr.outvars]
     types = {variable.aval.dtype for variable in known}
@@ -104,7 +104,7 @@ def is_smooth(function: Callable, state: PyTree) -> bool:
 
 
 def has_smooth_equations(closed: ClosedJaxpr) -> bool:
-    """Whether all equations are of smooth primitives, on numbers of the type of the result."""
+    """Whether all equations have smooth primitives, on numbers of the type of the result."""
     for equation in closed.jaxpr.eqns:
         types = {variable.aval.dtype for variable in (*equation.invars, *equation.outvars)}
         if equation.primitive.name in CALLS:
@@ -118,15 +118,15 @@ def has_smooth_equations(closed: ClosedJaxpr) -> bool:
 class VariedField(eqx.Module):
     """The variational equations (y, dy)' = (f, (df/dy) dy + (df/dp) dp) of y' = f(y, p).
 
-    Their solution has the derivative dy of y along a direction in which parameters change by dp.
-    The coefficients of its series are the derivatives of those of y, but take fewer operations: the
-    derivative of the series of sin(y) is one product of series, cos(y) dy, and that of each of its
-    coefficients is part of four.
+    Their solution contains the derivative dy of y along a direction in which parameters change by
+    dp. The coefficients of dy are the derivatives of those of y, but take fewer operations. For
+    example, the derivative of the series of sin(y) is one product of series, cos(y) dy; its
+    coefficients, differentiated one by one, take parts of four such products.
     """
 
     field: VectorField
     change: PyTree
-    """dp: a tree as `field` is, with `None` for what is constant."""
+    """dp: a tree like `field`, with `None` for constants."""
 
     def __call__(self, state: tuple[PyTree, PyTree]) -> tuple[PyTree, PyTree]:
         (y, dy), change = state, self.change
@@ -137,7 +137,7 @@ class VariedField(eqx.Module):
 
 
 def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> PyTree[list]:
-    """Taylor coefficients of function(y(t)), given those of y(t), to the same order."""
+    """Return the Taylor coefficients of function(y(t)), given those of y(t), to the same order."""
     known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
@@ -150,11 +150,11 @@ def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) 
 def switching_series(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> list[list[Array]]:
-    """Taylor coefficients of the functions whose zeros are the kinks and jumps of function(y(t)).
+    """Expand the switching functions, whose zeros are the kinks and jumps of function(y(t)).
 
     **Arguments:**
 
-    - `function`: of the state, or a `PowerBalance`.
+    - `function`: a function of the state, or a `PowerBalance`.
     - `series`: the coefficients of y(t), to some order.
 
     **Returns** a list of coefficients for each scalar whose sign selects a branch and changes with

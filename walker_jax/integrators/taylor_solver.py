@@ -20,7 +20,7 @@ from walker_jax.integrators.taylor_steps import (
     cut_at_switches,
     evaluate_series,
     scale_of,
-    step_length,
+    step_size,
     taylor_step,
 )
 
@@ -48,7 +48,7 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
 
     taylor_order: int = eqx.field(static=True, default=SERIES_ORDER[jnp.dtype("float64")])
     field: VectorField | None = None
-    """f, if it depends on the state alone; then it may be a `PowerBalance`."""
+    """f, if it depends on the state alone; it may be a `PowerBalance`."""
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = TaylorInterpolation
@@ -66,7 +66,7 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
         return terms.vf(t0, y0, args)
 
     def expand(self, terms, t0, y0, args) -> tuple[PyTree[list], list[list[Scalar]]]:
-        """The series of the solution from a state, and that of its switching functions."""
+        """Expand the solution from a state, and its switching functions."""
         if self.field is not None:
             series = solution_series(self.field, y0, self.taylor_order)
             return series, switching_series(self.field, series)
@@ -85,10 +85,10 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
         power = length**self.taylor_order
         error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
         if switches:
-            # A step over a kink gets an error that every controller rejects; a step to just behind
-            # it does not.
+            # A step over a kink gets an error that every controller rejects; a step that ends just
+            # behind the kink does not.
             eps = float(jnp.finfo(length.dtype).eps)
-            least = 1e3 * eps * jnp.maximum(step_length(series, eps), jnp.abs(t1))
+            least = 1e3 * eps * jnp.maximum(step_size(series, eps), jnp.abs(t1))
             over = length > cut_at_switches(switches, length, least)
             error = jax.tree.map(lambda e: jnp.where(over, scale_of(series), e), error)
         return (
@@ -101,7 +101,7 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
 
 
 class SeriesSteps(diffrax.AbstractStepSizeController):
-    """Steps as long as the series of the solution allows, so that none is rejected.
+    """Makes steps as long as the series of the solution allows, so that none is rejected.
 
     The steps and the arguments are those of `taylor_step`.
     """

@@ -1,4 +1,4 @@
-"""Steps by Taylor series: how long they may be, and where the solution goes in them."""
+"""Steps by Taylor series: their size, and the solution within them."""
 
 from collections.abc import Callable
 
@@ -26,34 +26,35 @@ from walker_jax.integrators.taylor import (
 SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
 """Order of the series: the fastest, or nearly, at the default tolerance (benchmarks/README.md).
 
-A higher order takes fewer steps of more work each.
+A higher order takes fewer steps, with more work for each.
 """
 LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
-"""In |y| / |y'|: a longer step is one that the last terms of a series do not limit, as those of a
-harmonic motion are at most a third as long; and its length instead, in which functions of a state
-that is a polynomial of time seldom turn more than once."""
+"""Two step sizes, in units of |y| / |y'|. If a step would be longer than the first, the last terms
+of the series do not limit it (steps of a harmonic motion are at most a third as long). It then has
+the second size; if the state is a polynomial of time, functions of it seldom have more than one
+extremum in such a step."""
 
 
-def step_length(series: PyTree, tolerance: Real) -> Scalar:
-    """Length of a step in which the last terms of the series stay below the tolerance.
+def step_size(series: PyTree, tolerance: Real) -> Scalar:
+    """Return the step size h at which the last terms of the series reach the tolerance.
 
-    h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the largest norm over all
-    variables (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. The last terms of a
-    polynomial of time vanish, such as those of ballistic flight or of a clock, and all terms at
-    rest. So h is finite wherever the solution is: `POLYNOMIAL_STEP` |y| / |c_1| where it would be
-    more than `LONGEST_STEP` |y| / |c_1|, and |c_1| counts as at least the rounding of |y|. It needs
-    few digits, and powers are cheap in float32.
+    h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the maximum norm over all variables
+    (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. The last terms vanish for a
+    polynomial of time, such as a ballistic flight or a clock, and all terms vanish at rest. So that
+    h stays finite, it is `POLYNOMIAL_STEP` |y| / |c_1| if it would exceed `LONGEST_STEP` |y| /
+    |c_1|, and |c_1| counts as at least the rounding of |y|. The powers are computed in float32,
+    where they are cheap: h needs few digits.
     """
     scale = scale_of(series)
-    shortest = reach(series, tolerance, scale)
+    shortest = uncapped_step_size(series, tolerance, scale)
     rate = (largest_coefficient(series, 1) / scale).astype(jnp.float32)
     unit = 1 / jnp.maximum(rate, float(jnp.finfo(scale.dtype).eps))
     shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
     return shortest.astype(scale.dtype)
 
 
-def reach(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
-    """The h of `step_length`, infinite where the last terms vanish; in float32."""
+def uncapped_step_size(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
+    """Return the h of `step_size` without its cap, infinite if the last terms vanish; float32."""
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
@@ -65,13 +66,13 @@ def reach(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
 
 
 def scale_of(series: PyTree) -> Scalar:
-    """The larger of |y| and |y'| at the start of a step; above zero also at rest at y = 0."""
+    """Return the larger of |y| and |y'| at the start of a step; above zero even if both vanish."""
     scale = jnp.maximum(largest_coefficient(series, 0), largest_coefficient(series, 1))
     return jnp.maximum(scale, float(jnp.finfo(scale.dtype).tiny) ** 0.5)
 
 
 def largest_coefficient(series: PyTree, k: int) -> Scalar:
-    """The largest absolute value of all variables' k-th coefficients; constant to derivatives."""
+    """Return the largest modulus of all variables' k-th coefficients; constant to derivatives."""
     leaves = jax.tree.leaves(series, is_leaf=is_list)
     size = jnp.zeros((), leaves[0][0].dtype)
     for leaf in leaves:
@@ -87,20 +88,22 @@ def taylor_step(
     *others: Callable[[PyTree], PyTree],
     watched: tuple[Callable[[PyTree], Scalar], ...] = (),
 ) -> tuple[PyTree[list], Scalar]:
-    """The series of the solution of y' = f(y) from a state, and the length of its step.
+    """Return the series of the solution of y' = f(y) from a state, and the length of a step.
 
-    At that length the last terms of the series reach the tolerance, and those of the watched
-    functions are below it. If f, or one of the others, has a kink before, the step ends just behind
-    the kink, by `tolerance` times the length. The length is NaN if f jumps by more than the root of
-    the tolerance, relative to |y| or |y'|.
+    At the end of the step the last terms of the series reach the tolerance, and those of the
+    watched functions are within it. If f or a watched function has a kink before that, the step
+    ends just behind the kink, by `tolerance` times the length. The length is NaN if f jumps by more
+    than the root of the tolerance, relative to |y| or |y'|.
     """
     series = solution_series(vector_field, state, order)
-    length = step_length(series, tolerance)
+    length = step_size(series, tolerance)
     for function in watched:
         known = function_series(function, lax.stop_gradient(series))
-        # it may begin at zero with rate zero, as 1 - cos does
+        # a watched function may begin at zero with rate zero, as 1 - cos does
         scale = jnp.maximum(scale_of((known,)), largest_coefficient((known,), 2))
-        length = jnp.minimum(length, reach((known,), tolerance, scale).astype(length.dtype))
+        length = jnp.minimum(
+            length, uncapped_step_size((known,), tolerance, scale).astype(length.dtype)
+        )
     if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length
@@ -117,9 +120,9 @@ def taylor_step(
 
 
 def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
-    """Cuts a step just behind the first zero of functions given by their series.
+    """Cut a step just behind the first zero of functions given by their series.
 
-    The length keeps the derivatives of that zero, since second derivatives depend on where a step
+    The length has the derivatives of that zero, since second derivatives depend on where a step
     ends at a kink.
     """
     for switch in switches:
@@ -131,7 +134,7 @@ def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar
 
 
 def series_order(state: PyTree) -> int:
-    """Order of the series in a step from a state."""
+    """Return the order of the series in a step from a state."""
     return SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
 
 

@@ -16,27 +16,27 @@ from jax.extend.core import ClosedJaxpr
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
-from walker_jax.kernels.machine import digest_of, load_program, recall_program, register_bits
+from walker_jax.kernels.machine import hash_source, load_program, recall_program, register_bits
 
 MAX_NUMBERS = 1000
-"""Most numbers in the operands and results of one cell: the program has code for each of them."""
+"""Most numbers in the operands and results of one cell; each takes code of its own."""
 
 
 class Compiled:
     """The machine code of a jaxpr of one cell."""
 
     def __init__(self, closed: ClosedJaxpr):
-        """Compiles the jaxpr. Raises `UnsupportedPrimitive` for what kernels do not support."""
+        """Compile the jaxpr, or raise `UnsupportedPrimitive` if kernels do not support it."""
         start = time.perf_counter()
         self.operands, self.results, source = source_of(closed, register_bits())
-        self.digest = digest_of(source)
+        self.digest = hash_source(source)
         self.begin(load_program(source))
         seconds = time.perf_counter() - start
         jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 
     @classmethod
     def recall(cls, operands: Sequence, results: Sequence, digest: str) -> "Compiled | None":
-        """The code for these abstract values if it is on disk, else None."""
+        """Load the code for these abstract values from disk; None if it is not there."""
         engine = recall_program(digest)
         if engine is None:
             return None
@@ -55,9 +55,9 @@ class Compiled:
     def bind(
         self, operands: Sequence, mapped: Sequence[bool], n: int
     ) -> tuple[Callable[[int, int], None], list[np.ndarray]]:
-        """A function (start, stop) that computes results[start:stop], and the empty results.
+        """Return a function (start, stop) that fills results[start:stop], and these empty results.
 
-        `mapped` says which operands have the n cells along their first axes; all cells share the
+        `mapped` marks the operands with the n cells along their first axes; all cells share the
         others. Several threads may call the function at once.
         """
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]
@@ -77,7 +77,7 @@ class Compiled:
 
 
 def source_of(closed: ClosedJaxpr, bits: int) -> tuple[list, list, str]:
-    """Shapes and types of operands and of results, and the source of the program (`emit`)."""
+    """Return shapes and types of operands and results, and the program's source (`emit`)."""
     avals = [*closed.in_avals, *closed.out_avals]
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
         raise UnsupportedPrimitive("a key to random numbers")
@@ -94,7 +94,7 @@ def shapes_and_types(avals: Sequence) -> list[tuple[tuple[int, ...], np.dtype]]:
 
 @contextmanager
 def without_garbage_collection():
-    """Tracing makes many small objects that live on; collections would add a fifth to its time."""
+    """Suspend garbage collection: tracing keeps many small objects, and it would cost a fifth."""
     enabled = gc.isenabled()
     gc.disable()
     try:

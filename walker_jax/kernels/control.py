@@ -1,10 +1,10 @@
-"""Loops and branches whose course may differ from lane to lane.
+"""Loops and branches that may take a different course in each lane.
 
 A loop is unrolled if its number of turns is small and known before it begins. The loop counter is
 then a known number in each turn, and so are the indices and coefficients that depend on it. The
-loop over the stages of a Runge-Kutta method starts at the first or the second stage, as the step
-before may supply the first; such a loop is unrolled for both starts. A jump skips a long branch
-that no lane takes.
+loop over the stages of a Runge-Kutta method starts at the first stage, or at the second if the
+previous step supplied the first; such a loop is unrolled for both starts. A jump skips a long
+branch that no lane takes.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,14 +17,14 @@ from llvmlite import ir
 from walker_jax.kernels.shortcuts import is_known
 
 MAX_UNROLLED_TURNS = 16
-"""Most turns of an unrolled loop: the 14 stages of Dopri8 and a few more."""
+"""Most turns of an unrolled loop: room for the 14 stages of Dopri8."""
 MIN_EQUATIONS_TO_SKIP = 20
-"""Fewest equations of a branch for a jump over it: a shorter one costs less than the jump."""
+"""Fewest equations of a branch worth a jump: a shorter branch costs less than the jump."""
 
 
 @no_type_check  # as the emitter
 def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """A while loop, which runs until all lanes have ended; lanes that have keep their values."""
+    """Emit a while loop that runs until all lanes have ended; ended lanes keep their values."""
     params, builder = equation.params, emitter.builder
     condition, body = params["cond_jaxpr"], params["body_jaxpr"]
     count, more = params["cond_nconsts"], params["body_nconsts"]
@@ -93,7 +93,7 @@ def any_lane(emitter, flags) -> Any:
 
 @no_type_check
 def forget_terms(emitter, known: int) -> None:
-    """Forget the terms that a block computed: behind it they are undefined if it was skipped."""
+    """Forget the terms that a block computed: after it they are undefined if it was skipped."""
     while len(emitter.known) > known:
         emitter.known.popitem()
 
@@ -102,7 +102,7 @@ def forget_terms(emitter, known: int) -> None:
 def known_turns(
     emitter, condition: ClosedJaxpr, body: ClosedJaxpr, of_condition, of_body, carry
 ) -> int | None:
-    """The number of turns of a loop, None if it is large or not known before the loop runs."""
+    """Return the number of turns of a loop; None if it is large, or unknown before the loop."""
     for turn in range(MAX_UNROLLED_TURNS + 1):
         (going,) = known_part(emitter, condition, [*of_condition, *carry])
         if going is None:
@@ -115,7 +115,7 @@ def known_turns(
 
 @no_type_check
 def known_part(emitter, closed: ClosedJaxpr, inputs: list) -> list:
-    """The results of a function that follow from known inputs alone; None for all others."""
+    """Return the results that follow from known inputs alone; None for all others."""
     known = lambda x: x is not None and all(map(is_known, x.ravel()))
     values: dict = dict(
         zip(closed.jaxpr.constvars, map(emitter.entries_of, closed.consts), strict=True)
@@ -137,7 +137,7 @@ def known_part(emitter, closed: ClosedJaxpr, inputs: list) -> list:
 
 @no_type_check
 def alternative_starts(emitter, carry: list[np.ndarray]) -> Iterator:
-    """Entries of the carry that are one of two numbers: their flag, and the carry with either."""
+    """Yield the flag of each carry entry that is one of two numbers, and the carry with either."""
 
     def replace(entry, number):
         def case(carry):
@@ -157,7 +157,7 @@ def alternative_starts(emitter, carry: list[np.ndarray]) -> Iterator:
 
 @no_type_check
 def choice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """One of several functions: the same for all lanes if the index is known, else one per lane."""
+    """Emit one of several functions; if the index is unknown, each lane chooses its own."""
     branches, (which, *inputs) = equation.params["branches"], operands
     builder, index, last = emitter.builder, which[()], len(branches) - 1
     if is_known(index) or last == 0:
@@ -172,7 +172,7 @@ def choice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def count_equations(jaxpr: Jaxpr) -> int:
-    """The number of equations, those of inner functions included; a loop counts as long."""
+    """Count equations, including those of inner functions; a loop always counts as long."""
     inner = sum(map(count_equations, subjaxprs(jaxpr)))
     return inner + sum(
         MIN_EQUATIONS_TO_SKIP if e.primitive.name == "while" else 1 for e in jaxpr.eqns
@@ -183,9 +183,9 @@ def count_equations(jaxpr: Jaxpr) -> int:
 def merge_lanes(
     emitter, flags, functions: list[Callable], avals, jumps: list[bool] | None = None
 ) -> list[np.ndarray]:
-    """In each lane, the values of the function whose flag is set there.
+    """Return, in each lane, the values of the function whose flag is set there.
 
-    A function with a jump is skipped where no active lane has its flag.
+    A function with a jump is skipped if no active lane has its flag set.
     """
     builder, lanes, chosen = emitter.builder, emitter.active, None
     for i, (mine, function) in enumerate(zip(flags, functions, strict=True)):
@@ -197,7 +197,7 @@ def merge_lanes(
             builder.position_at_end(taken)
         emitter.active = at_work
         flat, kinds = emitter.flatten(function(), avals)
-        if chosen is None:  # zeros: an inactive lane must not trap or keep a loop running
+        if chosen is None:  # zeros, so that an inactive lane neither traps nor keeps a loop running
             chosen = [emitter.vector(0, dtype) for dtype in kinds] if jump else flat
         pairs = zip(flat, chosen, kinds, strict=True)
         new = [

@@ -1,4 +1,4 @@
-"""A function of one cell made a kernel by a decorator, and why a function has no kernel."""
+"""The decorator that compiles a function of one cell, and the reasons why it cannot."""
 
 import functools
 import inspect
@@ -18,31 +18,37 @@ from walker_jax.kernels.program import Program, program_of
 def kernel(
     function: Callable | None = None, *, static_argnames: str | Sequence[str] = ()
 ) -> Callable:
-    """Makes a kernel of a pure JAX function of one cell; a decorator.
+    """Compile a pure JAX function of one cell to vectorised machine code; a decorator.
 
-    A kernel is called as its function is, and `jax.vmap` maps it over cells. On a CPU it is machine
-    code that works on as many cells at once as a register holds, and on all cores under `jax.jit`.
-    On other devices, and where `why_not` gives a reason, XLA computes the same function; kernels on
-    NVIDIA GPUs are switched on by `WALKER_JAX_KERNELS=gpu`.
+        @kernel
+        def energy(q, p):
+            return p**2 / 2 - jnp.cos(q)
 
-    `jit`, `vmap`, `jvp`, `vjp`, `grad`, `scan`, `shard_map` and all other transformations of JAX
-    apply. Reverse mode multiplies by the Jacobian, which is computed in forward mode. So it passes
-    a `lax.while_loop`, and suits functions of few numbers. A function with a `jax.custom_vjp` in it
-    has no derivatives.
+        jax.vmap(energy)(jnp.linspace(0, 1, 1000), jnp.zeros(1000))
+
+    Call a kernel as its function, and map it over cells by `jax.vmap`. On a CPU it works on as many
+    cells at once as a register holds, and on all cores under `jax.jit`. On other devices, and where
+    `why_not` gives a reason, XLA computes the same function. `WALKER_JAX_KERNELS=gpu` switches on
+    kernels on NVIDIA GPUs.
+
+    All transformations of JAX apply: `jit`, `vmap`, `jvp`, `vjp`, `grad`, `scan`, `shard_map` and
+    others. Reverse mode multiplies by the Jacobian, which is computed in forward mode. So it works
+    through a `lax.while_loop`, and suits functions of few numbers. A function that calls a
+    `jax.custom_vjp` has no derivatives.
 
     **Arguments:**
 
-    - `function`: of PyTrees of arrays and numbers, which returns another. It may depend on its
+    - `function`: takes PyTrees of arrays and numbers, and returns one. It may depend on its
       arguments alone, and on no named axis. With complex arguments or results, the kernel is the
       function itself.
-    - `static_argnames`: names of arguments that are hashable values and no arrays, such as a method
-      or a number of terms. Each value has a program of its own.
+    - `static_argnames`: names of arguments that are hashable values and not arrays, such as a
+      method or a number of terms. A program is compiled for each value.
 
     **Returns** the kernel, or a decorator if no function is given.
 
-    **Raises** `WrongUse` for names that are no arguments. The kernel raises it for an argument that
-    holds something else than arrays and numbers and is not static, and for a function that depends
-    on a traced value around it.
+    **Raises** `WrongUse` for names that are not arguments. The kernel raises it for a non-static
+    argument that holds anything but arrays and numbers, and for a function that depends on a traced
+    value from its surroundings.
     """
     if function is None:
         return functools.partial(kernel, static_argnames=static_argnames)
@@ -51,17 +57,19 @@ def kernel(
     static = names_of(function, static_argnames)
 
     @functools.wraps(function, updated=())
-    def of_given(given: Given):
+    def of_call(given: CallArguments):
         return function(*given.args, **given.kwargs, **{name: x for name, _, x in given.static})
 
     def find_program(args: tuple, kwargs: dict):
-        """`program_for` the function itself, or of what it is given by name."""
+        """Find the program of the function, or of one that takes its arguments by name."""
         try:
             if static or kwargs:
-                return program_for(of_given, (given_to(function, static, args, kwargs),))
+                return program_for(of_call, (split_arguments(function, static, args, kwargs),))
             return program_for(function, args)
         except TypeError:
-            refuse_others(inspect.signature(function).bind(*args, **kwargs).arguments, static)
+            check_dynamic_arguments(
+                inspect.signature(function).bind(*args, **kwargs).arguments, static
+            )
             raise
 
     @functools.wraps(function)
@@ -77,14 +85,16 @@ def kernel(
 
 
 def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
-    """Says in one line why a function of one cell has no kernel for these arguments.
+    """Say in one line why a function of one cell has no kernel for these arguments.
+
+        why_not(lambda x: jnp.sort(x), jnp.zeros(3))
 
     **Arguments:**
 
-    - `function`: of one cell, made a kernel or not.
-    - `args`, `kwargs`: its arguments for one cell, of which only the shapes and types matter.
+    - `function`: a function of one cell, or a kernel.
+    - `args`, `kwargs`: its arguments for one cell; only their shapes and types matter.
 
-    **Returns** the reason, with the line of the function where there is one, or `None` if there is
+    **Returns** the reason, with the line of the function if it is known. Returns `None` if there is
     a kernel, which is then compiled.
     """
     platform = next(iter(jnp.zeros(()).devices())).platform
@@ -102,9 +112,9 @@ def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
 
 
 def program_for(function: Callable, args: tuple) -> tuple[Program, list[jax.Array], Any] | None:
-    """The program for these arguments, their leaves, and the tree of the results.
+    """Return the program for these arguments, their leaves, and the tree of the results.
 
-    None where some of them are complex: real derivatives are not linear over complex numbers.
+    None if any argument is complex: real derivatives are not linear over complex numbers.
     """
     leaves, structure = jax.tree.flatten(args)
     leaves = list(map(jnp.asarray, leaves))
@@ -122,17 +132,17 @@ def program_for(function: Callable, args: tuple) -> tuple[Program, list[jax.Arra
     jax.tree_util.register_dataclass, data_fields=["args", "kwargs"], meta_fields=["static"]
 )
 @dataclass
-class Given:
+class CallArguments:
     """Arguments of a call: arrays by position and by name, and static values by name."""
 
     args: tuple
     kwargs: Mapping[str, Any]
     static: tuple[tuple[str, type, Hashable], ...]
-    """With their types, since `1`, `1.0` and `True` are equal."""
+    """Names, types and values; the types are there because `1`, `1.0` and `True` are equal."""
 
 
 def names_of(function: Callable, static_argnames: Any) -> list[str]:
-    """The names of static arguments, which the function must have."""
+    """Return the names of static arguments; refuse names that the function does not have."""
     several = isinstance(static_argnames, Collection) and not isinstance(static_argnames, str)
     names: list[Any] = [*static_argnames] if several else [static_argnames]
     known = inspect.signature(function).parameters if names else {}
@@ -148,8 +158,10 @@ def names_of(function: Callable, static_argnames: Any) -> list[str]:
     return names
 
 
-def given_to(function: Callable, static: Sequence[str], args: tuple, kwargs: dict) -> Given:
-    """The arguments of a call, of which some are static."""
+def split_arguments(
+    function: Callable, static: Sequence[str], args: tuple, kwargs: dict
+) -> CallArguments:
+    """Separate the static arguments of a call from the others."""
     given = inspect.signature(function).bind(*args, **kwargs)
     values = [(name, given.arguments.pop(name)) for name in static if name in given.arguments]
     for name, value in values:
@@ -157,11 +169,11 @@ def given_to(function: Callable, static: Sequence[str], args: tuple, kwargs: dic
             hash(value)
         except TypeError:
             raise WrongUse(f"{name} is static and must be hashable, not {short(value)}") from None
-    return Given(given.args, given.kwargs, tuple((name, type(x), x) for name, x in values))
+    return CallArguments(given.args, given.kwargs, tuple((name, type(x), x) for name, x in values))
 
 
-def refuse_others(given: Mapping[str, Any], static: Sequence[str]) -> None:
-    """Raises `WrongUse` for the first argument that is not static and holds no array or number."""
+def check_dynamic_arguments(given: Mapping[str, Any], static: Sequence[str]) -> None:
+    """Refuse the first non-static argument that holds anything but arrays and numbers."""
     for name, value in given.items():
         for leaf in () if name in static else jax.tree.leaves(value):
             try:

@@ -1,4 +1,4 @@
-"""Functions of numbers written in JAX, in place of primitives for which LLVM has no instruction."""
+"""JAX functions that replace primitives for which LLVM has no instruction."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +40,7 @@ def exp_float32(x):
 
 
 def next_after(x, y):
-    """The floating-point number next to x towards y: its bits are an integer one away."""
+    """Return the floating-point number next to x towards y, whose bits differ by one integer."""
     dtype = np.dtype(x.dtype)
     integer = np.dtype(f"int{8 * dtype.itemsize}")
     bits = lax.bitcast_convert_type(x, integer)

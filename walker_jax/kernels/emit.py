@@ -1,4 +1,4 @@
-"""A jaxpr of one cell as an LLVM program, in which each number is a vector with a lane per cell."""
+"""The LLVM program of a jaxpr of one cell: each number is a vector with one lane per cell."""
 
 import contextlib
 import functools
@@ -33,31 +33,31 @@ FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleT
 
 @no_type_check  # as its base
 class LLVMEmitter(Unrolling):
-    """Emits LLVM instructions of a jaxpr: an entry is a known number, or a vector of all lanes."""
+    """Emits LLVM instructions for a jaxpr; an entry is a known number or a vector of all lanes."""
 
     def __init__(self, builder: ir.IRBuilder, lanes: int):
         super().__init__()
         self.builder = builder
         self.lanes = lanes
         self.active: Any = None
-        """A flag for each lane, true where it is active; None where all are."""
+        """A flag for each lane, true if the lane is active; None if all are."""
         self.types: dict = {}
-        """By type of an entry: that of its vectors."""
+        """LLVM's vector type for each type of entry."""
         self.constants: dict[tuple, ir.Constant] = {}
-        """By known entry and type: its vector, whose words LLVM's library then makes once."""
+        """Vectors by known entry and type; LLVM's library makes the text of each only once."""
         self.tables: dict[tuple[int, int], tuple] = {}
         """By identity of an array and axis: the array, and its tables in memory, if it is known."""
         self.functions: dict[int, tuple] = {}
-        """By identity of an equation: the equation, and the function that it stands for."""
+        """By identity of an equation: the equation, and the function that it calls."""
         self.alternatives: dict[int, tuple] = {}
-        """By identity of an entry that is one of two numbers: itself, its flag, the numbers."""
+        """By identity of an entry that is one of two numbers: the entry, its flag, the numbers."""
 
     # Types and constants.
 
     def scalar_type(self, dtype):
         try:
             dtype = np.dtype(dtype)
-        except TypeError:  # one of JAX's own, which NumPy does not know
+        except TypeError:  # a type of JAX that NumPy does not know
             raise UnsupportedPrimitive(str(dtype)) from None
         if dtype.kind == "b":
             return ir.IntType(1)
@@ -74,7 +74,7 @@ class LLVMEmitter(Unrolling):
         return found
 
     def vector(self, entry, dtype) -> Any:
-        """An entry as a vector."""
+        """Return an entry as a vector."""
         if not is_known(entry):
             return entry
         key = *self.identity(entry), dtype
@@ -87,14 +87,14 @@ class LLVMEmitter(Unrolling):
         return self.constants[key]
 
     def intrinsic(self, name: str, *operands: Any):
-        """An operation of LLVM itself, on vectors of one type."""
+        """Call an intrinsic of LLVM on vectors of one type."""
         kind = operands[0].type
         full = f"llvm.{name}.v{kind.count}{kind.element.intrinsic_name}"
         function = self.declare(full, kind, operands)
         return self.builder.call(function, operands, fastmath=FAST if is_float(kind) else ())
 
     def by_library(self, name: str, dtype, *operands: Any):
-        """A function of the C library, called for one lane after the other."""
+        """Call a function of the C library for one lane after the other."""
         kind, builder = self.scalar_type(dtype), self.builder
         full = name + ("f" if dtype == np.float32 else "")
         if not in_library(full):
@@ -108,7 +108,7 @@ class LLVMEmitter(Unrolling):
         return result
 
     def declare(self, name: str, kind: ir.Type, operands) -> ir.Function:
-        """A function from outside of the program, with a result of a type."""
+        """Declare an external function with a result of this type."""
         module = self.builder.module
         if name not in module.globals:
             ir.Function(module, ir.FunctionType(kind, [one.type for one in operands]), name)
@@ -160,7 +160,7 @@ class LLVMEmitter(Unrolling):
         return self.interpret(inner, operands)
 
     def inner(self, equation) -> ClosedJaxpr | None:
-        """The function that an equation stands for, if it stands for one."""
+        """Return the function that an equation calls, if it calls one."""
         primitive, params = equation.primitive, equation.params
         if primitive.name == "kernel" and not any(params["mapped"]):
             return params["program"].closed
@@ -187,12 +187,12 @@ class LLVMEmitter(Unrolling):
     # Arrays and entries.
 
     def flatten(self, arrays: list[np.ndarray], avals) -> tuple[list, list]:
-        """All entries of arrays, and their types."""
+        """Return all entries of arrays, and their types."""
         entries = [entry for array in arrays for entry in array.ravel()]
         return entries, [aval.dtype for aval in avals for _ in range(math.prod(aval.shape))]
 
     def unflatten(self, flat: list, avals) -> list[np.ndarray]:
-        """Arrays from a flat list of their entries: the inverse of `flatten`."""
+        """Rebuild arrays from a flat list of their entries: the inverse of `flatten`."""
         remaining = iter(flat)
         arrays = [np.empty(aval.shape, object) for aval in avals]
         for array in arrays:
@@ -201,7 +201,7 @@ class LLVMEmitter(Unrolling):
         return arrays
 
     def inline(self, function: Callable, *vectors: Any, dtype) -> Any:
-        """The instructions of a function of JAX scalars."""
+        """Emit the instructions of a function of JAX scalars."""
         like = [jax.ShapeDtypeStruct((), dtype)] * len(vectors)
         closed = jax.make_jaxpr(function)(*like)
         inputs = []
@@ -214,7 +214,7 @@ class LLVMEmitter(Unrolling):
 
 
 def custom_linear_solve(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """The solution by the solver that the equation holds."""
+    """Solve by the solver that the equation carries."""
     lengths, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
     first = lengths.matvec + lengths.vecmat
     inputs = [*operands[first : first + lengths.solve], *operands[sum(lengths) :]]
@@ -234,7 +234,7 @@ ARRAY_RULES: dict[str, Callable] = {
 
 
 def implemented_in_jax(primitive: Primitive) -> bool:
-    """Whether a primitive is implemented by a JAX function, as those of Equinox and lineax are.
+    """Whether a JAX function implements a primitive, as for those of Equinox and lineax.
 
     Such primitives only add rules for transformations to that function.
     """
@@ -251,15 +251,15 @@ LLVMEmitter.rules = {
 
 
 def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
-    """The source of a program that computes results[start:stop], with vectors of `bits` bits.
+    """Write the source of a program that computes results[start:stop] in vectors of `bits` bits.
 
     A vector should fill one register of the processor. LLVM splits a longer one over several
     registers, and a long function then runs out of them: with registers of 256 bits, vectors of 512
     take twice as long to compile and run no faster. With 0 bits there is one lane, as for a thread.
 
-    Its signature is void kernel(start, stop, addresses, strides). The addresses point to the arrays
+    The program is void kernel(start, stop, addresses, strides). The addresses point to the arrays
     of the operands, then to those of the results. A stride is the distance between the entries of
-    two successive cells in an operand, 0 for an operand that all cells share.
+    two successive cells in an operand; it is 0 for an operand that all cells share.
     """
     floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
     lanes = max(1, bits // 8 // max(floats, default=8))

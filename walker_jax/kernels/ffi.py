@@ -1,9 +1,9 @@
 """Kernels as custom calls of XLA, through its foreign function interface (FFI).
 
-One handler, a program of LLVM (`handler`), serves every kernel on a CPU, another one those on GPUs
-(`launcher`): they need no compiler, and do not take Python's global lock. A kernel has a
-description for its handler, and a stub, which calls it with that description and is what XLA calls.
-No custom calls are made if XLA's interface has an older or unknown version, or another major one.
+One handler, an LLVM program (`handler`), serves every kernel on a CPU, and another (`launcher`)
+those on GPUs. They need no compiler, and do not take Python's global lock. Each kernel has a stub:
+XLA calls it, and it calls the handler with a description of the kernel. No custom calls are made if
+XLA's interface is older, of another major version, or of an unknown one.
 """
 
 import ctypes
@@ -27,10 +27,9 @@ from walker_jax.kernels.handler import VERSION, load_handler
 from walker_jax.kernels.machine import load_program
 
 CELLS_PER_PIECE = 64, 2**15
-"""Fewest and most cells of a piece, which one thread computes without a break.
+"""Fewest and most cells that one thread computes without a break.
 
-64 cells are eight vectors of float64 or more. `execution.tiles` has the same upper bound for its
-calls.
+64 cells are at least eight vectors of float64. `execution.tiles` has the same upper bound.
 """
 
 # xla::PrimitiveType
@@ -38,7 +37,7 @@ XLA_TYPE_CODES = {"bool": 1, "int8": 2, "int16": 3, "int32": 4, "int64": 5}
 XLA_TYPE_CODES |= {"uint8": 6, "uint16": 7, "uint32": 8, "uint64": 9, "float32": 11, "float64": 12}
 
 VERSION_PARTS = "MAJOR", "MINOR"
-"""Suffixes of the macros that hold the version."""
+"""Suffixes of the macros with the version."""
 
 
 @functools.cache
@@ -64,14 +63,14 @@ def available() -> bool:
 
 registration_lock = threading.Lock()
 registrations: dict[str, Any] = {}
-"""By name, the targets that XLA may call at any time, with all memory that these use.
+"""Targets by name, with all the memory that they use; XLA may call them at any time.
 
-Equal kernels share one. None is ever removed, as it is unknown whether a program of XLA calls it.
+Equal kernels share one target. None is ever removed: a program of XLA may still call it.
 """
 
 
 def target(compiled: Compiled) -> str:
-    """The name under which XLA knows a kernel; registers the kernel on the first call."""
+    """Return XLA's name of a kernel; the first call registers the kernel."""
     address = ctypes.cast(compiled.run, ctypes.c_void_p).value
     return registered("cpu", compiled, load_handler, lambda: (address, *CELLS_PER_PIECE))
 
@@ -79,15 +78,15 @@ def target(compiled: Compiled) -> str:
 def registered(
     platform: str, code: Any, load_handler: Callable, words: Callable[[], tuple[Any, Any, Any]]
 ) -> str:
-    """The name under which XLA knows code for a platform, with its handler.
+    """Register code for a platform with its handler, and return the name that XLA knows it by.
 
-    `words` gives the words 0, 3 and 4 of the description of the code.
+    `words` returns words 0, 3 and 4 of the description of the code.
     """
     buffers = [
         (XLA_TYPE_CODES[dtype.name], len(shape), math.prod(shape))
         for shape, dtype in (*code.operands, *code.results)
     ]
-    # The name is the same in every process: programs that XLA keeps on disk refer to it.
+    # Programs that XLA keeps on disk refer to the name, so it is the same in every process.
     digest = hashlib.sha256(repr((code.digest, buffers)).encode()).hexdigest()
     name = f"walker_jax_{digest[:32]}"
     with registration_lock:
@@ -101,7 +100,7 @@ def registered(
 
 
 def register(name: str, platform: str, handler: Any, description: np.ndarray) -> Any:
-    """Give XLA the stub of a kernel, whose program is returned."""
+    """Give XLA the stub of a kernel, and return the stub's program."""
     stub = STUB_PROGRAM.format(
         handler=handler.get_function_address("handle"), description=description.ctypes.data
     )

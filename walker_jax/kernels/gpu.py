@@ -1,9 +1,9 @@
-"""Kernels on NVIDIA GPUs, by one of two routes, where a user switches them on.
+"""Kernels on NVIDIA GPUs, by one of two routes, if a user switches them on.
 
-Both give XLA a custom call in which the card runs a program of threads (`ptx`). The first is a
-handler of XLA's public interface, which has the driver launch the program (`launcher`). The second
-is a call that XLA has for PTX itself, an internal one. A tiny kernel is tried before the first
-other one: the route by which it works is taken, and without any XLA computes everything.
+Both routes give XLA a custom call in which the card runs a program of threads (`ptx`). The first is
+a handler of XLA's public interface, which asks the driver to launch the program (`launcher`). The
+second is XLA's internal call for PTX. A tiny kernel tries the routes before the first real one. The
+first route on which it works is taken; if there is none, XLA computes everything.
 """
 
 import functools
@@ -25,21 +25,21 @@ from walker_jax.kernels.ptx import THREADS, Ptx, libdevice
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
 PTX_CALL = "__gpu$xla.gpu.ptx"
-"""XLA's own custom call of PTX, as the plugins of jax 0.10 to 0.12 for CUDA have it."""
+"""XLA's internal custom call of PTX, in the CUDA plugins of jax 0.10 to 0.12."""
 
 
 class Route(NamedTuple):
-    """A way to have XLA run a program of threads."""
+    """A way to make XLA run a program of threads."""
 
     name: str
     lower: Callable[..., Sequence]
     """(context, operands, program of threads, `mapped`) -> results."""
     fixed: bool
-    """Whether the number of cells is known when a call is lowered; XLA cannot divide it then."""
+    """Whether a call has a fixed number of cells; XLA then cannot divide it among devices."""
 
 
 def lower_to_handler(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) -> Sequence:
-    """A call of the handler; each device computes the cells that it has."""
+    """Lower to a call of the handler; each device computes the cells that it has."""
     if not ffi.available():
         raise OSError("XLA's foreign function interface is of an unknown version")
     target = launcher.target(ptx)
@@ -49,14 +49,14 @@ def lower_to_handler(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) -
 
 
 def lower_to_ptx_call(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) -> Sequence:
-    """XLA's own call of PTX. Its first operand is the number of cells."""
+    """Lower to XLA's own call of PTX; its first operand is the number of cells."""
     cells = int(np.prod(cells_shape(ctx.avals_in, mapped), dtype=np.int64))
     config = {f"{what}_{axis}": np.int32(1) for what in ("grid", "block") for axis in "xyz"}
     config |= {"grid_x": np.int32(max(1, -(-cells // THREADS))), "block_x": np.int32(THREADS)}
     config |= {"name": "entry", "kernel_type": "ptx", "kernel_data": ptx.text}
     config = {name: mlir.ir_attribute(value) for name, value in config.items()}
     config["shared_mem_bytes"] = mlir.ir_attribute(np.int32(0))
-    # Without these some versions of XLA pass two operands that are in one place only once.
+    # Without these, some versions of XLA pass two operands at one address only once.
     places = (np.int32(1 + len(operands) + i) for i in range(len(ctx.avals_out)))
     config["output_indices"] = mlir.ir.ArrayAttr.get([*map(mlir.ir_attribute, places)])
     given = [ShapedArray((), np.dtype(np.int64)), *ctx.avals_in]
@@ -73,7 +73,7 @@ trying: ContextVar[Route | None] = ContextVar("trying", default=None)
 
 
 def route_in_use() -> Route | None:
-    """The first route by which a tiny kernel works; None if there is none, or none is asked for."""
+    """Return the first route on which a tiny kernel works; None if none does or none is wanted."""
     if not machine.on_gpus():
         return None
     return next((route for route in ROUTES if failure_of(route) is None), None)
@@ -81,13 +81,13 @@ def route_in_use() -> Route | None:
 
 @functools.cache
 def failure_of(route: Route) -> str | None:
-    """Why a tiny kernel does not work by a route; None if it does."""
-    with ThreadPoolExecutor(1) as thread:  # where no mesh and no other setting of JAX holds
-        return thread.submit(attempt, route).result()
+    """Say why a tiny kernel does not work on a route; None if it does."""
+    with ThreadPoolExecutor(1) as thread:  # in which no mesh or other setting of JAX is active
+        return thread.submit(try_route, route).result()
 
 
-def attempt(route: Route) -> str | None:
-    """`failure_of` in this thread."""
+def try_route(route: Route) -> str | None:
+    """Try a route in this thread, as `failure_of` does in another."""
     trying.set(route)
     cells = np.arange(THREADS + 1, dtype=np.float32)  # of two blocks
     try:
@@ -97,7 +97,7 @@ def attempt(route: Route) -> str | None:
         run = jax.jit(lambda *x: kernel_p.bind(*x, program=program, mapped=(0, 1)))
         (found,) = run(*there)
         right = np.array_equal(found, 2 * cells + 1)
-    except Exception as error:  # whatever a driver or a version of XLA makes of it
+    except Exception as error:  # drivers and versions of XLA raise errors of any type
         return f"{type(error).__name__}: {error}".partition("\n")[0]
     return None if right else "its results are wrong"
 
@@ -107,7 +107,7 @@ def tiny(shared, x):
 
 
 def in_words() -> str:
-    """Whether kernels run on a GPU, by which route, and why not by others."""
+    """Say whether kernels run on a GPU, by which route, and why not by the others."""
     if not machine.on_gpus():
         return f"not in use: {machine.VARIABLE}=gpu switches them on, but no GPU has run them yet"
     route = route_in_use()
@@ -118,12 +118,12 @@ def in_words() -> str:
 
 
 def ptx_for(program: Program, mapped: Sequence, route: Route | None) -> Ptx | None:
-    """The program of threads for a route, None where XLA is to compute."""
+    """Return the program of threads for a route; None if XLA is to compute."""
     return program.ptx(tuple(map(bool, mapped)), route.fixed) if route else None
 
 
 def lower_on_gpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
-    """The call of a kernel on a GPU, or what XLA does in its place."""
+    """Lower a kernel on a GPU to its call, or to XLA's own primitives."""
     exported = ctx.module_context.lowering_parameters.for_export
     tried = None if exported else trying.get()
     route = None if exported else tried or route_in_use()

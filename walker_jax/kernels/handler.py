@@ -1,18 +1,18 @@
 """The handler that XLA calls for every kernel, as a program of LLVM.
 
-XLA calls `handle` with a frame that holds the buffers of operands and results; `prepare` checks the
-type, rank and size of each against the kernel's description, where any number of axes of cells come
-first. It notes their addresses in a job. Then all threads of XLA's own pool `work` on the job,
-piece by piece. The calling thread takes pieces too, so the call completes even if the pool is busy;
-a task of the pool that starts late finds no piece left and returns.
+XLA calls `handle` with a frame of the buffers of operands and results. `prepare` checks the type,
+rank and size of each against the kernel's description; any number of axes of cells may come first.
+It notes their addresses in a job. Then all threads of XLA's pool `work` on the job, piece by piece.
+The calling thread takes pieces too, so the call completes even if the pool is busy; a task of the
+pool that starts late finds no piece left and returns.
 
 Three short forms are expanded before LLVM reads the program: `field` and `put` load and store a
-value so many bytes into a structure, and `item` loads an entry of an array.
+value at a byte offset in a structure, and `item` loads an entry of an array.
 
-The parts `CALLED` and `HELPERS` are those of the handler for GPUs too (`launcher`).
+The handler for GPUs (`launcher`) shares the parts `CALLED` and `HELPERS`.
 
 Offsets are those of the structures in `xla/ffi/api/c_api.h`, version 0.3, on 64-bit machines. Minor
-versions only add to these.
+versions only add to these structures.
 """
 
 import functools
@@ -25,13 +25,13 @@ from typing import Any
 from walker_jax.kernels.machine import load_program
 
 VERSION = 0, 3
-"""Major version of the interface, and the smallest minor version, that the offsets hold for."""
+"""Major version of the interface and smallest minor version for which the offsets hold."""
 BUFFER_MISMATCH = "a kernel was called with buffers of another type, rank or size"
 
 
 @functools.cache
 def load_handler() -> Any:
-    """Compiles the handler, once for all kernels on a CPU."""
+    """Compile the handler, once for all kernels on a CPU."""
     x86 = platform.machine().lower() in ("x86_64", "amd64")
     rounding = {part: text if x86 else "" for part, text in ROUNDING.items()}
     pause = "" if sys.platform == "win32" else "  %yielded = call i32 @sched_yield()"
@@ -40,13 +40,13 @@ def load_handler() -> Any:
 
 
 def fill_in(text: str, **parts: str) -> str:
-    """A program with its parts filled in and its short forms expanded."""
+    """Fill in the parts of a program, and expand its short forms."""
     message = {"message": BUFFER_MISMATCH, "length": len(BUFFER_MISMATCH) + 1}
     return expand_short_forms(text.format(version=VERSION, **message, **parts))
 
 
 def expand_short_forms(text: str) -> str:
-    """Expands the lines with `field`, `put` and `item` to those of LLVM."""
+    """Expand lines with `field`, `put` and `item` to LLVM's instructions."""
     names = map("%place{}".format, itertools.count())
 
     def expand(found: re.Match) -> str:
@@ -59,8 +59,8 @@ def expand_short_forms(text: str) -> str:
     return re.sub(form, expand, text)
 
 
-# XLA's threads flush subnormal numbers to zero; calls of a kernel outside of XLA do not. So that
-# both give the same results, a kernel turns that off while it works.
+# XLA's threads flush subnormal numbers to zero; calls of a kernel outside XLA do not. So a kernel
+# turns that off while it works, and both give the same results.
 ROUNDING = {
     "declare_rounding": """
 declare void @llvm.x86.sse.ldmxcsr(ptr)

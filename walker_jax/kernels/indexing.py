@@ -2,9 +2,9 @@
 
 An index may differ from lane to lane. Reading selects among all slices of the same shape, by
 bisection of the index, so an axis of length n costs n selections for each entry. A table of known
-numbers is in memory instead, from which each lane loads its own. Writing selects, at every place,
-between the old entry and the new one. Indices out of bounds have JAX's meaning: they are clipped,
-or, for `FILL_OR_DROP`, reading returns a fill value and writing does nothing.
+numbers is kept in memory instead, and each lane loads its own entry. Writing selects, at every
+place, between the old entry and the new one. Indices out of bounds are treated as in JAX: they are
+clipped, or, for `FILL_OR_DROP`, reading returns a fill value and writing does nothing.
 """
 
 from collections.abc import Sequence
@@ -23,9 +23,9 @@ from walker_jax.kernels.shortcuts import is_known
 
 BOOL = np.dtype(bool)
 TABLE = 16
-"""Fewest slices of known numbers that are loaded from a table in memory."""
+"""Fewest slices of known numbers for which a table in memory is used."""
 MAX_ENTRIES = 128
-"""Most entries of an array with computed indices: with more, XLA is faster."""
+"""Most entries of an array with computed indices; for larger arrays XLA is faster."""
 COMBINATIONS = {
     "scatter": None,
     "scatter-add": (lax.add, lax.add_p),
@@ -39,7 +39,7 @@ COMBINATIONS = {
 
 @no_type_check  # as the emitter
 def select_entries(emitter, which, one: np.ndarray, other: np.ndarray, dtype) -> np.ndarray:
-    """The entries of one array where a flag is true, otherwise those of another."""
+    """Select the entries of one array where a flag is true, and those of another elsewhere."""
     if is_known(which):
         return one if which else other
     result = np.empty(one.shape, object)
@@ -75,7 +75,7 @@ def conjunction(emitter, flags) -> Any:
 
 @no_type_check
 def slice_at(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtype) -> np.ndarray:
-    """array[index : index + size] along an axis, with the index clipped to its bounds."""
+    """Return array[index : index + size] along an axis, with the index clipped to its bounds."""
     last = array.shape[axis] - size
 
     def beginning(at: int):
@@ -100,7 +100,7 @@ def slice_at(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtyp
 def load_from_tables(
     emitter, tables: list, array: np.ndarray, axis: int, index, kind, dtype
 ) -> np.ndarray:
-    """One slice of an array of known numbers at an index, which is clipped."""
+    """Load one slice of an array of known numbers at an index, clipped to its bounds."""
     builder, lane, long = emitter.builder, ir.IntType(32), ir.IntType(64)
     last, shape = array.shape[axis] - 1, np.delete(array.shape, axis)
     kinds = [np.dtype(kind)] * 2
@@ -121,9 +121,9 @@ def load_from_tables(
 
 @no_type_check
 def tables_of(emitter, array: np.ndarray, axis: int, dtype) -> list:
-    """Constant arrays in memory along an axis of an array of known numbers; none of any other."""
+    """Return tables in memory along an axis of an array of known numbers; [] for other arrays."""
     key = id(array), axis
-    if key not in emitter.tables:  # which keeps the array, so that no other has its id
+    if key not in emitter.tables:  # keeps the array alive, so that no other gets its id
         known = all(map(is_known, array.flat))
         rows = np.moveaxis(array, axis, -1).reshape(-1, array.shape[axis]) if known else ()
         tables = [put_in_memory(emitter, np.asarray(row.tolist(), dtype)) for row in rows]
@@ -133,7 +133,7 @@ def tables_of(emitter, array: np.ndarray, axis: int, dtype) -> list:
 
 @no_type_check
 def put_in_memory(emitter, values: np.ndarray) -> Any:
-    """A constant array of a program."""
+    """Add a constant array to the program."""
     module, element = emitter.builder.module, entry_type(emitter, values.dtype)
     kind = ir.ArrayType(element, len(values))
     table = ir.GlobalVariable(module, kind, module.get_unique_name("table"))
@@ -145,7 +145,7 @@ def put_in_memory(emitter, values: np.ndarray) -> Any:
 
 @no_type_check
 def check_index_type(kind, array: np.ndarray) -> None:
-    """An index may be of a type that does not reach the end of an array."""
+    """Refuse an index of a type too small to reach the end of an array."""
     if array.size and max(array.shape) > np.iinfo(kind).max:
         raise UnsupportedPrimitive(f"{kind} indices of an array of {array.size}")
 
@@ -160,7 +160,7 @@ def check_size(array: np.ndarray) -> None:
 def update_at(
     emitter, array: np.ndarray, window: np.ndarray, starts: list, kind, clip: bool, name: str, dtype
 ) -> np.ndarray:
-    """A copy of an array, updated in a window that starts at computed indices."""
+    """Return a copy of an array, updated in a window that starts at computed indices."""
     if not all(map(is_known, starts)):
         check_size(array)
     combine = COMBINATIONS[name]
@@ -256,13 +256,13 @@ def gather(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def window_at(place: tuple[int, ...], rank: int, window: Sequence[int]) -> tuple:
-    """The index of one window: whole along the axes of windows, at a place along the others."""
+    """Return the index of one window: all of the window's axes, one place on the others."""
     rest = iter(place)
     return *(slice(None) if axis in window else next(rest) for axis in range(rank)), ...
 
 
 def out_of_bounds_value(value, dtype) -> bool | int | float:
-    """The value that a gather returns for an entry that is out of bounds."""
+    """Return the value that a gather gives for an entry out of bounds."""
     if value is not None:
         return np.asarray(value, dtype).item()
     if jnp.issubdtype(dtype, jnp.inexact):

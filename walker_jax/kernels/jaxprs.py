@@ -1,4 +1,4 @@
-"""One walk over jaxprs: equation after equation, by a rule looked up by the primitive's name.
+"""Interpreters of jaxprs: each evaluates equation after equation by the rule of its primitive.
 
 Each interpreter has its own kind of values: entries of an array, instructions, or series.
 """
@@ -14,14 +14,14 @@ import jax
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 INSTALLED = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
-"""Folders of code that is not a user's own."""
+"""Folders of installed code, as opposed to a user's own."""
 
 
 class UnsupportedPrimitive(NotImplementedError):
-    """A function holds a primitive or a type that kernels do not support; the error names it."""
+    """A function uses a primitive or a type that kernels do not support; the error names it."""
 
     line: str | None = None
-    """The line of a user's code in which it is, if that is known."""
+    """The line of user code where it occurs, if known."""
 
     def __str__(self):
         return ", in ".join(filter(None, (*self.args, self.line)))
@@ -29,18 +29,18 @@ class UnsupportedPrimitive(NotImplementedError):
 
 @no_type_check  # called for every equation of a program: checks would take minutes
 class Interpreter(abc.ABC):
-    """Computes the results of a jaxpr from values of its arguments."""
+    """Computes the results of a jaxpr from the values of its arguments."""
 
     rules: ClassVar[Mapping[str, Callable[[Any, JaxprEqn, list], list]]]
     """By primitive: (interpreter, equation, operands) -> results."""
 
     @abc.abstractmethod
     def constant(self, value) -> Any:
-        """The value of a constant of the jaxpr."""
+        """Return the value of a constant of the jaxpr."""
 
     @abc.abstractmethod
     def keep(self, equation: JaxprEqn, operands: list) -> list:
-        """The results of a primitive that has no rule."""
+        """Return the results of a primitive that has no rule."""
 
     def interpret(self, closed: ClosedJaxpr, inputs: list) -> list:
         jaxpr = closed.jaxpr
@@ -66,13 +66,13 @@ class Interpreter(abc.ABC):
         return [read(variable) for variable in jaxpr.outvars]
 
     def apply(self, equation: JaxprEqn, operands: list) -> list:
-        """The results of an equation."""
+        """Return the results of an equation."""
         rule = self.rules.get(equation.primitive.name, type(self).keep)
         return rule(self, equation, operands)
 
 
 def line_of(equation: JaxprEqn) -> str | None:
-    """The line of a user's code that an equation comes from, if that is known."""
+    """Return the line of user code that an equation comes from, if known."""
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback else ():
         file = Path(frame.file_name)
@@ -82,12 +82,12 @@ def line_of(equation: JaxprEqn) -> str | None:
 
 
 def shape_dtype(aval) -> jax.ShapeDtypeStruct:
-    """Shape and type of an abstract value, without its sharding."""
+    """Return the shape and type of an abstract value, without its sharding."""
     return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
 
 
 def called_function(equation: JaxprEqn) -> ClosedJaxpr:
-    """The function of a call."""
+    """Return the function that a call calls."""
     params = equation.params
     if equation.primitive.name == "call_hi_primitive":
         inner = partial(equation.primitive.to_lojax, **params)
@@ -97,7 +97,7 @@ def called_function(equation: JaxprEqn) -> ClosedJaxpr:
 
 
 def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
-    """The results of a call, by interpreting the function that it calls."""
+    """Return the results of a call by interpreting its function."""
     return interpreter.interpret(called_function(equation), operands)
 
 
@@ -106,13 +106,13 @@ CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "eval_jaxpr", "checkpoint",
 CALLS_WITH_DERIVATIVES = dict.fromkeys(
     ("custom_jvp_call", "custom_vjp_call", "call_hi_primitive"), enter
 )
-"""Rules for calls with custom derivatives, which interpretation loses.
+"""Rules for calls with custom derivatives, which are lost by interpretation.
 
 From jax 0.11 on, functions such as `searchsorted` and `custom_root` are calls of the last kind.
 """
 
 
 def changes_entries(name: str, params: dict) -> bool:
-    """Whether a scatter replaces an entry by a function of it, as `x.at[i].apply` does."""
+    """Whether a scatter replaces an entry by a function of that entry, as `x.at[i].apply` does."""
     update = params["update_jaxpr"]
     return name == "scatter" and update is not None and update.outvars[0] is not update.invars[1]

@@ -1,9 +1,8 @@
-"""Kernels on a GPU as custom calls of XLA: a handler that has NVIDIA's driver launch them.
+"""Kernels on a GPU as custom calls of XLA: a handler asks NVIDIA's driver to launch them.
 
-XLA calls it with buffers on the card, whose number of cells it takes from their shapes, as the
-handler of a CPU does (`handler`). It asks XLA for the stream on which the card works off what this
-call follows, and launches the kernel there. So the call returns at once, and results stay on the
-card.
+XLA calls the handler with buffers on the card. The handler reads the number of cells from their
+shapes, as on a CPU (`handler`). It asks XLA for the stream of this call, and launches the kernel on
+it, after the work that is queued there. So the call returns at once, and results stay on the card.
 """
 
 import ctypes
@@ -19,7 +18,7 @@ LAUNCH_FAILED = "NVIDIA's driver could not launch a kernel"
 
 
 def target(ptx: Ptx) -> str:
-    """The name under which XLA knows a program of threads; registers it on the first call."""
+    """Return XLA's name of a program of threads; the first call registers the program."""
 
     def words():
         launch = ctypes.cast(load_driver().cuLaunchKernel, ctypes.c_void_p).value
@@ -30,14 +29,14 @@ def target(ptx: Ptx) -> str:
 
 @functools.cache
 def load_driver() -> Any:
-    """The driver, which JAX has loaded too; `OSError` if there is none."""
+    """Load the driver, which JAX uses too; `OSError` if there is none."""
     driver = ctypes.CDLL("libcuda.so.1")
     check(driver.cuInit(0))
     return driver
 
 
 def load(ptx: str) -> int | None:
-    """The driver's handle of a kernel, which is good for all cards."""
+    """Return the driver's handle of a kernel, valid on all cards."""
     driver, library, kernel = load_driver(), ctypes.c_void_p(), ctypes.c_void_p()
     options = (None, None, 0) * 2
     check(driver.cuLibraryLoadData(ctypes.byref(library), ptx.encode(), *options))
@@ -46,14 +45,14 @@ def load(ptx: str) -> int | None:
 
 
 def check(status: int) -> None:
-    """Raises `OSError` unless a call of the driver succeeded."""
+    """Raise `OSError` unless a call of the driver succeeded."""
     if status:
         raise OSError(f"NVIDIA's driver fails, with CUDA's error {status}")
 
 
 @functools.cache
 def load_launcher() -> Any:
-    """Compiles the handler, once for all kernels on GPUs."""
+    """Compile the handler, once for all kernels on GPUs."""
     failure = {"failure": LAUNCH_FAILED, "failure_length": str(len(LAUNCH_FAILED) + 1)}
     text = DECLARATIONS + CALLED + LAUNCH + HELPERS
     return load_program(fill_in(text, compute=COMPUTE, **failure))
@@ -67,8 +66,8 @@ declare void @free(ptr)
 COMPUTE = """  %status = call ptr @launch(ptr %frame, ptr %description, ptr %job)
   call void @free(ptr %job)
   ret ptr %status"""
-# The job and the description are those of `handler`, but for the words of the description 0, the
-# driver's handle of the kernel; 3, the threads of a block; and 4, the driver's function to launch.
+# The job and the description are those of `handler`, except for three words of the description: 0
+# is the driver's handle of the kernel, 3 the threads of a block, 4 the driver's launch function.
 LAUNCH = """
 define ptr @launch(ptr %frame, ptr %description, ptr %job) {{
 entry:

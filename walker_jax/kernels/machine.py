@@ -1,4 +1,4 @@
-"""LLVM programs as machine code for the processor of this machine, compiled once, kept on disk."""
+"""Machine code of LLVM programs for this machine's processor, compiled once and kept on disk."""
 
 import functools
 import hashlib
@@ -13,12 +13,12 @@ from walker_jax.checks import WrongUse
 from walker_jax.kernels.object_cache import load_or_compile, recall
 
 OPTIMISATION_LEVEL = 2
-"""Of LLVM's code generation, 0 to 3, as in `clang -O2`."""
+"""Optimisation level of LLVM's code generation, 0 to 3, as in `clang -O2`."""
 
 VARIABLE = "WALKER_JAX_KERNELS"
-"""The environment variable that turns kernels off, by the value `off`, turns those for GPUs on, by
-`gpu`, or names the processor that they are compiled for as LLVM does (`haswell` has no AVX-512,
-`x86-64` no AVX), in the place of this machine's own."""
+"""The environment variable that configures kernels. `off` turns them off, and `gpu` turns on those
+for GPUs. LLVM's name of a processor compiles for that one instead of this machine's (`haswell` has
+no AVX-512, `x86-64` no AVX)."""
 
 
 def switched_off() -> bool:
@@ -32,7 +32,7 @@ def on_gpus() -> bool:
 
 
 def processor() -> tuple[str, str]:
-    """LLVM's name of the processor that kernels are compiled for, and its features."""
+    """Return LLVM's name of the processor that kernels are compiled for, and its features."""
     named = os.environ.get(VARIABLE)
     if named and not on_gpus():
         check_processor(named)
@@ -42,9 +42,9 @@ def processor() -> tuple[str, str]:
 
 @functools.cache
 def check_processor(name: str) -> None:
-    """Raises `WrongUse` for a processor that LLVM does not know, or has no such programs for.
+    """Refuse a processor that LLVM does not know, or cannot compile such programs for.
 
-    LLVM says so on standard error alone, or ends the process: so another one tries it.
+    Another process tries it, as LLVM only writes to standard error, or ends the process.
     """
     done = subprocess.run([sys.executable, "-c", TRIAL, name], capture_output=True, text=True)
     if done.returncode or "not a recognized processor" in done.stderr:
@@ -63,17 +63,17 @@ triple = llvm.get_process_triple()
 machine = llvm.Target.from_triple(triple).create_target_machine(cpu=sys.argv[1], jit=True)
 machine.emit_object(llvm.parse_assembly("define void @f() { ret void }"))
 """
-"""A program that compiles something for the processor that its argument names."""
+"""A program that compiles something for the processor named by its argument."""
 
 
 def register_bits() -> int:
-    """Size of the processor's vector registers, such as 512 with AVX-512 and 256 with AVX."""
+    """Return the size of the processor's vector registers: 512 with AVX-512, 256 with AVX."""
     return bits_of(*processor())
 
 
 @functools.cache
 def bits_of(name: str, features: str) -> int:
-    """`register_bits` of a processor, read off the registers in which LLVM adds two vectors."""
+    """Find `register_bits` of a processor from the registers in which LLVM adds two vectors."""
     machine = target_machine(name, features)
     added = machine.emit_assembly(llvm.parse_assembly(SUM))
     return next((bits for bits, register in REGISTERS.items() if register in added), 128)
@@ -86,32 +86,32 @@ define <8 x double> @add(<8 x double> %a, <8 x double> %b) {
 }
 """
 REGISTERS = {512: "zmm", 256: "ymm"}
-"""Names of registers on x86. Other processors, and x86 without AVX, have vectors of 128 bits."""
+"""Register names on x86. Other processors, and x86 without AVX, have vectors of 128 bits."""
 
 
 def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
-    """Compiles a program for this processor, or loads its machine code from disk.
+    """Compile a program for this processor, or load its machine code from disk.
 
     `keep` says whether the code is stored on disk.
     """
     machine = target_machine(*processor())
     compile = lambda: object_code(source, machine)
-    code = load_or_compile(code_name(digest_of(source)), compile) if keep else compile()
+    code = load_or_compile(code_name(hash_source(source)), compile) if keep else compile()
     return link(code, machine)
 
 
 def recall_program(digest: str) -> llvm.ExecutionEngine | None:
-    """The program whose source has this digest, if its machine code is on disk."""
+    """Load the program whose source has this digest, if its machine code is on disk."""
     code = recall(code_name(digest))
     return None if code is None else link(code, target_machine(*processor()))
 
 
-def digest_of(source: str) -> str:
+def hash_source(source: str) -> str:
     return hashlib.sha256(source.encode()).hexdigest()
 
 
 def code_name(digest: str) -> str:
-    """The name on disk of the code of a program, for this processor and these versions."""
+    """Return the name on disk of a program's code, for this processor and these versions."""
     versions = llvmlite.__version__, *llvm.llvm_version_info
     processor_code = llvm.get_process_triple(), *processor(), OPTIMISATION_LEVEL, "no passes"
     all_it_depends_on = repr((versions, *processor_code, digest))
@@ -119,7 +119,7 @@ def code_name(digest: str) -> str:
 
 
 def target_machine(name: str, features: str) -> llvm.TargetMachine:
-    """LLVM's description of a processor."""
+    """Return LLVM's description of a processor."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
@@ -128,7 +128,7 @@ def target_machine(name: str, features: str) -> llvm.TargetMachine:
 
 
 def link(code: bytes, machine: llvm.TargetMachine) -> llvm.ExecutionEngine:
-    """Loads object code into this process."""
+    """Load object code into this process."""
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -136,10 +136,10 @@ def link(code: bytes, machine: llvm.TargetMachine) -> llvm.ExecutionEngine:
 
 
 def object_code(source: str, machine: llvm.TargetMachine) -> bytes:
-    """The object code of a program, in which the C library's functions are not linked yet.
+    """Compile a program to object code, without linking the C library's functions.
 
-    No passes of LLVM's go over the program before. The emitter computes nothing twice: with the
-    passes of `clang -O2`, compilation takes half as long again, and the programs run no faster.
+    LLVM's optimisation passes are omitted, as the emitter computes nothing twice: with those of
+    `clang -O2`, compilation takes half as long again, and the programs run no faster.
     """
     module = llvm.parse_assembly(source)
     module.verify()

@@ -1,4 +1,4 @@
-"""Entries of the arrays of cells in memory, read and written for all lanes at once."""
+"""Arrays of cells in memory, read and written for all lanes at once."""
 
 import math
 from typing import Any, no_type_check
@@ -12,27 +12,27 @@ ADDRESS = BYTE.as_pointer()
 
 @no_type_check  # as the emitter
 def entry_type(emitter, dtype) -> ir.Type:
-    """The type of an entry in memory, where a truth value takes a byte."""
+    """Return the type of an entry in memory, where a truth value takes a byte."""
     return BYTE if dtype.kind == "b" else emitter.scalar_type(dtype)
 
 
 @no_type_check
 class Memory:
-    """The arrays of cells: an operand or a result has the entries of one cell after another's."""
+    """The arrays of operands and results, with the entries of one cell after those of another."""
 
     def __init__(self, emitter, addresses: ir.Value):
         self.emitter, self.builder = emitter, emitter.builder
         self.addresses = addresses
         self.cells: list[ir.Value] = []
-        """For each lane, the number of its cell."""
+        """The number of each lane's cell."""
 
     def array(self, i: int, dtype) -> ir.Value:
-        """The pointer to array number i."""
+        """Return the pointer to array number i."""
         address = self.builder.load(self.builder.gep(self.addresses, [LONG(i)]))
         return self.builder.bitcast(address, entry_type(self.emitter, dtype).as_pointer())
 
     def take_cells(self, first: ir.Value, last: ir.Value) -> None:
-        """Give the lanes the cells from the first on.
+        """Assign the cells from the first on to the lanes.
 
         Lanes beyond the last cell compute that cell again, and write the same results.
         """
@@ -42,7 +42,7 @@ class Memory:
             self.cells.append(builder.select(builder.icmp_signed("<", mine, last), mine, last))
 
     def load(self, array: ir.Value, stride: ir.Value, shape, dtype) -> np.ndarray:
-        """The entries of an operand, each a vector with the value of each lane's cell."""
+        """Load the entries of an operand; each is a vector with a value for each lane's cell."""
         builder = self.builder
         begins = [builder.mul(cell, stride) for cell in self.cells]
         values = np.empty(shape, object)
@@ -71,5 +71,5 @@ class Memory:
                 builder.store(value, self.entry(array, begin, i))
 
     def entry(self, array: ir.Value, begin: ir.Value, i: int) -> Any:
-        """The pointer to entry i of the cell that begins there."""
+        """Return the pointer to entry i of the cell that begins there."""
         return self.builder.gep(array, [self.builder.add(begin, LONG(i))])

@@ -1,10 +1,10 @@
-"""Machine code on disk, so that a process need not compile what another one has compiled.
+"""An on-disk cache of machine code, so that processes share what one of them has compiled.
 
 A file holds the code of one program; its name is a hash of all that the code depends on. It begins
 with a checksum of name and code, so that a truncated, damaged or misnamed file is not loaded. Files
 are written under a temporary name and then renamed, so any number of processes may share the
-folder. If the folder cannot be read or written, or others can write there, programs are compiled in
-each process.
+folder. If the folder cannot be read or written, or if others can write there, each process compiles
+its own programs.
 """
 
 import contextlib
@@ -21,27 +21,27 @@ from walker_jax.kernels.private_files import (
     is_private,
     make_private,
     read_private,
-    warn_of,
+    warn_once,
 )
 
 VARIABLE = "WALKER_JAX_CACHE_DIR"
-"""The environment variable that names the folder; if it is empty, no code is kept."""
+"""The environment variable that names the folder; if empty, no code is kept."""
 MAX_BYTES = 2**28
-"""Most bytes in the folder, some thousand programs; those used least recently are removed."""
+"""Most bytes in the folder, about a thousand programs; the least recently used are removed."""
 SUFFIX = ".kernel"
-"""Of every file of the folder, temporary ones included."""
+"""Suffix of every file in the folder, temporary ones included."""
 CHECKSUM_BYTES = 32
 """Length of the checksum at the start of a file: 256 bits, as for SHA-256."""
 
 
 def cache_folder() -> Path | None:
-    """The folder of compiled programs: the user's cache folder, unless `VARIABLE` names another."""
+    """Return the folder of compiled programs: `VARIABLE`, or one in the user's cache folder."""
     folder = os.environ.get(VARIABLE, platformdirs.user_cache_dir("walker-jax"))
     return Path(folder) if folder else None
 
 
 def private_folder(name: str, *, make: bool = False) -> Path | None:
-    """A folder in that of compiled programs; None, and a warning once, where others can write."""
+    """Return a folder of compiled programs; None, with one warning, if others can write there."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -49,13 +49,13 @@ def private_folder(name: str, *, make: bool = False) -> Path | None:
         make_private(folder / name)
     for place in (folder, folder / name):
         if not is_private(place.stat()):
-            warn_of(f"compiled programs in {place} are")
+            warn_once(f"compiled programs in {place} are")
             return None
     return folder / name
 
 
 def load_or_compile(name: str, compile: Callable[[], bytes]) -> bytes:
-    """The code of a name, from disk or compiled; a name stands for one code only."""
+    """Load the code of a name from disk, or compile it; a name stands for one code only."""
     code = recall(name)
     if code is None:
         code = compile()
@@ -64,7 +64,7 @@ def load_or_compile(name: str, compile: Callable[[], bytes]) -> bytes:
 
 
 def recall(name: str) -> bytes | None:
-    """Read what is on disk under a name, if it is whole."""
+    """Read the code under a name from disk, if it is intact."""
     try:
         folder = private_folder("kernels")
         return read(folder / f"{name}{SUFFIX}") if folder else None
@@ -73,7 +73,7 @@ def recall(name: str) -> bytes | None:
 
 
 def store(name: str, code: bytes) -> None:
-    """Write to disk, where that can be done."""
+    """Write code to disk if possible."""
     with contextlib.suppress(OSError):
         folder = private_folder("kernels", make=True)
         if folder:
@@ -85,7 +85,7 @@ def checksum(path: Path, code: bytes) -> bytes:
 
 
 def read(path: Path) -> bytes | None:
-    """The code in a file, None if its checksum is wrong or others can have written it."""
+    """Read the code in a file; None if its checksum is wrong or others may have written it."""
     content = read_private(path)
     if content is None:
         return None
@@ -111,7 +111,7 @@ def write(path: Path, code: bytes) -> None:
 
 
 def remove_oldest(folder: Path) -> None:
-    """Removes the files used least recently, temporary ones included, beyond `MAX_BYTES`."""
+    """Remove the least recently used files, temporary ones included, beyond `MAX_BYTES`."""
     files = []
     for path in folder.glob(f"*{SUFFIX}"):
         with contextlib.suppress(FileNotFoundError):  # another process removed it

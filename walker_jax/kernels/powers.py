@@ -1,7 +1,7 @@
 """Powers of vectors with a known exponent, x^a = exp(a log(x)), exact to about one unit in 2^52.
 
-The product a log(x) is as large as 700, and its absolute error is the relative error of the power.
-So the logarithm and the product are sums of two numbers: the second is the rounding error of the
+The product a log(x) reaches 700, and its absolute error is the relative error of the power. So the
+logarithm and the product are sums of two numbers, the second of which is the rounding error of the
 first (double-double arithmetic).
 """
 
@@ -12,13 +12,13 @@ import numpy as np
 from llvmlite import ir
 
 LN2_HIGH = float(np.float32(math.log(2)))
-"""The high part of log(2), with 24 bits: its product with a binary exponent is exact."""
+"""High part of log(2), with 24 bits: its product with a binary exponent is exact."""
 LN2_LOW = float(np.longdouble("0.693147180559945309417232121458176568") - np.longdouble(LN2_HIGH))
 """log(2) less its high part, rounded to float64."""
 SQRT_HALF = int(np.float64(math.sqrt(0.5)).view(np.int64))
-"""The bits of sqrt(1/2) as an integer: the lower bound of mantissas in `log_as_sum`."""
+"""Bits of sqrt(1/2) as an integer: the lower bound of mantissas in `log_as_sum`."""
 ODD_TERMS = 13
-"""Terms of artanh(s) = s + s^3 / 3 + ...; m in log_as_sum gives s up to 0.172."""
+"""Terms of artanh(s) = s + s^3 / 3 + ...; s is at most 0.172 in `log_as_sum`."""
 EXPONENTIAL_TERMS = 14
 """Terms of exp(r) for r up to log(2) / 2 = 0.347."""
 
@@ -82,7 +82,7 @@ class Arithmetic:
 
 @no_type_check
 def known_exponent(y) -> float | None:
-    """The number in all lanes of a constant vector; None if it is an integer, or not constant."""
+    """Return the number in all lanes of a constant vector; None if it is an integer or varies."""
     if not isinstance(y, ir.Constant):
         return None
     value = y.constant[0].constant
@@ -91,7 +91,7 @@ def known_exponent(y) -> float | None:
 
 @no_type_check
 def power_of_known(emitter, x, exponent: float):
-    """x^exponent, for a vector of float64."""
+    """Return x^exponent, for a vector of float64."""
     calc = Arithmetic(emitter)
     high, low = log_as_sum(calc, calc.emitter.intrinsic("fabs", x))
     product = calc.mul(high, exponent)
@@ -107,7 +107,7 @@ def power_of_known(emitter, x, exponent: float):
 
 @no_type_check
 def log_as_sum(calc, x):
-    """log(x) for x > 0, as a sum of two numbers."""
+    """Return log(x) for x > 0, as a sum of two numbers."""
     builder = calc.builder
     subnormal = calc.less(x, float(np.finfo(np.float64).tiny))
     x = calc.select(subnormal, calc.mul(x, 2.0**54), x)
@@ -134,7 +134,7 @@ def log_as_sum(calc, x):
 
 @no_type_check
 def exp_of_sum(calc, x, rest):
-    """exp(x + rest), where rest is small."""
+    """Return exp(x + rest) for a small rest."""
     emitter, builder = calc.emitter, calc.builder
     x = emitter.intrinsic(
         "minnum", emitter.intrinsic("maxnum", x, calc.number(-800.0)), calc.number(800.0)

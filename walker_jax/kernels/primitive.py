@@ -1,17 +1,17 @@
-"""Functions of one cell as a JAX primitive, which is a kernel on a CPU.
+"""The JAX primitive that stands for a function of one cell, and its transformations.
 
 A program becomes one primitive of JAX. It is compiled separately, and works under `jit`, `vmap`,
-`scan` and every other transformation. On a CPU the primitive calls machine code
-(`ffi`). On other devices, and for a function without a kernel, XLA compiles the same function.
+`scan` and every other transformation. On a CPU the primitive calls machine code (`ffi`). On other
+devices, and for a function without a kernel, XLA compiles the same function.
 
-Each `vmap` adds an axis of cells; all cells share an operand that no `vmap` maps over. Cells need
-nothing of each other, so where they are sharded each device computes those that it has. What
-`jax.export` lowers is left to XLA, since other processes and machines run it.
+Each `vmap` adds an axis of cells; all cells share an operand that no `vmap` maps over. Cells are
+independent, so if they are sharded, each device computes its own. `jax.export` leaves programs to
+XLA, since other processes and machines run them.
 
 The derivative of a function of one cell along directions is again a function of one cell, linear in
 the directions. It has a kernel of its own, and so have derivatives of any higher order. Reverse
 mode computes the Jacobian in forward mode, column by column, and multiplies it by the cotangents,
-so no loop runs backwards. That suits functions of few numbers.
+so no loop runs backwards. This suits functions of few numbers.
 """
 
 import functools
@@ -40,9 +40,9 @@ from walker_jax.kernels.sharding import is_divided, lower_divided
 MAX_OPERATIONS = 4000, 20000
 """Most operations in a derivative along two directions at once, and along more than two.
 
-Larger programs take too long to compile; then every direction becomes a cell of its own. A
-derivative along three directions at once takes two thirds of the time of three separate ones, along
-two four fifths, which seldom repays the compilation.
+Larger programs take too long to compile; then every direction becomes a cell of its own. Three
+directions at once take two thirds of the time of three separate ones. Two at once take four fifths,
+which seldom repays the compilation.
 """
 MAX_DIRECTIONS = 32
 """Most directions at once: each number of directions needs a program of its own."""
@@ -52,7 +52,7 @@ kernel_p.multiple_results = True
 
 
 def call_program(program: Program, leaves: Sequence[jax.Array]) -> list[jax.Array]:
-    """The results of a program by its primitive; by its own equations within another kernel."""
+    """Call a program by its primitive; within another kernel, evaluate its own equations."""
     leaves = vary_alike(list(map(without_weak_type, leaves)))
     if tracing_for_kernel.value:
         return program.function(*leaves)
@@ -60,13 +60,13 @@ def call_program(program: Program, leaves: Sequence[jax.Array]) -> list[jax.Arra
 
 
 def cells_shape(values: Sequence, mapped: Sequence[int]) -> tuple[int, ...]:
-    """The lengths of the axes of cells; () for a single cell."""
+    """Return the lengths of the axes of cells; () for a single cell."""
     return next((np.shape(x)[:axes] for x, axes in zip(values, mapped, strict=True) if axes), ())
 
 
 @kernel_p.def_impl
 def compute(*operands, program: Program, mapped: tuple[int, ...]):
-    """Evaluates the primitive outside of `jit`: calls the machine code, on one core."""
+    """Evaluate the primitive outside `jit`: call the machine code, on one core."""
     default = jnp.zeros(()).devices()
     here = all(x.devices() == default for x in operands if isinstance(x, jax.Array))
     on_cpu = all(device.platform == "cpu" for device in default)
@@ -82,13 +82,13 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
 
 @functools.lru_cache(MAX_PROGRAMS)
 def jit_call(program: Program, mapped: tuple[int, ...]) -> Callable:
-    """The primitive under `jax.jit`."""
+    """Return the primitive under `jax.jit`."""
     return jax.jit(lambda *operands: kernel_p.bind(*operands, program=program, mapped=mapped))
 
 
 @kernel_p.def_abstract_eval
 def abstract_results(*avals, program: Program, mapped: tuple[int, ...]):
-    """Shapes, types and sharding of the results."""
+    """Return shapes, types and sharding of the results."""
     cells = cells_shape(avals, mapped)
     specs = [x.sharding.spec[:axes] for x, axes in zip(avals, mapped, strict=True) if axes]
     over = [next(filter(None, names), None) for names in zip(*specs, strict=True)]
@@ -107,17 +107,17 @@ def abstract_results(*avals, program: Program, mapped: tuple[int, ...]):
 
 
 def without_weak_type(leaf) -> jax.Array:
-    """An array of the same dtype, not weakly typed."""
+    """Return an array of the same dtype that is not weakly typed."""
     return jax.lax.convert_element_type(leaf, leaf.dtype)
 
 
 def varying_axes(aval) -> frozenset:
-    """Mesh axes along which a value varies, within `jax.shard_map`."""
+    """Return the mesh axes along which a value varies, within `jax.shard_map`."""
     return aval.manual_axis_type.varying
 
 
 def vary_alike(leaves: list) -> list:
-    """Casts all values to vary along every mesh axis along which one of them varies."""
+    """Make all values vary along every mesh axis along which any of them varies."""
     axes = frozenset().union(*(varying_axes(jax.typeof(leaf)) for leaf in leaves))
     missing = [tuple(axes - varying_axes(jax.typeof(leaf))) for leaf in leaves]
     return [
@@ -127,7 +127,7 @@ def vary_alike(leaves: list) -> list:
 
 
 def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
-    """The results by JAX's own primitives."""
+    """Compute the results by JAX's own primitives."""
     function = program.function
     for _ in cells_shape(operands, mapped):
         function = jax.vmap(function, [0 if axes else None for axes in mapped])
@@ -151,7 +151,7 @@ mlir.register_lowering(kernel_p, lower_on_cpu, platform="cpu")
 
 
 def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
-    """Adds an axis of cells; to a derivative mapped over its tangents alone, directions."""
+    """Add an axis of cells, or of directions to a derivative mapped over its tangents alone."""
     batched = [axis is not None for axis in axes]
     pairs = list(zip(operands, axes, strict=True))
     size = next(np.shape(x)[axis] for x, axis in pairs if axis is not None)
@@ -166,7 +166,7 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
     cells = next((x.shape[over : over + own] for x, own, over in each if own), ())
 
     def spread(x, own, over):
-        """An operand of some cells, with the axes of all of them."""
+        """Return an operand of some cells with the axes of all cells."""
         if not own and not over:
             return x
         rest = x.shape[own + over :]
@@ -181,7 +181,7 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
 
 
 def batch_directions(operands, batched, sizes: tuple[int, int], program: Program, mapped):
-    """A derivative along more directions at once: a new axis of tangents is merged with theirs."""
+    """Merge a new axis of tangents with the directions of a derivative."""
     cells = max(mapped)
 
     def merge_axes(i, x):
@@ -201,12 +201,12 @@ batching.primitive_batchers[kernel_p] = batch
 
 
 def push_forward(primals, tangents, *, program: Program, mapped: tuple[int, ...]):
-    """The rule of forward mode: one call for the results, one for their tangents."""
+    """Apply forward mode: one call for the results, one for their tangents."""
     results = kernel_p.bind(*primals, program=program, mapped=mapped)
     along = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_real(t)]
     total: list[Any] = [None] * sum(map(is_real, results))
 
-    # In its linear operands the function is its own derivative.
+    # A function is its own derivative in its linear operands.
     if any(i in program.linear for i in along):
         changed = [
             ad.instantiate_zeros(t) if i in program.linear else x
@@ -234,13 +234,13 @@ ad.primitive_jvps[kernel_p] = push_forward
 
 
 def pull_back(cotangents, *operands, program: Program, mapped: tuple[int, ...]):
-    """The rule of reverse mode: cotangents of the linear operands, those of results times J."""
+    """Apply reverse mode: the cotangents of linear operands are those of the results times J."""
     with apply_settings(program.settings):
         return pull_back_derivative(cotangents, operands, program, mapped)
 
 
 def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[int, ...]):
-    """Cotangents of the directions of a derivative, from the Jacobian of its program."""
+    """Return the cotangents of a derivative's directions, by the Jacobian of its program."""
     wanted = [i for i, x in enumerate(operands) if ad.is_undefined_primal(x)]
     given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
     if not given:
@@ -258,7 +258,7 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[i
     lacking = range(own, cells)
 
     def along(direction):
-        """The derivatives of the results of each cell along one direction of all operands."""
+        """Differentiate each cell's results along one direction of all operands."""
         parts = jnp.split(direction, np.cumsum(sizes)[:-1])
         changes = kernel_p.bind(
             *point,
@@ -280,7 +280,7 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[i
         result = math.prod(column.shape[1 + cells :])
         column = column.reshape(*column.shape[: 1 + cells], result)
         ct = ct.reshape(*ct.shape[: 1 + cells], result)
-        # A derivative with a zero cotangent is ignored, even if it is NaN.
+        # A zero cotangent drops a derivative, even if that is NaN.
         column = jnp.where((ct == 0).all(axis=-2), 0, column)
         total = total + jnp.einsum("c...r,...kr->...kc", column, ct, precision="highest")
     found: list[Any] = [None] * len(operands)
@@ -295,7 +295,7 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[i
 
 
 def pull_back_linear(cotangents, operands, wanted: list[int], program: Program, mapped):
-    """Cotangents for a linear function that is not a derivative: it is its own derivative."""
+    """Return the cotangents of a linear function, which is its own derivative."""
 
     def of_wanted(*some):
         values = list(operands)

@@ -1,8 +1,8 @@
-"""Folders and files in which no other user can have written.
+"""Folders and files that no other user can have written to.
 
-Machine code is executed when it is loaded, so it is loaded from such places alone: they belong to
-this user, and neither the group nor others may write to them. Access control lists are not looked
-at. Windows has neither users' numbers nor such modes, and nothing is refused there.
+Loaded machine code is executed, so it is loaded only from files and folders that belong to this
+user, and that neither the group nor others may write to. Access control lists are not checked.
+Windows has neither user ids nor such modes, and nothing is refused there.
 """
 
 import functools
@@ -20,32 +20,32 @@ def is_own(status: os.stat_result) -> bool:
 
 
 def is_private(status: os.stat_result) -> bool:
-    """Whether only this user can have written to a file or a folder."""
+    """Whether only this user can have written to a file or folder."""
     return not hasattr(os, "geteuid") or (is_own(status) and not status.st_mode & OTHERS_WRITE)
 
 
 def make_private(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, for this user alone."""
+    """Make a folder and its missing parents, for this user alone."""
     if folder.is_dir():
         return
     make_private(folder.parent)
     with suppress(FileExistsError):  # another process was faster
         folder.mkdir(FOLDER_MODE)
-        folder.chmod(FOLDER_MODE)  # of which the umask may have taken something
+        folder.chmod(FOLDER_MODE)  # the umask may have removed some of it
 
 
 def read_private(path: Path) -> bytes | None:
-    """The content of a file; None, and a warning once, if others can have written to it."""
+    """Read a file; return None, with one warning, if others may have written to it."""
     with open(path, "rb") as file:
         if is_private(os.fstat(file.fileno())):
             return file.read()
-    warn_of(f"some programs in {path.parent} are")
+    warn_once(f"some programs in {path.parent} are")
     return None
 
 
 @functools.cache
-def warn_of(places: str) -> None:
-    """Warn, once of the same."""
+def warn_once(places: str) -> None:
+    """Warn, once for each place."""
     warnings.warn(
         f"{places} not used, as others can write them: own them, and chmod go-w, or remove them",
         RuntimeWarning,

@@ -1,8 +1,8 @@
-"""A function of one cell as a program, which has machine code and derivatives of its own.
+"""Programs: traced functions of one cell, with their machine code and derivatives.
 
-A program is traced for the shapes and types of its arguments, and for the settings of JAX under
-which it is traced. It is kept: the same function of the same arguments is the same program. Its
-machine code is made when it is first needed, and so is each derivative, which is a program too.
+A program is traced for the shapes and types of its arguments, and for the current settings of JAX.
+It is kept: the same function of the same arguments is the same program. Its machine code is made
+when first needed, and so is each derivative, which is a program too.
 """
 
 import contextlib
@@ -27,20 +27,20 @@ from walker_jax.kernels.program_cache import (
     Traced,
     code_of_program,
     keep_trace,
-    name_of,
     recall_trace,
-    states_of,
+    trace_name,
+    user_code_states,
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
 
 MAX_PROGRAMS = 256
-"""Most functions that are kept compiled; those used least recently are dropped."""
+"""Most functions kept compiled; the least recently used are dropped."""
 tracing_for_kernel = jax.make_user_context(False)
-"""True while a function is traced for a kernel: the functions it calls become part of it."""
+"""True while a function is traced for a kernel, and the kernels it calls become part of it."""
 
 
 class Program:
-    """A pure function of arrays of one cell; machine code and derivatives are made when needed."""
+    """A pure function of one cell's arrays; machine code and derivatives are made when needed."""
 
     def __init__(
         self,
@@ -55,27 +55,27 @@ class Program:
         """Contexts and their values, under which the function and its derivatives are traced."""
         self.trace = lambda: jax.make_jaxpr(function)(*operands)
         self.name = name
-        """Under which its trace is on disk, or will be; None if it cannot be."""
+        """Name of its trace on disk; None if it cannot be kept there."""
         self.traced = recall_trace(name)
-        """The facts that are known of the function without a trace."""
+        """Facts about the function that are known without tracing."""
         if avals is None and self.traced is not None:
             avals = self.traced.operands, self.traced.results
         elif avals is None:
             avals = self.closed.in_avals, self.closed.out_avals
         self.operands, self.results = avals
-        """Abstract values: given for a derivative, which is often only the origin of another."""
+        """Abstract values; derivatives get theirs, as many are only the origin of another."""
         self.origin = origin
-        """A derivative has its program, the operands it is taken by, the number of directions."""
+        """For a derivative: the program, the operands of differentiation, how many directions."""
         first = len(self.operands) if origin is None else len(origin[0].operands)
         self.linear = frozenset(range(first, len(self.operands)))
-        """Operands in which the function is jointly linear: the directions of a derivative."""
+        """Operands in which the function is jointly linear: a derivative's directions."""
         self.derivatives: dict[tuple, Program] = {}
         self.on_gpu: dict[tuple, Ptx | None] = {}
-        """By arguments of `ptx`: its program of threads, None if there is none."""
+        """Programs of threads by the arguments of `ptx`; None if there is none."""
         self.tree: Any = self.traced.tree if self.traced else None
         """The tree of the results; None of a derivative."""
         self.why_not: str | None = None
-        """Why it has no machine code, once that has been asked for."""
+        """Why it has no machine code; known once the code has been asked for."""
 
     @functools.cached_property
     def closed(self):
@@ -92,7 +92,7 @@ class Program:
 
     @functools.cached_property
     def compiled(self) -> Compiled | None:
-        """Its machine code; None if there is none, and `why_not` then says why."""
+        """The machine code; None if there is none, and `why_not` then says why."""
         if machine.switched_off():
             self.why_not = f"{machine.VARIABLE} is off"
             return None
@@ -110,7 +110,7 @@ class Program:
         return compiled
 
     def ptx(self, mapped: tuple[bool, ...], in_memory: bool) -> Ptx | None:
-        """Its program for GPUs (`ptx.entry_of`); None if there is none: `why_not` says why."""
+        """Return the program for GPUs (`ptx.entry_of`); None, and a `why_not`, if it has none."""
         key = mapped, in_memory
         if key not in self.on_gpu:
             given = self.operands, self.results, self.name, lambda: self.closed
@@ -134,7 +134,7 @@ class Program:
         return self.traced.size if self.traced else count_operations(self.closed.jaxpr)
 
     def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
-        """The derivative of all real results along directions of the operands `by`.
+        """Return the derivative of all real results along directions of the operands `by`.
 
         Its operands are those of this program, followed by the tangents of each of `by`. Tangents
         and results have a leading axis of directions.
@@ -168,7 +168,7 @@ class Program:
 
 
 def count_operations(jaxpr) -> int:
-    """The number of scalars that a jaxpr computes, each loop counted for one turn."""
+    """Count the scalars that a jaxpr computes; each loop counts for one turn."""
     total = 0
     for equation in jaxpr.eqns:
         inner = list(jaxprs_in_params(equation.params))
@@ -182,23 +182,22 @@ def is_real(aval) -> bool:
 
 
 programs: OrderedDict = OrderedDict()
-"""By function, shapes, types, settings and states of a user's own code: its program and the tree of
-its results."""
+"""Program and tree of the results, by function, shapes, types, settings and state of user code."""
 MODES = {
     "jax_enable_x64": jax.enable_x64,
     "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
 }
-"""Settings of JAX on which the results of a function depend, and the contexts that set them."""
+"""Settings of JAX that affect the results of a function, and the contexts that set them."""
 
 
 def current_settings() -> tuple[tuple[Any, Any], ...]:
-    """The contexts and their values in this thread."""
+    """Return the contexts and their values in this thread."""
     return tuple((context, getattr(jax.config, mode)) for mode, context in MODES.items())
 
 
 @contextlib.contextmanager
 def apply_settings(settings: tuple[tuple[Any, Any], ...]):
-    """Enters the contexts with these values, recorded at another time or in another thread."""
+    """Enter the contexts with values that were recorded earlier, or in another thread."""
     with contextlib.ExitStack() as now:
         for context, value in settings:
             now.enter_context(context(value))
@@ -206,9 +205,9 @@ def apply_settings(settings: tuple[tuple[Any, Any], ...]):
 
 
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
-    """The program of a function for these shapes and types, and the tree of its results."""
+    """Return the program of a function for these shapes and types, and the tree of its results."""
     function = getattr(function, "of_one_cell", function)  # undoes `kernel`
-    settings, states = current_settings(), states_of(function, structure)
+    settings, states = current_settings(), user_code_states(function, structure)
     kinds = ((x.shape, x.dtype, x.weak_type) for x in avals)
     key = function, structure, settings, states, *kinds
     if key in programs:
@@ -222,7 +221,7 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
             found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
-    name = None if machine.switched_off() else name_of(function, structure, avals, settings)
+    name = None if machine.switched_off() else trace_name(function, structure, avals, settings)
     program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
     if program.tree is None:
         program.tree = results

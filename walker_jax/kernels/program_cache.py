@@ -1,17 +1,16 @@
-"""An on-disk cache of traces, so that a process need not trace what another one has traced.
+"""An on-disk cache of tracing results, so that processes share what one of them has traced.
 
-To trace a function and to write its program takes most of the time until a first answer, once its
-machine code is on disk. So the shapes of its results are kept there too, beside the name of the
-code. They are found by a hash of all that a trace depends on:
+Once the machine code of a function is on disk, most of the time until a first answer goes into
+tracing it and writing its program. So the shapes of its results are kept on disk too, with the name
+of the code. They are found by a hash of all that a trace depends on:
 
 - the function, the shapes and types of its arguments, and the static parts of these;
 - the settings of JAX under which it is traced;
-- the code of this package that it reaches, as it is in this process: whoever replaces a function at
-  run time gets a trace of what is there now; its source files, as they were when it was loaded; and
-  the versions of the packages that it uses.
+- the code of this package that it reaches, as it is in this process, so that a function replaced at
+  run time is traced anew;
+- the package's source files, as they were when loaded, and the versions of the packages it uses.
 
-Functions and classes of other packages, a user's own walkers among them, are traced in each
-process.
+Functions and classes of other packages, including a user's own walkers, are traced in each process.
 """
 
 import functools
@@ -54,11 +53,11 @@ OPTIONS = (
 )
 """Settings of JAX on which a trace may depend, besides those of `program.MODES`."""
 code_of_program = jax.make_user_context(None)
-"""While a program is traced, what the code of a user's own in it is (`states_of`)."""
+"""State of the user code in the program that is being traced (`user_code_states`)."""
 
 
 class Traced(NamedTuple):
-    """The facts that are known of a function without tracing it."""
+    """Facts about a function that are known without tracing it."""
 
     operands: list[ShapedArray]
     results: list[ShapedArray]
@@ -67,36 +66,36 @@ class Traced(NamedTuple):
     size: int
     """The number of operations of one cell."""
     digest: str
-    """The hash of its program, by which its machine code is found."""
+    """The hash of its program, which names its machine code."""
 
 
 class Unknown(Exception):
-    """A trace depends on something that cannot be told from something else."""
+    """A trace depends on something that has no unique description."""
 
 
-def name_of(function: Any, structure: Any, avals: Sequence, settings: tuple) -> str | None:
-    """The hash by which a function's trace is known; None if it depends on what cannot be told."""
+def trace_name(function: Any, structure: Any, avals: Sequence, settings: tuple) -> str | None:
+    """Return the hash that names a function's trace; None if the trace cannot be identified."""
     statics = statics_of(structure)
     leaves, nodes = jax.tree.flatten(statics)
     classes = *classes_of(structure), *classes_of(nodes), *map(type, leaves)
     try:
-        places = [*map(place_of, (function, *classes))]
+        places = [*map(definition_place, (function, *classes))]
         words = str(structure), [value for _, value in settings], [*map(describe_aval, avals)]
         if ADDRESS.search(repr(words)):
             raise Unknown
-        code = environment(), Reach().describe(function, classes, statics)
+        code = environment(), ReachedCode().describe(function, classes, statics)
     except Unknown:
         return None
     options = [str(getattr(jax.config, option, None)) for option in OPTIONS]
-    # Machines of several kinds may share a folder.
+    # Machines with different registers may share a folder.
     return sha256_of((places, words, options, code, register_bits()))
 
 
-class Reach(Describer):
-    """Describes the code of this package that some of it reaches, as it is now.
+class ReachedCode(Describer):
+    """Describes the code of this package that a function reaches, as it is in this process.
 
-    A user's own may be in the place of some of it. Other things were told apart by their words, or
-    are part of the source files.
+    A user may have replaced some of it. Everything else is identified by its text, or is part of
+    the source files.
     """
 
     largest = sys.maxsize
@@ -115,14 +114,14 @@ class Reach(Describer):
 
 
 def statics_of(structure: Any) -> list[Any]:
-    """The static values in the nodes of a tree."""
+    """Return the static values in the nodes of a tree."""
     data = structure.node_data()
     inner = [one for child in structure.children() for one in statics_of(child)]
     return inner if data is None else [data[1], *inner]
 
 
-def states_of(function: Callable, structure: Any) -> tuple[Hashable, ...]:
-    """The state of a user's own code that a function of arguments in this tree runs, if any."""
+def user_code_states(function: Callable, structure: Any) -> tuple[Hashable, ...]:
+    """Describe the user code that a function of arguments in this tree runs; () if none."""
     describer = Describer()
     describer.describe(function)
     definitions = (one for one in describer.found if isinstance(one, DEFINED))
@@ -134,7 +133,7 @@ def states_of(function: Callable, structure: Any) -> tuple[Hashable, ...]:
 
 @functools.lru_cache(MOST)
 def classes_of(structure: Any) -> tuple[type, ...]:
-    """Classes of a tree's nodes."""
+    """Return the classes of a tree's nodes."""
     data = structure.node_data()
     inner = (one for child in structure.children() for one in classes_of(child))
     return () if data is None else (data[0], *inner)
@@ -142,22 +141,25 @@ def classes_of(structure: Any) -> tuple[type, ...]:
 
 @functools.lru_cache(MOST)
 def static_functions(structure: Any) -> tuple[Callable, ...]:
-    """Functions, and other objects that are called, that are static in a tree's nodes."""
+    """Return the functions and other callable objects that are static in a tree's nodes."""
     return tuple(one for one in jax.tree.leaves(statics_of(structure)) if callable(one))
 
 
-def as_code_alone(function: Callable) -> AsItIs | None:
-    """A function, equal to any other of its code and globals; None if it has more than these."""
+def identify_by_code(function: Callable) -> AsItIs | None:
+    """Wrap a function so that it equals any other with the same code and globals.
+
+    None if it has more than these, such as a closure or defaults.
+    """
     plain = isinstance(function, types.FunctionType) and not function.__closure__
     if not plain or function.__defaults__ or function.__kwdefaults__:
         return None
     return AsItIs(function, (function.__code__, id(function.__globals__)))
 
 
-def place_of(thing: Any) -> str:
-    """Where a function or a class is defined; `Unknown` if it is not what a known module has there.
+def definition_place(thing: Any) -> str:
+    """Return where a function or class is defined; `Unknown` if it is not found there.
 
-    A class that is made at run time is not, and another may have its name.
+    A class made at run time is not found there, and another may have its name.
     """
     module, name = (str(getattr(thing, one, None)) for one in ("__module__", "__qualname__"))
     homes = {PACKAGE} if isinstance(thing, types.FunctionType) else KNOWN
@@ -175,18 +177,18 @@ def place_of(thing: Any) -> str:
 
 @functools.cache
 def environment() -> tuple:
-    """Versions of what a trace depends on, and a hash of the package's source files."""
+    """Return the versions that a trace depends on, and a hash of the package's source files."""
     found = hashlib.sha256()
     for path in sorted(FOLDER.rglob("*.py")):
         found.update(path.relative_to(FOLDER).as_posix().encode() + b"\0" + path.read_bytes())
     return platform.python_version(), [version(name) for name in USED], found.hexdigest()
 
 
-environment()  # now: a file may be edited later, when the code that is loaded is still the former
+environment()  # now, as a file may be edited later, while the loaded code is still the former
 
 
 def recall_trace(name: str | None) -> Traced | None:
-    """The trace on disk under a name."""
+    """Read the trace under a name from disk."""
     content = recall(name) if name else None
     if content is None:
         return None
@@ -196,7 +198,7 @@ def recall_trace(name: str | None) -> Traced | None:
             ShapedArray(tuple(s), np.dtype(t), weak_type=w) for s, t, w in avals
         ]
         like = found["tree"]
-        tree = None if like is None else jax.tree.structure(build_like(like))
+        tree = None if like is None else jax.tree.structure(decode_tree(like))
         return Traced(
             *(arrays(found["operands"]), arrays(found["results"]), tree),
             *(found["size"], found["digest"]),
@@ -206,11 +208,11 @@ def recall_trace(name: str | None) -> Traced | None:
 
 
 def keep_trace(name: str | None, traced: Traced) -> None:
-    """Write what is known of a function to disk, if its trace has a name."""
+    """Write the facts about a function to disk, if its trace has a name."""
     if name is None:
         return
     try:
-        like = None if traced.tree is None else like_of(traced.tree)
+        like = None if traced.tree is None else encode_tree(traced.tree)
     except Unknown:
         return
     found = {
@@ -225,23 +227,23 @@ def describe_aval(aval: Any) -> tuple:
     return tuple(aval.shape), np.dtype(aval.dtype).name, bool(aval.weak_type)
 
 
-def like_of(tree: Any) -> Any:
-    """A tree of results for a file: tuples, and named ones by their classes."""
+def encode_tree(tree: Any) -> Any:
+    """Encode a tree of results for a file: tuples, and named tuples by their classes."""
     data = tree.node_data()
     if data is None:
         return 0
     kind, _ = data
     if kind is not tuple and not hasattr(kind, "_fields"):
         raise Unknown
-    return [place_of(kind), *map(like_of, tree.children())]
+    return [definition_place(kind), *map(encode_tree, tree.children())]
 
 
-def build_like(like: Any) -> Any:
-    """The same tree with zeros for leaves."""
+def decode_tree(like: Any) -> Any:
+    """Decode a tree of results, with zeros for its leaves."""
     if like == 0:
         return 0
     place, *children = like
-    children = list(map(build_like, children))
+    children = list(map(decode_tree, children))
     if place == "builtins:tuple":
         return tuple(children)
     module, name = place.split(":")

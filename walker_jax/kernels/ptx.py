@@ -1,9 +1,9 @@
 """Programs for NVIDIA GPUs: one thread computes one cell.
 
-The emitter writes the program of a cell with one lane. An entry is put before it, which gives each
-thread its cell, and LLVM compiles both to PTX, the assembly language that NVIDIA's driver
-translates for the card at hand. Sines and the like are functions of libdevice, a library that comes
-with JAX's CUDA wheels; it is linked only where a program calls one of them.
+The emitter writes the program of a cell with one lane. An entry point gives each thread its cell.
+LLVM compiles both to PTX, the assembly language that NVIDIA's driver translates for the card at
+hand. Sines and the like come from libdevice, a library in JAX's CUDA wheels; it is linked only if a
+program calls one of its functions.
 """
 
 import functools
@@ -21,34 +21,35 @@ from jax.extend.core import ClosedJaxpr
 
 from walker_jax.kernels.compiled import shapes_and_types, source_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
-from walker_jax.kernels.machine import digest_of
+from walker_jax.kernels.machine import hash_source
 from walker_jax.kernels.object_cache import load_or_compile
 
 TRIPLE, CARD, PTX_VERSION = "nvptx64-nvidia-cuda", "sm_70", "+ptx60"
-"""The oldest cards that are served, those of 2017, and the first PTX that has them. A driver takes
-PTX of its own time and older, and translates it for any newer card; of newer PTX XLA ends the
-process. A newer target needs as many registers, says `ptxas`."""
+"""The oldest supported cards, from 2017, and the first PTX version for them. A driver accepts PTX
+no newer than itself, and translates it for any newer card; newer PTX makes XLA end the process. A
+newer target needs as many registers, according to `ptxas`."""
 THREADS = 64
-"""Threads of a block, two warps: the least with which blocks, of which 32 are at work at once on a
-multiprocessor, fill it. A block ends with its slowest cell, so a larger one would wait longer."""
+"""Threads of a block, two warps: the fewest with which the 32 blocks that a multiprocessor runs at
+once fill it. A block ends with its slowest cell, so a larger one would wait longer."""
 REGISTERS = 255
-"""Most registers of a thread, of 32 bits; there are no more. 65,536 of a multiprocessor hold 256
-such threads, and with 128 twice as many would hide more waiting. But numbers that find no register
-go through memory: with 128, eight times as many for the simplest walker in float64, and three times
-as many for one with knees, says `ptxas`. To be tried on a card (`benchmarks/gpu.py`)."""
+"""Most 32-bit registers of a thread, the hardware's limit. The 65,536 registers of a multiprocessor
+then hold 256 threads. With 128 registers they would hold twice as many, which would hide more
+waiting. But numbers without a register go through memory: with 128, eight times as many for the
+simplest walker in float64, and three times as many for one with knees, according to `ptxas`.
+`benchmarks/gpu.py` can try this on a card."""
 MAX_ARRAYS = 500
-"""Most operands and results: the addresses of all must fit into the 4352 bytes of arguments."""
+"""Most operands and results: all their addresses must fit into the 4352 bytes of arguments."""
 LIBDEVICE = "nvvm/libdevice/libdevice.10.bc"
 
 
 class Ptx(NamedTuple):
-    """A program of threads, with the shapes and types of what one cell has."""
+    """A program of threads, with the shapes and types of one cell's operands and results."""
 
     operands: list[tuple]
     results: list[tuple]
     text: str
     digest: str
-    """The hash of all that the text depends on, its name on disk."""
+    """The hash of all that the text depends on; its name on disk."""
 
 
 def find_ptx(
@@ -59,10 +60,10 @@ def find_ptx(
     mapped: tuple[bool, ...],
     in_memory: bool,
 ) -> Ptx:
-    """The program of a jaxpr of one cell, from disk if the trace has a name or is in memory.
+    """Compile the jaxpr of one cell for a GPU, or load the program from disk if its name is known.
 
     Raises `UnsupportedPrimitive` for what kernels do not support, and for functions of libdevice
-    where there is none. `entry_of` has the last arguments.
+    if there is none. `entry_of` explains the last arguments.
     """
     source = functools.cache(lambda: source_of(jaxpr(), 0)[2])
     given, returned = shapes_and_types(operands), shapes_and_types(results)
@@ -71,16 +72,16 @@ def find_ptx(
     entry = entry_of(given, returned, mapped, in_memory)
     linked = hashlib.sha256(libdevice() or b"").hexdigest()
     versions = llvmlite.__version__, *llvm.llvm_version_info, CARD, PTX_VERSION, linked
-    digest = digest_of(repr((versions, entry, name or source())))
+    digest = hash_source(repr((versions, entry, name or source())))
     text = load_or_compile(digest, lambda: ptx_of(source() + entry).encode())
     return Ptx(given, returned, text.decode(), digest)
 
 
 def entry_of(operands: list, results: list, mapped: tuple[bool, ...], in_memory: bool) -> str:
-    """The kernel that a card starts: (cells, addresses of operands, addresses of results).
+    """Write the entry point: (cells, addresses of operands, addresses of results).
 
-    `mapped` says which operands have a row for each cell; all threads share the others, which a
-    card then reads once for 32 of them. The number of cells is an argument, or `in_memory`.
+    `mapped` marks the operands with a row for each cell. All threads share the others, and a card
+    reads these once for 32 threads. The number of cells is an argument, or `in_memory`.
     """
     arguments, tables = ["ptr %given" if in_memory else "i64 %cells"], []
     if in_memory:
@@ -128,14 +129,14 @@ end:
 
 
 def ptx_of(source: str) -> str:
-    """The PTX of a program and its entry, of which LLVM makes one function."""
+    """Compile a program and its entry point to PTX, as one function."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple(TRIPLE)
     machine = target.create_target_machine(cpu=CARD, features=PTX_VERSION, opt=3)
     module = llvm.parse_assembly(source)
     module.triple, module.data_layout = TRIPLE, str(machine.target_data)
-    if called := list(outside(module)):
+    if called := list(external_functions(module)):
         link_libdevice(module, called)
     for function in module.functions:
         if not function.is_declaration and function.name != "entry":
@@ -144,20 +145,20 @@ def ptx_of(source: str) -> str:
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
-    for missing in outside(module):
+    for missing in external_functions(module):
         raise UnsupportedPrimitive(f"{missing.name} on a GPU")
     return machine.emit_assembly(module)
 
 
-def outside(module: llvm.ModuleRef) -> Iterator[llvm.ValueRef]:
-    """The functions that a program calls and does not have, but for LLVM's own."""
+def external_functions(module: llvm.ModuleRef) -> Iterator[llvm.ValueRef]:
+    """Yield the functions that a program calls but does not define, except LLVM's own."""
     for function in module.functions:
         if function.is_declaration and not function.name.startswith("llvm."):
             yield function
 
 
 def link_libdevice(module: llvm.ModuleRef, called: Sequence[llvm.ValueRef]) -> None:
-    """Give a program the functions of the C library that it calls."""
+    """Link the functions of the C library that a program calls."""
     library = libdevice()
     if library is None:
         raise UnsupportedPrimitive(f"{called[0].name} on a GPU without libdevice")
@@ -170,7 +171,7 @@ def link_libdevice(module: llvm.ModuleRef, called: Sequence[llvm.ValueRef]) -> N
 
 @functools.cache
 def libdevice() -> bytes | None:
-    """The library of functions for cards, from a wheel of NVIDIA's or an installation of CUDA."""
+    """Read libdevice from one of NVIDIA's wheels or an installation of CUDA; None if not found."""
     wheels = importlib.util.find_spec("nvidia")
     folders = wheels.submodule_search_locations if wheels else None
     parts = [part for folder in folders or () for part in sorted(Path(folder).glob("*"))]

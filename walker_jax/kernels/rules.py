@@ -1,4 +1,4 @@
-"""Primitives of scalars as LLVM instructions on vectors, which hold one number for each cell."""
+"""Rules that translate scalar primitives into LLVM instructions on vectors of cells."""
 
 import contextlib
 import functools
@@ -21,7 +21,7 @@ LIBRARY = {"linux": "libm.so.6", "darwin": "/usr/lib/libSystem.B.dylib", "win32"
 
 @functools.cache
 def in_library(name: str) -> bool:
-    """Whether the C library has a function that programs can call."""
+    """Whether the C library has a function of this name."""
     if llvm.address_of_symbol(name) is None and sys.platform in LIBRARY:
         with contextlib.suppress(RuntimeError):  # there is no such file
             llvm.load_library_permanently(LIBRARY[sys.platform])
@@ -79,7 +79,7 @@ def comparison(sign: str):
 
 
 def total_order(sign: str):
-    """Comparison in the total order of IEEE 754: -0 is below 0, and NaN beyond infinity."""
+    """Compare in the total order of IEEE 754: -0 is below 0, and NaN beyond infinity."""
 
     def rule(emitter, params, dtypes, *operands):
         if not is_floating(dtypes[0]):
@@ -122,9 +122,9 @@ def remainder(emitter, params, dtypes, a, b):
 
 
 def integer_division(emitter, dtype, name: str, a, b):
-    """A quotient or remainder of integers, with XLA's values where none is defined.
+    """Return a quotient or remainder of integers, with XLA's values where it is undefined.
 
-    Division by zero, and of the smallest integer by -1, would trap: no lane may execute it.
+    Division by zero, and of the smallest integer by -1, would trap, so no lane may execute it.
     """
     builder, equal = emitter.builder, lambda x, value: emitter.builder.icmp_signed("==", x, value)
     zero, one, ones = (
@@ -141,7 +141,7 @@ def integer_division(emitter, dtype, name: str, a, b):
 
 
 def integer_power(emitter, params, dtypes, x):
-    """x^y for an integer y, by repeated squaring."""
+    """Return x^y for an integer y, by repeated squaring."""
     y = params["y"]
     multiply = lambda a, b: emitter.builder.fmul(a, b, flags=FAST)
     if not is_floating(dtypes[0]):
@@ -160,7 +160,7 @@ def integer_power(emitter, params, dtypes, x):
 
 
 def power(emitter, params, dtypes, x, y):
-    """x^y, where y may be of another type."""
+    """Return x^y; y may be of another type."""
     if dtypes[1] != dtypes[0]:
         y = conversion(emitter, {"new_dtype": dtypes[0]}, [dtypes[1]], y)
     elif (exponent := known_exponent(y)) is not None:
@@ -174,7 +174,7 @@ def power(emitter, params, dtypes, x, y):
 
 
 def selection(emitter, params, dtypes, which, *cases):
-    """The case with the number `which`; a flag selects the second case where it is true."""
+    """Select case number `which`; if `which` is a flag, the second case where it is true."""
     builder = emitter.builder
     if np.dtype(dtypes[0]).kind == "b":
         return builder.select(which, cases[1], cases[0])
@@ -207,7 +207,7 @@ def conversion(emitter, params, dtypes, x):
 
 
 def saturate(emitter, old, new, x):
-    """x truncated to an integer, clipped to the bounds of its type; zero for NaN."""
+    """Truncate x to an integer, clipped to the bounds of its type; zero for NaN."""
     builder, info = emitter.builder, np.iinfo(new)
     low, high = float(info.min), -float(info.min) if info.min else float(info.max) + 1
     low, high = emitter.vector(low, old), emitter.vector(high, old)
@@ -252,7 +252,7 @@ def clamp(emitter, params, dtypes, low, x, high):
 
 
 def shift(name: str):
-    """A shift; one by all bits or more leaves zeros, or the sign for an arithmetic shift."""
+    """Shift bits; a shift by all bits or more leaves zeros, or the sign if arithmetic."""
 
     def rule(emitter, params, dtypes, x, by):
         builder, last = emitter.builder, 8 * np.dtype(dtypes[0]).itemsize - 1
@@ -273,7 +273,7 @@ def bits(emitter, params, dtypes, x):
 
 
 def elementary(name: str, of_float32: Callable | None = None):
-    """A function of the C library, lane by lane; for float32, one written in JAX if given."""
+    """Call a function of the C library lane by lane; for float32, a JAX function if given."""
 
     def rule(emitter, params, dtypes, *operands):
         if of_float32 is not None and dtypes[0] == np.float32:

@@ -1,10 +1,10 @@
 """Functions of small arrays, computed as functions of scalars.
 
-Equations are best written with vectors and matrices of two or four entries, but computed one number
-at a time. Most of their entries are zero, one, or equal to another entry. Also, XLA vectorises over
+Equations are best written with vectors and matrices of two or four entries, but computed number by
+number. Most of these entries are zero, one, or equal to another entry. Also, XLA vectorises over
 the cells of a tile only if the numbers of one cell are not vectors themselves. `unroll` interprets
-the jaxpr of a function with the entries of every array: known zeros and ones drop out, equal terms
-are computed once, and operations that only move entries cost nothing.
+the jaxpr of a function entry by entry: known zeros and ones drop out, equal terms are computed
+once, and operations that only move entries cost nothing.
 """
 
 import functools
@@ -23,7 +23,7 @@ from jaxtyping import PyTree
 
 from walker_jax.identity import AsItIs
 from walker_jax.kernels.jaxprs import CALLS, Interpreter, called_function
-from walker_jax.kernels.program_cache import as_code_alone, code_of_program
+from walker_jax.kernels.program_cache import code_of_program, identify_by_code
 from walker_jax.kernels.shortcuts import SHORTCUTS, is_known
 
 ENTRYWISE = frozenset(
@@ -38,14 +38,14 @@ ENTRYWISE = frozenset(
 
 
 def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
-    """Rewrites a function of small arrays as operations on scalars.
+    """Rewrite a function of small arrays as operations on scalars.
 
-    Results and derivatives agree to rounding, with one exception: the product with an entry known
-    to be zero is zero, even where the other factor is not finite. Operations that do not act entry
-    by entry, such as factorisations and loops, are kept; so are functions with custom derivatives.
+    Results and derivatives agree to rounding, with one exception: a product with an entry known to
+    be zero is zero, even if the other factor is not finite. Operations that do not act entry by
+    entry, such as factorisations and loops, are kept; so are functions with custom derivatives.
     """
 
-    code = as_code_alone(function)
+    code = identify_by_code(function)
 
     def scalar(*args):
         args = jax.tree.map(jnp.asarray, args)
@@ -58,12 +58,12 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
 @partial(jax.jit, static_argnums=0, inline=True)
 def unroll_once(code: AsItIs, *args) -> PyTree:
-    """`unrolled`, traced once for all programs with functions of the same code."""
+    """Evaluate `unrolled`, traced once for all functions with the same code."""
     return unrolled(code.function, *args)
 
 
 def unrolled(function: Callable[..., PyTree], *args) -> PyTree:
-    """The results of a function of small arrays, computed entry by entry."""
+    """Compute the results of a function of small arrays entry by entry."""
     leaves, structure = jax.tree.flatten(args)
     flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
     closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
@@ -76,7 +76,7 @@ def unrolled(function: Callable[..., PyTree], *args) -> PyTree:
 
 
 def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
-    """An array from its entries; a NumPy array if all of them are known."""
+    """Assemble an array from its entries; a NumPy array if all of them are known."""
     if all(map(is_known, entries.ravel())):
         return np.asarray(entries.tolist(), like.dtype).reshape(like.shape)
     scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
@@ -92,9 +92,9 @@ class Unrolling(Interpreter):
 
     def __init__(self):
         self.known: dict = {}
-        """Results by primitive, parameters and operands: equal terms are computed once."""
+        """Results by primitive, parameters and operands, so that equal terms are computed once."""
         self.numbers: dict[int, tuple[tuple, Any]] = {}
-        """By identity of a JAX scalar: its number in the order of appearance, and the scalar."""
+        """By identity of a JAX scalar: its order of appearance, and the scalar."""
 
     def entries_of(self, value) -> np.ndarray:
         entries = np.empty(np.shape(value), object)
@@ -109,14 +109,14 @@ class Unrolling(Interpreter):
         return self.entries_of(value if isinstance(value, jax.Array) else np.asarray(value))
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """The results of a primitive of arrays, applied to whole arrays."""
+        """Apply a primitive to whole arrays."""
         known = all(is_known(entry) for operand in operands for entry in operand.ravel())
         arrays = [assemble(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
         results = bind_primitive(equation.primitive, equation.params, arrays, now=known)
         return [self.entries_of(result) for result in results]
 
     def call(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """The results of a function, interpreted once for all calls with the same operands."""
+        """Interpret a function, once for all calls with the same operands."""
         function = called_function(equation)
         entries = [self.identity(entry) for operand in operands for entry in operand.ravel()]
         key = "call", id(function), *entries
@@ -138,7 +138,7 @@ class Unrolling(Interpreter):
         return [result]
 
     def term(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
-        """One number, computed unless it is known or has been computed already."""
+        """Return one number; compute it unless it is known or has been computed already."""
         name = primitive.name
         if name in SHORTCUTS:
             shorter = SHORTCUTS[name](*operands)
@@ -156,7 +156,7 @@ class Unrolling(Interpreter):
         return result
 
     def identity(self, entry) -> tuple:
-        """A key that equal entries share, and that sorts entries alike in every process.
+        """Return a key that equal entries share, and that sorts entries alike in every process.
 
         The order matters: the last bit of a sum of products depends on the order of its terms.
         """
@@ -170,7 +170,7 @@ class Unrolling(Interpreter):
     def evaluate_term(
         self, primitive: Primitive, params: dict, operands: list, dtypes: list
     ) -> Any:
-        """The primitive applied to scalars; a number if all operands are numbers."""
+        """Apply a primitive to scalars; the result is a number if all operands are."""
         now = all(map(is_known, operands))
         if now and primitive.name in EXACT:
             with np.errstate(all="ignore"):
@@ -198,7 +198,7 @@ class Unrolling(Interpreter):
         return self.fold(equation, operands, lambda entries: self.total(entries, dtype))
 
     def fold(self, equation, operands: list[np.ndarray], combine: Callable) -> list[np.ndarray]:
-        """An array without the axes of a reduction, whose entries are combined."""
+        """Combine the entries along the axes of a reduction."""
         axes, shape = equation.params["axes"], equation.outvars[0].aval.shape
         moved = np.moveaxis(operands[0], axes, range(len(axes)))
         result = np.empty(shape, object)
@@ -207,7 +207,7 @@ class Unrolling(Interpreter):
         return [result]
 
     def contract(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """A product of matrices, with batch axes first, then the free axes of either side."""
+        """Multiply matrices; batch axes come first, then the free axes of either side."""
         dtypes = {variable.aval.dtype for variable in (*equation.invars, *equation.outvars)}
         if len(dtypes) > 1:
             return self.keep(equation, operands)
@@ -230,7 +230,7 @@ class Unrolling(Interpreter):
         return [result.reshape((*batch, *rows, *columns))]
 
     def index(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """Entries of an array at known places, all within bounds.
+        """Return entries of an array at known places, all within bounds.
 
         If a place is computed or out of bounds, the primitive itself is applied.
         """
@@ -249,18 +249,18 @@ class Unrolling(Interpreter):
 
 
 COMMUTATIVE = frozenset(["mul", "add", "add_any"])
-"""Primitives whose two operands may be exchanged without a change of the result."""
+"""Primitives of two operands that may be exchanged."""
 
 
 @functools.cache
 def params_of(function: Callable) -> dict:
-    """The parameters with which a JAX function of two numbers binds its primitive."""
+    """Return the parameters with which a JAX function of two numbers binds its primitive."""
     number = jax.ShapeDtypeStruct((), np.float32)
     return jax.make_jaxpr(function)(number, number).eqns[0].params
 
 
 def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
-    """The results of a primitive; with `now`, evaluated at once, as NumPy arrays."""
+    """Bind a primitive; with `now`, evaluate it at once, to NumPy arrays."""
     if not now:
         results = primitive.bind(*operands, **primitive.get_bind_params(params))
         return list(results) if primitive.multiple_results else [results]
@@ -286,7 +286,7 @@ EXACT = {
     "or": np.bitwise_or,
     "sub": np.subtract,
 }
-"""NumPy functions with the same results on known numbers, for which XLA would compile a program."""
+"""NumPy functions with the same results on known numbers; XLA would compile a program for each."""
 
 
 def broadcast_entries(operands, params, shape):
@@ -318,7 +318,7 @@ MOVES = {
 
 
 def entry_move(move: Callable) -> Callable:
-    """The rule of a primitive that only moves entries."""
+    """Return the rule of a primitive that only moves entries."""
 
     def rule(unrolling, equation, operands):
         return [move(operands, equation.params, equation.outvars[0].aval.shape)]
@@ -327,7 +327,7 @@ def entry_move(move: Callable) -> Callable:
 
 
 def pad_entries(unrolling, equation, operands):
-    """Entries with a value around and between them; negative padding removes entries."""
+    """Put a value around and between entries; negative padding removes entries."""
     entries, padding = operands
     for axis, (low, high, between) in enumerate(equation.params["padding_config"]):
         moved = np.moveaxis(entries, axis, 0)

@@ -1,8 +1,8 @@
-"""Calls of kernels whose cells are sharded over several devices: each computes those that it has.
+"""Calls of kernels for cells that are sharded over several devices: each computes its own.
 
-XLA divides a custom call whose target is registered for that along the leading axes of its
-operands and results, all of which must have them, and one more axis. Shardy, which finds the
-shardings, is told by a rule which axes those are.
+XLA can divide a custom call along leading axes if its target is registered for that. All operands
+and results must have these axes, and one more. A rule tells Shardy, which finds the shardings,
+which axes those are.
 """
 
 import itertools
@@ -16,7 +16,7 @@ from jax.interpreters import mlir
 
 
 def is_divided(ctx: mlir.LoweringRuleContext) -> bool:
-    """Whether XLA divides what is lowered among devices, as far as `jax.shard_map` has not."""
+    """Whether XLA divides the lowered call among devices, unless `jax.shard_map` has done so."""
     axes: Any = ctx.module_context.axis_context
     if (mesh := getattr(axes, "mesh", None)) is not None:
         return set(axes.manual_axes) != set(mesh.axis_names)
@@ -30,7 +30,7 @@ def lower_divided(
     mapped: Sequence[int],
     cells: tuple[int, ...],
 ) -> Sequence:
-    """The call of a kernel for cells of this shape. Each gets what all of them share."""
+    """Lower the call of a kernel for cells of this shape; each gets a copy of shared operands."""
     avals: Sequence[Any] = ctx.avals_in
     shapes = [aval.shape[axes:] or (1,) for aval, axes in zip(avals, mapped, strict=True)]
 
@@ -53,7 +53,7 @@ def lower_divided(
 
 
 def sharding_rule(cells: int, operands: Sequence, results: Sequence) -> str:
-    """Shardy's rule: the first axes are those of cells, all others stay whole on every device.
+    """Write Shardy's rule: the first axes are those of cells; others stay whole on every device.
 
     Axes of the same letter are sharded alike; Shardy's letters are i, j, ... z, z_1, z_2, ...
     """

@@ -1,4 +1,4 @@
-"""Operations of which a known number, zero or one, decides the result."""
+"""Operations on a known zero or one that need no computation."""
 
 from typing import no_type_check
 

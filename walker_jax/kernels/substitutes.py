@@ -1,7 +1,7 @@
-"""JAX functions in place of primitives of small arrays: linear algebra, scans, cumulative sums.
+"""JAX functions that replace primitives of small arrays: linear algebra, scans, cumulative sums.
 
 Each takes the parameters of a primitive and returns a function of its operands, to be unrolled into
-scalars. Factorisations have LAPACK's conventions. Batches of matrices are mapped over.
+scalars. Factorisations follow LAPACK's conventions. Batches of matrices are mapped over.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
 
 def scan_as_while(params: dict) -> Callable:
-    """A scan as a while loop with a counter."""
+    """Replace a scan by a while loop with a counter."""
     body, length, reverse = jaxpr_as_fun(params["jaxpr"]), params["length"], params["reverse"]
     if "ft_in" in params:  # from jax 0.11 on
         constants, carried, _ = map(len, params["ft_in"].unpack())
@@ -65,7 +65,7 @@ def cumulate(combine: Callable) -> Callable:
 
 
 def index_of_extremum(beyond: Callable) -> Callable:
-    """The first index of the largest or smallest entry; NaN is beyond all others."""
+    """Find the first index of the largest or smallest entry; NaN is beyond all others."""
 
     def substitute(params: dict) -> Callable:
         (axis,), dtype = params["axes"], params["index_dtype"]
@@ -89,7 +89,7 @@ def index_of_extremum(beyond: Callable) -> Callable:
 
 
 def map_batches(substitute: Callable[..., Callable], ranks: tuple[int, ...]) -> Callable:
-    """Maps a substitute for operands of these ranks over their leading axes."""
+    """Map a substitute for operands of these ranks over their leading axes."""
 
     def batched(params: dict) -> Callable:
         single = substitute(**params)
@@ -106,17 +106,17 @@ def map_batches(substitute: Callable[..., Callable], ranks: tuple[int, ...]) -> 
 
 
 def reflect(c, v, tau):
-    """(1 - tau v v^T) c."""
+    """Return (1 - tau v v^T) c."""
     return c - tau * v * jnp.sum(v * c)
 
 
 def unit_vectors(a, k: int):
-    """The vector of the k-th reflection that a factorisation holds below its diagonal."""
+    """Return the vector of the k-th reflection, stored below the diagonal of a factorisation."""
     return jnp.concatenate([jnp.zeros(k, a.dtype), jnp.ones(1, a.dtype), a[k + 1 :, k]])
 
 
 def geqrf() -> Callable:
-    """QR by Householder's reflections: R with their vectors below the diagonal; their factors."""
+    """Factorise by Householder reflections: R, with their vectors below the diagonal; tau."""
 
     def function(a):
         m, n = a.shape
@@ -140,7 +140,7 @@ def geqrf() -> Callable:
 
 
 def ormqr(left: bool, transpose: bool) -> Callable:
-    """The product of Q or its transpose with a matrix, from the left or the right."""
+    """Multiply a matrix by Q or its transpose, from the left or the right."""
 
     def function(a, taus, c):
         lines = list(c.T if left else c)
@@ -171,11 +171,11 @@ def qr(*, full_matrices: bool, pivoting: bool, use_magma: bool | None) -> Callab
 def triangular_solve(
     *, left_side: bool, lower: bool, transpose_a: bool, conjugate_a: bool, unit_diagonal: bool
 ) -> Callable:
-    """The solution of a triangular system by substitution."""
+    """Solve a triangular system by substitution."""
     del conjugate_a
 
     def function(a, b):
-        # x a = b is a^T x^T = b^T.
+        # x a = b means a^T x^T = b^T.
         a = a.T if transpose_a == left_side else a
         b = b if left_side else b.T
         n = a.shape[0]
@@ -191,7 +191,7 @@ def triangular_solve(
 
 
 def lu() -> Callable:
-    """Gauss' elimination with the largest entry of a column as its pivot."""
+    """Factorise by Gaussian elimination with the largest entry of a column as its pivot."""
 
     def function(a):
         m, n = a.shape
@@ -211,7 +211,7 @@ def lu() -> Callable:
 
 
 def swap(a, i: int, j):
-    """An array with rows i and j >= i exchanged."""
+    """Exchange rows i and j >= i of an array."""
     first, other = a[i], lax.dynamic_index_in_dim(a, j, keepdims=False)
     a = lax.dynamic_update_index_in_dim(a, first, j, 0)
     return jnp.concatenate([a[:i], other[None], a[i + 1 :]])
@@ -226,7 +226,7 @@ def lu_pivots_to_permutation(*, permutation_size: int) -> Callable:
 
 
 def cholesky(**_) -> Callable:
-    """The lower factor; NaN where the matrix is not positive definite."""
+    """Return the lower factor; NaN if the matrix is not positive definite."""
 
     def function(a):
         n = a.shape[0]

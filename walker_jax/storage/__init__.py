@@ -1,7 +1,7 @@
 """Results on disk: labelled data sets as Zarr, written whole or not at all, or piece by piece.
 
-A data set carries, in its attribute `request`, what was asked for, as JSON. The same request finds
-its result again; any other is refused the place unless it is told to overwrite.
+The attribute `request` of a data set holds, as JSON, what was asked for. The same request finds its
+result again; any other request is refused the place, unless it is told to overwrite.
 """
 
 from walker_jax.storage.datasets import export as export

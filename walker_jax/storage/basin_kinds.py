@@ -17,26 +17,32 @@ BASINS = {
             "cells": V("number", "integer", "", "that converge to it"),
             "area": V("number", "real", AREA, "of these cells"),
             "at_border": V("", "integer", "cells", "of basins that are at the grid's border"),
-            "artefact": V("number", "boolean", "", "cells alone, no attractor", "cell map"),
-            "cycles": V("number", "integer", "", "of cells that belong to it", "cell map"),
+            "artefact": V(
+                "number", "boolean", "", "a cycle of cells, not an attractor", "cell map"
+            ),
+            "cycles": V("number", "integer", "", "cycles of cells that belong to it", "cell map"),
             "falling": V("number", "integer", "", "centres that fall", "cell map"),
         },
         WALKER | SECTION | {"method": "`cell-map`, `direct` or `direct, refined`"},
     ),
     "viability": Kind(
-        "What any choice of actions can do, over a grid (`viable`).",
+        "The viability kernel over a grid, and the actions that lead to a target (`viable`).",
         {
             "viable": V("*grid", "boolean", "", "some choice keeps it on the grid for ever"),
-            "inner": V("*grid", "boolean", "", "so from all of the cell", "with bounds"),
-            "outer": V("*grid", "boolean", "", "perhaps from some of the cell", "with bounds"),
+            "inner": V("*grid", "boolean", "", "so for all of the cell", "with bounds"),
+            "outer": V("*grid", "boolean", "", "perhaps so for some of the cell", "with bounds"),
             "safe_actions": V("*grid", "integer", "", "actions that keep it viable"),
             "lasting": V("*grid", "integer", "strides", "the most that can be made; -1 if viable"),
-            "failure": V("*grid", "integer", "", "`Outcome` in which that ends; 0 if viable"),
+            "failure": V("*grid", "integer", "", "`Outcome` that ends these; 0 if viable"),
             "capture": V("*grid", "integer", "strides", "the fewest to the target; -1 for none"),
-            "action": V("*grid", "integer", "", "that leads there, or keeps it viable; or -1"),
-            "mapped": V("level", "integer", "cells", "from which strides were made", "with bounds"),
-            "level_inner_area": V("level", "real", AREA, "of `inner` cells then", "with bounds"),
-            "level_outer_area": V("level", "real", AREA, "of `outer` cells then", "with bounds"),
+            "action": V("*grid", "integer", "", "leads there, or keeps it viable; -1 for none"),
+            "mapped": V("level", "integer", "cells", "mapped at this level", "with bounds"),
+            "level_inner_area": V(
+                "level", "real", AREA, "of `inner` cells after it", "with bounds"
+            ),
+            "level_outer_area": V(
+                "level", "real", AREA, "of `outer` cells after it", "with bounds"
+            ),
             "axis": V("axis", "text", "", "names of the grid's axes"),
             "lower": V("axis", "real", "", "the grid's lower ends"),
             "upper": V("axis", "real", "", "the grid's upper ends"),
@@ -73,9 +79,9 @@ BASINS = {
         | {
             "period": "strides from the trap into itself",
             "radius": "of the disc about the gait that the cells cover; 0 for a window",
-            "all_walk": "whether nothing in the cells is open or falls: a theorem if it is",
+            "all_walk": "whether all cells are proved to walk, which is then a theorem",
             "area_lower": f"of the cells that walk; {AREA}",
-            "area_upper": "of those, and of the cells left open",
+            "area_upper": "of these, and of the cells left open",
             "verified_strides": "made for the cells",
         },
     ),
@@ -94,15 +100,14 @@ BASINS = {
         "basin",
     ),
     "refined volume": Kind(
-        "A refined basin over three dimensions, where an area is a volume (`refine`). In place of "
-        "an array over all cells of the finest grid it has runs: of cells that follow one on "
-        "another along the last axis, and are alike. `slice_basin` makes basins of two dimensions "
-        "of it.",
+        "A refined basin over three dimensions, where an area is a volume (`refine`). Instead of "
+        "arrays over all cells of the finest grid it has runs of equal cells along the last axis. "
+        "`slice_basin` cuts basins of two dimensions from it.",
         {
             "first_cell": V("run", "integer", "", "first cell of a run, in C order over the grid"),
             "run_fate": V("run", "integer", "", "`Outcome` of the last stride from its cells"),
             "run_attractor": V("run", "integer", "", "number of the attractor; -1 for none"),
-            "axis": V("axis", "text", "", "names of the grid's axes, whose centres it has too"),
+            "axis": V("axis", "text", "", "names of the grid's axes, each with its centres"),
             "lower": V("axis", "real", "", "the grid's lower ends"),
             "upper": V("axis", "real", "", "the grid's upper ends"),
             "shear": V("coordinate axis", "real", "", "a state is origin + shear · place"),
@@ -124,7 +129,7 @@ BASINS = {
         WALKER | SECTION | {"method": "`direct, refined`"},
     ),
     "boundary": Kind(
-        "A basin, and what the boundary between its fates is like (`boundary`).",
+        "A basin, and the boundary between its fates (`boundary`).",
         {
             "basin_entropy": V("", "real", "", "mean over all boxes"),
             "boundary_entropy": V("", "real", "", "mean over boxes with several fates"),
@@ -133,7 +138,7 @@ BASINS = {
             "boundary_fractal": V("", "boolean", "", "above log 2 in boxes of two sizes"),
             "region": V("region_number", "integer", "", "`Outcome` of the walkers in a region"),
             "spacing": V("spacing", "integer", "cells", "of the points that are compared"),
-            "wada_share": V("spacing", "real", "", "of a boundary, that another one lacks"),
+            "wada_share": V("spacing", "real", "", "share of a boundary that another lacks"),
             "edge_fates": V("edge beside", "integer", "", "`Outcome` of regions that touch"),
             "edge_between": V("edge beside", "integer", "", "`Outcome` beside the path's end"),
             "edge_kind": V("edge", "text", "", "`saddle`, the margin that is zero, or empty"),
@@ -149,7 +154,7 @@ BASINS = {
         "basin",
     ),
     "robustness": Kind(
-        "A refined basin, and what its most attracting gait survives (`robustness`).",
+        "A refined basin, and the robustness of its most attracting gait (`robustness`).",
         {
             "note": V("", "text", "", DIFFERS),
             "gait_period": V("", "integer", "strides", "0 where no gait attracts"),
@@ -211,7 +216,7 @@ BASINS = {
             "fate": V("*parameters *grid", "integer", "", "as in a basin"),
             "attractor": V("*parameters *grid", "integer", "", "as in a basin"),
             "strides": V("*parameters *grid", "integer", "", "as in a basin"),
-            "attractors": V("*parameters", "integer", "", "how many there are"),
+            "attractors": V("*parameters", "integer", "", "number of attractors"),
             "attractor_number": V(
                 "*parameters own", "integer", "", "of each, alike in all basins; -1 for none"
             ),
@@ -221,11 +226,11 @@ BASINS = {
             "attractor_states": V(
                 "*parameters own phase coordinate", "real", STATE, "the cycle; NaN after it"
             ),
-            "area": V("*parameters", "real", AREA, "of the cells that converge to one"),
+            "area": V("*parameters", "real", AREA, "of all cells that converge"),
             "gait_period": V("*parameters", "integer", "strides", "0 where no gait attracts"),
             "gait_state": V("*parameters coordinate", "real", STATE, "NaN where no gait attracts"),
             "note": V("*parameters", "text", "", DIFFERS),
-            "multiplier": V("*parameters", "real", "", "its largest modulus"),
+            "multiplier": V("*parameters", "real", "", "largest modulus, of this gait"),
             "step_time": V("*parameters", "real", TIME, "of this gait"),
             "step_length": V("*parameters", "real", "leg length", "of this gait"),
             "speed": V("*parameters", "real", "√(gl)", "of this gait"),

@@ -1,4 +1,4 @@
-"""Checksums of data sets, by which damage on the disk is found, and named.
+"""Checksums of data sets, which reveal damage on disk and name the damaged part.
 
 Each chunk ends with its CRC-32C, which Zarr's codec of that name writes and checks. The attribute
 `checksums` of the group holds a digest of the metadata of each array, and one of the group's own.
@@ -18,7 +18,7 @@ from walker_jax.storage.damage import (
     VERSION,
     Damaged,
     damaged,
-    naming,
+    name_damage,
     read_metadata,
 )
 from walker_jax.storage.kind import SCHEMA_VERSION
@@ -35,7 +35,7 @@ CRC_BYTES = 4
 
 
 def with_checksums(data: "xarray.Dataset") -> "xarray.Dataset":
-    """The same data set, to be written with a checksum for each chunk."""
+    """Return the data set with an encoding that writes a checksum for each chunk."""
     data = data.copy()
     for variable in data.variables.values():
         variable.encoding = {"compressors": codecs()}
@@ -43,7 +43,7 @@ def with_checksums(data: "xarray.Dataset") -> "xarray.Dataset":
 
 
 def codecs() -> tuple:
-    """The codecs through which the bytes of each chunk go."""
+    """Return the codecs for the bytes of each chunk."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return ZstdCodec(), Crc32cCodec()
@@ -56,17 +56,17 @@ def is_intact(chunk: bytes) -> bool:
 
 
 def check_chunks(path: Path, array: Any) -> None:
-    """Raises `Damaged` where a chunk of an array is missing, which would read as zeros.
+    """Raise `Damaged` if a chunk of an array is missing, or is not as it was written.
 
-    And where one is not as it was written. Zarr's codec finds the same, but does not know which
-    chunk it is.
+    A missing chunk would read as zeros. Zarr's codec finds altered chunks too, but does not name
+    them.
     """
     import numpy as np
 
     counts = map(lambda whole, size: -(-whole // size), array.shape, array.shards or array.chunks)
     for place in np.ndindex(*counts):
         key = f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
-        with naming(path, key, "is missing"):
+        with name_damage(path, key, "is missing"):
             (path / key).stat()
         if not is_intact((path / key).read_bytes()):
             raise damaged(path, key)
@@ -75,31 +75,31 @@ def check_chunks(path: Path, array: Any) -> None:
 # ---------------------------------------------------------------------------------------- metadata
 
 
-def digest(metadata: dict) -> str:
+def hash_metadata(metadata: dict) -> str:
     words = json.dumps(metadata, sort_keys=True).encode()
     return hashlib.blake2b(words, digest_size=DIGEST_BYTES).hexdigest()
 
 
 def seal(path: Path, attributes: dict | None = None, without: Iterable[str] = ()) -> None:
-    """Give a group checksums of its metadata, and other attributes if there are any, in one go.
+    """Write checksums of a group's metadata, and other attributes if given, in one go.
 
     Arrays `without` a checksum are about to be removed.
     """
     arrays = sorted({file.parent.name for file in path.glob(f"*/{METADATA}")} - {*without})
-    sums = {name: digest(read_metadata(path / name)) for name in arrays}
+    sums = {name: hash_metadata(read_metadata(path / name)) for name in arrays}
     group = read_metadata(path)
     given = group["attributes"] if attributes is None else attributes
-    known = json.loads(json.dumps(given | {VERSION: SCHEMA_VERSION}))  # as it will be read
-    sums = {"": digest(group | {"attributes": known | {CHECKSUMS: sums}})} | sums
+    known = json.loads(json.dumps(given | {VERSION: SCHEMA_VERSION}))  # as it will be read back
+    sums = {"": hash_metadata(group | {"attributes": known | {CHECKSUMS: sums}})} | sums
     open_group(path, "r+").attrs.put(known | {CHECKSUMS: json.dumps(sums)})
 
 
 def check_metadata(path: Path) -> list[str]:
-    """The arrays of a data set that have checksums.
+    """Return the arrays of a data set that have checksums.
 
-    Raises `Damaged` where metadata are not as they were written, or have another schema.
+    Raises `Damaged` if metadata are not as they were written, or have another schema.
     """
-    with naming(path, METADATA):
+    with name_damage(path, METADATA):
         found = read_metadata(path)
         attributes = found["attributes"]
         version = attributes.get(VERSION)
@@ -108,10 +108,10 @@ def check_metadata(path: Path) -> list[str]:
             raise Damaged(f"{path} {said}, and this package reads {SCHEMA_VERSION}")
         sums = json.loads(attributes[CHECKSUMS])
         own = sums.pop("")
-    if digest(found | {"attributes": attributes | {CHECKSUMS: sums}}) != own:
+    if hash_metadata(found | {"attributes": attributes | {CHECKSUMS: sums}}) != own:
         raise damaged(path, METADATA)
     for name, wanted in sums.items():
-        with naming(path, f"{name}/{METADATA}"):
-            if digest(read_metadata(path / name)) != wanted:
+        with name_damage(path, f"{name}/{METADATA}"):
+            if hash_metadata(read_metadata(path / name)) != wanted:
                 raise damaged(path, f"{name}/{METADATA}")
     return [*sums]

@@ -1,7 +1,8 @@
-"""Damaged data sets: how they are named, and which of them are known to be of this package.
+"""Damaged data sets: how errors name them, and how those of this package are recognised.
 
-One is known by the attributes of its group, or, where these are lost, if the folder holds arrays
-alone, of which one is as they are written here. Only what is known may be replaced.
+A data set is recognised by the attributes of its group. If these are lost, the folder must hold
+nothing but arrays, one of them as written by this package. Only a recognised data set may be
+replaced.
 """
 
 import json
@@ -17,11 +18,11 @@ CHECKSUMS, VERSION = "checksums", "schema_version"
 """The attributes of a group that hold digests of metadata, and the version of the tables."""
 METADATA = "zarr.json"
 FILE = re.compile(rf"([^/]+/)?{METADATA}|[^/]+/c(/\d+)*|.*\.partial")
-"""Relative paths of the files of a data set, those half written among them."""
+"""Relative paths of the files of a data set, half-written ones included."""
 
 
 class Damaged(StoreConflict):
-    """A data set of this package is not as it is written now: its place, and the part concerned."""
+    """A data set of this package is damaged or of another version; names the place and the part."""
 
 
 def damaged(path: Path, part: str, why: str = "is not as it was written") -> Damaged:
@@ -29,28 +30,28 @@ def damaged(path: Path, part: str, why: str = "is not as it was written") -> Dam
 
 
 @contextmanager
-def naming(path: Path, part: str, why: str = "cannot be read") -> Iterator[None]:
-    """Raises `Damaged` for what Zarr or a codec raises, if `path` is a data set of this package."""
+def name_damage(path: Path, part: str, why: str = "cannot be read") -> Iterator[None]:
+    """Turn errors of Zarr or a codec into `Damaged`, if `path` is a data set of this package."""
     try:
         yield
     except (StoreConflict, MemoryError, PermissionError):
         raise
     except Exception as error:
-        if is_own(path):
+        if is_own_dataset(path):
             raise damaged(path, part, why) from error
         raise
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """The metadata of a group or an array; `OSError` or `ValueError` if there are none."""
+    """Read the metadata of a group or an array; `OSError` or `ValueError` if there are none."""
     found = json.loads((folder / METADATA).read_bytes())
     if not (isinstance(found, dict) and isinstance(found.setdefault("attributes", {}), dict)):
         raise ValueError
     return found
 
 
-def is_own(path: Path) -> bool:
-    """Whether a folder is known to be a data set of this package, damaged or not."""
+def is_own_dataset(path: Path) -> bool:
+    """Whether a folder is a data set of this package, damaged or not."""
     try:
         if {"request", CHECKSUMS} & read_metadata(path)["attributes"].keys():
             return True
@@ -60,7 +61,7 @@ def is_own(path: Path) -> bool:
 
 
 def holds_arrays_alone(path: Path) -> bool:
-    """Whether a folder holds parts of arrays alone, and of one the metadata as written here."""
+    """Whether a folder holds only parts of arrays, and the metadata of one as written here."""
     for file in path.rglob("*"):
         name = file.relative_to(path).as_posix()
         if file.is_symlink() or not (file.is_dir() or FILE.fullmatch(name)):
@@ -69,7 +70,7 @@ def holds_arrays_alone(path: Path) -> bool:
 
 
 def is_own_array(folder: Path) -> bool:
-    """Whether a folder holds an array whose chunks are coded as those of this package are."""
+    """Whether a folder holds an array whose chunks are encoded as by this package."""
     try:
         used = [one["name"] for one in read_metadata(folder)["codecs"]]
     except (OSError, ValueError, KeyError, TypeError):

@@ -1,10 +1,8 @@
 """Results on disk: labelled data sets as Zarr, written whole or not at all, or piece by piece.
 
-A data set carries, in its attribute `request`, what was asked for, as JSON. The same request finds
-its result again; any other is refused the place unless it is told to overwrite. One that is written
-piece by piece carries an attribute `unfinished` until all of it is there; the same request
-resumes it. Each piece is a chunk of every array, and counts as written once its entry in the array
-`written` is 1, which comes last.
+The attribute `request` of a data set holds, as JSON, what was asked for. The same request finds its
+result again; any other request is refused the place, unless it is told to overwrite. `pieces` has
+the data sets that are written piece by piece.
 """
 
 import importlib.util
@@ -21,7 +19,14 @@ from walker_jax.storage.checksums import (
     seal,
     with_checksums,
 )
-from walker_jax.storage.damage import CHECKSUMS, METADATA, VERSION, Damaged, is_own_array, naming
+from walker_jax.storage.damage import (
+    CHECKSUMS,
+    METADATA,
+    VERSION,
+    Damaged,
+    is_own_array,
+    name_damage,
+)
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
@@ -39,22 +44,22 @@ from walker_jax.storage.places import (
 from walker_jax.storage.requests import canonical_json, check_request
 
 if TYPE_CHECKING:
-    import xarray  # which takes half a second to load, and commands without a data set need not
+    import xarray  # takes half a second to load, which commands without a data set avoid
 
 
 LAZY_FROM_BYTES = 2**28
-"""Bytes from which on a data set is read when it is used, rather than at once."""
+"""Size (bytes) from which a data set is read when it is used, rather than at once."""
 
 
 def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Dataset | None":
-    """The result of `request` that stands at `path`, or None where it is still to be computed.
+    """Return the result of `request` at `path`, or None if it is still to be computed.
 
-    Raises `StoreConflict` where something else stands there, unless `overwrite` is given and it is
-    a data set of this package, damaged or not; and `ValueError` where nothing can be written.
-    Puts in order what a killed run has left; changes nothing else.
+    Raises `StoreConflict` if something else is there, unless `overwrite` is given and it is a data
+    set of this package, damaged or not; and `ValueError` if nothing can be written there. Cleans up
+    after a killed run; changes nothing else.
     """
     path = resolve_link(path)
-    with suppress(StoreConflict, OSError):  # of another run, or where one may only read
+    with suppress(StoreConflict, OSError):  # another run is writing, or the folder is read-only
         if scratch_folder(path).exists():
             with exclusive(path):
                 pass
@@ -79,11 +84,11 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
 
 
 def read_existing(path: Path) -> "xarray.Dataset | None":
-    """The data set that stands at a place, if one does; what else is in a whole one is removed."""
+    """Return the data set at a place, if there is one; remove leftovers from a complete one."""
     try:
         if not path.is_dir():
             return None
-    except OSError:  # as of a name that is too long
+    except OSError:  # for example, the name is too long
         return None
     try:
         data = load(path)
@@ -93,24 +98,24 @@ def read_existing(path: Path) -> "xarray.Dataset | None":
         data = load(path)
     whole = data is not None and not data.attrs.get("unfinished")
     if whole and is_own_array(path / "written"):
-        # a run ended here but for the last thing that it had to do
+        # a run ended just before its last action, which was to remove arrays
         with suppress(StoreConflict, OSError), exclusive(path) as folder:
             kept = check_metadata(path)
             others = {place.name for place in path.iterdir() if is_own_array(place)} - {*kept}
-            # this one last: it says that there is something to do
+            # `written` last: it shows that arrays remain to be removed
             remove_arrays(path, folder, sorted(others, key=lambda name: name == "written"))
     return data
 
 
 def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
-    """Write a data set at `path`, in the place of any that stands there; returns it as written."""
+    """Write a data set at `path`, replacing any that is there, and return it as written."""
     with rewritable(path, request) as save_again:
         return save_again(data)
 
 
 @contextmanager
 def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset], xarray.Dataset]]":
-    """Reserve `path` for one run, and give its `save`, which may be called again and again.
+    """Reserve `path` for one run, and yield its `save`, which may be called repeatedly.
 
     Raises `StoreConflict` while another run writes there.
     """
@@ -131,23 +136,26 @@ def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset]
 
 
 def load(path: Path) -> "xarray.Dataset | None":
-    """The data set at `path`, or None where there is none; `Damaged` where one is damaged."""
+    """Return the data set at `path`, or None if there is none; `Damaged` if it is damaged."""
     try:
         return open_dataset(path)
     except Damaged:
         raise
-    except Exception:  # whatever is wrong with what others have written
+    except Exception:  # files written by other programs can fail in any way
         return None
 
 
 def open_dataset(path: Path) -> "xarray.Dataset":
-    """The data set at `path`, in memory; a large or unfinished one is read when it is used."""
+    """Open the data set at `path` in memory; a large or unfinished one is read when it is used."""
     import xarray
 
     kept = check_metadata(path)
-    with naming(path, METADATA):
+    with name_damage(path, METADATA):
         group = open_group(path, "r")
-    with naming(path, "it"), warnings.catch_warnings():  # of arrays that a run is about to begin
+    with (
+        name_damage(path, "it"),
+        warnings.catch_warnings(),
+    ):  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
         unfinished = bool(group.attrs.get("unfinished"))
         for name in kept:
@@ -162,16 +170,16 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     if data.nbytes > LAZY_FROM_BYTES:
         return data
     for name, variable in data.variables.items():
-        with naming(path, str(name)):
+        with name_damage(path, str(name)):
             variable.load()
     return data
 
 
 def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Dataset":
-    """Copy the data set at `path` to a NetCDF file; returns it.
+    """Copy the data set at `path` to a NetCDF file, and return it.
 
-    Raises `StoreConflict` where another file stands there, or `path` is no data set, or is damaged
-    or unfinished; `ValueError` where nothing can be written, or h5netcdf is not installed.
+    Raises `StoreConflict` if there is another file, or if `path` is not a data set, or a damaged or
+    unfinished one; `ValueError` if nothing can be written, or h5netcdf is not installed.
     """
     if None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
         raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")

@@ -1,4 +1,4 @@
-"""Data sets of walks, of gaits and of what is optimised: one table for each kind."""
+"""Data sets of walks, gaits and optimisations: one table for each kind."""
 
 from walker_jax.storage.kind import DIFFERS, SECTION, STATE, TIME, WALKER, Kind
 from walker_jax.storage.kind import Variable as V
@@ -116,7 +116,7 @@ GAITS = {
             "period": V("attractor", "integer", "strides", "0 for a motion without a period"),
             "first": V("attractor", "real", "", "lowest value at which it attracts"),
             "last": V("attractor", "real", "", "highest value at which it attracts"),
-            "event_attractor": V("event", "integer", "", "whose branch has the bifurcation"),
+            "event_attractor": V("event", "integer", "", "attractor whose branch has it"),
             "event_value": V("event", "real", "", "of the parameter"),
             "event_fold": V("event", "boolean", "", "a fold, or else a period doubling"),
         },
@@ -125,8 +125,8 @@ GAITS = {
     "optimisation": Kind(
         "The trace of an optimisation (`optimise`).",
         {
-            "parameter": V("parameter", "text", "", "those that are free"),
-            "measure": V("measure", "text", "", "those that are measured"),
+            "parameter": V("parameter", "text", "", "names of the free parameters"),
+            "measure": V("measure", "text", "", "names of the measures"),
             "run": V("evaluation", "integer", "", "its number; -1 for the scan"),
             "stage": V("evaluation", "integer", "", "its number; -1: scan, -2: start or optimum"),
             "parameters": V("evaluation parameter", "real", "", "that were tried"),
@@ -136,8 +136,8 @@ GAITS = {
             "gradient_error": V("evaluation parameter", "real", "", "its standard error"),
             "measures": V("evaluation measure", "real", "", "all that is measured"),
             "strides": V("evaluation", "integer", "strides", "made for areas"),
-            "note": V("start_number", "text", "", "why a run led nowhere", "finished"),
-            "found": V("", "boolean", "", "an optimum", "finished"),
+            "note": V("start_number", "text", "", "why a run failed", "finished"),
+            "found": V("", "boolean", "", "whether there is an optimum", "finished"),
         },
         WALKER
         | SECTION
@@ -154,8 +154,8 @@ GAITS = {
         {
             "start": V("parameter", "real", "", "where the best run began"),
             "optimum": V("parameter", "real", "", "where it ended"),
-            "objective_start": V("", "real", "", "as this run measured it"),
-            "objective_optimum": V("", "real", "", "as this run measured it"),
+            "objective_start": V("", "real", "", "as measured in this run"),
+            "objective_optimum": V("", "real", "", "as measured in this run"),
             "exact_start": V("", "real", "", "objective on the finest grid"),
             "exact_start_error": V("", "real", "", "its standard error; NaN if unknown"),
             "exact_optimum": V("", "real", "", "objective on the finest grid"),
@@ -164,7 +164,7 @@ GAITS = {
             "phidot": V("", "real", "rad/√(l/g)", "of the slice that is shown", "volume"),
             "binding": V("measure", "boolean", "", "whether its limit holds the optimum"),
             "converged": V("", "boolean", "", "no shorter step led higher"),
-            "out_of_time": V("", "boolean", "", "the time was over before"),
+            "out_of_time": V("", "boolean", "", "the time was over first"),
             "note_start": V("", "text", "", DIFFERS),
             "note_optimum": V("", "text", "", DIFFERS),
             "scan_parameters": V("parameter point", "real", "", "of the scan", "scan"),

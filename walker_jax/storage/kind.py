@@ -1,21 +1,21 @@
-"""Kinds of data sets: names, dimensions, types, units and attributes of what each holds.
+"""Kinds of data sets: names, dimensions, types, units and attributes of their contents.
 
-A dimension `*name` stands for one or more dimensions, which are the same wherever that name stands,
-and `?name` for exactly one. States are those at the start of a stride, on the section. Angles are
-in rad, times in √(l/g), with leg length l and gravity g.
+A dimension `*name` stands for one or more dimensions, and `?name` for exactly one; the same name
+stands for the same dimensions throughout a data set. States are those at the start of a stride, on
+the section. Angles are in rad, times in √(l/g), with leg length l and gravity g.
 """
 
 from typing import NamedTuple
 
 SCHEMA_VERSION = 1
-"""The version of the tables of kinds: stores of another version are refused."""
+"""Version of the tables of kinds; stores of another version are refused."""
 TYPES = {"integer": "iub", "real": "fiu", "boolean": "biu", "text": "UOST"}
-"""The kinds of NumPy types, by their letters, that each type of variable may have."""
+"""Letters of the NumPy kinds that each type of variable may have."""
 STATE = "rad, rad/√(l/g)"
 AREA = "rad²/√(l/g)"
 TIME = "√(l/g)"
 FAILS = "the `Outcome` of its last stride; -1 for none"
-DIFFERS = "the gait of `find_gait`, where another one attracts"
+DIFFERS = "the gait of `find_gait`, if another one attracts"
 
 
 class Variable(NamedTuple):
@@ -28,7 +28,7 @@ class Variable(NamedTuple):
     unit: str
     about: str
     when: str = ""
-    """Which data sets have it; empty for all."""
+    """The data sets that have it; empty for all."""
 
 
 class Kind(NamedTuple):
@@ -39,7 +39,7 @@ class Kind(NamedTuple):
     attributes: dict[str, str]
     """Attributes that every data set of this kind has, with their meaning."""
     base: str = ""
-    """The kind whose variables and attributes it has too."""
+    """The kind whose variables and attributes this one inherits."""
 
 
 WALKER = {

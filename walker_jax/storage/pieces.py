@@ -1,8 +1,8 @@
-"""Results written piece by piece, and resumed.
+"""Results that are written piece by piece, and resumed.
 
-Such a data set carries an attribute `unfinished` until all of it is there; the same request
-resumes it. Each piece is a chunk of every array, and counts as written once its entry in the array
-`written` is 1, which comes last.
+Such a data set has an attribute `unfinished` until it is complete; the same request resumes it.
+Each piece is a chunk of every array. It counts as written once its entry in the array `written`,
+which is set last, is 1.
 """
 
 import json
@@ -23,7 +23,7 @@ from walker_jax.storage.checksums import (
     seal,
     with_checksums,
 )
-from walker_jax.storage.damage import naming
+from walker_jax.storage.damage import name_damage
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     RESUME_HINT,
@@ -39,16 +39,16 @@ from walker_jax.storage.places import (
 from walker_jax.storage.requests import canonical_json, check_request
 
 if TYPE_CHECKING:
-    import xarray  # which takes half a second to load, and commands without a data set need not
+    import xarray  # takes half a second to load, which commands without a data set avoid
 
 
 @contextmanager
 def resumable(
     path: Path, begun: Callable[[], bool] = lambda: True, *, overwrite: bool = False
 ) -> Iterator[None]:
-    """Let an interruption of the work within carry a note that it is resumed from `path`.
+    """Add a note to any interruption: the same call resumes the work from `path`.
 
-    `begun` is whether anything is there to resume from, `overwrite` whether that was given.
+    `begun` tells whether there is anything to resume from, `overwrite` whether it was given.
     """
     how = f"{RESUME_HINT}{', without overwrite,' if overwrite else ''} to resume from {path}"
     try:
@@ -70,40 +70,40 @@ class Pieces(NamedTuple):
 
     path: Path
     folder: Path
-    """Beside it."""
+    """The run's hidden folder beside the data set."""
     group: Any
     shape: tuple[int, ...]
-    """Of the axes that are cut."""
+    """Shape of the axes that are cut."""
     block: tuple[int, ...]
-    """How much of each is in a piece; less in the last ones."""
+    """Length of a piece along each of these axes; the last pieces may be shorter."""
     notes: Any
-    """What was noted when it was begun."""
+    """The notes made when it was begun."""
     names: tuple[str, ...]
-    """Of the arrays that are cut."""
+    """Names of the arrays that are cut."""
     aside: tuple[str, ...]
-    """Those of them that `finish` removes."""
+    """Names of the auxiliary arrays, which `finish` removes."""
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """How many pieces there are along each axis."""
+        """Number of pieces along each axis."""
         return piece_counts(self.shape, self.block)
 
     @property
     def count(self) -> int:
-        """How many pieces there are."""
+        """Number of pieces."""
         return math.prod(self.counts)
 
     def place(self, piece: int) -> tuple[int, ...]:
-        """The number of the piece along each axis."""
+        """Return the number of a piece along each axis."""
         return tuple(int(i) for i in np.unravel_index(piece, self.counts))
 
     def at(self, piece: int) -> tuple[slice, ...]:
-        """Its part of the arrays."""
+        """Return the slices of the arrays that a piece covers."""
         ends = zip(self.place(piece), self.block, self.shape, strict=True)
         return tuple(slice(i * size, min((i + 1) * size, whole)) for i, size, whole in ends)
 
     def missing(self) -> list[int]:
-        """Pieces that are not written yet, or not as they were written any more."""
+        """Return the pieces that are not written yet, or are damaged."""
         arrays = [self.array(name) for name in ("written", *self.names)]
 
         def is_there(array: Any, piece: int) -> bool:
@@ -116,25 +116,27 @@ class Pieces(NamedTuple):
         return [i for i in pieces if not all(is_there(array, i) for array in arrays)]
 
     def array(self, name: str) -> Any:
-        """One of the arrays; all its chunks are written, so that it is known which are missing."""
+        """Return an array that writes even empty chunks, so that missing ones can be told."""
         return self.group[name].with_config({"write_empty_chunks": True})
 
     def read(self, name: str, piece: int) -> np.ndarray:
-        """Read the part of an array that is of a piece."""
+        """Read an array's part of a piece."""
         array = self.array(name)
-        with naming(self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()):
+        with name_damage(
+            self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()
+        ):
             return np.asarray(array[self.at(piece)])
 
     def chunk_file(self, array: Any, piece: int) -> Path:
-        """The file with an array's part of a piece."""
+        """Return the file with an array's part of a piece."""
         place = self.place(piece)
         chunk = *place, *[0] * (array.ndim - len(place))
         return self.path / array.basename / array.metadata.encode_chunk_key(chunk)
 
     def write(self, piece: int, values: Mapping[str, Any], *, done: bool = False) -> None:
-        """Write a piece's parts of some arrays; the piece is written if these are all, `done`.
+        """Write a piece's parts of some arrays; with `done`, the piece counts as written.
 
-        Then arrays without values get chunks too: so one that is missing was lost.
+        Arrays without values then get chunks too, so that a missing chunk is known to be lost.
         """
         at = self.at(piece)
         names = (*values, *(self.names if done else ()))
@@ -148,15 +150,15 @@ class Pieces(NamedTuple):
                 self.array("written")[self.place(piece)] = 1
 
     def finish(self, data: "xarray.Dataset") -> None:
-        """Adds what is known at the end, and removes the auxiliary arrays."""
+        """Add the data known only at the end, and remove the auxiliary arrays."""
         attributes = dict(self.group.attrs)
         final = data.attrs | {"request": attributes["request"]}
-        left = (*self.aside, "written")  # this one last: it says that there is something to do
+        left = (*self.aside, "written")  # `written` last: it shows that arrays remain to be removed
         data = with_checksums(data)
         data.attrs = attributes
         with writing(self.path):
             data.to_zarr(self.path, mode="a", consolidated=False, write_empty_chunks=True)
-            seal(self.path, final, without=left)  # in one go: the data set is whole
+            seal(self.path, final, without=left)  # in one go, which completes the data set
             remove_arrays(self.path, self.folder, left)
 
 
@@ -172,22 +174,21 @@ def open_pieces(
     aside: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Iterator[Pieces]:
-    """A data set to be written piece by piece: begun, or resumed if it is unfinished.
+    """Begin a data set to be written piece by piece, or resume an unfinished one.
 
     **Arguments:**
 
-    - `request`: by which it is known again.
-    - `data`: what there is besides the arrays, from the beginning.
-    - `arrays`: each the shape, and everywhere the value that it has where nothing is written yet.
-      Their first axes, the same in all, are cut into pieces.
-    - `block`: how much of each of these axes is in a piece; a resumed data set keeps its own.
-    - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
-      end.
-    - `aside`: auxiliary arrays, which `finish` removes.
-    - `overwrite`: whether to begin anew, in the place of what stands there.
+    - `request`: identifies the result.
+    - `data`: everything besides the arrays, written at the beginning.
+    - `arrays`: arrays of the final shape, with the values that stand for missing pieces. Their
+      first axes, the same in all, are cut into pieces.
+    - `block`: length of a piece along each of these axes; a resumed data set keeps its own.
+    - `notes`: called once, at the beginning; its JSON result is kept until the end.
+    - `aside`: names of auxiliary arrays, which `finish` removes.
+    - `overwrite`: whether to begin anew, replacing what is there.
 
-    Nobody else writes to it meanwhile: raises `StoreConflict` where another process does, or
-    something else stands there, and `ValueError` where nothing can be written.
+    The place is reserved meanwhile. Raises `StoreConflict` if another process writes there, or
+    something else is there, and `ValueError` if nothing can be written.
     """
     path = resolve_link(path)
     check_writable(path)
@@ -206,7 +207,7 @@ def open_pieces(
             group = open_group(path, "r+")
         except StoreConflict:
             raise
-        except Exception as error:  # whatever is wrong with what others have written
+        except Exception as error:  # files written by other programs can fail in any way
             raise StoreConflict(
                 f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"), of="out"
             ) from error
@@ -226,7 +227,7 @@ def create_store(
     arrays: "Mapping[str, xarray.Variable]",
     block: tuple[int, ...],
 ) -> None:
-    """Make a store of pieces, none of them written."""
+    """Create a store without any written piece."""
     with_checksums(data).to_zarr(path, consolidated=False, write_empty_chunks=True)
     group = open_group(path, "r+")
     for name, array in arrays.items():
@@ -253,12 +254,12 @@ def create_store(
 
 
 def piece_counts(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
-    """How many blocks there are along each of the first axes of a shape."""
+    """Return the number of blocks along each of the first axes of a shape."""
     return tuple(-(-whole // size) for whole, size in zip(shape, block, strict=False))
 
 
 def sync_to_disk(file: Path) -> None:
-    """Make sure that a file is on the disk, whatever happens next."""
+    """Make sure that a file is on disk, whatever happens next."""
     for place in (file, file.parent):
         try:
             number = os.open(place, os.O_RDONLY if place.is_dir() else os.O_RDWR)

@@ -1,4 +1,4 @@
-"""Places on disk: what stands there, who may write, and how a whole result replaces it."""
+"""Places on disk: their contents, the lock for writing, and the replacement by a whole result."""
 
 import os
 import shutil
@@ -13,24 +13,24 @@ import filelock
 from walker_jax.checks import NotWritten, WrongPlace
 
 LOCK_FILE = "lock"
-"""The file by which a run keeps others out of a folder."""
+"""The file with which a run locks a folder."""
 LOCK_ATTEMPTS = 100
-"""To take a lock that another run is just removing."""
+"""Attempts to take a lock that another run is just removing."""
 
 
 class StoreConflict(WrongPlace):
-    """Something else stands where a result is to go: what it is, and the arguments that help."""
+    """The place of a result is taken; says by what, and which arguments help."""
 
 
 ANOTHER_PLACE = "give another {}"
 ANOTHER_PLACE_OR_OVERWRITE = "give another {}, or overwrite to replace it"
 RESUME_HINT = "run the same again"
-"""What a note on an interruption begins with that says how its work is resumed."""
+"""Beginning of a note on an interruption that says how to resume the work."""
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Raises `NotWritten` for what the system refuses while `path` is written."""
+    """Turn errors of the operating system while `path` is written into `NotWritten`."""
     try:
         yield
     except OSError as error:
@@ -39,12 +39,12 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def resolve_link(path: Path) -> Path:
-    """Where a link leads, so that one place has one name."""
+    """Follow a link, so that one place has one name."""
     return path.resolve() if os.path.islink(path) else path
 
 
 def check_writable(path: Path) -> None:
-    """Raises `WrongPlace` where no file can be made beside `path`."""
+    """Raise `WrongPlace` if no file can be made beside `path`."""
     folder = path.absolute().parent
     try:
         if not folder.is_dir():
@@ -52,23 +52,23 @@ def check_writable(path: Path) -> None:
         if not os.access(folder, os.W_OK | os.X_OK):
             raise WrongPlace(f"{path} cannot be written: no permission for the folder {folder}")
         with suppress(FileNotFoundError):
-            scratch_folder(path).stat()  # refuses a name too long for that one's
-        tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
+            scratch_folder(path).stat()  # refuses a name too long for the scratch folder's
+        tempfile.TemporaryFile(dir=folder).close()  # refused where it is read-only, also to root
     except OSError as error:
         raise WrongPlace(f"{path} cannot be written: {error.strerror}") from None
 
 
 def scratch_folder(path: Path) -> Path:
-    """The hidden folder of the run that writes at `path`."""
+    """Return the hidden folder of the run that writes at `path`."""
     return path.absolute().with_name(f".{path.name}.walker-jax")
 
 
 @contextmanager
 def exclusive(path: Path) -> Iterator[Path]:
-    """Nobody else writes at `path` meanwhile. Gives a hidden folder beside it, removed at the end.
+    """Reserve `path`, and yield a hidden folder beside it, which is removed at the end.
 
-    Puts in order first what a killed run left there. Raises `StoreConflict` while another run holds
-    the place, which ends with its process, however that ends.
+    First cleans up after a killed run. Raises `StoreConflict` while another run holds the place;
+    its lock ends with its process, however that ends.
     """
     folder = scratch_folder(path)
     lock = acquire_lock(folder, path)
@@ -85,7 +85,7 @@ def exclusive(path: Path) -> Iterator[Path]:
 
 
 def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
-    """The lock of the folder of `path`, which is made."""
+    """Make the folder of the run that writes at `path`, and lock it."""
     lock = filelock.FileLock(folder / LOCK_FILE, blocking=False)
     with writing(path):
         for _ in range(LOCK_ATTEMPTS):
@@ -95,7 +95,7 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
                 return lock
             except (FileNotFoundError, FileExistsError):  # another run is just removing it
                 continue
-            except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
+            except (filelock.Timeout, PermissionError):  # a run of this user, or of another
                 wait = f"wait, or {ANOTHER_PLACE.format('out')}"
                 raise StoreConflict(
                     f"{path} is being written by another run", wait, of="out"
@@ -104,7 +104,7 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
 
 
 def move_into_place(folder: Path, path: Path) -> None:
-    """Put the new data set in the folder at `path`, in the place of what stands there."""
+    """Move the new data set in the folder to `path`, replacing what is there."""
     if path.exists():
         path.rename(folder / "old")
     (folder / "new").rename(path)
@@ -112,7 +112,7 @@ def move_into_place(folder: Path, path: Path) -> None:
 
 
 def restore(folder: Path, path: Path) -> None:
-    """Put back what stood at `path` if nothing came in its place; remove what else there is."""
+    """Restore the old data set at `path` if none has replaced it; remove everything else."""
     old, new = folder / "old", folder / "new"
     if old.exists() and not path.exists():
         old.rename(path)
@@ -128,18 +128,18 @@ def restore(folder: Path, path: Path) -> None:
 
 
 def remove_partial_files(path: Path) -> None:
-    """Remove from a data set what Zarr was at when a run ended: files half written, no arrays."""
+    """Remove what Zarr was writing to a data set when a run ended: partial files, empty arrays."""
     if (path / "zarr.json").is_file():
         for left in [*path.rglob("*.partial")]:
             left.unlink()
         for array in path.iterdir():
-            with suppress(OSError):  # which holds something
+            with suppress(OSError):  # the folder is not empty
                 array.rmdir()
 
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """A file that takes the place of `path` at the end, if all goes well, or is removed."""
+    """Yield a file that replaces `path` at the end if all goes well, and is removed otherwise."""
     draft = path.with_name(f".new.{path.name}")
     try:
         with writing(path):
@@ -150,14 +150,14 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file at `path`, in the place of any that stands there, whole or not at all."""
+    """Write a file at `path`, replacing any that is there, whole or not at all."""
     with atomic_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
 def open_group(path: Path, mode: Literal["r", "r+"]) -> Any:
-    """The Zarr group at `path`."""
-    import zarr  # which takes long to load, and only runs with a place on disk need it
+    """Open the Zarr group at `path`."""
+    import zarr  # takes long to load, and only runs with a place on disk need it
 
     return zarr.open_group(path, mode=mode)
 

@@ -1,4 +1,4 @@
-"""Requests in words that are compared: the attribute `request` of a data set."""
+"""Requests, the attribute `request` of data sets, and their comparison."""
 
 import hashlib
 import json
@@ -9,9 +9,9 @@ from walker_jax.storage.places import ANOTHER_PLACE_OR_OVERWRITE, StoreConflict,
 
 
 def check_request(path: Path, attributes: Mapping, request: dict) -> None:
-    """Raises `StoreConflict` for the attributes of another result, and says what is other.
+    """Raise `StoreConflict` for the attributes of another result, and name the difference.
 
-    A whole result may be of another version of the package; one is not resumed by another version.
+    A complete result may be of another version of the package; an unfinished one may not.
     """
     wanted = json.loads(canonical_json(request))
     try:
@@ -20,7 +20,7 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
         other = first_difference(there | ours, wanted)
         if not other:
             return
-    except (TypeError, ValueError):  # nothing that was written here
+    except (TypeError, ValueError):  # not written by this package
         other = ""
     raise StoreConflict(
         f"{path} holds another result{other}",
@@ -30,7 +30,7 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
 
 
 def request_in(attributes: Mapping) -> dict:
-    """The request that the attributes of a data set hold."""
+    """Return the request in the attributes of a data set."""
     there = json.loads(str(attributes.get("request")))
     if not isinstance(there, dict):
         raise TypeError
@@ -38,7 +38,7 @@ def request_in(attributes: Mapping) -> dict:
 
 
 def first_difference(there: dict, wanted: dict, within: str = "") -> str:
-    """Describes the first difference between the request that is stored and the one made."""
+    """Describe the first difference between the stored request and the new one."""
     for name in sorted(there | wanted, key=lambda name: name != "command"):
         old, new = there.get(name), wanted.get(name)
         if isinstance(old, dict) and isinstance(new, dict) and old != new:
@@ -52,9 +52,9 @@ def first_difference(there: dict, wanted: dict, within: str = "") -> str:
 def check_picture(
     path: Path, *requests: dict, overwrite: bool = False, argument: str = "figure"
 ) -> None:
-    """Raises as `find` does where a picture cannot go; one of any of the requests may stand there.
+    """Raise as `find` if a picture cannot be written; one of any of the requests may be there.
 
-    `argument` is the name of that by which the place was given.
+    `argument` is the name of the argument that gave the place.
     """
     check_writable(path)
     if not path.exists():
@@ -70,7 +70,7 @@ def check_picture(
 
 
 def signature(request: dict) -> str:
-    """The title that a picture of `request` carries, by which it is known again."""
+    """Return the title of a picture of `request`, which identifies it."""
     return f"walker-jax {hashlib.sha256(canonical_json(request).encode()).hexdigest()}"
 
 

@@ -8,12 +8,12 @@ from walker_jax.storage.gait_kinds import GAITS
 from walker_jax.storage.kind import TYPES, Kind, Variable
 
 if TYPE_CHECKING:
-    import xarray  # which takes half a second to load
+    import xarray  # takes half a second to load
 
 KINDS: dict[str, Kind] = BASINS | GAITS
 """The kinds of data sets by name."""
 COUNTS = ("checked", "mistaken", "strides_made")
-"""Counts of a refined basin, which a walker without a gait lacks in a table."""
+"""Counts of a refined basin; a table lacks them for a walker without a gait."""
 KINDS["robustness table"].variables.update(
     {
         # Integers are reals in a table, which has NaN for a walker without a gait.
@@ -43,31 +43,31 @@ KINDS["sweep"].variables.update(
 
 
 OF_SLICES = {"phidot"}
-"""Arrays that are named as the coordinate whose value they hold."""
+"""Arrays named after the coordinate whose value they hold."""
 
 
 def names_in_use(kind: str) -> frozenset[str]:
-    """Names of the arrays and dimensions of a kind, which no axis of its grid may have."""
-    variables = variables_of(kind)
+    """Return the names of a kind's arrays and dimensions, which no axis of its grid may have."""
+    variables = variables_of_kind(kind)
     dimensions = {name for one in variables.values() for name in one.dims.split()}
     return frozenset(variables.keys() - OF_SLICES | dimensions)
 
 
-def variables_of(kind: str) -> dict[str, Variable]:
-    """The variables of a kind, those of its base among them."""
+def variables_of_kind(kind: str) -> dict[str, Variable]:
+    """Return the variables of a kind, including those of its base."""
     base = KINDS[kind].base
-    return (variables_of(base) if base else {}) | KINDS[kind].variables
+    return (variables_of_kind(base) if base else {}) | KINDS[kind].variables
 
 
-def attributes_of(kind: str) -> dict[str, str]:
-    """The attributes of a kind, those of its base among them."""
+def attributes_of_kind(kind: str) -> dict[str, str]:
+    """Return the attributes of a kind, including those of its base."""
     base = KINDS[kind].base
-    return (attributes_of(base) if base else {}) | KINDS[kind].attributes
+    return (attributes_of_kind(base) if base else {}) | KINDS[kind].attributes
 
 
 def check_dataset(data: "xarray.Dataset", kind: str) -> None:
     """Raise `WrongUse` for a data set that is not of a kind of `KINDS`, and say why in one line."""
-    variables, attributes = variables_of(kind), attributes_of(kind)
+    variables, attributes = variables_of_kind(kind), attributes_of_kind(kind)
     missing = [name for name, one in variables.items() if not one.when and name not in data]
     missing += [f"attribute {name}" for name in attributes if name not in data.attrs]
     if missing:
@@ -86,7 +86,7 @@ def check_dataset(data: "xarray.Dataset", kind: str) -> None:
 
 
 def matches(pattern: str, dims: tuple[str, ...], bound: dict[str, tuple[str, ...]]) -> bool:
-    """Whether dimensions fit a pattern; what its placeholders stand for is added to `bound`."""
+    """Whether dimensions fit a pattern; adds the meaning of its placeholders to `bound`."""
     before, placeholder, after = [], "", []
     for name in pattern.split():
         known = bound.get(name, () if name[0] in "*?" else (name,))

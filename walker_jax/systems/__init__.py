@@ -1,1 +1,1 @@
-"""Return maps: systems in general, maps, systems of modes, and outcomes of strides."""
+"""Return maps: systems in general, maps, hybrid systems, and outcomes of strides."""

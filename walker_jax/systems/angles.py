@@ -1,4 +1,4 @@
-"""Angles of a section, which count no turns."""
+"""Angles of a section, without full turns."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,5 +7,5 @@ from walker_jax.integrators.roots import Scalar
 
 
 def wrap(angle: Scalar) -> Scalar:
-    """The same angle (rad) between -pi and pi; its derivative is 1."""
+    """Return the same angle (rad) between -pi and pi; the derivative is 1."""
     return angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))

@@ -15,11 +15,11 @@ from walker_jax.systems.parameter import Parameter
 AMPLITUDE = Parameter("amplitude", "of the table's acceleration", "g", 0.5, closed=True)
 RESTITUTION = Parameter("restitution", "at an impact", "", 0.8, high=1)
 RESTING = 1e-6
-"""Speed away from the table below which a ball does not leave it any more."""
+"""Speed away from the table below which a ball sticks to it."""
 
 
 class Flight(NamedTuple):
-    """Height of a ball, its rate, and the phase of the table; or their rates."""
+    """Height and velocity of a ball, and the phase of the table; or their rates."""
 
     height: Any
     velocity: Any
@@ -29,11 +29,11 @@ class Flight(NamedTuple):
 class BouncingBall(HybridSystem):
     """A ball over a table at amplitude sin(phase), from just after one impact to the next.
 
-    The section's `angle` is that phase. The unit of time is 1 / angular frequency of the table;
-    gravity is 1, so the amplitude is the greatest acceleration of the table over that of gravity.
-    Relative velocities are multiplied by -restitution at an impact. A ball that sticks to the table
-    is `OUTSIDE`. The full equations, not the approximation of high bounces; Luo and Han (1996,
-    Nonlinear Dynamics 10, 1-18).
+    The section's `angle` is that phase. The unit of time is 1 / angular frequency of the table.
+    Gravity is 1, so the amplitude is the table's largest acceleration in units of gravity. An
+    impact multiplies the relative velocity by -restitution. A ball that sticks to the table is
+    `OUTSIDE`. The equations are the full ones of Luo and Han (1996, Nonlinear Dynamics 10, 1-18),
+    without the approximation for high bounces.
     """
 
     amplitude: Real = AMPLITUDE.field()
@@ -42,7 +42,7 @@ class BouncingBall(HybridSystem):
     section = ("angle", "velocity")
 
     def table(self, phase):
-        """Its height and velocity."""
+        """Return the table's height and velocity."""
         return self.amplitude * jnp.sin(phase), self.amplitude * jnp.cos(phase)
 
     def lift(self, x):

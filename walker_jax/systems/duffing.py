@@ -1,4 +1,4 @@
-"""Duffing's oscillator with two wells, seen once in each period of its force."""
+"""Duffing's oscillator with two wells, observed once per period of the force."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from walker_jax.systems.parameter import Parameter
 
 
 class Forced(NamedTuple):
-    """A position, its rate, and the time since the start of a period; or their rates."""
+    """Position, velocity, and time since the start of a period; or their rates."""
 
     x: Any
     v: Any
@@ -21,9 +21,9 @@ class Forced(NamedTuple):
 
 
 class DuffingOscillator(HybridSystem):
-    """x'' + damping x' - x + x^3 = force cos(frequency t), at t = 0, one period later, and so on.
+    """x'' + damping x' - x + x^3 = force cos(frequency t), observed once per period of the force.
 
-    Guckenheimer and Holmes (1983), Nonlinear Oscillations, section 2.2. It never fails.
+    Guckenheimer and Holmes (1983), Nonlinear Oscillations, section 2.2. A stride never fails.
     """
 
     damping: Real = Parameter("damping", "of the rate", "", 0.15, closed=True).field()

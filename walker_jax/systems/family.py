@@ -1,4 +1,4 @@
-"""Systems of the package that are no walkers, by the names that the command line has for them."""
+"""The package's systems other than walkers, by their names on the command line."""
 
 from walker_jax.systems.bouncing_ball import BouncingBall
 from walker_jax.systems.duffing import DuffingOscillator

@@ -17,7 +17,7 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 
 LEAST_SCUFF = 1e-6
-"""Depth (m) from which on the foot is below the ground: less is rounding, where it touches."""
+"""Depth (m) from which the foot counts as below the ground: a smaller depth is rounding."""
 
 
 class FiveLinkBiped(AbstractFiveLinkRobot):
@@ -35,22 +35,22 @@ class FiveLinkBiped(AbstractFiveLinkRobot):
         y_4 = q_5 - q_4 - bend - swing_bend (1 - theta^2 / reach^2)     swing knee
 
     u_1 and u_4 turn the knees, and u_3 the swing thigh against the torso. The motor at the stance
-    hip takes up the reaction of u_3, so u_2 is the whole torque on the torso. A stride ends where
-    the swing foot comes down in front of the other. That it does without bouncing or slipping, as
-    the other foot comes off, and the legs change roles. Energy that the impact takes is put back by
-    the motors.
+    hip takes up the reaction of u_3, so u_2 is the whole torque on the torso. A stride ends when
+    the swing foot comes down in front of the other. It neither bounces nor slips; the other foot
+    comes off, and the legs change roles. The motors restore the energy lost in the impact.
 
-    The section is just after that, with both feet on the ground: the angles of the links but for
-    the swing shank, which follows from them, and all rates. Failures are `FORWARD`, where the hip
-    comes down to the ground; `BACKWARD`, where the stance leg stops, so that theta is no measure of
-    progress any more; `RUNNING`, where the ground would have to pull; and `SCUFFED`, where the
-    swing foot is below the ground on its way, from the start on if it does not lift; and `OUTSIDE`
-    too where the foot comes down while the stance shank leans back, which the section does not
-    hold. Knees have no stops, and nothing slips: in the gait the ground needs a coefficient of
-    friction of 0.3, and of 0.6 in the impact.
+    The section is just after the impact, with both feet on the ground. Its coordinates are the
+    angles of the links except the swing shank, whose angle follows from the others, and all rates.
+    Failures are `FORWARD`: the hip reaches the ground; `BACKWARD`: the stance leg stops, so that
+    theta no longer measures progress; `RUNNING`: the ground would have to pull; `SCUFFED`: the
+    swing foot is below the ground on its way, from the start on if it does not lift; and `OUTSIDE`:
+    the start is not feasible, or the foot comes down while the stance shank leans back, a state
+    outside the section. Knees have no stops, and nothing slips: the gait needs a coefficient of
+    friction of 0.3, and its impact 0.6.
 
-    Westervelt, Grizzle and Koditschek (2003, IEEE Transactions on Automatic Control 48, 42-56) have
-    such constraints as Bezier polynomials of theta, which their control keeps exactly in theory.
+    Westervelt, Grizzle and Koditschek (2003, IEEE Transactions on Automatic Control 48, 42-56)
+    describe such constraints as Bezier polynomials of theta; in theory their control keeps them
+    exactly.
     """
 
     lean: Real = Parameter("lean", "of the torso, from the vertical", "rad", 0.15, -np.inf).field()
@@ -63,7 +63,7 @@ class FiveLinkBiped(AbstractFiveLinkRobot):
     damping: Real = Parameter("damping", "of motors", "N m s/rad", 40.0, closed=True).field()
 
     def motors(self, q, qdot):
-        """Torques on the links; none on the foot."""
+        """Return the torques on the links; none on the foot."""
 
         def outputs(q):
             shank, thigh, torso, swing_thigh, swing_shank = q[2:]
@@ -98,7 +98,7 @@ class FiveLinkBiped(AbstractFiveLinkRobot):
         return (Mode(SingleSupport(self), guards, conditions, self.strike, as_smooth=True),)
 
     def gait_region(self):
-        """Legs about as the constraints want them, at some speeds, to which all rates belong."""
+        """Legs near their constraints, at several speeds; all rates follow from the speed."""
         theta, half = -0.85 * float(self.reach), float(self.bend) / 2
         posture = theta + half, theta - half, float(self.lean), -theta - half
         axes = {link: (at - 0.4, at + 0.4, 1) for link, at in zip(LINKS[:4], posture, strict=True)}

@@ -17,7 +17,7 @@ LINKS = "stance_shank", "stance_thigh", "torso", "swing_thigh", "swing_shank"
 
 
 class LinkState(NamedTuple):
-    """Angles of the five links from the vertical, positive forward, and their rates; as `LINKS`."""
+    """Angles (rad) of the five links from the vertical, positive forward, and their rates."""
 
     angles: tuple[Scalar, ...]
     rates: tuple[Scalar, ...]
@@ -32,8 +32,8 @@ class AbstractFiveLinkRobot(HybridSystem):
 
         M(q) q'' + C(q, q') q' + G(q) = B u.
 
-    A class with a control of its own defines `motors`, `modes` and `gait_region`; `SingleSupport`
-    of it is the vector field of a mode, and `strike` the reset where the swing foot comes down.
+    Subclasses define their control by `motors`, `modes` and `gait_region`. `SingleSupport` of a
+    robot is the vector field of a mode, and `strike` the reset when the swing foot comes down.
 
     Lengths, masses and inertias are those of Westervelt, Grizzle and Koditschek (2003), Hybrid zero
     dynamics of planar biped walkers, IEEE Transactions on Automatic Control 48, 42-56, and
@@ -56,9 +56,9 @@ class AbstractFiveLinkRobot(HybridSystem):
     gravity: Real = Parameter("gravity", "of free fall", "m/s^2", 9.81, closed=True).field()
 
     def places(self, q: Float[Array, " 7"]) -> tuple[Float[Array, "2 5"], Float[Array, "2 2"]]:
-        """Centres of mass of the links; hip and swing foot: along the ground, and heights.
+        """Return the centres of mass of the links, and the hip and swing foot: distances, heights.
 
-        Coordinates are the place of the stance foot and the angles.
+        Coordinates are the position of the stance foot and the angles.
         """
         ways = jnp.stack([jnp.sin(q[2:]), jnp.cos(q[2:])])
         links = self.segment * ways
@@ -71,7 +71,7 @@ class AbstractFiveLinkRobot(HybridSystem):
         return joints + jnp.stack(from_joint) * ways, jnp.concatenate([hip, swing_foot], axis=1)
 
     def system(self) -> multibody.System:
-        """The links, of the coordinates of `places`."""
+        """Return the system of the links, in the coordinates of `places`."""
         masses = [self.shank_mass, self.thigh_mass, self.torso_mass]
         inertias = [self.shank_inertia, self.thigh_inertia, self.torso_inertia]
         masses, inertias = (jnp.stack([*one, *one[1::-1]]) for one in (masses, inertias))
@@ -82,16 +82,16 @@ class AbstractFiveLinkRobot(HybridSystem):
 
     @abc.abstractmethod
     def motors(self, q: Float[Array, " 7"], qdot: Float[Array, " 7"]) -> Float[Array, " 7"]:
-        """Generalised forces of the motors, dual to the coordinates of `places`."""
+        """Return the generalised forces of the motors, dual to the coordinates of `places`."""
 
     def strike(self, state: LinkState) -> LinkState:
-        """The state after the impact of the swing foot, which is the stance foot from then on."""
+        """Return the state after the impact of the swing foot, the next stance foot."""
         foot = lambda q: self.places(q)[1][:, 1]
         after = multibody.impact(self.system(), foot, *coordinates_and_rates(state)).velocities
         return LinkState(state.angles[::-1], tuple(after[:1:-1]))
 
     def feasible(self, x):
-        """Where the swing foot can reach the ground, behind its knee."""
+        """The swing foot can reach the ground, behind its knee."""
         return jnp.all(jnp.isfinite(x)) & (jnp.abs(cosine_of_swing_shank(x)) < 1)
 
     def lift(self, x):
@@ -103,5 +103,5 @@ class AbstractFiveLinkRobot(HybridSystem):
 
 
 def cosine_of_swing_shank(x: Float[Array, " 9"]) -> Scalar:
-    """With both feet on the ground."""
+    """Return the cosine of the swing shank's angle, with both feet on the ground."""
     return jnp.cos(x[0]) + jnp.cos(x[1]) - jnp.cos(x[3])

@@ -10,7 +10,7 @@ from walker_jax.systems.parameter import Parameter
 from walker_jax.systems.system import System
 
 FARTHEST = 10.0
-"""Distance from the origin from which on a point escapes: it never comes back."""
+"""Distance from the origin beyond which a point has escaped: it never comes back."""
 
 
 class HenonMap(System):

@@ -1,4 +1,4 @@
-"""Systems that move through modes, from their section back to it."""
+"""Hybrid systems, which move through modes from their section back to it."""
 
 import abc
 from typing import Any
@@ -13,32 +13,33 @@ from walker_jax.systems.system import System
 
 
 class HybridSystem(System):
-    """A system of modes of motion: flights and stances, or one period of a flow.
+    """A system of modes of motion, such as flights and stances, or one period of a flow.
 
-    A stride begins in the state of the first mode that `lift` gives. Each mode is followed to the
-    guard that ends it, and its `reset` gives the state in which the next one begins; that of the
-    last one leads back to the section, where `project` reads the coordinates. A guard leads to
-    `Outcome.STRIDE` where the stride goes on, and else to the failure that it is: `self.failure`
-    gives those that the system names in `failures`.
+    A stride begins in the state of the first mode that `lift` returns. Each mode is followed to the
+    guard that ends it, and its `reset` returns the state in which the next mode begins. The reset
+    of the last mode leads back to the section, where `project` reads the coordinates. A guard leads
+    to `Outcome.STRIDE` if the stride continues, and otherwise to a failure. `self.failure` returns
+    the failures that the system names in `failures`.
 
-    States are of any shape: trees of scalars or arrays, such as a `NamedTuple` of numbers.
+    States may have any structure: trees of scalars or arrays, such as a `NamedTuple` of numbers.
+    `systems.bouncing_ball` is a short example.
     """
 
     @abc.abstractmethod
     def modes(self) -> tuple[Mode, ...]:
-        """The modes of a stride, in order."""
+        """Return the modes of a stride, in order."""
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> Any:
-        """The state in which the stride from a point of the section begins."""
+        """Return the state in which the stride from a point of the section begins."""
 
     @abc.abstractmethod
     def project(self, state: Any) -> Float[Array, " section"]:
-        """The point of the section of a state there."""
+        """Return the point of the section that belongs to a state on it."""
 
 
 def check_outcomes(system: HybridSystem, *modes: Mode) -> None:
-    """Refuse guards and conditions that lead to what is no `Outcome`, or one without a name."""
+    """Refuse guards and conditions that lead to no `Outcome`, or to an unnamed failure."""
     known = names_of_outcomes(system.failures).keys()
     failures = known - {Outcome.STRIDE}
     for mode in modes:

@@ -14,13 +14,13 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 
 LONGEST = 100.0
-"""Time without an impact after which the oscillator is said to have `STOPPED` hitting the stop."""
+"""Time without an impact after which the oscillator has `STOPPED` hitting the stop."""
 RESTING = 1e-6
-"""Speed after an impact below which it comes to rest on the stop, in ever faster impacts."""
+"""Speed after an impact below which the oscillator comes to rest, by ever faster impacts."""
 
 
 class Motion(NamedTuple):
-    """Position and rate, the phase of the force, and the time since an impact; or their rates."""
+    """Position, velocity, phase of the force, and time since an impact; or their rates."""
 
     x: Any
     v: Any
@@ -31,9 +31,9 @@ class Motion(NamedTuple):
 class ImpactOscillator(HybridSystem):
     """x'' + 2 damping x' + x = cos(frequency t) for x < stop, v -> -restitution v at x = stop.
 
-    From just after one impact to the next; the angle is frequency t, and v negative. An oscillator
-    that comes to rest on the stop is `OUTSIDE`. Shaw and Holmes (1983, Journal of Sound and
-    Vibration 90, 129-155).
+    A stride leads from just after one impact to the next; the angle is frequency t, and v is
+    negative. An oscillator that comes to rest on the stop is `OUTSIDE`. Shaw and Holmes (1983,
+    Journal of Sound and Vibration 90, 129-155).
     """
 
     frequency: Real = Parameter("frequency", "of the force", "", 2.5).field()

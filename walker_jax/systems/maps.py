@@ -1,4 +1,4 @@
-"""Maps as systems: a function of a point, and its parameters."""
+"""Maps as systems: a function of a point and of parameters."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -25,15 +25,16 @@ class Map(System):
     **Arguments:**
 
     - `f`: a pure JAX function of a point, of shape (coordinates,), and of the parameters by name.
-    - `coordinates`: their names.
-    - `parameters`: numbers by name; they can be differentiated, continued in, swept over.
-    - `feasible`: f(x, **parameters) for whether a point is one to begin from, by default any that
-      is finite. A real number counts as feasible where it is positive, and is then the `margin` of
-      a stride from there, by which areas of basins have derivatives.
-    - `region`: axes of a grid, `{"x": (low, high, count), ...}`, from whose cells periodic points
-      are searched for.
+    - `coordinates`: names of the coordinates.
+    - `parameters`: numbers by name, for derivatives, continuation and sweeps.
+    - `feasible`: a function (x, **parameters) that tells whether a stride may begin at a point; by
+      default at any finite one. If it returns a real number, positive points are feasible, and the
+      number is the `margin` of a stride, which gives areas of basins their derivatives.
+    - `region`: axes of a grid, `{"x": (low, high, count), ...}`, whose cells are the starts of
+      searches for periodic points.
 
-    Raises `ValueError` for names that are not different identifiers, and for what is no function.
+    Raises `ValueError` for names that are not distinct identifiers, and for an `f` or `feasible`
+    that is not a function.
     """
 
     f: Callable = code_field()
@@ -69,12 +70,12 @@ class Map(System):
         self.region = None if region is None else freeze(region_of(self.section, region))
 
     def __getattr__(self, name: str) -> Any:
-        """A parameter, by its name."""
+        """Return a parameter by its name."""
         found = vars(self).get("parameters", {})
         if name in found:
             return found[name]
-        whose = self.label() if "f" in vars(self) else type(self).__name__  # while it is unpickled
-        raise AttributeError(f"{whose} has no parameter {name!r}")
+        label = self.label() if "f" in vars(self) else type(self).__name__  # while it is unpickled
+        raise AttributeError(f"{label} has no parameter {name!r}")
 
     def label(self):
         return getattr(self.f, "__name__", type(self).__name__)
@@ -101,7 +102,7 @@ def is_logical(value: Any) -> bool:
 
 
 def check_names(name: str, values: Sequence[str]) -> None:
-    """Refuse what are no names, all different."""
+    """Refuse values that are not distinct names."""
     proper = not isinstance(values, str) and all(
         isinstance(one, str) and one.isidentifier() for one in values
     )
@@ -110,13 +111,13 @@ def check_names(name: str, values: Sequence[str]) -> None:
 
 
 def freeze(grid: Grid) -> tuple:
-    """The axes of a grid as a value that can be compared."""
+    """Return the axes of a grid as a value that can be compared."""
     ends = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
     return tuple((name, (float(low), float(high), n)) for name, low, high, n in ends)
 
 
 def region_of(section: tuple[str, ...], region: Mapping[str, Any]) -> Grid:
-    """A grid over all coordinates of a section, of these axes."""
+    """Return a grid of these axes over all coordinates of a section."""
     check_kind("region", region, Mapping)
     if tuple(region) != section:
         raise WrongUse(f"region must have the axes {', '.join(section)}, not {short([*region])}")

@@ -1,4 +1,4 @@
-"""How a stride ends, and what it returns."""
+"""Outcomes of strides, and the results of strides and walks."""
 
 import enum
 from collections.abc import Sequence
@@ -32,21 +32,21 @@ class Outcome(enum.IntEnum):
     BENT_KNEE = 8
     """The swing foot comes down in front of the stance foot while the knee is bent."""
     BUCKLED = 9
-    """The stance knee would have had to push against bending, in a stride that reaches heel strike;
-    only where that is checked."""
+    """The stance knee would have had to resist bending, in a stride that reaches heel strike; only
+    if that is checked."""
     SCUFFED = 10
-    """The bent leg's foot was below the ground, in a stride that reaches heel strike; only where
-    that is checked. Or the swing disc of a walker in space."""
+    """The bent leg's foot, or the swing disc of a walker in space, was below the ground, in a
+    stride that reaches heel strike. For the bent leg, only if that is checked."""
     SIDEWAYS = 11
-    """A walker in space leans so far to a side that it is down."""
+    """A walker in space has fallen to a side."""
     OWN_1 = 12
-    """The first of the failures that a system names itself, in `System.failures`."""
+    """The first failure that a system names in `System.failures`."""
     OWN_2 = 13
-    """The second of them."""
+    """The second of these failures."""
     OWN_3 = 14
-    """The third of them."""
+    """The third of these failures."""
     OWN_4 = 15
-    """The fourth of them."""
+    """The fourth of these failures."""
 
 
 WORDS = {
@@ -69,34 +69,34 @@ WORDS = {
 }
 """Outcomes in words, by their names."""
 OWN = Outcome.OWN_1, Outcome.OWN_2, Outcome.OWN_3, Outcome.OWN_4
-"""Failures that have names only in a system."""
+"""Failures that a system names itself."""
 
 
 def failures_of(data: Any) -> tuple[str, ...]:
-    """The names of its system's own failures that a data set has among its attributes."""
+    """Return the names of a system's own failures from the attributes of its data set."""
     return names_in(data, "failures")
 
 
 def names_in(data: Any, attribute: str) -> tuple[str, ...]:
-    """The names that an attribute of a data set lists; none where it has no such attribute."""
+    """Return the names listed by an attribute of a data set; none if it has no such attribute."""
     names = data.attrs.get(attribute, ())
     return (names,) if isinstance(names, str) else tuple(names)  # NetCDF has no list of one
 
 
 def name_of_outcome(outcome: int, failures: Sequence[str] = ()) -> str:
-    """The name of an outcome of a system with these failures of its own."""
+    """Return the name of an outcome, for a system with these failures of its own."""
     own = int(outcome) - OWN[0]
     return failures[own] if 0 <= own < len(failures) else Outcome(int(outcome)).name
 
 
 def names_of_outcomes(failures: Sequence[str] = ()) -> dict[Outcome, str]:
-    """The names of all outcomes of a system with these failures of its own."""
+    """Return the names of all outcomes, for a system with these failures of its own."""
     known = [one for one in Outcome if one not in OWN[len(failures) :]]
     return {one: name_of_outcome(one, failures) for one in known}
 
 
 def outcome_in_words(name: str) -> str:
-    """An outcome in words, given its name; a failure of a system's own is its name."""
+    """Describe an outcome in words, given its name; a system's own failure is its name."""
     return WORDS.get(name) or name.replace("_", " ")
 
 
@@ -123,13 +123,13 @@ class Walk(NamedTuple):
 
 
 def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
-    """The values, multiplied by 1 or by NaN, so that their derivatives are NaN too."""
+    """Multiply values by 1 or by NaN, so that their derivatives become NaN too."""
     return values * jnp.where(known, 1, jnp.nan).astype(values.dtype)
 
 
 def make_stride(
     state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar
 ) -> Stride:
-    """A stride; its results, and their derivatives, are NaN unless it is one."""
+    """Make a `Stride`; results and their derivatives are NaN unless the outcome is `STRIDE`."""
     success = outcome == Outcome.STRIDE
     return Stride(nan_unless(success, state), outcome, nan_unless(success, time))

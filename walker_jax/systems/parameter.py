@@ -21,16 +21,16 @@ class Parameter(NamedTuple):
     meaning: str
     unit: str
     default: float = np.nan
-    """Of the command line; and of the constructor, but for the slope. NaN where it has none."""
+    """Default of the command line, and, except for the slope, of the constructor; NaN for none."""
     low: float = 0.0
     high: float = np.inf
     closed: bool = False
-    """Whether it may be equal to `low`."""
+    """Whether the value may equal `low`."""
     span: tuple[float, float] = (np.nan, np.nan)
-    """Values between which the command line follows gaits unless others are given; of the slope."""
+    """Default range of slopes over which the command line follows gaits."""
 
     def convert(self, value: ArrayLike) -> Scalar:
-        """The number as an array. Raises `ValueError` for one that is not within the bounds."""
+        """Return the number as an array; `ValueError` for a number outside the bounds."""
         refusal = f"{self.name} must be one real number, not {short(value)}"
         try:
             value = jnp.asarray(value)
@@ -50,7 +50,7 @@ class Parameter(NamedTuple):
         return value
 
     def bounds(self) -> str:
-        """The bounds in words."""
+        """Describe the bounds in words."""
         if self.low > -np.inf and self.high < np.inf:
             limit = "at least" if self.closed else "above"
             return f"{limit} {self.low:g} and below {self.high:g}"
@@ -59,7 +59,7 @@ class Parameter(NamedTuple):
         return f"finite and below {self.high:g}" if self.high < np.inf else "finite"
 
     def field(self) -> Any:
-        """A field of a system for it, whose values are checked."""
+        """Return a field of a system for this parameter, with checked values."""
         if np.isnan(self.default):
             return eqx.field(converter=self.convert)
         return eqx.field(converter=self.convert, default=self.default)

@@ -21,9 +21,9 @@ class WheelState(NamedTuple):
     """Angles (rad) and rates, or their time derivatives."""
 
     theta: Scalar
-    """Of the stance spoke from the normal of the slope: positive before it is upright."""
+    """Angle of the stance spoke from the normal of the slope, positive before it is upright."""
     psi: Scalar
-    """Of the torso from the vertical: positive where it leans forward."""
+    """Angle of the torso from the vertical, positive forward."""
     thetadot: Scalar
     psidot: Scalar
 
@@ -32,30 +32,30 @@ class TorsoWheel(HybridSystem):
     """A rimless wheel with a torso, which leans forward and so drives the wheel.
 
     Massless spokes of length 1 stand `2 alpha` apart about a hub of mass 1, and gravity is 1. The
-    torso turns about the hub. A motor between it and the stance spoke holds it at an angle from the
-    vertical, by the torque `tau = stiffness (lean - psi) - damping psidot` on the torso, and as
-    much the other way on the spoke. With `s = theta - slope` and `M`, `l` and `I` the torso's mass,
-    distance of its centre of mass and inertia,
+    torso turns about the hub. A motor between torso and stance spoke holds the torso at an angle
+    from the vertical, by the torque `tau = stiffness (lean - psi) - damping psidot` on the torso
+    and its opposite on the spoke. With `s = theta - slope`, and `M`, `l` and `I` the torso's mass,
+    distance of its centre of mass from the hub, and inertia,
 
         (1 + M) s'' - M l cos(s + psi) psi'' + M l sin(s + psi) psi'^2 = (1 + M) sin(s) + tau,
         (I + M l^2) psi'' - M l cos(s + psi) s'' + M l sin(s + psi) s'^2 = M l sin(psi) + tau,
 
-    until the next spoke strikes at `theta = -alpha`. It stays on the ground: the hub loses its
-    velocity along it, and keeps, with the torso, angular momentum about the foot; the torso keeps
-    its own about the hub.
+    until the next spoke strikes at `theta = -alpha` and stays on the ground. At the strike the hub
+    loses its velocity along that spoke. Hub and torso together keep their angular momentum about
+    the new foot, and the torso keeps its own about the hub.
 
-    The section is just after that, at `theta = alpha`. A stride is `BACKWARD` where the wheel
-    stops, or a strike turns it back, `FORWARD` or `BACKWARD` where the torso has fallen to that
-    side, to `|psi| = pi / 2`, and `RUNNING` where the ground would have to pull. A wheel driven by
-    the pitch of what hangs in it is that of Sanchez and Bhounsule (2021, Automation 2:98-115).
+    The section is just after the strike, at `theta = alpha`. A stride is `BACKWARD` if the wheel
+    stops or a strike turns it back, `FORWARD` or `BACKWARD` if the torso falls to that side, to
+    `|psi| = pi / 2`, and `RUNNING` if the ground would have to pull. Sanchez and Bhounsule (2021,
+    Automation 2:98-115) describe a wheel driven by the pitch of a hanging body.
 
     **Arguments:** angles in rad, the others in units of the hub's mass, the spokes and gravity.
 
-    - `slope`: of the ground; 0 where it is level.
+    - `slope`: slope of the ground; 0 if level.
     - `alpha`: half the angle between spokes.
-    - `torso_mass`, `torso_com`, `torso_inertia`: mass, distance of its centre from the hub, and
-      moment of inertia about its centre; `I + M l^2` above 0.
-    - `stiffness`, `damping`, `lean`: of the motor, and the angle at which it holds the torso.
+    - `torso_mass`, `torso_com`, `torso_inertia`: mass, distance of the centre of mass from the hub,
+      and moment of inertia about the centre of mass; `I + M l^2` must be above 0.
+    - `stiffness`, `damping`, `lean`: gains of the motor, and the angle at which it holds the torso.
 
     Raises `ValueError` for slopes and angles beyond a right angle, and negative masses, lengths,
     inertias, stiffness and damping.
@@ -73,7 +73,7 @@ class TorsoWheel(HybridSystem):
     section: ClassVar = ("thetadot", "psi", "psidot")
 
     def system(self) -> multibody.System:
-        """Masses and F(q), with q = (u, v, theta, psi); u and v are the foot's, as of the slope."""
+        """Return masses and F(q), q = (u, v, theta, psi); u, v are the foot's, along the slope."""
 
         def torque(q, qdot):
             tau = self.stiffness * (self.lean - q[3]) - self.damping * qdot[3]
@@ -82,7 +82,7 @@ class TorsoWheel(HybridSystem):
         return self.bodies(lambda q: q[:2] + direction(q[2]), torque)
 
     def bodies(self, hub, torque=None) -> multibody.System:
-        """Hub and torso: their places, and the torso's angle, from q, of which psi is the last."""
+        """Return hub and torso: positions, and the torso's angle psi, the last entry of q."""
 
         def transfer(q):
             place = hub(q)
@@ -95,11 +95,11 @@ class TorsoWheel(HybridSystem):
         return multibody.System(transfer, masses, jnp.concatenate([down, M * down, none]), torque)
 
     def strike(self, state: WheelState) -> WheelState:
-        """The state on the next spoke. It has no mass, so its impulse is along it."""
+        """Return the state on the next spoke, which is massless: its impulse is along it."""
 
         def rates(wheel, state):
             before, spoke = direction(state.theta), direction(state.theta + 2 * wheel.alpha)
-            # the hub is at direction(theta), and moves by its derivative as the wheel turns
+            # the hub is at direction(theta), and its velocity is the derivative of that
             turned = jnp.stack([-before[1], before[0]])
             q = jnp.stack([*before, state.psi])
             qdot = jnp.stack([*(state.thetadot * turned), state.psidot])
@@ -135,5 +135,5 @@ class TorsoWheel(HybridSystem):
 
 
 def direction(angle: Real) -> Float[Array, " 2"]:
-    """At an angle from the normal of the slope, positive backward; along and normal to it."""
+    """Return the unit vector at an angle from the slope's normal, positive backward."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

@@ -1,4 +1,4 @@
-"""A runner on a leg that is a spring without mass: the spring-loaded inverted pendulum."""
+"""A runner on a massless spring leg: the spring-loaded inverted pendulum."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ RETRACTION = Parameter("retraction", "rate of the angle", "rad/unit of time", 0.
 
 
 class Point(NamedTuple):
-    """The mass from the foot, or below the apex; its rates; the time since the apex. Or rates."""
+    """Place of the mass from the foot or apex, its velocity, and time since the apex; or rates."""
 
     x: Any
     y: Any
@@ -29,16 +29,16 @@ class Point(NamedTuple):
 
 
 class SpringMassRunner(HybridSystem):
-    """From the apex of one flight to the next, of which the height is the only coordinate.
+    """A runner from the apex of one flight to the next; the apex height is the only coordinate.
 
-    Mass, gravity and the leg's length at rest are 1. In flight the leg is held at `angle` from the
+    Mass, gravity and the leg's rest length are 1. In flight the leg is held at `angle` from the
     ground, which grows at the rate `retraction` from the apex on (Seyfarth, Geyer and Herr 2003,
-    Journal of Experimental Biology 206, 2547-2555); the energy is that at every apex (Geyer,
-    Seyfarth and Blickhan 2005, Journal of Theoretical Biology 232, 315-328).
+    Journal of Experimental Biology 206, 2547-2555). `energy` is conserved: it is the same at every
+    apex (Geyer, Seyfarth and Blickhan 2005, Journal of Theoretical Biology 232, 315-328).
 
-    Fails: `FORWARD` as the mass reaches the ground; `BACKWARD` as it moves backward at lift-off;
-    `STOPPED` as it moves downward there; `OUTSIDE` below the height of touchdown, where no flight
-    ends on a straight leg.
+    A stride is `FORWARD` if the mass reaches the ground, `BACKWARD` if it moves backward at
+    lift-off, `STOPPED` if it moves downward there, and `OUTSIDE` below the height of touchdown,
+    where no flight ends on a straight leg.
     """
 
     stiffness: Real = STIFFNESS.field()

@@ -27,9 +27,9 @@ class CompassState(NamedTuple):
     """Angles (rad) and rates, or their time derivatives."""
 
     theta: Scalar
-    """Of the stance leg from the normal of the slope: positive before it is upright."""
+    """Angle of the stance leg from the normal of the slope, positive before it is upright."""
     phi: Scalar
-    """Between the legs, from the stance leg to the swing leg: positive behind it."""
+    """Angle from the stance leg to the swing leg, positive if the swing leg is behind."""
     thetadot: Scalar
     phidot: Scalar
 
@@ -37,27 +37,27 @@ class CompassState(NamedTuple):
 class SwitchedCompass(HybridSystem):
     """The compass gait, with a constant hip torque until the stance leg passes an angle.
 
-    Two straight legs of length 1 have a mass each; the hip has a mass of 1, and gravity is 1. It is
-    the biped of Goswami, Thuilot and Espiau (1998, Int. J. Robotics Research 17:1282-1301), with
-    their a = 1 - com_from_hip. Its equations of motion are those of its three points,
-    by `multibody`. A torque at the hip turns the swing leg forward, and the stance leg
-    too, while theta > switch_angle. Then it jumps to zero: a stride has two modes.
+    Two straight legs of length 1 have a point mass each; the hip has a mass of 1, and gravity is 1.
+    It is the biped of Goswami, Thuilot and Espiau (1998, Int. J. Robotics Research 17:1282-1301),
+    with their a = 1 - com_from_hip. `multibody` gives the equations of motion of its three point
+    masses. While theta > switch_angle, a torque at the hip turns both legs forward. Then it jumps
+    to zero: a stride has two modes.
 
-    The swing foot may pass below the ground. At heel strike, `phi = 2 theta` ahead, the foot that
-    stood is free, the other one stops, and legs are exchanged, `multibody.impact`. The section is
-    just after that. A stride is `BACKWARD` where the stance leg stops, or the strike turns it back,
-    `FORWARD` where it falls to theta = -pi/2, `RUNNING` where the ground would have to pull, and
-    `STOPPED` where the trailing foot does not lift. A start is feasible where it does,
+    The swing foot may pass below the ground. At heel strike, at `phi = 2 theta` ahead, the foot
+    that stood is free, the other one stops, and the legs are exchanged (`multibody.impact`). The
+    section is just after that. A stride is `BACKWARD` if the stance leg stops or the strike turns
+    it back, `FORWARD` if it falls to theta = -pi/2, `RUNNING` if the ground would have to pull, and
+    `STOPPED` if the trailing foot does not lift. A start is feasible if that foot lifts,
     phidot > 2 thetadot.
 
     **Arguments:** angles in rad, the others in units of the hip's mass, the legs and gravity.
 
-    - `slope`: of the ground.
-    - `leg_mass`: of each leg.
+    - `slope`: slope of the ground.
+    - `leg_mass`: mass of each leg.
     - `com_from_hip`: distance of a leg's mass from the hip; 1 is at the foot.
-    - `torque`: of the hip, on the swing leg, as much the other way on the stance leg; negative to
+    - `torque`: torque of the hip on the swing leg, and its opposite on the stance leg; negative to
       hold both back.
-    - `switch_angle`: theta at which it stops; not negative, as a foot may strike from then on.
+    - `switch_angle`: theta at which the torque stops; not negative, as a foot may strike from 0 on.
 
     Raises `ValueError` for slopes beyond a right angle, for masses and distances that are not
     above zero, and for a negative switch angle.
@@ -74,7 +74,7 @@ class SwitchedCompass(HybridSystem):
     section: ClassVar = ("theta", "thetadot", "phidot")
 
     def system(self) -> multibody.System:
-        """Masses and F(q), with q = (u, v, theta, phi); u and v are the stance foot's."""
+        """Return masses and F(q), with q = (u, v, theta, phi); u and v are the stance foot's."""
 
         def transfer(q):
             hip, to_mass = q[:2] + leg(q[2]), self.com_from_hip
@@ -98,7 +98,7 @@ class SwitchedCompass(HybridSystem):
         return self.swing(stops, passes), swing
 
     def swing(self, *guards: Guard, **end) -> Mode:
-        """A part of the swing."""
+        """Return a mode of the swing."""
         force = Condition(lambda state: normal_force(self, state), Outcome.RUNNING)
         return Mode(SingleSupport(self), guards, (force,), **end)
 
@@ -119,23 +119,23 @@ class SwitchedCompass(HybridSystem):
 
 
 def leg(angle: Real) -> Float[Array, " 2"]:
-    """From foot to hip, of a leg at an angle from the normal of the slope."""
+    """Return the vector from foot to hip, of a leg at an angle from the slope's normal."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
 
 
 def foot_speed(state: CompassState) -> Scalar:
-    """Proportional to the rate at which the trailing foot lifts just after heel strike."""
+    """Return a number proportional to the trailing foot's upward speed just after heel strike."""
     return state.phidot - 2 * state.thetadot
 
 
 def normal_force(walker: SwitchedCompass, state: CompassState) -> Scalar:
-    """The normal force of the ground on the stance foot."""
+    """Return the normal force of the ground on the stance foot."""
     return accelerations_and_forces(walker, state)[1][1]
 
 
 @jax.jit
 def after_strike(walker: SwitchedCompass, state: CompassState) -> CompassState:
-    """The state after heel strike, of the other leg."""
+    """Return the state after heel strike, of the other leg."""
 
     def solve(walker, state):
         foot = lambda q: q[:2] + leg(q[2]) - leg(q[2] - q[3])

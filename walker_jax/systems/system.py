@@ -1,9 +1,9 @@
-"""A return map with parameters: all that gaits, basins, stability and design need to know.
+"""Return maps with parameters: all that gaits, basins, stability and design need to know.
 
 A system has a section, with names for its coordinates, and a rule that leads from one point of it
 to the next. The walkers of the package are systems, and so is any map, any flow with a period, any
-machine whose motion comes back to a section. What is called a stride is one application of the
-rule; a gait is a periodic point; and a system fails where no next point is.
+machine whose motion comes back to a section. A stride is one application of the rule, and a gait is
+a periodic point. A system fails where there is no next point.
 """
 
 import dataclasses
@@ -28,20 +28,27 @@ SHARED_FAILURES = tuple(
     for one in Outcome
     if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID, *OWN)
 )
-"""Names of failures on the way that all systems may have."""
+"""Names of failures during a stride that any system may have."""
 
 
 class System(eqx.Module):
-    """A return map. Its fields are its parameters, scalars all, but for those that are static.
+    """A return map; its fields are scalar parameters, or static options.
 
-    Derive from it to define `advance`; from `HybridSystem` to define modes of motion instead; or
-    make a `Map` of a function.
+        class Logistic(wj.System):
+            r: jax.Array = 3.2
+            section = ("x",)
+
+            def advance(self, x):
+                return self.r * x * (1 - x), wj.Outcome.STRIDE, 1.0
+
+    Derive from it to define `advance`, or from `HybridSystem` to define modes of motion instead;
+    or make a `Map` of a function.
     """
 
     section: ClassVar[tuple[str, ...]]
     """Names of the coordinates."""
     failures: ClassVar[tuple[str, ...]] = ()
-    """Names of failures of its own, up to four, such as "misses" or "hits_the_wall"."""
+    """Names of up to four failures of its own, such as "misses" or "hits_the_wall"."""
 
     def __check_init__(self):
         names, known = self.failures, Outcome.__members__
@@ -58,22 +65,22 @@ class System(eqx.Module):
             )
 
     def __repr__(self):
-        """The parameters' values, as far as each is one number; else their types and shapes."""
+        """Show the values of parameters that are single numbers, and the type of all others."""
         code = {one.name for one in dataclasses.fields(self) if is_code(one)}
         values = {name: value for name, value in every_value(self).items() if name not in code}
         shown = (f"{name}={format_parameter(value)}" for name, value in values.items())
         return f"{self.label()}({', '.join(shown)})"
 
     def advance(self, x: Float[Array, " section"]) -> tuple[Any, Any, Any]:
-        """The next point, of shape (section,), the `Outcome`, and the time that it takes.
+        """Return the next point, of shape (section,), the `Outcome`, and the duration.
 
-        A pure JAX function of one point. `wj.stride` calls it, and gives `OUTSIDE` for a start that
-        is not feasible, and `UNDECIDED` where a next point is not finite.
+        This is a pure JAX function of one point. `wj.stride` calls it, and returns `OUTSIDE` for a
+        start that is not feasible, and `UNDECIDED` if the next point is not finite.
         """
         raise WrongUse(f"advance must be defined by {self.label()}, which has none")
 
     def failure(self, name: str) -> Outcome:
-        """The `Outcome` of a failure: one of the system's own `failures`, or one that all share."""
+        """Return the `Outcome` of a failure: one of the system's `failures`, or a shared one."""
         if name in self.failures:
             return OWN[self.failures.index(name)]
         if name not in SHARED_FAILURES:
@@ -84,34 +91,34 @@ class System(eqx.Module):
         return Outcome[name]
 
     def label(self) -> str:
-        """Its name in data sets, answers and errors."""
+        """Return the system's name in data sets, answers and errors."""
         return type(self).__name__
 
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
-        """Whether x is a point to begin from. By default wherever it is finite."""
+        """Whether a stride may begin at x; by default at any finite x."""
         return jnp.all(jnp.isfinite(x))
 
     def margin(self, x: Float[Array, " section"]) -> Scalar | None:
-        """By how much a stride from x succeeds: smooth, positive where it does, else not.
+        """Return by how much a stride from x succeeds: a smooth number, positive if it does.
 
-        Where it is zero the failure begins, and areas of basins have derivatives by it. By default
-        none is known.
+        The failure begins where it is zero, so it gives areas of basins their derivatives. By
+        default none is known.
         """
         return None
 
     def gait_region(self) -> Grid:
-        """The part of the section where gaits are searched for, in cells to search from."""
+        """Return the part of the section to search for gaits, with one search from each cell."""
         raise WrongUse(
             f"guess or region must be given for {self.label()}, which has no gait_region"
         )
 
     def further_gait_region(self) -> Grid | None:
-        """Where `find_gait` searches too if none in `gait_region` is stable. By default nowhere."""
+        """Return where `find_gait` also searches if no gait in `gait_region` is stable, or None."""
         return None
 
 
 def has_gait_region(system: System) -> bool:
-    """Whether a system says where its gaits are to be searched for."""
+    """Whether a system defines a region to search for gaits."""
     try:
         system.gait_region()
     except WrongUse:
@@ -120,7 +127,7 @@ def has_gait_region(system: System) -> bool:
 
 
 def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
-    """The next point of a system that says itself how it advances."""
+    """Make a stride of a system that defines `advance`."""
     state, outcome, time = walker.advance(x)
     state = jnp.asarray(state)
     if state.shape != x.shape or state.dtype != x.dtype:
@@ -137,22 +144,22 @@ def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
 
 
 def code_field(**settings: Any) -> Any:
-    """A static field of what is part of a system's code, such as a function that it is made of."""
+    """Return a static field for part of a system's code, such as the function of a map."""
     return eqx.field(static=True, metadata={"code": True}, **settings)
 
 
 def is_code(field: dataclasses.Field) -> bool:
-    """Whether a field is one of code."""
+    """Whether a field holds code."""
     return field.metadata.get("code", False)
 
 
 def code_of(system: System) -> tuple[Any, ...]:
-    """The values of a system's fields of code."""
+    """Return the values of a system's fields of code."""
     return tuple(getattr(system, one.name) for one in dataclasses.fields(system) if is_code(one))
 
 
 def every_value(system: System) -> dict[str, Any]:
-    """The values of all fields by name; of parameters in a dictionary by theirs."""
+    """Return the values of all fields by name; a dictionary of parameters by their own names."""
     values = {}
     for name, value in vars(system).items():
         values |= value if isinstance(value, dict) else {name: value}
@@ -160,20 +167,20 @@ def every_value(system: System) -> dict[str, Any]:
 
 
 def numbers_of(system: System) -> dict[str, Any]:
-    """The parameters of a system, by name: its fields but for options, which are static."""
+    """Return the parameters of a system by name: its fields, except static options."""
     options = {one.name for one in dataclasses.fields(system) if one.metadata.get("static")}
     return {name: value for name, value in every_value(system).items() if name not in options}
 
 
 def check_single(system: System) -> None:
-    """Refuse many systems, with arrays for parameters."""
+    """Refuse several systems in one, with arrays for parameters."""
     for name, value in numbers_of(system).items():
         if np.shape(value):
             raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
 
 
 def format_parameter(value: Any) -> str:
-    """A number as it is; of arrays, and of what JAX traces, the type and shape."""
+    """Format a number as it is, and an array or traced value by its type and shape."""
     if not eqx.is_array_like(value):
         return repr(value)
     single = not isinstance(value, Tracer) and np.shape(value) == ()

@@ -107,7 +107,7 @@ def stride(
       level. The result's state is then a full state, just after heel strike and off the section, as
       one foot is lower. `stride` takes it from there, on a slope through the standing foot.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
-      rate (`integrators.taylor_steps.step_length`), or of the error that another solver estimates.
+      rate (`integrators.taylor_steps.step_size`), or of the error that another solver estimates.
       By default 1e-12 in float64 and 1e-6 in float32. A stride amplifies this error, up to 1e5
       times near falling backward.
     - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
