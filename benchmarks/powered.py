@@ -1,7 +1,7 @@
 """Are gaits and sensitivity norms of powered walkers those of an independent integration?
 
 The reference uses scipy alone (tests/helpers/powered_reference.py): Runge-Kutta of order 8, places
-and velocities in the plane, differences of fourth order. docs/accuracy-basins.md has the printed table.
+and velocities in the plane, differences of fourth order. docs/accuracy-basins.md has the table.
 """
 
 import importlib

@@ -7,7 +7,7 @@ eightfold. Then volumes over slopes are compared with the same volume by random 
 stability), with its 95 % interval; the derivative of a volume on ever finer grids with a
 difference; and the change of the volume over the slopes with the integral of its derivative.
 
-On two busy cores (a volume takes 4.5 times as many followed cells a level; docs/accuracy-basins.md):
+On two busy cores (docs/accuracy-basins.md; each level follows 4.5 times as many cells):
 
 level      volume +- error      followed      runs    cpu s  wall s  peak MB (before)
     0 0.0272917 +- 3.3e-04        508032     19920      3.7     8.6      485 (477)

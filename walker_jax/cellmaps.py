@@ -27,7 +27,7 @@ CANDIDATE_SHARE = 2**-10
 def cell_image(
     grid: Grid, point: Float[Array, " s"], outcome: Int[ArrayLike, ""], *, leave: int
 ) -> Int32[Array, ""]:
-    """Returns the image of a cell under the simple cell map, given what became of its centre.
+    """Return the image of a cell under the simple cell map, given what became of its centre.
 
     The image is the cell that holds `point` where `outcome` is 0, sink `leave` where `point` is off
     the grid or not finite, and sink `outcome` otherwise. Sink s has the index size + s.
@@ -65,12 +65,12 @@ class CellMap(NamedTuple):
         return np.maximum(-1 - self.end, -1)
 
     def part(self, cells: slice) -> "CellMap":
-        """Returns the rows of some of the cells."""
+        """Return the rows of some of the cells."""
         return self._replace(end=self.end[cells], steps=self.steps[cells])
 
 
 def resolve(image: ArrayLike, sinks: int) -> CellMap:
-    """Finds the attractors, basins and transients of a simple cell map.
+    """Find the attractors, basins and transients of a simple cell map.
 
     `image`, integers of shape (n,), holds the image of each cell: a cell 0 ... n - 1, or n + s for
     sink s. There are `sinks` sinks. Runs on the host.
@@ -104,7 +104,7 @@ def resolve(image: ArrayLike, sinks: int) -> CellMap:
 
 
 def check_image(image: np.ndarray, sinks: Any) -> None:
-    """Raises `WrongUse` unless `image` is a map of cells."""
+    """Raise `WrongUse` unless `image` is a map of cells."""
     if image.ndim != 1 or image.size == 0 or not np.issubdtype(image.dtype, np.integer):
         raise WrongUse(
             f"image of shape {image.shape} and type {image.dtype}: must be integers of shape (n,)"
@@ -120,7 +120,7 @@ def check_image(image: np.ndarray, sinks: Any) -> None:
 
 
 def cycle_candidates(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
-    """Marks the cells that are reached after many steps; they include every cycle.
+    """Mark the cells that are reached after many steps; they include every cycle.
 
     Parts are updated in place, one after the other, so cells advance by different numbers of steps.
     That does no harm: cells of a cycle stay on it, and all others come closer to one.
@@ -142,7 +142,7 @@ def cycle_candidates(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndar
 def find_cycles(
     image: Int32[np.ndarray, " n"], starts: Bool[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " _period"], ...]:
-    """Finds the cycles that the starts lead to, one sequence of cells after the other."""
+    """Find the cycles that the starts lead to, one sequence of cells after the other."""
     following = image.data  # a memoryview, whose items are faster to read than an array's
     visited, found = bytearray(image.size), []
     numbers = ((np.flatnonzero(starts[part]) + part.start).data for part in cell_slices(image.size))
@@ -161,7 +161,7 @@ def find_cycles(
 def resolve_transients(
     image: Int32[np.ndarray, " n"], sinks: int, recurrent: Int[np.ndarray, " m"]
 ) -> tuple[Int32[np.ndarray, " n"], Int32[np.ndarray, " n"]]:
-    """Returns the first recurrent cell, or sink, that each cell reaches, and the steps to it."""
+    """Return the first recurrent cell, or sink, that each cell reaches, and the steps to it."""
     n = image.size
     both = np.empty((n + sinks, 2), np.int32)
     both[:n, 0], both[:, 1] = image, 1

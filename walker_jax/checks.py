@@ -29,7 +29,7 @@ MAX_COUNT = 2**31 - 1
 
 
 def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) -> int:
-    """Returns the value as an `int`; raises `WrongUse` unless it is a whole number in the range."""
+    """Return the value as an `int`; raise `WrongUse` unless it is a whole number in the range."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -42,13 +42,13 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:
-    """Raises `WrongUse` for a value of another kind; NumPy's booleans count as `bool`."""
+    """Raise `WrongUse` for a value of another kind; NumPy's booleans count as `bool`."""
     if not isinstance(value, (bool, np.bool_) if kind is bool else kind):
         raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}", of=name)
 
 
 def check_number(name: str, value: Any) -> None:
-    """Raises `WrongUse` unless the value is a real number, NaN and infinity included."""
+    """Raise `WrongUse` unless the value is a real number, NaN and infinity included."""
     try:
         float(value)
         single = np.shape(value) == () and not isinstance(value, str | bytes)
@@ -59,19 +59,19 @@ def check_number(name: str, value: Any) -> None:
 
 
 def check_confidence(value: Any) -> None:
-    """Raises `WrongUse` unless the value can be the confidence of an interval."""
+    """Raise `WrongUse` unless the value can be the confidence of an interval."""
     check_number("confidence", value)
     if not 0 < value < 1:
         raise WrongUse(f"confidence must be between 0 and 1, not {value}", of="confidence")
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Returns whether a value is one number, booleans excluded."""
+    """Return whether a value is one number, booleans excluded."""
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
 
 
 def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
-    """Returns the values as an array of float64; raises `WrongUse` unless they are real numbers."""
+    """Return the values as an array of float64; raise `WrongUse` unless they are real numbers."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
@@ -79,7 +79,7 @@ def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
 
 
 def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
-    """Returns the values as an array; raises `WrongUse` for rows of different lengths."""
+    """Return the values as an array; raise `WrongUse` for rows of different lengths."""
     try:
         return np.asarray(values)
     except ValueError:
@@ -87,14 +87,14 @@ def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
 
 
 def is_traced(tree: Any) -> bool:
-    """Returns whether JAX traces any leaf."""
+    """Return whether JAX traces any leaf."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def refuses_tracers(
     instead: str = "call it outside of them",
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Makes a function that JAX cannot trace refuse tracers, and say what to do `instead`."""
+    """Make a function that JAX cannot trace refuse tracers, and say what to do `instead`."""
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         names = inspect.signature(function).parameters
@@ -115,7 +115,7 @@ def refuses_tracers(
 
 
 def short(value: Any) -> str:
-    """Returns a value on one line, cut after 60 characters."""
+    """Return a value on one line, cut after 60 characters."""
     return " ".join(repr(value).split())[:60]
 
 
@@ -127,7 +127,7 @@ FLOAT64_HINT = 'turn on float64 first, by jax.config.update("jax_enable_x64", Tr
 
 
 def check_precision(dtype: Any, needed_by: str | None = None) -> None:
-    """Warns of float32 once in a process; raises `WrongUse` where `needed_by` is given."""
+    """Warn of float32 once in a process; raise `WrongUse` where `needed_by` is given."""
     if np.dtype(dtype) == np.float64:
         return
     if needed_by is not None:

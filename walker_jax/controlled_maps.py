@@ -28,11 +28,11 @@ class Points(NamedTuple):
         return n, m
 
     def table(self, chosen: Bool[np.ndarray, " n"]) -> Any:
-        """Returns a set of cells in the form that `within` reads."""
+        """Return a set of cells in the form that `within` reads."""
         return np.append(chosen, False)
 
     def within(self, table: Any, cells: Int[np.ndarray, " k"], actions: Any) -> Any:
-        """Returns whether the set holds the images of cells under actions.
+        """Return whether the set holds the images of cells under actions.
 
         `actions` is one for each cell, for a result of shape (k,), or `slice(None)` for all of
         them, of shape (k, m).
@@ -65,7 +65,7 @@ class Boxes(NamedTuple):
         return n, m
 
     def table(self, chosen):
-        """Returns a summed-area table: the chosen cells before each place, along all axes."""
+        """Return a summed-area table: the chosen cells before each place, along all axes."""
         table = np.zeros([count + 1 for count in self.counts], np.int32)
         inner = (slice(1, None),) * len(self.counts)
         table[inner] = chosen.reshape(self.counts)
@@ -98,7 +98,7 @@ def find_viable(
     cells: Int[np.ndarray, " n"] | None = None,
     alive: Bool[np.ndarray, " all"] | None = None,
 ) -> Int32[np.ndarray, " n"]:
-    """Computes the viability kernel: the most steps each cell can make; -1 for ever.
+    """Compute the viability kernel: the most steps each cell can make; -1 for ever.
 
     Each round removes the cells without an action that leads to a remaining cell. Each cell keeps
     one such action as its witness; the others are tried only when the witness fails.
@@ -129,7 +129,7 @@ def find_viable(
 
 
 def count_safe(images: Images, viable: Bool[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-    """Counts the actions by which each viable cell stays viable; 0 for others."""
+    """Count the actions by which each viable cell stays viable; 0 for others."""
     table, count = images.table(viable), np.zeros(len(viable), np.int32)
     for cells in parts(np.flatnonzero(viable), images.shape[1]):
         count[cells] = images.within(table, cells, slice(None)).sum(axis=1)
@@ -137,7 +137,7 @@ def count_safe(images: Images, viable: Bool[np.ndarray, " n"]) -> Int32[np.ndarr
 
 
 def find_capture(images: Images, target: Bool[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-    """Computes the capture basin of a target: the fewest steps into it, or -1."""
+    """Compute the capture basin of a target: the fewest steps into it, or -1."""
     m = images.shape[1]
     steps = np.where(target, 0, -1).astype(np.int32)
     left, made = np.flatnonzero(~target), 0
@@ -154,7 +154,7 @@ def find_capture(images: Images, target: Bool[np.ndarray, " n"]) -> Int32[np.nda
 
 
 def best_action(points: Points, value: Int[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-    """Returns the action to the image of the greatest value; -1 where no value is positive."""
+    """Return the action to the image of the greatest value; -1 where no value is positive."""
     n, m = points.shape
     best, action = np.append(value, 0), np.full(n, -1, np.int32)
     for cells in parts(np.arange(n), m):
@@ -165,7 +165,7 @@ def best_action(points: Points, value: Int[np.ndarray, " n"]) -> Int32[np.ndarra
 
 
 def unavoidable_failure(points: Points, lasting: Int32[np.ndarray, " n"]) -> Int8[np.ndarray, " n"]:
-    """Returns the sink in which the longest walk from a cell ends; 0 for viable cells.
+    """Return the sink in which the longest walk from a cell ends; 0 for viable cells.
 
     If several actions make as many steps, the first counts. If none makes a step, the sink of most
     actions counts.
@@ -186,7 +186,7 @@ def unavoidable_failure(points: Points, lasting: Int32[np.ndarray, " n"]) -> Int
 
 
 def parts(cells: Int[np.ndarray, " n"], actions: int) -> Iterator[Int[np.ndarray, " k"]]:
-    """Splits cells into parts whose images stay in the cache; yields at least one."""
+    """Split cells into parts whose images stay in the cache; yield at least one."""
     size = max(1, 4 * CELLS_PER_PART // actions)
     for start in range(0, max(1, len(cells)), size):
         yield cells[start : start + size]

@@ -48,7 +48,7 @@ class BasinEntropy(NamedTuple):
 
 @refuses_tracers()
 def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -> BasinEntropy:
-    """Computes the basin entropy of labels on a grid, and the entropy of their boundary.
+    """Compute the basin entropy of labels on a grid, and the entropy of their boundary.
 
     S = -sum_k p_k log p_k, averaged over boxes
 
@@ -95,7 +95,7 @@ def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -
 def entropy_of_boxes(
     labels: Shaped[np.ndarray, "*cells"], side: int
 ) -> tuple[Float[np.ndarray, "*places"], Int[np.ndarray, "*places"]]:
-    """Returns the entropy of the labels in each box, and their number; 0 if a cell has no label."""
+    """Return the entropy of the labels in each box, and their number; 0 if a cell has no label."""
     none = ~(labels >= 0)  # NaN is no label either
     whole = box_means(none.astype(float), side) == 0
     entropy, count = np.zeros(whole.shape), np.zeros(whole.shape, int)
@@ -108,7 +108,7 @@ def entropy_of_boxes(
 
 
 def boundary_entropy(entropy: Float[np.ndarray, "*places"], side: int) -> tuple[float, float]:
-    """Returns the mean over boxes with several labels, and its standard error; NaN for too few."""
+    """Return the mean over boxes with several labels, and its standard error; NaN for too few."""
     mixed = entropy[entropy > 0]
     apart = entropy[(slice(None, None, side),) * entropy.ndim]
     apart = apart[apart > 0]
@@ -117,7 +117,7 @@ def boundary_entropy(entropy: Float[np.ndarray, "*places"], side: int) -> tuple[
 
 
 def box_means(values: Float[np.ndarray, "*cells"], side: int) -> Float[np.ndarray, "*places"]:
-    """Computes the mean of whole numbers over each box of `side` cells; the sums are exact."""
+    """Compute the mean of whole numbers over each box of `side` cells; the sums are exact."""
     for axis in range(values.ndim):
         values = np.moveaxis(values, axis, 0)
         total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])

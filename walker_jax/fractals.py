@@ -80,7 +80,7 @@ class Uncertainty(NamedTuple):
 def box_counting(
     labels: Int[np.ndarray | Array, "*cells"], *, spacing: float = 1.0, confidence: float = 0.95
 ) -> Dimension:
-    """Estimates the dimension D of the boundary between labels by counting boxes.
+    """Estimate the dimension D of the boundary between labels by counting boxes.
 
     counts ~ sizes^-D
 
@@ -147,7 +147,7 @@ def box_counting(
 def mean_box_counts(
     labels: Int[np.ndarray, "*cells"], largest: int, *, step: int = 1
 ) -> Float[np.ndarray, " k"]:
-    """Counts the boxes with several labels, of sides `SMALLEST_BOX` to `largest` cells.
+    """Count the boxes with several labels, of sides `SMALLEST_BOX` to `largest` cells.
 
     Counts are the mean over all origins of the boxes. Of the labels in a box, every step-th along
     each axis is read.
@@ -172,7 +172,7 @@ def mean_box_counts(
 def information_dimension(
     points: Float[np.ndarray | Array, "n d"], *, confidence: float = 0.95
 ) -> Dimension:
-    """Estimates the information dimension D of a set of points, such as an attractor.
+    """Estimate the information dimension D of a set of points, such as an attractor.
 
     The entropy of the distribution of points over boxes grows as -D log(size). Boxes divide the
     extent of the points along each axis into 2^k parts. An octave counts as long as occupied boxes
@@ -229,7 +229,7 @@ def uncertainty_exponent(
     seed: int = 0,
     confidence: float = 0.95,
 ) -> Uncertainty:
-    """Estimates the dimension D of the boundary from how often a small error changes a label.
+    """Estimate the dimension D of the boundary from how often a small error changes a label.
 
     fractions ~ distances^(d - D)
 
@@ -295,7 +295,7 @@ def uncertainty_exponent(
 def sort_distances(
     distances: Float[np.ndarray | Array, " k"], pairs: int
 ) -> Float[np.ndarray, " k"]:
-    """Returns the distances, sorted; raises `WrongUse` for distances that cannot be fitted."""
+    """Return the distances, sorted; raise `WrongUse` for distances that cannot be fitted."""
     distances = np.sort(np.atleast_1d(numbers("distances", distances)))
     if distances.ndim != 1 or len(np.unique(distances)) < max(MIN_SCALES, distances.size):
         shown = format_numbers(distances)
@@ -307,14 +307,14 @@ def sort_distances(
 
 
 def format_numbers(values: Float[np.ndarray, "..."]) -> str:
-    """Formats numbers on one line."""
+    """Format numbers on one line."""
     return np.array2string(values, threshold=6, edgeitems=3, max_line_width=200).replace("\n", " ")
 
 
 def fit_power(
     x: Float[np.ndarray, " k"], hits: Float[np.ndarray, " k"], tries: int, upper: float
 ) -> tuple[float, float]:
-    """Fits the chance of a hit as a power of x; returns the power and half its interval."""
+    """Fit the chance of a hit as a power of x; return the power and half its interval."""
     x = np.log(x)
     seen = np.log((hits + 0.5) / (tries + 1))  # the half makes the log unbiased to first order
     line = seen
@@ -334,6 +334,6 @@ def fit_power(
 
 
 def upper_probability(confidence: float) -> float:
-    """Returns the probability below the upper end of a two-sided interval."""
+    """Return the probability below the upper end of a two-sided interval."""
     check_confidence(confidence)
     return (1 + confidence) / 2

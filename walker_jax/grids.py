@@ -118,7 +118,7 @@ class Grid(eqx.Module):
 
     @classmethod
     def plain(cls, **axes: Axis) -> "Grid":
-        """Makes a grid along the state's own axes, x = u.
+        """Make a grid along the state's own axes, x = u.
 
         Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`. The last axes may be
         numbers: the grid is then a slice, on which those coordinates have these values.
@@ -128,7 +128,7 @@ class Grid(eqx.Module):
 
     @classmethod
     def sheared(cls, *, theta: Axis, sum: Axis, **others: Axis) -> "Grid":
-        """Makes a grid along theta and theta + thetadot, for states (theta, thetadot, others...).
+        """Make a grid along theta and theta + thetadot, for states (theta, thetadot, others...).
 
         Each axis is (low, high, count); the last ones may be numbers, as in `plain`. These are the
         coordinates of Schwab and Wisse (2001), Figure 4.
@@ -141,7 +141,7 @@ class Grid(eqx.Module):
 
     @classmethod
     def through(cls, point: Mapping[str, float], **axes: Axis) -> "Grid":
-        """Makes a slice through a point, along any coordinates of the state.
+        """Make a slice through a point, along any coordinates of the state.
 
         `point` names all coordinates in their order, as `dict(zip(walker.section, state))` does.
         Each axis is (low, high, count) of one coordinate; the others keep their values at the
@@ -160,7 +160,7 @@ class Grid(eqx.Module):
         return cls(axes, shear, np.where(shear.any(axis=1), 0.0, values))
 
     def zoom(self, centre: Float[ArrayLike, " s"], factor: float | int) -> "Grid":
-        """Returns a grid of as many cells in a window around a point, `factor` times as narrow.
+        """Return a grid of as many cells in a window around a point, `factor` times as narrow.
 
         Its box coordinates are offsets from that point, which is its origin. They stay exact where
         coordinates of the point have no digits left.
@@ -227,7 +227,7 @@ class Grid(eqx.Module):
         } | self.fixed_values
 
     def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " s"]:
-        """Returns the centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
+        """Return the centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
 
         The index is 0 ... size - 1, and i is the place of the cell on each axis.
         """
@@ -236,7 +236,7 @@ class Grid(eqx.Module):
         return jnp.asarray(self.origin) + multiply(self.shear, u)
 
     def centres(self, indices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
-        """Returns the centres of many cells; on the host only."""
+        """Return the centres of many cells; on the host only."""
         dtype = jnp.asarray(0.0).dtype  # on the host, to compile nothing for so little work
         fields = (self.lower, self.spacing, self.shear, self.origin)
         lower, spacing, shear, origin = (np.asarray(part, dtype) for part in fields)
@@ -248,7 +248,7 @@ class Grid(eqx.Module):
         return origin + found
 
     def contains(self, points: Float[np.ndarray, "*n s"]) -> Bool[np.ndarray, "*n"]:
-        """Returns whether each point lies in a cell; on the host only."""
+        """Return whether each point lies in a cell; on the host only."""
         fields = (self.lower, self.upper, self.unshear, self.origin)
         lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in fields)
         with np.errstate(invalid="ignore"):  # raised by points that are not finite
@@ -256,24 +256,24 @@ class Grid(eqx.Module):
         return ((lower <= u) & (u < upper)).all(axis=-1)
 
     def points_at(self, shares: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
-        """Returns points at shares, from 0 to 1, of the length of each axis; on the host only."""
+        """Return points at shares, from 0 to 1, of the length of each axis; on the host only."""
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         u = lower + (upper - lower) * shares
         return np.asarray(self.origin) + u @ np.asarray(self.shear).T
 
     def place(self, point: Float[np.ndarray, " s"]) -> Float[np.ndarray, " d"]:
-        """Returns a point's place on each axis, in cells from the first centre; host only."""
+        """Return a point's place on each axis, in cells from the first centre; host only."""
         u = np.asarray(self.unshear) @ (point - np.asarray(self.origin))
         return (u - np.asarray(self.lower)) / np.asarray(self.spacing) - 0.5
 
     def position(self, point: Float[Array, " s"]) -> Float[Array, " d"]:
-        """Returns a point's place on each axis, in cells from the lower end; JAX can trace it."""
+        """Return a point's place on each axis, in cells from the lower end; JAX can trace it."""
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
         u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         return (u - lower) / spacing
 
     def cell_place(self, index: Int[ArrayLike, ""]) -> Int32[Array, " d"]:
-        """Returns the place of a cell on each axis, from 0; the index is 0 ... size - 1."""
+        """Return the place of a cell on each axis, from 0; the index is 0 ... size - 1."""
         places = []
         for count in self.counts[::-1]:
             index, place = jnp.divmod(jnp.asarray(index).astype(jnp.int32), count)
@@ -281,7 +281,7 @@ class Grid(eqx.Module):
         return jnp.stack(places)
 
     def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
-        """Returns the index of the cell that holds x; -1 where none does or x is not finite.
+        """Return the index of the cell that holds x; -1 where none does or x is not finite.
 
         Raises ValueError for a slice, in which hardly any point lies.
         """
@@ -299,7 +299,7 @@ class Grid(eqx.Module):
 
 
 def split_axes(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
-    """Splits axes into those with cells, and an origin with the fixed values of the last ones."""
+    """Split axes into those with cells, and an origin with the fixed values of the last ones."""
     single: list[bool] = [is_number(axis) for axis in axes.values()]
     count = len(axes) - sum(single)
     if count == 0:
@@ -315,7 +315,7 @@ def split_axes(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndar
 
 
 def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
-    """Returns the three parts of an axis, checked."""
+    """Return the three parts of an axis, checked."""
     try:
         low, high, count = axis
         low, high, count = float(low), float(high), operator.index(count)
@@ -340,19 +340,19 @@ def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
 def multiply(
     matrix: Float[np.ndarray | Array, "m n"], vector: Float[Array, " n"]
 ) -> Float[Array, " m"]:
-    """Returns matrix @ vector as a sum, which no accelerator computes in a shorter type."""
+    """Return matrix @ vector as a sum, which no accelerator computes in a shorter type."""
     return jnp.sum(jnp.asarray(matrix) * vector, axis=1)
 
 
 def cell_slices(size: int) -> list[slice]:
-    """Returns slices that cover an array, each of a part that stays in the cache."""
+    """Return slices that cover an array, each of a part that stays in the cache."""
     return [
         slice(start, min(start + CELLS_PER_PART, size)) for start in range(0, size, CELLS_PER_PART)
     ]
 
 
 def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
-    """Returns whether each cell has a neighbour, corners included, with another label."""
+    """Return whether each cell has a neighbour, corners included, with another label."""
     most, least = label, label
     for axis in range(label.ndim):
         most = among_neighbours(np.maximum, most, axis)
@@ -361,7 +361,7 @@ def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
 
 
 def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarray:
-    """Picks the largest, or least, of each value and its two neighbours along an axis."""
+    """Pick the largest, or least, of each value and its two neighbours along an axis."""
     picked = values.copy()
     here, there = (np.moveaxis(array, axis, 0) for array in (picked, values))
     pick(here[1:], there[:-1], out=here[1:])
@@ -370,7 +370,7 @@ def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarra
 
 
 def axes_around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
-    """Returns the axes of a window around a gait's state.
+    """Return the axes of a window around a gait's state.
 
     Where the state has phidot and joints too, they are fixed at their values there.
     """

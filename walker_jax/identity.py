@@ -9,8 +9,8 @@ the code that computed it. Each is used again only while the code is the same, w
 - for containers, arrays and plain values, their contents.
 
 All this holds for a user's own code; code of Python, of this package or installed counts by name.
-`Describer` serves programs of this process, `StoreDescriber` stores, and `program_cache.ReachedCode`
-programs on disk.
+`Describer` serves programs of this process, `StoreDescriber` stores, and
+`program_cache.ReachedCode` programs on disk.
 """
 
 import ast
@@ -89,12 +89,12 @@ class Describer:
         self.numbers: dict[int, int] = {}
 
     def describe(self, *values: Any) -> tuple[Hashable, ...]:
-        """Describes values, and then every object that these refer to, once each."""
+        """Describe values, and then every object that these refer to, once each."""
         words = tuple(map(self.words, values))
         return words, *map(self.describe_found, self.found)  # the list grows meanwhile
 
     def words(self, value: Any) -> Hashable:
-        """Returns a hashable form of a value, or the number of its description."""
+        """Return a hashable form of a value, or the number of its description."""
         if type(value) in PLAIN:
             return None if value is None else (type(value).__name__, repr(value))
         if id(value) in self.numbers:
@@ -151,15 +151,15 @@ class Describer:
         return self.name(kind), self.words(kind.__bases__), *named
 
     def opens(self, definition: Any) -> bool:
-        """Returns whether a definition counts by more than its name."""
+        """Return whether a definition counts by more than its name."""
         return is_own(home_of(definition))
 
     def name(self, definition: Any) -> Hashable:
-        """Returns the name by which a definition counts; within a process, the object itself."""
+        """Return the name by which a definition counts; within a process, the object itself."""
         return AsItIs(definition, id(definition))
 
     def describe_thing(self, value: Any) -> Hashable:
-        """Returns the object, or any other that it is equal to, within a process."""
+        """Return the object, or any other that it is equal to, within a process."""
         alike = type(value).__eq__ is not object.__eq__
         with contextlib.suppress(Exception):  # whatever its class raises
             hash(value)
@@ -168,14 +168,14 @@ class Describer:
 
 
 def parts_of(value: Any) -> list[Any]:
-    """Returns the parts of an object that is made of functions; none of any other."""
+    """Return the parts of an object that is made of functions; none of any other."""
     parts = [getattr(value, name, None) for name in PARTS]
     made = any(part is not None for part in parts) and any(map(callable, (value, *parts)))
     return parts if made else []
 
 
 def values_in(value: Any, largest: int) -> Hashable:
-    """Identifies an array by its values; None for anything else, and for a larger array."""
+    """Identify an array by its values; None for anything else, and for a larger array."""
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         with contextlib.suppress(TypeError):  # raised by tracers and keys
             if value.dtype != object and value.nbytes <= largest:
@@ -190,7 +190,7 @@ def sha256_of(content: Any) -> str:
 
 @functools.lru_cache(MOST)
 def hash_of_code(code: types.CodeType) -> str:
-    """Hashes what a code object does, wherever it stands in its file."""
+    """Hash what a code object does, wherever it stands in its file."""
     names = code.co_qualname, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
     words = code.co_code, code.co_exceptiontable, names, counts, Describer().words(code.co_consts)
@@ -198,7 +198,7 @@ def hash_of_code(code: types.CodeType) -> str:
 
 
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
-    """Returns the globals that a function reads, also as attributes of modules.
+    """Return the globals that a function reads, also as attributes of modules.
 
     Left out are installed modules, which do not change, and this package's lower-case variables.
     """
@@ -218,7 +218,7 @@ def globals_of(function: types.FunctionType) -> dict[str, Any]:
 
 @functools.lru_cache(MOST)
 def names_used(code: types.CodeType, *how: str) -> list[str]:
-    """Returns the names in a code object and those within it, by some instructions or by any."""
+    """Return the names in a code object and those within it, by some instructions or by any."""
     names = set(code.co_names)
     if how:
         names = {one.argval for one in dis.get_instructions(code) if one.opname in how}
@@ -227,7 +227,7 @@ def names_used(code: types.CodeType, *how: str) -> list[str]:
 
 
 def home_of(definition: Any) -> types.ModuleType | None:
-    """Returns the module of a definition; the package, if a compiled one names modules freely."""
+    """Return the module of a definition; the package, if a compiled one names modules freely."""
     if isinstance(definition, types.ModuleType):
         return definition
     name = getattr(definition, "__module__", None)
@@ -238,18 +238,18 @@ def home_of(definition: Any) -> types.ModuleType | None:
 
 
 def top_of(home: types.ModuleType | None) -> str:
-    """Returns the name of the package that a module is in."""
+    """Return the name of the package that a module is in."""
     return getattr(home, "__name__", "").partition(".")[0]
 
 
 def file_of(home: types.ModuleType | None) -> Path | None:
-    """Returns the file of a module's code, if there is one."""
+    """Return the file of a module's code, if there is one."""
     path = Path(str(getattr(home, "__file__", None)))
     return path if path.name.endswith((*all_suffixes(),)) and path.is_file() else None
 
 
 def root_of(home: types.ModuleType, path: Path) -> Path:
-    """Returns the folder that holds a module of this file, or its top package."""
+    """Return the folder that holds a module of this file, or its top package."""
     spec = getattr(home, "__spec__", None)
     name = home.__name__ if spec is None else spec.name  # a program's own name is __main__
     depth = name.count(".") + (path.name == "__init__.py")
@@ -258,20 +258,20 @@ def root_of(home: types.ModuleType, path: Path) -> Path:
 
 @functools.lru_cache(MOST)
 def is_own(home: types.ModuleType | None) -> bool:
-    """Returns whether a module is the user's own: neither known nor installed."""
+    """Return whether a module is the user's own: neither known nor installed."""
     path = file_of(home)
     installed = home is not None and path is not None and holds_packages(root_of(home, path))
     return not is_known(home) and not installed
 
 
 def is_known(home: types.ModuleType | None) -> bool:
-    """Returns whether a module is part of this package, of one that it uses, or of Python."""
+    """Return whether a module is part of this package, of one that it uses, or of Python."""
     path = file_of(home)
     return top_of(home) in KNOWN or (path is not None and is_known_file(path))
 
 
 def is_known_file(path: Path) -> bool:
-    """Returns whether a file is part of this package or of the standard library."""
+    """Return whether a file is part of this package or of the standard library."""
     if path.is_relative_to(STANDARD):
         return path.relative_to(STANDARD).parts[0] not in ("site-packages", "dist-packages")
     return path.is_relative_to(FOLDER)
@@ -279,12 +279,12 @@ def is_known_file(path: Path) -> bool:
 
 @functools.cache
 def holds_packages(folder: Path) -> bool:
-    """Returns whether a folder holds installed packages, rather than one project."""
+    """Return whether a folder holds installed packages, rather than one project."""
     return folder == STANDARD or any(folder.glob("*.dist-info"))
 
 
 def code_fingerprint(kind: type, parts: tuple = ()) -> str:
-    """Hashes the code of a system's class, and other parts, such as the function of a map.
+    """Hash the code of a system's class, and other parts, such as the function of a map.
 
     The hash is empty for a class of the package without other parts. It covers the files of the
     class and its bases, and their imports from the same folder or package, as loaded; without a
@@ -332,14 +332,14 @@ class StoreDescriber(Describer):
         return self.name(kind) if in_file else super().describe_class(kind)
 
     def describe_thing(self, value: Any) -> Hashable:
-        """Describes an object as pickle does; without a pickle, it equals nothing elsewhere."""
+        """Describe an object as pickle does; without a pickle, it equals nothing elsewhere."""
         try:
             return self.words(value.__reduce_ex__(2))
         except Exception:  # whatever its class raises
             return token_of_process, id(value)
 
     def add_file_of(self, definition: Any) -> bool:
-        """Adds the file of a definition that is described; returns whether there is one."""
+        """Add the file of a definition that is described; return whether there is one."""
         home = home_of(definition)
         path = file_of(home) if self.opens(definition) else None
         if home is not None and path is not None:
@@ -347,7 +347,7 @@ class StoreDescriber(Describer):
         return path is not None
 
     def add_file(self, path: Path, root: Path) -> None:
-        """Adds a file, and what it imports from below the root; if installed, from its package."""
+        """Add a file, and what it imports from below the root; if installed, from its package."""
         name, own = path.relative_to(root).as_posix(), path.relative_to(root).with_suffix("").parts
         if name in self.sources or is_known_file(path):
             return
@@ -366,7 +366,7 @@ kept: dict[Path, tuple[object, bytes]] = {}
 
 
 def read_loaded(path: Path) -> bytes:
-    """Returns a module's file as it was at its last loading, or at the first call after that."""
+    """Return a module's file as it was at its last loading, or at the first call after that."""
     modules = ((str(getattr(one, "__file__", "")), one) for one in [*sys.modules.values()])
     same = (one for file, one in modules if file.endswith(path.name) and Path(file) == path)
     module = next(same, None)
@@ -378,7 +378,7 @@ def read_loaded(path: Path) -> bytes:
 
 @functools.lru_cache(MOST)
 def imports_in(source: bytes) -> list[tuple[int, Sequence[str]]]:
-    """Returns all imports of a program: the dots before a name, and the parts of the name."""
+    """Return all imports of a program: the dots before a name, and the parts of the name."""
     found: list[tuple[int, Sequence[str]]] = []
     with contextlib.suppress(SyntaxError, ValueError):  # such a file cannot be imported either
         for node in ast.walk(ast.parse(source)):
@@ -391,7 +391,7 @@ def imports_in(source: bytes) -> list[tuple[int, Sequence[str]]]:
 
 
 def located(folder: Path, words: Sequence[str]) -> Iterator[Path]:
-    """Yields the files that an import from a folder runs; the name may end within a module."""
+    """Yield the files that an import from a folder runs; the name may end within a module."""
     for word in words:
         for path in (folder / word / "__init__.py", folder / f"{word}.py"):
             if path.is_file():

@@ -76,7 +76,7 @@ def merge_regions(
     *,
     halvings: int = HALVINGS,
 ) -> Wada:
-    """Compares the boundary of each region, all others merged, to test the Wada property.
+    """Compare the boundary of each region, all others merged, to test the Wada property.
 
     A point of the grid is on the boundary of a region if one of it and its neighbours, corners
     included, is in the region and another is in a different region. Distances are Chebyshev
@@ -133,7 +133,7 @@ def merge_regions(
 
 
 def check_radius(radius: float | int) -> None:
-    """Raises `WrongUse` unless the radius is a distance."""
+    """Raise `WrongUse` unless the radius is a distance."""
     check_number("radius", radius)
     if not 0 <= radius < np.inf:
         raise WrongUse(f"radius={radius}: must be zero or more, and finite")
@@ -142,14 +142,14 @@ def check_radius(radius: float | int) -> None:
 def boundary_of(
     inside: Bool[np.ndarray, "*cells"], outside: Bool[np.ndarray, "*cells"]
 ) -> Bool[np.ndarray, "*cells"]:
-    """Marks the points where, of the point and its neighbours, one is inside and one outside."""
+    """Mark the points where, of the point and its neighbours, one is inside and one outside."""
     from scipy.ndimage import maximum_filter
 
     return np.logical_and(maximum_filter(inside, 3), maximum_filter(outside, 3))
 
 
 def distance_from(points: Bool[np.ndarray, "*cells"]) -> Float[np.ndarray, "*cells"]:
-    """Returns the Chebyshev distance of each cell from the nearest point; infinite without any."""
+    """Return the Chebyshev distance of each cell from the nearest point; infinite without any."""
     from scipy.ndimage import distance_transform_cdt
 
     if not points.any():

@@ -27,7 +27,7 @@ LEAD = 3.0
 
 
 def gait_of_basins(walker: System, data: xr.Dataset, tolerance: float | None) -> Gait | None:
-    """Finds the gait with the most cells in a data set of `basin` or `refine`; None without one."""
+    """Find the gait with the most cells in a data set of `basin` or `refine`; None without one."""
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
         return None
@@ -37,7 +37,7 @@ def gait_of_basins(walker: System, data: xr.Dataset, tolerance: float | None) ->
 
 
 def gait_of_grid(walker: System, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
-    """Finds the gait to which most of a sample of a grid's cells converge; None if none do."""
+    """Find the gait to which most of a sample of a grid's cells converge; None if none do."""
     integrator = integrator_of(jnp.asarray(0.0).dtype, tolerance)
     largest = None
     for count in STARTS:
@@ -60,13 +60,13 @@ def gait_of_grid(walker: System, grid: Grid, strides: int, tolerance: float | No
 def stable_gait(
     walker: System, states: Float[np.ndarray, "period section"], tolerance: float | None
 ) -> Gait | None:
-    """Finds the stable gait of an attractor with these states; None if Newton's iteration fails."""
+    """Find the stable gait of an attractor with these states; None if Newton's iteration fails."""
     gait = search_gait(walker, states, len(states), tolerance=tolerance)
     return gait if gait.found and gait.stable else None
 
 
 def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
-    """Says how a gait found without a guess differs from the attracting one; empty if it does not.
+    """Say how a gait found without a guess differs from the attracting one; empty if it does not.
 
     Where none attracts, a search that finds no stable gait agrees.
     """
@@ -88,7 +88,7 @@ def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
 
 
 def is_same_cycle(one: Gait, other: Gait) -> bool:
-    """Returns whether two gaits have the same states, whichever comes first."""
+    """Return whether two gaits have the same states, whichever comes first."""
     states, others = np.asarray(one.states), np.asarray(other.states)
     radius = capture_radius(states.dtype)
     rotations = (np.roll(others, shift, axis=0) for shift in range(len(others)))

@@ -34,14 +34,14 @@ class Attractor(NamedTuple):
 
 
 def capture_radius(dtype) -> float:
-    """Returns the distance, in every coordinate, within which an attractor is reached."""
+    """Return the distance, in every coordinate, within which an attractor is reached."""
     return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
 
 
 def check_cycle(
     states: Float[np.ndarray, "period section"], ends: Float[np.ndarray, "period section"]
 ) -> None:
-    """Raises `WrongUse` if strides from a gait's states end elsewhere, as for another walker."""
+    """Raise `WrongUse` if strides from a gait's states end elsewhere, as for another walker."""
     miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
     if not miss < capture_radius(states.dtype):
         raise WrongUse(
@@ -51,7 +51,7 @@ def check_cycle(
 
 
 def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period section section"]:
-    """Returns capture boxes that are cubes, of a given half edge."""
+    """Return capture boxes that are cubes, of a given half edge."""
     period, size = attractor.states.shape
     return np.tile(np.eye(size) / radius, (period, 1, 1))
 
@@ -59,7 +59,7 @@ def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period sect
 def targets_of(
     attractors: Sequence[Attractor], size: int, within: float | None = None
 ) -> tuple[Targets, Int[np.ndarray, " m"]]:
-    """Returns the capture boxes of all cycles, or cubes of a half edge, and the owner of each."""
+    """Return the capture boxes of all cycles, or cubes of a half edge, and the owner of each."""
     states, frames, owner = [], [], []
     for number, one in enumerate(attractors):
         if one.period is None:
@@ -79,7 +79,7 @@ def match_attractor(
     attractors: Sequence[Attractor],
     within: float | None = None,
 ) -> Int[np.ndarray, " n"]:
-    """Returns the number of the cycle whose capture box holds each state; -1 for none.
+    """Return the number of the cycle whose capture box holds each state; -1 for none.
 
     Of several boxes the nearest counts. With `within` the boxes are cubes of that half edge.
     """
@@ -88,11 +88,11 @@ def match_attractor(
 
 
 def owners(target: Int[np.ndarray, " n"], owner: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]:
-    """Returns the attractors whose capture boxes have these numbers; -1 for -1."""
+    """Return the attractors whose capture boxes have these numbers; -1 for -1."""
     return np.append(owner, np.int32(-1))[target]
 
 
 def sorted_numbers(attractors: Sequence[Attractor]) -> list[int]:
-    """Returns their numbers, sorted by period and angle; aperiodic ones, then artefacts, last."""
+    """Return their numbers, sorted by period and angle; aperiodic ones, then artefacts, last."""
     key = [(one.artefact, one.period or np.inf, one.states[0, 0]) for one in attractors]
     return sorted(range(len(key)), key=key.__getitem__)

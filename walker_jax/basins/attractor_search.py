@@ -51,12 +51,12 @@ strides."""
 
 
 def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
-    """Returns some of many points, evenly spread over their order."""
+    """Return some of many points, evenly spread over their order."""
     return x[sample_indices(len(x), most)]
 
 
 def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
-    """Returns the indices of a sample of n items, evenly spread over their order."""
+    """Return the indices of a sample of n items, evenly spread over their order."""
     return np.linspace(0, n - 1, min(n, most)).astype(int)
 
 
@@ -66,7 +66,7 @@ def find_attractors(
     integrator: Integrator,
     known: Sequence[Attractor] = (),
 ) -> list[Attractor]:
-    """Finds the attractors to which walkers converge from x, and adds them to the known ones.
+    """Find the attractors to which walkers converge from x, and add them to the known ones.
 
     Walkers are followed until each has failed, or repeats itself to rounding. Some do neither in
     some hundred strides, as close to a period doubling: for these a stable cycle is solved for. If
@@ -92,7 +92,7 @@ def add_cycles(
     found: list[Attractor],
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "m section"], bool]:
-    """Adds the cycles to which walkers converge.
+    """Add the cycles to which walkers converge.
 
     Returns the states of walkers that neither failed nor came to a cycle, and whether some of them
     approach a cycle that was solved for.
@@ -116,7 +116,7 @@ def add_repeated(
     found: list[Attractor],
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "m section"], Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Adds the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
+    """Add the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
 
     For walkers that neither failed nor came to a cycle, it returns their states, the strides after
     which each came nearest to its present state, and that distance.
@@ -157,7 +157,7 @@ def stay_undecided(
     x: Float[np.ndarray, "n section"],
     integrator: Integrator,
 ) -> Bool[np.ndarray, " n"]:
-    """Returns whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
+    """Return whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
     targets, _ = targets_of(found, x.shape[1])
     end = iterate(walker, x, PATIENCE * LONGEST_PERIOD, integrator, targets)
     return (end.outcome == Outcome.STRIDE) & (end.target < 0)
@@ -169,7 +169,7 @@ def on_lasting_motion(
     cycles: Sequence[Attractor],
     integrator: Integrator,
 ) -> Int[np.ndarray, " m"]:
-    """Returns the indices of the walkers on a motion that lasts; none if there is no such motion.
+    """Return the indices of the walkers on a motion that lasts; none if there is no such motion.
 
     They neither fall nor converge to a cycle for long, and none of them does so later either.
     """
@@ -186,7 +186,7 @@ def still_wandering(
     cycles: Sequence[Attractor],
     integrator: Integrator,
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
-    """Returns the walkers that neither fall nor converge to a cycle, and their states."""
+    """Return the walkers that neither fall nor converge to a cycle, and their states."""
     end = iterate(walker, x, strides, integrator)
     left = np.flatnonzero(end.outcome == Outcome.STRIDE)
     left = left[match_approaching(walker, end.state[left], cycles, integrator) < 0]
@@ -199,7 +199,7 @@ def match_approaching(
     attractors: Sequence[Attractor],
     integrator: Integrator,
 ) -> Int[np.ndarray, " n"]:
-    """Returns the numbers of the cycles that walkers come ever nearer to; -1 for none."""
+    """Return the numbers of the cycles that walkers come ever nearer to; -1 for none."""
     number = match_attractor(x, attractors, CLOSE)
     for i in np.unique(number[number >= 0]).tolist():
         near = np.flatnonzero(number == i)
@@ -214,7 +214,7 @@ def approaches(
     cycle: Float[np.ndarray, "period section"],
     integrator: Integrator,
 ) -> Bool[np.ndarray, " n"]:
-    """Returns whether walkers that are `CLOSE` to a cycle come ever nearer to it.
+    """Return whether walkers that are `CLOSE` to a cycle come ever nearer to it.
 
     They do if the largest distance from the cycle falls from one stretch of strides to the next, or
     if they arrive. A walker on another motion, which passes by, moves away again.
@@ -227,7 +227,7 @@ def approaches(
 def attracts(
     walker: System, cycle: Float[np.ndarray, "period section"], integrator: Integrator
 ) -> bool:
-    """Returns whether walkers that start beside a cycle stay there, and do not move away."""
+    """Return whether walkers that start beside a cycle stay there, and do not move away."""
     radius = capture_radius(cycle.dtype)
     beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
     largest = largest_distances(walker, beside, cycle, integrator).max(axis=0)
@@ -240,7 +240,7 @@ def largest_distances(
     cycle: Float[np.ndarray, "period section"],
     integrator: Integrator,
 ) -> Float[np.ndarray, "n blocks"]:
-    """Returns the largest distance from a cycle in each stretch of strides; NaN after a failure."""
+    """Return the largest distance from a cycle in each stretch of strides; NaN after a failure."""
     largest = np.empty((len(x), BLOCKS), x.dtype)
     size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
     for start in range(0, len(x), size):
@@ -254,14 +254,14 @@ def largest_distances(
 def distance_from(
     cycle: Float[np.ndarray, "period section"], x: Float[np.ndarray, "*n section"]
 ) -> Float[np.ndarray, "*n"]:
-    """Returns the largest difference in a coordinate from the nearest state of a cycle."""
+    """Return the largest difference in a coordinate from the nearest state of a cycle."""
     return np.abs(x[..., None, :] - cycle).max(axis=-1).min(axis=-1)
 
 
 def stable_cycle(
     walker: System, start: Float[np.ndarray, " section"], period: int, integrator: Integrator
 ) -> Float[np.ndarray, "period section"] | None:
-    """Finds a stable cycle `CLOSE` to a walker, by Newton's iteration; None if it fails."""
+    """Find a stable cycle `CLOSE` to a walker, by Newton's iteration; None if it fails."""
     _, cycles = cycle_guesses(walker, start[None], period, integrator)
     if len(cycles) == 0:
         return None
@@ -276,18 +276,18 @@ def stable_cycle(
 
 
 def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
-    """Returns the strides to the first return within a distance, given all distances."""
+    """Return the strides to the first return within a distance, given all distances."""
     return int(np.flatnonzero(misses < within)[0]) + 1
 
 
 def new_cycle(
     states: Float[np.ndarray, "period section"], known: Sequence[Attractor]
 ) -> Attractor | None:
-    """Makes a cycle, from its state of the smallest angle on; None if it is known."""
+    """Make a cycle, from its state of the smallest angle on; None if it is known."""
     states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
     return None if match_attractor(states[:1], known)[0] >= 0 else Attractor(len(states), states)
 
 
 def began_elsewhere(cycle: Attractor, start: Float[np.ndarray, " section"]) -> bool:
-    """Returns whether a walk that ended on a cycle began elsewhere."""
+    """Return whether a walk that ended on a cycle began elsewhere."""
     return bool(distance_from(cycle.states, start[None])[0] > capture_radius(start.dtype))

@@ -27,7 +27,7 @@ class Tally(NamedTuple):
 
 
 def tally(data: xr.Dataset) -> Tally:
-    """Counts the cells of a basin's data set by their fate."""
+    """Count the cells of a basin's data set by their fate."""
     if "run_fate" in data:
         fate, lengths = data["run_fate"].values, runs_of(data).lengths
         fates = np.bincount(fate, lengths, minlength=len(Outcome)).astype(int)
@@ -46,7 +46,7 @@ def tally(data: xr.Dataset) -> Tally:
 
 
 def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
-    """Returns the cells, area, attractors and fates of a basin's data set, as JSON can hold them.
+    """Return the cells, area, attractors and fates of a basin's data set, as JSON can hold them.
 
     A refined basin has the error of its area too. Over three dimensions the keys are `volume` and
     `volume_error`.
@@ -66,7 +66,7 @@ def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
 
 
 def summarise_attractors(data: xr.Dataset) -> list[dict]:
-    """Returns the attractors of a basin's data set; the period is None for aperiodic ones."""
+    """Return the attractors of a basin's data set; the period is None for aperiodic ones."""
     mapped = [name for name in ("cycles", "falling") if name in data]
     return [
         {

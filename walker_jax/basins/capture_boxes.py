@@ -25,7 +25,7 @@ SETTLING_PERIODS = 8
 
 
 def with_capture_boxes(mapper: Mapper) -> Mapper:
-    """Returns the mapper with capture boxes for its cycles, found with the others unchanged."""
+    """Return the mapper with capture boxes for its cycles, found with the others unchanged."""
     rng = np.random.default_rng(0)
     boxed = [
         find_capture_boxes(mapper, i, rng) if one.period else one
@@ -35,7 +35,7 @@ def with_capture_boxes(mapper: Mapper) -> Mapper:
 
 
 def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) -> Attractor:
-    """Grows capture boxes for an attractor, as long as a sample of starts in them converges to it.
+    """Grow capture boxes for an attractor, as long as a sample of starts in them converges to it.
 
     Boxes are cubes at first. They then lie along the directions in which walkers approach the cycle
     last, and are stretched along each. Half edges are the rows of a matrix.
@@ -51,7 +51,7 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         attractors[number] = attractors[number]._replace(capture_boxes=frames)
 
     def largest(boxes: Float[np.ndarray, "tried period section section"], small: int) -> int:
-        """Returns the largest of growing boxes from which all converge; half of it is kept.
+        """Return the largest of growing boxes from which all converge; half of it is kept.
 
         The first `small` boxes are tried at once, the others in turn: walks end in the box before.
         """

@@ -41,12 +41,12 @@ class WalkingCells(NamedTuple):
 
 
 def has_known_units(data: xr.Dataset) -> bool:
-    """Returns whether the section begins as walkers' do, which gives areas known units."""
+    """Return whether the section begins as walkers' do, which gives areas known units."""
     return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
 
 
 def fixed_coordinates(data: xr.Dataset) -> dict[str, float]:
-    """Returns the coordinates of the section that a slice holds fixed, with their values.
+    """Return the coordinates of the section that a slice holds fixed, with their values.
 
     Fixed coordinates after the axes are coordinates of the data set; those before an axis are in
     its origin.
@@ -62,12 +62,12 @@ def fixed_coordinates(data: xr.Dataset) -> dict[str, float]:
 
 
 def total_area(data: xr.Dataset) -> float:
-    """Returns the area of all basins together."""
+    """Return the area of all basins together."""
     return float(data["area"].sum())
 
 
 def large_basins(data: xr.Dataset, most: int) -> list[int]:
-    """Returns the numbers of at most `most` attractors with large basins, the largest first."""
+    """Return the numbers of at most `most` attractors with large basins, the largest first."""
     walks = data["fate"].values == Outcome.STRIDE
     numbers, cells = np.unique(data["attractor"].values[walks], return_counts=True)
     real = np.isin(numbers, np.flatnonzero(~artefacts(data)))
@@ -77,7 +77,7 @@ def large_basins(data: xr.Dataset, most: int) -> list[int]:
 
 
 def walking_cells(data: xr.Dataset, large: Sequence[int]) -> WalkingCells:
-    """Sorts the cells that never fall into classes, one for each of the `large` attractors."""
+    """Sort the cells that never fall into classes, one for each of the `large` attractors."""
     attractor = data["attractor"].values
     walks = data["fate"].values == Outcome.STRIDE
     made_up = walks & np.isin(attractor, np.flatnonzero(artefacts(data)))
@@ -92,19 +92,19 @@ def walking_cells(data: xr.Dataset, large: Sequence[int]) -> WalkingCells:
 def unmatched_cells(
     fate: Int[np.ndarray, "*shape"], attractor: Int[np.ndarray, "*shape"]
 ) -> Bool[np.ndarray, "*shape"]:
-    """Marks the cells that walk on without coming near a known attractor."""
+    """Mark the cells that walk on without coming near a known attractor."""
     return (fate == Outcome.STRIDE) & (attractor < 0)
 
 
 def failing_cells(fate: Int[np.ndarray, "*shape"]) -> dict[Outcome, CellClass]:
-    """Returns the cells of each failure."""
+    """Return the cells of each failure."""
     return {outcome: CellClass(fate == outcome) for outcome in Outcome if outcome != Outcome.STRIDE}
 
 
 def along_axis(
     states: Float[np.ndarray, "... section"], section: Sequence[str], axis: str
 ) -> Float[np.ndarray, "..."]:
-    """Returns states along an axis of a grid, `sum` included; NaN along a foreign axis."""
+    """Return states along an axis of a grid, `sum` included; NaN along a foreign axis."""
     if axis == "sum":
         return along_axis(states, section, "theta") + along_axis(states, section, "thetadot")
     if axis not in section:

@@ -46,7 +46,7 @@ def basin(
     overwrite: bool = False,
     cluster: Any = None,
 ) -> xr.Dataset:
-    """Computes the fate of every cell of a grid on the walker's section.
+    """Compute the fate of every cell of a grid on the walker's section.
 
     ```python
     grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
@@ -142,7 +142,7 @@ def basin(
 def compare_methods(
     walker: System, grid: Grid, *, strides: int = 200, tolerance: float | None = None
 ) -> xr.Dataset:
-    """Compares cell mapping with direct iteration on one grid: differences and artefacts.
+    """Compare cell mapping with direct iteration on one grid: differences and artefacts.
 
     Arguments and errors are those of `basin`.
 

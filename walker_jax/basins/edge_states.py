@@ -80,7 +80,7 @@ def edge_state(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> EdgeState:
-    """Finds the state to which the boundary between two starts of different fates leads.
+    """Find the state to which the boundary between two starts of different fates leads.
 
     The method is edge tracking. Bisection finds a point of the boundary between a and b, to 1e-13.
     A stride moves the two starts beside it, and bisection brings these together again. This repeats
@@ -157,12 +157,12 @@ def edge_state(
 
 
 def fate_of(label: int) -> Outcome:
-    """Returns the fate of walkers with a label."""
+    """Return the fate of walkers with a label."""
     return Outcome(label) if label < len(Outcome) else Outcome.STRIDE
 
 
 def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
-    """Names a fate that two starts share, and suggests other starts."""
+    """Name a fate that two starts share, and suggests other starts."""
     name = name_of_outcome(fate_of(label), failures)
     if label == Outcome.UNDECIDED:
         return f"{name}: the integration gave no answer; try another tolerance, or other starts"
@@ -173,7 +173,7 @@ def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
 def failing_margin(
     walker: System, x: Float[np.ndarray, "n section"], integrator: Integrator
 ) -> tuple[str, float]:
-    """Returns the margin that is nearest to zero in the strides from some starts, and its size."""
+    """Return the margin that is nearest to zero in the strides from some starts, and its size."""
     found = for_each_start(follow_margins, walker, x, integrator.tolerance, integrator.solver)
     sizes = np.array([np.abs(getattr(found, name)) for name in MARGIN_NAMES])
     sizes = np.nanmin(np.where(np.isnan(sizes), np.inf, sizes), axis=1)

@@ -57,7 +57,7 @@ def follow_edge(
     longest: int,
     is_cycle: Callable[[Float[np.ndarray, "period d"]], bool] = lambda points: True,
 ) -> Track:
-    """Follows the boundary between two points of different labels.
+    """Follow the boundary between two points of different labels.
 
     The path ends where it repeats itself after at most `longest` points and `is_cycle` confirms
     these. Confirmation is needed because a cycle that attracts slowly along the boundary makes a
@@ -85,7 +85,7 @@ def follow_edge(
 def bring_together(
     label_of: LabelOf, pair: Float[np.ndarray, "2 d"]
 ) -> tuple[Float[np.ndarray, "2 d"], tuple[int, int]]:
-    """Returns two points on both sides of the boundary on a segment, and their labels.
+    """Return two points on both sides of the boundary on a segment, and their labels.
 
     Of several changes of label it takes the first one between the labels of the two ends. If there
     is none, another label lies in between everywhere; it then takes the first change from the label
@@ -107,7 +107,7 @@ def bring_together(
 
 
 def first_change(labels: Int[np.ndarray, " n"], first: int, last: int) -> int:
-    """Returns the first change from the first label to the last; without one, to any label."""
+    """Return the first change from the first label to the last; without one, to any label."""
     leaves: Bool[np.ndarray, " n-1"] = (labels[:-1] == first) & (labels[1:] != first)
     direct = leaves & (labels[1:] == last)
     return int((direct if direct.any() else leaves).argmax())

@@ -47,7 +47,7 @@ class Labels(NamedTuple):
 
     @property
     def fallen(self) -> Bool[np.ndarray, " n"]:
-        """Marks the walks that are known to have failed."""
+        """Mark the walks that are known to have failed."""
         return ~np.isin(self.fate, (Outcome.STRIDE, Outcome.UNDECIDED))
 
     @property
@@ -82,7 +82,7 @@ class Mapper(NamedTuple):
     def __call__(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> Labels:
-        """Follows walkers until they fail, or converge to one of the attractors."""
+        """Follow walkers until they fail, or converge to one of the attractors."""
         labels = self.follow(starts, progress=progress)
         remaining = labels.remaining
         labels.attractor[remaining] = self.match_approaching(labels.states[remaining])
@@ -91,7 +91,7 @@ class Mapper(NamedTuple):
     def follow(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> Labels:
-        """Follows walkers until they fail, or are in a capture box."""
+        """Follow walkers until they fail, or are in a capture box."""
         targets, owner = targets_of(self.attractors, starts.shape[1])
         end = iterate(
             self.walker, starts, self.strides, self.integrator, targets, progress=progress
@@ -99,11 +99,11 @@ class Mapper(NamedTuple):
         return Labels(end.outcome, owners(end.target, owner), end.strides, end.state)
 
     def match_approaching(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        """Returns the numbers of the cycles that walkers come ever nearer to; -1 for none."""
+        """Return the numbers of the cycles that walkers come ever nearer to; -1 for none."""
         return match_approaching(self.walker, x, self.attractors, self.integrator)
 
     def follow_on(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        """Follows walkers further; returns the numbers of the cycles they converge to, or -1."""
+        """Follow walkers further; return the numbers of the cycles they converge to, or -1."""
         number, left, made = np.full(len(x), -1, np.int32), np.arange(len(x)), 0
         while len(left) and made < self.further:
             count = min(max(made, LONGEST_PERIOD), self.further - made)
@@ -117,11 +117,11 @@ class Mapper(NamedTuple):
     def label_all(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> tuple[Labels, "Mapper"]:
-        """Labels all starts, also those undecided; returns the mapper to all attractors found."""
+        """Label all starts, also those undecided; return the mapper to all attractors found."""
         return self.complete_labels(self.follow(starts, progress=progress))
 
     def complete_labels(self, labels: Labels, most: int = SAMPLE) -> tuple[Labels, "Mapper"]:
-        """Labels the walkers that remain, and returns the mapper to all attractors found."""
+        """Label the walkers that remain, and return the mapper to all attractors found."""
         remaining = labels.remaining
         labels.attractor[remaining], mapper = self.label_remaining(labels.states[remaining], most)
         return labels, mapper
@@ -129,7 +129,7 @@ class Mapper(NamedTuple):
     def label_remaining(
         self, x: Float[np.ndarray, "n section"], most: int = SAMPLE
     ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
-        """Finds the attractors of walkers that have made all strides; returns the mapper to all.
+        """Find the attractors of walkers that have made all strides; return the mapper to all.
 
         The attractor is the cycle that they approach, or one found by following some of them
         further, at most `most`. Otherwise it is the motion without a period, if there is one, even
@@ -151,12 +151,12 @@ class Mapper(NamedTuple):
         return number, mapper
 
     def with_attractors_from(self, starts: Float[np.ndarray, "n section"]) -> "Mapper":
-        """Returns the mapper to the attractors of some starts too."""
+        """Return the mapper to the attractors of some starts too."""
         found = find_attractors(self.walker, starts, self.integrator, self.attractors)
         return self._replace(attractors=found)
 
     def without_unseen_motion(self, number: Int[np.ndarray, " n"]) -> "Mapper":
-        """Drops the attractor without a period if none of these walkers is on it.
+        """Drop the attractor without a period if none of these walkers is on it.
 
         That attractor is the last: none is sought once it is known.
         """
@@ -166,6 +166,6 @@ class Mapper(NamedTuple):
         return self._replace(attractors=self.attractors[:last])
 
     def with_sorted_attractors(self) -> "Mapper":
-        """Returns the mapper with its attractors in the order in which a basin numbers them."""
+        """Return the mapper with its attractors in the order in which a basin numbers them."""
         order = sorted_numbers(self.attractors)
         return self._replace(attractors=[self.attractors[i] for i in order])

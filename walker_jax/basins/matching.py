@@ -16,7 +16,7 @@ of a gait between two values of a parameter that deserve separate basins."""
 def cycle_distance(
     one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "other section"]
 ) -> float:
-    """Returns the largest difference of a coordinate of two cycles; infinite for different periods.
+    """Return the largest difference of a coordinate of two cycles; infinite for different periods.
 
     The cycles are rotated so that it is smallest. It is 0 for two cycles without a state.
     """
@@ -31,7 +31,7 @@ def match_cycles(
     known: Sequence[Float[np.ndarray, "_ section"]],
     within: float,
 ) -> list[int]:
-    """Finds the index of the nearest known cycle of each cycle, each taken once; -1 for none."""
+    """Find the index of the nearest known cycle of each cycle, each taken once; -1 for none."""
     matches = [NONE] * len(cycles)
     pairs = [
         (cycle_distance(cycle, one), i, k)
@@ -48,7 +48,7 @@ def number_alike(
     periods: Int[np.ndarray, "*walkers number"],
     states: Float[np.ndarray, "*walkers number phase section"],
 ) -> Int[np.ndarray, "*walkers number"]:
-    """Gives the attractors of a grid of walkers common numbers; -1 where there are fewer.
+    """Give the attractors of a grid of walkers common numbers; -1 where there are fewer.
 
     `periods` are -1 where there are fewer, and 0 where the motion has no period. A walker has at
     most one attractor without a period, and all of these share one number. For each number, a cycle

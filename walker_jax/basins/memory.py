@@ -20,7 +20,7 @@ class TooLarge(WrongUse, MemoryError):
 
 
 def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
-    """Returns whether an axis of a grid is at its coordinate's place, or is that coordinate."""
+    """Return whether an axis of a grid is at its coordinate's place, or is that coordinate."""
     if place == coordinate:
         return True
     if place >= len(grid.names):
@@ -37,7 +37,7 @@ def check_grid(
     *,
     kind: str | None = None,
 ) -> None:
-    """Raises `WrongUse` for a grid outside the walker's section, or too large for the memory.
+    """Raise `WrongUse` for a grid outside the walker's section, or too large for the memory.
 
     The names of its axes must differ from names of arrays in the `kind` of data set to be made.
     """
@@ -74,7 +74,7 @@ def check_grid(
 
 
 def check_level(levels: int, level: int, count: int, each: int) -> None:
-    """Raises `TooLarge` for a level of refinement with more cells than fit the memory."""
+    """Raise `TooLarge` for a level of refinement with more cells than fit the memory."""
     needed, memory = count * each, memory_of_machine()
     if needed > memory:
         raise TooLarge(
@@ -85,7 +85,7 @@ def check_level(levels: int, level: int, count: int, each: int) -> None:
 
 
 def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " section"]:
-    """Returns a state on the walker's section as float64; raises `WrongUse` for any other value."""
+    """Return a state on the walker's section as float64; raise `WrongUse` for any other value."""
     values = numbers(name, x)
     if values.shape != (len(walker.section),) or not np.isfinite(values).all():
         section = ", ".join(walker.section)
@@ -94,7 +94,7 @@ def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " sectio
 
 
 def memory_of_machine() -> float:
-    """Returns the bytes of memory; infinite where the system does not say."""
+    """Return the bytes of memory; infinite where the system does not say."""
     try:
         return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError):  # not a POSIX system

@@ -38,7 +38,7 @@ class Block(NamedTuple):
 def order_in_block(
     grid: Grid, block: Block | None
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Returns the order in which to compute the cells of a block: places in it, and indices."""
+    """Return the order in which to compute the cells of a block: places in it, and indices."""
     first, shape = block or (0, grid.shape)
     order = order_of_cells(shape)
     return order, order + order.dtype.type(first)
@@ -47,7 +47,7 @@ def order_in_block(
 def cell_mapping(
     walker: System, grid: Grid, integrator: Integrator, progress: bool = False
 ) -> Basins:
-    """Runs the simple cell mapping: one stride from each cell's centre, then cells follow cells."""
+    """Run the simple cell mapping: one stride from each cell's centre, then cells follow cells."""
     ends = resolve(cell_map(walker, grid, integrator, progress=progress), sinks=len(Outcome))
     attractors, number = attractors_of_cycles(walker, grid, ends, integrator)
     return Basins(*labels_of_cells(ends, number), attractors)
@@ -61,7 +61,7 @@ def cell_map(
     *,
     progress: bool = False,
 ) -> Int[np.ndarray, " n"]:
-    """Returns the cell, or the sink, to which a stride takes the centre of each cell of a block."""
+    """Return the cell, or the sink, to which a stride takes the centre of each cell of a block."""
     order, cells = order_in_block(grid, block)
     image = np.empty_like(order)
     image[order] = map_cells(
@@ -71,7 +71,7 @@ def cell_map(
 
 
 def image_of_cell(shared: tuple[System, Grid, Integrator], index: Int[Array, ""]) -> Int[Array, ""]:
-    """Returns the cell, or the sink, to which a stride takes the centre of a cell."""
+    """Return the cell, or the sink, to which a stride takes the centre of a cell."""
     walker, grid, integrator = shared
     by = {"tolerance": integrator.tolerance, "solver": integrator.solver}
     result = stride(walker, grid.centre(index), **by)
@@ -81,7 +81,7 @@ def image_of_cell(shared: tuple[System, Grid, Integrator], index: Int[Array, ""]
 def labels_of_cells(
     ends: CellMap, number: Int[np.ndarray, " cycles"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the fate, attractor and strides of cells, from their ends and cycles' attractors."""
+    """Return the fate, attractor and strides of cells, from their ends and cycles' attractors."""
     fate = np.maximum(ends.sink, Outcome.STRIDE).astype(np.int8)
     return fate, np.append(number, np.int32(-1))[ends.attractor], ends.steps
 
@@ -89,7 +89,7 @@ def labels_of_cells(
 def attractors_of_cycles(
     walker: System, grid: Grid, ends: CellMap, integrator: Integrator
 ) -> tuple[list[Attractor], Int[np.ndarray, " cycles"]]:
-    """Finds the attractors and artefacts of a cell map, in order, and the owner of each cycle.
+    """Find the attractors and artefacts of a cell map, in order, and the owner of each cycle.
 
     A cycle belongs to an attractor if walkers converge to it from most of its cells' centres.
     """
@@ -118,7 +118,7 @@ def attractors_of_cycles(
 
 
 def direct_iteration(mapper: Mapper, grid: Grid, progress: bool = False) -> Basins:
-    """Follows every centre until it fails, or converges to an attractor.
+    """Follow every centre until it fails, or converges to an attractor.
 
     The attractors are those of the mapper, then those found from cells that remain at the end.
     """
@@ -127,7 +127,7 @@ def direct_iteration(mapper: Mapper, grid: Grid, progress: bool = False) -> Basi
 
 
 def mapper_of_grid(walker: System, grid: Grid, integrator: Integrator, strides: int) -> Mapper:
-    """Returns the mapper to the attractors that a sample of a grid's cells converges to."""
+    """Return the mapper to the attractors that a sample of a grid's cells converges to."""
     starts = grid.centres(sample_indices(grid.size))
     return Mapper(walker, [], integrator, strides).with_attractors_from(starts)
 
@@ -135,7 +135,7 @@ def mapper_of_grid(walker: System, grid: Grid, integrator: Integrator, strides: 
 def map_block(
     mapper: Mapper, grid: Grid, block: Block | None = None, *, progress: bool = False
 ) -> Labels:
-    """Returns the labels of the centres of the cells of a block, in the order of the cells."""
+    """Return the labels of the centres of the cells of a block, in the order of the cells."""
     order, cells = order_in_block(grid, block)
     labels = mapper(grid.centres(cells), progress="cells" if progress else None)
     place = np.empty_like(order)

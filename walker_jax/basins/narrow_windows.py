@@ -43,7 +43,7 @@ ROUNDING = 1e-13
 def follow_window(
     walker: System, grid: Grid, integrator: Integrator, limit: int
 ) -> tuple[Grid, int]:
-    """Follows a narrow window until it is wide; returns the resulting grid and the strides made.
+    """Follow a narrow window until it is wide; return the resulting grid and the strides made.
 
     A window that is not narrow is returned as it is, after no stride. At most `limit` - 1 strides
     are made. If walkers converge, so that the window never is wide enough, it is returned where it
@@ -97,7 +97,7 @@ def refuse_torn(
     integrator: Integrator,
     when: str,
 ) -> None:
-    """Raises `ComputationFailed` if the boundary of a failure in the next stride is too close."""
+    """Raise `ComputationFailed` if the boundary of a failure in the next stride is too close."""
     name, margin = failing_margin(walker, points, integrator)
     if margin < BLUR or passed.any() != passed.all():
         raise ComputationFailed(
@@ -108,12 +108,12 @@ def refuse_torn(
 
 
 def widths(shear: Float[np.ndarray, "s d"], half: Float[np.ndarray, " d"]) -> np.ndarray:
-    """Returns the width of a window along each coordinate of the state."""
+    """Return the width of a window along each coordinate of the state."""
     return 2 * np.abs(shear) @ half
 
 
 def check_cells(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:
-    """Raises `WrongUse` for a window wide along one axis, with cells too narrow along another."""
+    """Raise `WrongUse` for a window wide along one axis, with cells too narrow along another."""
     shear = np.asarray(grid.shear, float)
     reach = np.abs(centre) + widths(shear, half) / 2
     cells = 2 * np.abs(shear) * half / np.array(grid.shape)
@@ -127,7 +127,7 @@ def check_cells(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndar
 
 
 def check_width(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:
-    """Raises `WrongUse` for a window in which its own centre, or its axes, have no digits."""
+    """Raise `WrongUse` for a window in which its own centre, or its axes, have no digits."""
     least = NARROWEST * np.spacing(np.abs(centre[: len(grid.names)]).max())
     narrow = widths(np.asarray(grid.shear, float), half)[: len(grid.names)].min()
     if narrow < least:

@@ -52,21 +52,21 @@ class MappedPieces(NamedTuple):
     integrator: Integrator
 
     def arrays(self) -> dict[str, xr.Variable]:
-        """Returns the arrays that are stored until the end, besides those of the result."""
+        """Return the arrays that are stored until the end, besides those of the result."""
         return {"image": constant_array(self.grid, -1, np.int32)}
 
     def notes(self) -> dict:
-        """Returns the results that are computed and stored before all pieces."""
+        """Return the results that are computed and stored before all pieces."""
         return {}
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
-        """Computes the values of arrays over a piece."""
+        """Compute the values of arrays over a piece."""
         return {"image": cell_map(self.walker, self.grid, self.integrator, block)}
 
     def finish(
         self, place: storage.Pieces
     ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
-        """Returns the attractors, and the remaining values of each piece."""
+        """Return the attractors, and the remaining values of each piece."""
         ends = resolve(self.image(place), sinks=len(Outcome))
         attractors, number = attractors_of_cycles(self.walker, self.grid, ends, self.integrator)
 
@@ -77,7 +77,7 @@ class MappedPieces(NamedTuple):
         return attractors, pieces
 
     def image(self, place: storage.Pieces) -> Int[np.ndarray, " n"]:
-        """Returns the cell, or the sink, to which each cell is sent."""
+        """Return the cell, or the sink, to which each cell is sent."""
         image = np.empty(self.grid.size, np.int32)
         for i in range(place.count):
             image[block_at(self.grid, place, i).cells] = place.read("image", i).ravel()
@@ -93,12 +93,12 @@ class FollowedPieces(NamedTuple):
     integrator: Integrator
 
     def arrays(self) -> dict[str, xr.Variable]:
-        """Returns the arrays that are stored until the end, besides those of the result."""
+        """Return the arrays that are stored until the end, besides those of the result."""
         dtype = jnp.asarray(0.0).dtype
         return {"ends": constant_array(self.grid, np.nan, dtype, None, "coordinate")}
 
     def notes(self) -> dict:
-        """Returns the results that are computed and stored before all pieces."""
+        """Return the results that are computed and stored before all pieces."""
         window, made = self.window()
         strides = self.settings["strides"] - made
         mapper = mapper_of_grid(self.walker, window, self.integrator, strides)
@@ -106,11 +106,11 @@ class FollowedPieces(NamedTuple):
         return {"attractors": [[one.period, one.states.tolist()] for one in found]}
 
     def window(self) -> tuple[Grid, int]:
-        """Returns the grid that is followed, and the strides made up to there."""
+        """Return the grid that is followed, and the strides made up to there."""
         return follow_window(self.walker, self.grid, self.integrator, self.settings["strides"])
 
     def mapper(self, notes: dict, made: int = 0) -> Mapper:
-        """Returns the mapper to the stored attractors, for walkers that have made some strides."""
+        """Return the mapper to the stored attractors, for walkers that have made some strides."""
         dtype = jnp.asarray(0.0).dtype
         known = [
             Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
@@ -119,7 +119,7 @@ class FollowedPieces(NamedTuple):
         return Mapper(self.walker, known, self.integrator, strides)
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
-        """Computes the values of arrays over a piece; `ends` are states of walkers that remain."""
+        """Compute the values of arrays over a piece; `ends` are states of walkers that remain."""
         window, made = self.window()
         labels = map_block(self.mapper(notes, made), window, block)
         labels = labels._replace(strides=labels.strides + np.int32(made))
@@ -130,7 +130,7 @@ class FollowedPieces(NamedTuple):
     def finish(
         self, place: storage.Pieces
     ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
-        """Returns the attractors, and the remaining values of each piece."""
+        """Return the attractors, and the remaining values of each piece."""
         remaining, ends = [], []
         for i in range(place.count):
             x = place.read("ends", i).reshape(-1, self.grid.coordinates)
@@ -160,7 +160,7 @@ def compute_in_pieces(
     cluster: Any,
     progress: bool,
 ) -> xr.Dataset:
-    """Computes `basin` piece by piece into a store.
+    """Compute `basin` piece by piece into a store.
 
     A piece is a block of the grid. Results for single cells are written at once. Results that need
     all cells follow when all pieces are there: the ends of the cell map, or the attractors of
@@ -201,7 +201,7 @@ def compute_in_pieces(
 
 
 def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Returns the shape of a piece along the first axes of a grid; its cells are neighbours.
+    """Return the shape of a piece along the first axes of a grid; its cells are neighbours.
 
     One axis is cut into parts of equal length, each of `PIECE` cells or more.
     """
@@ -211,7 +211,7 @@ def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def block_at(grid: Grid, place: storage.Pieces, piece: int) -> Block:
-    """Returns the cells of a piece."""
+    """Return the cells of a piece."""
     at = place.at(piece)
     start = [one.start for one in at] + [0] * (len(grid.shape) - len(at))
     shape = *(one.stop - one.start for one in at), *grid.shape[len(at) :]

@@ -50,18 +50,18 @@ class RefinedCells:
         self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
 
     def subdivide(self) -> None:
-        """Halves all cells along each axis; the parts inherit labels."""
+        """Halve all cells along each axis; the parts inherit labels."""
         self.runs = self.runs.subdivide()
         self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
 
     def random_places(self, count: int) -> Float[np.ndarray, "n axes"]:
-        """Draws random places within cells, from 0 to 1 along each axis."""
+        """Draw random places within cells, from 0 to 1 along each axis."""
         return self.rng.uniform(size=(count, len(self.runs.shape)))
 
     def map(
         self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n axes"] | None = None
     ) -> Labels:
-        """Labels cells by points at some places within them, or by their centres."""
+        """Label cells by points at some places within them, or by their centres."""
         parts = []
         for first in range(0, max(1, len(cells)), CELLS_TOGETHER):
             part = slice(first, first + CELLS_TOGETHER)
@@ -74,7 +74,7 @@ class RefinedCells:
         return Labels(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:
-        """Follows cells, then their neighbours where labels differ, until no new boundary shows."""
+        """Follow cells, then their neighbours where labels differ, until no new boundary shows."""
         while cells.size:
             check_level(self.levels, level, len(self.cells) + len(cells), BYTES_PER_FOLLOWED_CELL)
             anywhere = level == self.levels and not self.by_centres
@@ -91,7 +91,7 @@ class RefinedCells:
             cells = merge(unlike)
 
     def on_boundary(self, values: Shaped[np.ndarray, " runs"]) -> Bool[np.ndarray, " n"]:
-        """Marks the cells followed on this level that have a neighbour in a run of another value.
+        """Mark the cells followed on this level that have a neighbour in a run of another value.
 
         Other cells have no such neighbour: where labels differ, both cells have been followed.
         """
@@ -101,7 +101,7 @@ class RefinedCells:
         return found
 
     def children(self, cells: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
-        """Returns the parts of cells of the level before, in ascending order."""
+        """Return the parts of cells of the level before, in ascending order."""
         shape = self.runs.shape
         places = 2 * np.stack(np.unravel_index(cells, tuple(count // 2 for count in shape)))
         steps = np.indices((2,) * len(shape)).reshape(len(shape), -1)
@@ -109,13 +109,13 @@ class RefinedCells:
         return np.sort(flat_index(parts, shape), axis=None, kind="stable")
 
     def inherited(self) -> Float[np.ndarray, " levels"]:
-        """Counts the cells that inherited their labels from each level."""
+        """Count the cells that inherited their labels from each level."""
         return self.runs.count_levels(self.levels).astype(float)
 
     def compare(
         self, shares: Float[np.ndarray, " levels"], check: int
     ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
-        """Compares random points in cells that inherited with the labels of these cells.
+        """Compare random points in cells that inherited with the labels of these cells.
 
         Returns the cells, in ascending order; 1 where only the point walks, -1 where only the cell
         does, else 0; and the number of cells from each level.
@@ -136,7 +136,7 @@ class RefinedCells:
         return cells, walks.astype(int) - cell_walks, counts
 
     def measure_variance(self, count: int) -> float:
-        """Estimates the variance of the number of walking cells: the sum of f (1 - f).
+        """Estimate the variance of the number of walking cells: the sum of f (1 - f).
 
         The term f (1 - f) is half the chance that two points of a cell differ. One point gave the
         cell its label; a second one is drawn in some cells. If none is drawn, each cell on the

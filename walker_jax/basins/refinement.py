@@ -50,7 +50,7 @@ def refine(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Computes the basin on a grid 2^levels times as fine, following its boundary only.
+    """Compute the basin on a grid 2^levels times as fine, following its boundary only.
 
     On the finest level a cell's fate is that of a random point in it, so that the area of cells on
     the boundary is right on average.
@@ -156,7 +156,7 @@ class Refined(NamedTuple):
 
 
 def dataset_of_cells(walker: System, found: Refined, settings: dict) -> xr.Dataset:
-    """Makes the data set of a basin, with arrays over the finest grid."""
+    """Make the data set of a basin, with arrays over the finest grid."""
     runs, strides = found.runs, np.zeros(found.runs.size, np.int32)
     strides[found.cells] = found.made
     fate = runs.spread(runs.fate).ravel()
@@ -165,7 +165,7 @@ def dataset_of_cells(walker: System, found: Refined, settings: dict) -> xr.Datas
 
 
 def dataset_of_runs(walker: System, found: Refined, settings: dict) -> xr.Dataset:
-    """Makes the data set with the runs of cells in place of arrays over the grid."""
+    """Make the data set with the runs of cells in place of arrays over the grid."""
     runs = found.runs
     strides = np.zeros(len(runs.first), np.int32)
     basins = Basins(runs.fate, runs.attractor, strides, found.mapper.attractors).sorted()
@@ -199,7 +199,7 @@ def refine_cells(
     progress: bool = False,
     by_centres: bool = False,
 ) -> Refined:
-    """Does the work of `refine`. Cells of the finest grid may have the fates of their centres."""
+    """Do the work of `refine`. Cells of the finest grid may have the fates of their centres."""
     check_refinement(walker, grid, {"levels": levels, "check": check, "seed": seed}, strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
@@ -250,7 +250,7 @@ def refine_cells(
 
 
 def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides: int) -> None:
-    """Raises `WrongUse` for a grid that does not fit, and for numbers out of range."""
+    """Raise `WrongUse` for a grid that does not fit, and for numbers out of range."""
     kind = "refined volume" if len(getattr(grid, "names", ())) == 3 else "refined basin"
     check_grid(walker, grid, "direct", kind=kind)
     for name, count in counts.items():
@@ -261,7 +261,7 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
 def check_twice(
     cells: RefinedCells, levels: int, check: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
-    """Checks cells twice: follows what the first check finds; the second estimates what is left.
+    """Check cells twice: follows what the first check finds; the second estimates what is left.
 
     Returns the cells, the mistake in each, and the number of checks of each level. Shares of the
     levels minimise the variance, the sum of (mistakes + 1) (size / count)^2.
@@ -273,7 +273,7 @@ def check_twice(
 
 
 def check_finest(walker: System, grid: Grid, levels: int) -> Grid:
-    """Returns the finest grid; raises `TooLarge` if its arrays exceed this machine's memory.
+    """Return the finest grid; raise `TooLarge` if its arrays exceed this machine's memory.
 
     Over three dimensions no array has all of its cells.
     """
@@ -284,7 +284,7 @@ def check_finest(walker: System, grid: Grid, levels: int) -> Grid:
 
 
 def finer(grid: Grid, level: int) -> Grid:
-    """Returns the grid with its cells halved along each axis, `level` times."""
+    """Return the grid with its cells halved along each axis, `level` times."""
     ends = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
     axes = {name: (low, high, count * 2**level) for name, low, high, count in ends}
     return Grid(axes, grid.shear, grid.origin, grid.fixed)

@@ -29,7 +29,7 @@ class Runs(NamedTuple):
     def from_cells(
         cls, label: Int[np.ndarray, "*shape"], level: Int[np.ndarray, "*shape"]
     ) -> "Runs":
-        """Makes the runs of cells with given labels and levels."""
+        """Make the runs of cells with given labels and levels."""
         first = np.arange(label.size)
         return join_runs(label.shape, first, label.ravel(), level.ravel())
 
@@ -54,21 +54,21 @@ class Runs(NamedTuple):
         return np.where(self.label < len(Outcome), -1, self.label - len(Outcome)).astype(np.int32)
 
     def of_cells(self, cells: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-        """Returns the numbers of the runs that cells are in."""
+        """Return the numbers of the runs that cells are in."""
         return np.searchsorted(self.first, cells, "right") - 1
 
     def levels_of(self, cells: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """Returns the level on which each cell, or the one it inherited from, was followed."""
+        """Return the level on which each cell, or the one it inherited from, was followed."""
         return self.level[self.of_cells(cells)]
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """Returns an array over the grid with the value of each run in all of its cells."""
+        """Return an array over the grid with the value of each run in all of its cells."""
         return np.repeat(values, self.lengths).reshape(self.shape)
 
     def with_cells(
         self, cells: Int[np.ndarray, " n"], label: Int[np.ndarray, " n"], level: int
     ) -> "Runs":
-        """Returns the runs after some cells, in ascending order, were followed on a level."""
+        """Return the runs after some cells, in ascending order, were followed on a level."""
         ends = cells[cells + 1 < self.size] + 1
         first = merge([self.first, cells, ends])
         before, place = self.of_cells(first), np.searchsorted(first, cells)
@@ -77,7 +77,7 @@ class Runs(NamedTuple):
         return join_runs(self.shape, first, labels, levels)
 
     def subdivide(self) -> "Runs":
-        """Returns the runs of the cells halved along each axis."""
+        """Return the runs of the cells halved along each axis."""
         shape = tuple(2 * count for count in self.shape)
         places = 2 * np.stack(np.unravel_index(self.first, self.shape))
         steps = np.indices((*[2] * (len(shape) - 1), 1)).reshape(len(shape), -1)
@@ -88,12 +88,12 @@ class Runs(NamedTuple):
         return Runs(shape, first[order], self.label[run], self.level[run])
 
     def count_levels(self, levels: int) -> Int[np.ndarray, " levels"]:
-        """Counts the cells that were followed on each of the first levels."""
+        """Count the cells that were followed on each of the first levels."""
         counts = [self.lengths[self.level == level].sum() for level in range(levels)]
         return np.array(counts, int)
 
     def count_at_border(self, chosen: Bool[np.ndarray, " runs"]) -> int:
-        """Counts the cells of some runs that are at the border of the grid."""
+        """Count the cells of some runs that are at the border of the grid."""
         *places, begins = np.unravel_index(self.first[chosen], self.shape)
         lengths = self.lengths[chosen]
         ends = 1 * (begins == 0) + (begins + lengths == self.shape[-1])
@@ -103,7 +103,7 @@ class Runs(NamedTuple):
         return int(np.where(outer, lengths, np.minimum(ends, lengths)).sum())
 
     def cells_of_level(self, level: int, number: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """Returns the cells of a level with given ranks, from 0 on, in ascending order of cells."""
+        """Return the cells of a level with given ranks, from 0 on, in ascending order of cells."""
         own = np.flatnonzero(self.level == level)
         ends = np.cumsum(self.lengths[own])
         place = np.searchsorted(ends, number, "right")
@@ -111,7 +111,7 @@ class Runs(NamedTuple):
 
 
 def merge(sequences: Sequence[Int[np.ndarray, "..."]]) -> Int[np.ndarray, " n"]:
-    """Merges sequences of numbers, each in about ascending order; each number is kept once.
+    """Merge sequences of numbers, each in about ascending order; each number is kept once.
 
     A stable sort profits from that order: it is a hundred times as fast as `np.unique`.
     """
@@ -125,7 +125,7 @@ def join_runs(
     label: Int[np.ndarray, " n"],
     level: Int[np.ndarray, " n"],
 ) -> Runs:
-    """Joins equal runs in the same row."""
+    """Join equal runs in the same row."""
     begins = first % shape[-1] == 0
     begins[1:] |= (label[1:] != label[:-1]) | (level[1:] != level[:-1])
     return Runs(shape, first[begins], label[begins].astype(np.int32), level[begins].astype(np.int8))
@@ -134,14 +134,14 @@ def join_runs(
 def label_of(
     fate: Int[np.ndarray, "*n"], attractor: Int[np.ndarray, "*n"]
 ) -> Int[np.ndarray, "*n"]:
-    """Returns one number for the fate and the attractor of each cell; attractor -1 means none."""
+    """Return one number for the fate and the attractor of each cell; attractor -1 means none."""
     return np.where(attractor >= 0, len(Outcome) + attractor, fate)
 
 
 def neighbours(
     cells: Int[np.ndarray, " n"], shape: tuple[int, ...]
 ) -> Iterator[Int[np.ndarray, " n"]]:
-    """Yields the neighbours of cells in each direction, corners included, within the border."""
+    """Yield the neighbours of cells in each direction, corners included, within the border."""
     places = np.unravel_index(cells, shape)
     for step in np.ndindex((3,) * len(shape)):
         if step != (1,) * len(shape):
@@ -152,5 +152,5 @@ def neighbours(
 def flat_index(
     places: Sequence[Int[np.ndarray, "..."]] | Int[np.ndarray, "..."], shape: tuple[int, ...]
 ) -> Int[np.ndarray, "..."]:
-    """Returns the numbers of the cells at places on each axis; the border ends the axes."""
+    """Return the numbers of the cells at places on each axis; the border ends the axes."""
     return np.asarray(np.ravel_multi_index(tuple(places), shape, mode="clip"))

@@ -22,7 +22,7 @@ ARRAYS = "fate", "attractor", "strides"
 
 
 def attributes_of_arrays(failures: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Returns the attributes of these arrays, for a system with failures of its own."""
+    """Return the attributes of these arrays, for a system with failures of its own."""
     names = names_of_outcomes(failures)
     return {
         "fate": {"flag_values": list(map(int, names)), "flag_meanings": " ".join(names.values())},
@@ -40,7 +40,7 @@ class Basins(NamedTuple):
     attractors: list[Attractor]
 
     def sorted(self) -> "Basins":
-        """Returns the basins with attractors numbered in order."""
+        """Return the basins with attractors numbered in order."""
         order = sorted_numbers(self.attractors)
         number = np.full(len(order) + 1, -1, np.int32)  # the last stands for no attractor
         number[order] = np.arange(len(order))
@@ -49,12 +49,12 @@ class Basins(NamedTuple):
 
 
 def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
-    """Marks the attractors that are artefacts of cells; none if the data set does not say."""
+    """Mark the attractors that are artefacts of cells; none if the data set does not say."""
     return data["artefact"].values if "artefact" in data else np.zeros(data.sizes["number"], bool)
 
 
 def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr.Dataset:
-    """Makes the data set that `basin` returns; settings of the method are among its attributes."""
+    """Make the data set that `basin` returns; settings of the method are among its attributes."""
     reached = basins.attractor[basins.attractor >= 0]
     cells = np.bincount(reached, minlength=len(basins.attractors))
     about = attributes_of_arrays(walker.failures)
@@ -68,7 +68,7 @@ def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr
 
 
 def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
-    """Makes a data set of a grid's axes; attributes name the walker and the computation."""
+    """Make a data set of a grid's axes; attributes name the walker and the computation."""
     about = {
         "walker": walker.label(),
         **attributes_of(walker),
@@ -81,12 +81,12 @@ def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
 
 
 def is_centred(grid: Grid) -> bool:
-    """Returns whether the box coordinates of a grid are offsets from its origin."""
+    """Return whether the box coordinates of a grid are offsets from its origin."""
     return bool(np.any(np.asarray(grid.origin)[: grid.coordinates - len(grid.fixed)]))
 
 
 def count_at_border(grid: Grid, attractor: Int[np.ndarray, " n"], first: int = 0) -> int:
-    """Counts the cells of basins at the border of the grid, among n cells from the first on."""
+    """Count the cells of basins at the border of the grid, among n cells from the first on."""
     count = 0
     for part in cell_slices(len(attractor)):
         cells = first + part.start + np.flatnonzero(attractor[part] >= 0)
@@ -102,7 +102,7 @@ def add_attractors(
     cells: Int[np.ndarray, " number"],
     at_border: int,
 ) -> xr.Dataset:
-    """Adds the attractors to a data set, with the cells of each basin and those at the border."""
+    """Add the attractors to a data set, with the cells of each basin and those at the border."""
     longest = max((len(one.states) for one in attractors), default=0)
     states = np.full((len(attractors), longest, grid.coordinates), np.nan)
     for one, row in zip(attractors, states, strict=True):
@@ -126,7 +126,7 @@ def add_attractors(
 
 
 def request_of(about: xr.Dataset, grid: Grid) -> dict:
-    """Returns all that a basin depends on, by which a stored one is recognised."""
+    """Return all that a basin depends on, by which a stored one is recognised."""
     return {
         **{str(name): value for name, value in about.attrs.items()},
         "axes": grid.box,
@@ -137,7 +137,7 @@ def request_of(about: xr.Dataset, grid: Grid) -> dict:
 
 
 def arrays_to_compute(walker: System, grid: Grid) -> dict[str, xr.Variable]:
-    """Returns the arrays over a grid before anything is computed."""
+    """Return the arrays over a grid before anything is computed."""
     about = attributes_of_arrays(walker.failures)
     return {
         "fate": constant_array(grid, NOT_COMPUTED, np.int8, about["fate"]),
@@ -149,7 +149,7 @@ def arrays_to_compute(walker: System, grid: Grid) -> dict[str, xr.Variable]:
 def constant_array(
     grid: Grid, value: Any, dtype: Any, attributes: dict | None = None, *coordinate: str
 ) -> xr.Variable:
-    """Makes an array of one value, without memory, over a grid and perhaps coordinates."""
+    """Make an array of one value, without memory, over a grid and perhaps coordinates."""
     shape = (*grid.shape, *(grid.coordinates for _ in coordinate))
     values = np.broadcast_to(np.array(value, dtype), shape)
     return xr.Variable((*grid.names, *coordinate), values, attributes)

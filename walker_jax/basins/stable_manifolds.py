@@ -52,7 +52,7 @@ def stable_manifold(
     points: int = 1000,
     tolerance: float | None = None,
 ) -> list[Float[np.ndarray, "n section"]]:
-    """Computes the stable manifold of an unstable gait on a section of two coordinates: two curves.
+    """Compute the stable manifold of an unstable gait on a section of two coordinates: two curves.
 
     Each curve starts at the gait's first state. It ends where the stride function does, or where it
     leads to the other curve. Between its points a curve is approximated by a cubic.
@@ -112,7 +112,7 @@ class Image(NamedTuple):
     def __call__(
         self, x: Float[np.ndarray, " section"]
     ) -> tuple[Float[np.ndarray, " section"], Float[np.ndarray, "section section"]]:
-        """Returns the end of the strides from x, and its derivatives by x; NaN after a failure."""
+        """Return the end of the strides from x, and its derivatives by x; NaN after a failure."""
         jacobian = np.eye(len(x))
         for _ in range(self.strides):
             local = linearise(self.walker, x[None, None], self.integrator)
@@ -133,14 +133,14 @@ class Curve:
         self.points, self.tangents, self.lengths = [first], [tangent], [0.0]
 
     def add(self, point: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]) -> None:
-        """Adds a point at the end."""
+        """Add a point at the end."""
         gap = float(np.linalg.norm(point - self.points[-1]))
         self.points.append(point)
         self.tangents.append(tangent)
         self.lengths.append(self.lengths[-1] + gap)
 
     def at(self, t: float) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
-        """Returns the point at a length t, and its derivative by t (Hermite's interpolation)."""
+        """Return the point at a length t, and its derivative by t (Hermite's interpolation)."""
         i = min(max(bisect_right(self.lengths, t) - 1, 0), len(self.points) - 2)
         h = self.lengths[i + 1] - self.lengths[i]
         u = (t - self.lengths[i]) / h
@@ -157,7 +157,7 @@ def follow_manifold(
     spacing: float,
     points: int,
 ) -> Float[np.ndarray, "n 2"]:
-    """Follows one half of the stable manifold of a fixed point of a map, from the saddle on."""
+    """Follow one half of the stable manifold of a fixed point of a map, from the saddle on."""
     curve = Curve(saddle, direction)
     x, along, step = saddle + FIRST * direction, direction, FIRST
     curve.add(x, along)
@@ -184,7 +184,7 @@ def tangent_of(
     slope: Float[np.ndarray, " 2"],
     along: Float[np.ndarray, " 2"],
 ) -> tuple[Float[np.ndarray, " 2"], float]:
-    """Returns a direction dx of length one, not against `along`, and dt with J dx = slope dt."""
+    """Return a direction dx of length one, not against `along`, and dt with J dx = slope dt."""
     null = np.cross(*np.column_stack([jacobian, -slope]))
     null = null / np.linalg.norm(null[:2])
     null = null if null[:2] @ along >= 0 else -null
@@ -198,7 +198,7 @@ def correct(
     t: float,
     tangent: Float[np.ndarray, " 2"],
 ) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "2 2"]] | None:
-    """Finds the point across the tangent at x that is mapped to the curve, and where; or None."""
+    """Find the point across the tangent at x that is mapped to the curve, and where; or None."""
     start = x
     for _ in range(CORRECTIONS):
         if not 0 <= t <= curve.lengths[-1]:

@@ -13,7 +13,7 @@ from walker_jax.systems.outcomes import failures_of
 
 @refuses_tracers()
 def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
-    """Returns the slice of a refined basin of three dimensions at one value of one axis.
+    """Return the slice of a refined basin of three dimensions at one value of one axis.
 
     ```python
     grid = wj.Grid.sheared(theta=(0, 1.4, 28), sum=(-1, 0.2, 24), phidot=(-2.5, 1, 28))
@@ -71,7 +71,7 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
 
 
 def grid_of(data: xr.Dataset) -> Grid:
-    """Returns the finest grid of a refined basin of three dimensions."""
+    """Return the finest grid of a refined basin of three dimensions."""
     names = data["axis"].values.tolist()
     ends = zip(data["lower"].values, data["upper"].values, strict=True)
     axes = {
@@ -82,7 +82,7 @@ def grid_of(data: xr.Dataset) -> Grid:
 
 
 def runs_of(data: xr.Dataset) -> Runs:
-    """Returns the runs of its cells, for their places only: labels and levels are 0."""
+    """Return the runs of its cells, for their places only: labels and levels are 0."""
     shape = tuple(data.sizes[name] for name in data["axis"].values.tolist())
     first = data["first_cell"].values
     label = np.zeros(len(first), np.int32)

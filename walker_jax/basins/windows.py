@@ -26,13 +26,13 @@ ANY_AXIS = (0.0, 1.0, 2)
 
 
 def fill_from_paper(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Fills axes that are None with those of the paper's window, for the simplest walker."""
+    """Fill axes that are None with those of the paper's window, for the simplest walker."""
     known = PAPER_WINDOW if moves_like(walker, SimplestWalker) else {}
     return {name: known.get(name) if axis is None else axis for name, axis in axes.items()}
 
 
 def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Fills axes that are None around the walker's gait.
+    """Fill axes that are None around the walker's gait.
 
     Raises `ComputationFailed` where such a gait is needed and not found.
     """
@@ -44,7 +44,7 @@ def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
-    """Returns axes over the region of a system's gaits, of `cells` cells each.
+    """Return axes over the region of a system's gaits, of `cells` cells each.
 
     None where there is no such region, or it is not plain, or has not two axes.
     """
@@ -58,7 +58,7 @@ def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
 
 
 def whole_section(walker: Walker) -> dict[str, Any]:
-    """Returns the axes of a window of three dimensions that holds most of a walker's basin, or all.
+    """Return the axes of a window of three dimensions that holds most of a walker's basin, or all.
 
     The window is `WHOLE_SECTION`, with rates in units of 1 / sqrt(leg length).
     """
@@ -76,7 +76,7 @@ def whole_section(walker: Walker) -> dict[str, Any]:
 
 
 def grid_along(axes: Mapping[str, Any]) -> Grid:
-    """Makes a sheared grid if an axis is `sum`, else a plain one; numbers fix their coordinates."""
+    """Make a sheared grid if an axis is `sum`, else a plain one; numbers fix their coordinates."""
     if "sum" in axes:
         return Grid.sheared(**axes)
     ranges = {name: axis for name, axis in axes.items() if not is_number(axis)}
@@ -87,7 +87,7 @@ def grid_along(axes: Mapping[str, Any]) -> Grid:
 
 
 def outline(axes: Mapping[str, Any]) -> Grid:
-    """Makes a grid of these axes, with arbitrary ones for None, to check the given ones."""
+    """Make a grid of these axes, with arbitrary ones for None, to check the given ones."""
     return grid_along(
         {
             name: PLACEHOLDERS.get(name, ANY_AXIS) if axis is None else axis
@@ -97,7 +97,7 @@ def outline(axes: Mapping[str, Any]) -> Grid:
 
 
 def film_window(walker: Walker, x: Float[ArrayLike, " section"]) -> Grid:
-    """Returns the paper's window for the simplest walker, else one around the gait, or around x."""
+    """Return the paper's window for the simplest walker, else one around the gait, or around x."""
     if moves_like(walker, SimplestWalker):
         return grid_along(PAPER_WINDOW)
     gait = search_gait(walker)

@@ -41,7 +41,7 @@ def boundary_point(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> Float[np.ndarray, " section"]:
-    """Finds a point of the boundary between two fates, to the last digit of float64.
+    """Find a point of the boundary between two fates, to the last digit of float64.
 
     The grid is followed directly. Among its cells beside one of another fate or attractor, the
     nearest to a point is taken. Bisection between the two centres continues until no number lies
@@ -70,7 +70,7 @@ def boundary_point(
 def checked_mapper(
     walker: System, grid: Grid, strides: int, tolerance: float | None, needed_by: str
 ) -> Mapper:
-    """Checks the arguments; returns the mapper to a grid's attractors, with capture boxes."""
+    """Check the arguments; return the mapper to a grid's attractors, with capture boxes."""
     check_grid(walker, grid, "direct")
     check_single(walker)
     check_whole("strides", strides)
@@ -83,7 +83,7 @@ def checked_mapper(
 def find_boundary_point(
     mapper: Mapper, grid: Grid, near: Float[np.ndarray, " section"] | None = None
 ) -> Float[np.ndarray, " section"]:
-    """Finds `boundary_point`, by a mapper."""
+    """Find `boundary_point`, by a mapper."""
     labels, mapper = mapper.label_all(grid.centres(np.arange(grid.size)))
     label_starts = lambda x: label_of(*mapper.label_all(x)[0][:2])
     label = label_of(*labels[:2]).reshape(grid.shape)
@@ -109,7 +109,7 @@ def bisect_to_last_digit(
     label_starts: Callable[[Float[np.ndarray, "n section"]], Int[np.ndarray, " n"]],
     ends: Float[np.ndarray, "2 section"],
 ) -> Float[np.ndarray, " section"]:
-    """Bisects a segment; returns the first number with another label than its first end.
+    """Bisect a segment; return the first number with another label than its first end.
 
     Raises `ComputationFailed` where both ends have one label, and all points between.
     """
@@ -141,7 +141,7 @@ def zoom(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Computes the fates in ever narrower windows of a grid, down to 1 / `factor`, for a film.
+    """Compute the fates in ever narrower windows of a grid, down to 1 / `factor`, for a film.
 
     ```python
     walker = wj.SimplestWalker(0.004)

@@ -291,7 +291,7 @@ def fates_in_words(fates: dict[str, int]) -> Iterator[str]:
 
 
 def cycles_in_words(attractor: dict) -> str:
-    """Describes the cycles of a cell map that belong to an attractor; empty for a single one."""
+    """Describe the cycles of a cell map that belong to an attractor; empty for a single one."""
     cycles, falling = attractor.get("cycles", 1), attractor.get("falling", 0)
     if attractor["artefact"]:
         centres = len(attractor["states"])

@@ -112,7 +112,7 @@ def walk_in_words(answer: dict, coordinates: tuple[str, ...]) -> Iterator[str]:
 
 
 def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoReturn:
-    """Raises `WrongUse` for a start that is not feasible, with the condition for that."""
+    """Raise `WrongUse` for a start that is not feasible, with the condition for that."""
     form = "--{}" if has_own_options(walker) else "--start {}=VALUE"
     options = " and ".join(map(form.format, walker.section))
     feasible = type(walker).feasible

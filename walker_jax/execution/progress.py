@@ -40,20 +40,20 @@ class Times(ProgressColumn):
 
 
 def in_words(seconds: float) -> str:
-    """Formats a time in a suitable unit."""
+    """Format a time in a suitable unit."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def be_quiet() -> None:
-    """Shows nothing from now on, in this process."""
+    """Show nothing from now on, in this process."""
     global quiet
     quiet = True
 
 
 def progress_console(wanted: bool) -> Console:
-    """Returns standard error, if it is a terminal and `wanted`; otherwise a quiet console."""
+    """Return standard error, if it is a terminal and `wanted`; otherwise a quiet console."""
     terminal = Console(stderr=True)
     terminal.quiet = quiet or not (wanted and terminal.is_terminal)
     return terminal
@@ -63,7 +63,7 @@ def progress_console(wanted: bool) -> Console:
 def bar(
     label: str, progress: bool, total: int | None = None, done: int = 0
 ) -> Iterator[Callable[[int], None]]:
-    """Shows a bar during the work within; yields the function that sets the completed amount.
+    """Show a bar during the work within; yield the function that sets the completed amount.
 
     It starts at `done` of `total`. Without a total it shows the time alone.
     """
@@ -90,7 +90,7 @@ def bar(
 def line(
     shown: Progress, label: str, total: int | None, done: int
 ) -> Iterator[Callable[[int], None]]:
-    """Shows one line of the display."""
+    """Show one line of the display."""
     task = shown.add_task(label, total=total, completed=done)
     try:
         yield lambda completed: shown.update(task, completed=completed)
@@ -102,7 +102,7 @@ def line(
 def track(
     items: Iterable[T], label: str, progress: bool, total: int | None = None, done: int = 0
 ) -> Iterator[T]:
-    """Yields the items, one after the other, with a progress bar.
+    """Yield the items, one after the other, with a progress bar.
 
     The bar starts at `done` of `total`.
     """

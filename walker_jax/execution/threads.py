@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 def side_by_side(
     function: Callable[[Item], Result], items: Iterable[Item]
 ) -> Generator[Result, None, None]:
-    """Yields function(item) for each item, in order, as many at a time as there are cores.
+    """Yield function(item) for each item, in order, as many at a time as there are cores.
 
     If one raises, or the iterator is closed, the others stop before their next kernel.
     """

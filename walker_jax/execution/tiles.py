@@ -65,7 +65,7 @@ def map_cells(
     *,
     progress: str | None = None,
 ) -> PyTree[np.ndarray]:
-    """Computes function(*args) for every cell, on all devices and all cores of a CPU.
+    """Compute function(*args) for every cell, on all devices and all cores of a CPU.
 
     An interrupt waits for the cells in progress. Neighbours are processed together, so cells that
     take equally long should be neighbours.
@@ -115,7 +115,7 @@ def map_cells(
     run = compile_call(function, states, mapped, platform, tile, tiles)
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
-        """Computes at most one call, in which each device has an equal share of the cells."""
+        """Compute at most one call, in which each device has an equal share of the cells."""
         chunk = jax.tree.map(lambda leaf: pad(leaf[start:stop], call), cells)
         left = stop - start - tile * tiles * np.arange(len(devices))
         done = run(shared, chunk, -(-np.clip(left, 0, tile * tiles) // tile))
@@ -138,7 +138,7 @@ def map_cells(
 def run_in_threads(
     work: Callable[[int, int], None], n: int, call: int, workers: int, progress: str | None
 ) -> None:
-    """Calls work(start, stop) for n cells, `call` of them at a time, in as many threads."""
+    """Call work(start, stop) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
     settings = current_settings()
 
@@ -166,13 +166,13 @@ stopping: ContextVar[tuple[Event, ...]] = ContextVar("stopping", default=())
 
 
 def limit_cores(most: int | None) -> None:
-    """Limits the cores of a CPU that `map_cells` uses, in this process."""
+    """Limit the cores of a CPU that `map_cells` uses, in this process."""
     global core_limit
     core_limit = most
 
 
 def cores() -> int:
-    """Returns the number of processor cores that this process may use."""
+    """Return the number of processor cores that this process may use."""
     number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(number or 1, core_limit or number or 1)
 
@@ -180,7 +180,7 @@ def cores() -> int:
 def run_kernel(
     program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
 ) -> list[np.ndarray]:
-    """Computes the cells' results by a kernel, on all cores."""
+    """Compute the cells' results by a kernel, on all cores."""
     assert program.compiled is not None
     run, results = program.compiled.bind(operands, mapped, n)
     workers = cores()
@@ -195,14 +195,14 @@ def run_kernel(
 
 
 def route_here() -> Route | None:
-    """Returns the route by which kernels run on the devices of this process, if these are GPUs."""
+    """Return the route by which kernels run on the devices of this process, if these are GPUs."""
     return route_in_use() if jax.local_devices()[0].platform == "gpu" else None
 
 
 def run_on_gpus(
     program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
 ) -> list[np.ndarray]:
-    """Computes the cells' results by a kernel, on all GPUs, in calls of a power of two of cells."""
+    """Compute the cells' results by a kernel, on all GPUs, in calls of a power of two of cells."""
     least, most = GPU_CALL_CELLS
     devices = len(jax.local_devices())
     call = devices * min(most, max(least, 1 << (-(-n // devices) - 1).bit_length()))
@@ -225,7 +225,7 @@ def run_on_gpus(
 
 @functools.lru_cache(MAX_PROGRAMS)
 def compile_kernel_call(program: Program, mapped: tuple[int, ...]) -> Callable:
-    """Returns the jitted function of the arrays of a call, whose cells the GPUs share equally."""
+    """Return the jitted function of the arrays of a call, whose cells the GPUs share equally."""
     mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
     specs = tuple(each if one else P() for one in mapped)
     run = lambda *operands: kernel_p.bind(*operands, program=program, mapped=mapped)
@@ -233,7 +233,7 @@ def compile_kernel_call(program: Program, mapped: tuple[int, ...]) -> Callable:
 
 
 def abstract_value(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
-    """Returns the type of a leaf, and its shape in one cell."""
+    """Return the type of a leaf, and its shape in one cell."""
     plain = type(leaf) in (bool, int, float, complex)
     dtype = jax.dtypes.canonicalize_dtype(
         type(leaf) if plain else leaf.dtype, allow_extended_dtype=True
@@ -245,7 +245,7 @@ def abstract_value(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
 
 
 def pad(values: np.ndarray, size: int) -> np.ndarray:
-    """Pads values to `size` with copies of the last, which no tile waits for."""
+    """Pad values to `size` with copies of the last, which no tile waits for."""
     if len(values) == size:
         return values
     last = values[-1:] if len(values) else np.zeros_like(values, shape=(1, *values.shape[1:]))
@@ -261,7 +261,7 @@ def compile_call(
     tile: int,
     tiles: int,
 ) -> Callable:
-    """Returns the jitted function of (shared, cells of one call, how many tiles each device does).
+    """Return the jitted function of (shared, cells of one call, how many tiles each device does).
 
     There is one for each of the `states` of the code that it runs.
     """
@@ -293,14 +293,14 @@ def compile_call(
 
 
 def options_for(platform: str) -> dict:
-    """Returns the compiler's options for a platform, without those that this XLA lacks."""
+    """Return the compiler's options for a platform, without those that this XLA lacks."""
     options = COMPILER_OPTIONS.get(platform, {}).items()
     return {name: value for name, value in options if has_option(name, value)}
 
 
 @functools.cache
 def has_option(name: str, value: Any) -> bool:
-    """Returns whether XLA accepts an option, by a trial: an unknown one stops the compilation."""
+    """Return whether XLA accepts an option, by a trial: an unknown one stops the compilation."""
     try:
         jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
     except jax.errors.JaxRuntimeError:
@@ -309,7 +309,7 @@ def has_option(name: str, value: Any) -> bool:
 
 
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
-    """Returns flat indices of a grid's cells, in the order in which to give them to `map_cells`.
+    """Return flat indices of a grid's cells, in the order in which to give them to `map_cells`.
 
     Neighbours are together in a unit that waits for its slowest cell: a tile, or a block of
     threads.
@@ -323,7 +323,7 @@ def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
 def compact_order(
     shape: tuple[int, ...], tile: int = CALL_SHAPES["gpu"][0]
 ) -> Int[np.ndarray, " n"]:
-    """Returns flat indices of a grid's cells, in an order that keeps a tile's cells close together.
+    """Return flat indices of a grid's cells, in an order that keeps a tile's cells close together.
 
     The grid is cut into cubes of about `tile` cells, one after the other.
     """

@@ -32,14 +32,14 @@ Compute = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, An
 
 
 def check_cluster(cluster: Any, out: Any) -> None:
-    """Raises `WrongUse` for a cluster without a place for the pieces that it computes."""
+    """Raise `WrongUse` for a cluster without a place for the pieces that it computes."""
     if cluster is not None and out is None:
         raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
 
 
 @contextmanager
 def open_workers(cluster: Any = None) -> Iterator[Compute]:
-    """Yields a function that computes function(item) for each item; it yields both when done.
+    """Yield a function that computes function(item) for each item; it yields both when done.
 
     The function must be picklable, and give the same result wherever it is computed; items are
     hashable.
@@ -66,7 +66,7 @@ def open_workers(cluster: Any = None) -> Iterator[Compute]:
 
 
 def compute_here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-    """Yields each item and its result, from this process."""
+    """Yield each item and its result, from this process."""
     for item in items:
         yield item, function(item)
 
@@ -74,14 +74,14 @@ def compute_here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterat
 def compute_on_cluster(
     client: Any, submitted: dict[Any, Any], function: Callable[[Any], Any], items: Sequence[Any]
 ) -> Iterator[tuple[Any, Any]]:
-    """Yields each item and its result, from the workers of a Dask client."""
+    """Yield each item and its result, from the workers of a Dask client."""
     from distributed import KilledWorker, as_completed
 
     waiting, deaths = list(items)[::-1], Counter()
     done = as_completed()
 
     def submit_more() -> None:
-        """Submits as many items as the present workers need."""
+        """Submit as many items as the present workers need."""
         workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
         while waiting and len(submitted) < PIECES_PER_WORKER * workers:
             item = waiting.pop()
@@ -113,7 +113,7 @@ def missing_pieces(
     label: str,
     progress: bool,
 ) -> Iterator[tuple[int, Any]]:
-    """Yields each piece that a data set on disk lacks, and function(item_of(piece)), when done."""
+    """Yield each piece that a data set on disk lacks, and function(item_of(piece)), when done."""
     number = {item_of(piece): piece for piece in place.missing()}
     found, done = each(function, [*number]), place.count - len(number)
     for item, values in track(found, label, progress, place.count, done):
@@ -122,7 +122,7 @@ def missing_pieces(
 
 @contextmanager
 def connect(cluster: Any) -> Iterator[Any]:
-    """Yields a client of a cluster, whose workers compute as this process does."""
+    """Yield a client of a cluster, whose workers compute as this process does."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:
@@ -160,7 +160,7 @@ def connect(cluster: Any) -> Iterator[Any]:
 
 
 def configure_worker(modes: dict[str, Any], cores: int | None, dask_worker: Any) -> None:
-    """Makes a worker compute in the modes of another process, on a number of cores."""
+    """Make a worker compute in the modes of another process, on a number of cores."""
     for mode, value in modes.items():
         jax.config.update(mode, value)
     tiles.limit_cores(cores)

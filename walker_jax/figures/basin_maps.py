@@ -60,7 +60,7 @@ def basin(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the basin of attraction and the ways to fall around it, over a grid of two dimensions.
+    """Draw the basin of attraction and the ways to fall around it, over a grid of two dimensions.
 
     Figures 2 (plain axes) and 4 (sheared axes) of Schwab and Wisse (2001). Each fate has a pale
     colour and each basin a dark one. Basins of a few cells share a colour, and so do artefacts of
@@ -122,7 +122,7 @@ def basin(
 
 
 def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
-    """Draws a narrow window of a basin, and beside it the basin with the window's place.
+    """Draw a narrow window of a basin, and beside it the basin with the window's place.
 
     **Arguments:**
 
@@ -148,7 +148,7 @@ def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
 
 
 def basin_slices(data: xr.Dataset) -> Figure:
-    """Draws the basin of attraction over a grid of three dimensions, in slices across the last.
+    """Draw the basin of attraction over a grid of three dimensions, in slices across the last.
 
     Colours are as in `basin`. Each attractor is drawn in the slice nearest to it.
 
@@ -201,7 +201,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
 
 
 def basins_in_a_row(data: xr.Dataset) -> Figure:
-    """Draws basins of attraction at several slopes, side by side, with colours as in `basin`.
+    """Draw basins of attraction at several slopes, side by side, with colours as in `basin`.
 
     Figure 7 of Schwab and Wisse (2001).
 
@@ -240,19 +240,19 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
 
 
 def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
-    """Returns at most `most` rows and columns of a large basin: enough for a picture."""
+    """Return at most `most` rows and columns of a large basin: enough for a picture."""
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
     thinned = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
     return thinned.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
 
 
 def offset_label(data: xr.Dataset, axis: str) -> str:
-    """Returns the label of an axis, which may have offsets from the middle of the picture."""
+    """Return the label of an axis, which may have offsets from the middle of the picture."""
     return f"offset of {axis_label(axis)}" if middle_of(data, axis) else axis_label(axis)
 
 
 def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
-    """Returns a line with the middle of the picture, to all digits, if its axes have offsets."""
+    """Return a line with the middle of the picture, to all digits, if its axes have offsets."""
     middle = {axis: middle_of(data, axis) for axis in axes}
     if not any(middle.values()):
         return ""
@@ -261,7 +261,7 @@ def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
 
 
 def middle_of(data: xr.Dataset, axis: str) -> float:
-    """Returns the value from which offsets along an axis are measured; 0 if it has none."""
+    """Return the value from which offsets along an axis are measured; 0 if it has none."""
     if "origin" not in data.attrs:
         return 0.0
     origin = np.asarray(data.attrs["origin"])[None]
@@ -269,19 +269,19 @@ def middle_of(data: xr.Dataset, axis: str) -> float:
 
 
 def share_drawn(data: xr.Dataset) -> int:
-    """Returns the number of cells of the whole basin that each cell of the data stands for."""
+    """Return the number of cells of the whole basin that each cell of the data stands for."""
     return int(data.attrs.get("thinned", 1))
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """Returns at most `most` equally spaced indices, without the ends; all, if so few."""
+    """Return at most `most` equally spaced indices, without the ends; all, if so few."""
     if count <= most:
         return np.arange(count)
     return np.unique(np.round(np.linspace(0, count - 1, most + 2)[1:-1]).astype(int))
 
 
 def slicing_hint(fate: xr.DataArray) -> str:
-    """Says how to draw a basin of three dimensions, where two are expected."""
+    """Say how to draw a basin of three dimensions, where two are expected."""
     others = [name for name in fate.dims if name not in ("theta", "thetadot", "sum")]
     if fate.ndim != 3 or len(others) != 1:
         return ""

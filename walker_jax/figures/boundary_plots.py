@@ -46,7 +46,7 @@ def boundary(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the basin, the saddles on its boundary, and their stable manifolds.
+    """Draw the basin, the saddles on its boundary, and their stable manifolds.
 
     **Arguments:**
 
@@ -106,12 +106,12 @@ def boundary(
 
 
 def name_of(outcome: int, data: xr.Dataset) -> str:
-    """Names a region in a word or two."""
+    """Name a region in a word or two."""
     return failure_words(outcome, failures_of(data))
 
 
 def saddle_phrase(one: xr.Dataset) -> str:
-    """Describes a saddle with its multipliers."""
+    """Describe a saddle with its multipliers."""
     period = int(one["edge_period"])
     values = one["edge_multipliers"].values
     numbers = [complex(*value) for value in values[np.isfinite(values).all(axis=1)]]
@@ -120,7 +120,7 @@ def saddle_phrase(one: xr.Dataset) -> str:
 
 
 def entropy_phrase(data: xr.Dataset) -> str:
-    """States the entropies of a basin, and the result of the log 2 test."""
+    """State the entropies of a basin, and the result of the log 2 test."""
     value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
     fractal = "fractal by log 2" if data["boundary_fractal"] else "log 2 test not passed"
     value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"

@@ -61,7 +61,7 @@ def gait_branches(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws all gaits against a parameter: the first coordinate at the start of each stride.
+    """Draw all gaits against a parameter: the first coordinate at the start of each stride.
 
     Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours show periods. Lines are
     solid where a gait is stable and dashed where it is not. Triangles are folds, where two gaits
@@ -133,7 +133,7 @@ def largest_multiplier(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the largest Floquet multiplier's modulus against a parameter, along the main cascade.
+    """Draw the largest Floquet multiplier's modulus against a parameter, along the main cascade.
 
     The left axis of Figure 8 of Schwab and Wisse (2001), for the most stable gait of period one,
     the gaits of period two that branch off it, and so on. A gait is stable, and its line solid,
@@ -189,7 +189,7 @@ def bifurcation_diagram(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the attractors against a parameter: the first coordinate at the start of each stride.
+    """Draw the attractors against a parameter: the first coordinate at the start of each stride.
 
     A dot is a recorded state of a walker that does not fall. Dashed lines are unstable parts of the
     gait of period one from which the cascade of period doublings starts. A vertical line marks the
@@ -229,7 +229,7 @@ def bifurcation_diagram(
 
 
 def bifurcations(data: xr.Dataset) -> Figure:
-    """Draws gaits, their largest multiplier and the attractors, over a range of a parameter.
+    """Draw gaits, their largest multiplier and the attractors, over a range of a parameter.
 
     The pictures are `gait_branches` above `largest_multiplier`, and `bifurcation_diagram` above
     `lyapunov_exponents`, if the data set has exponents. At the bottom is the part of these between
@@ -271,7 +271,7 @@ def bifurcations(data: xr.Dataset) -> Figure:
 
 
 def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
-    """Returns coefficients of normal forms; NaN in older data sets without them."""
+    """Return coefficients of normal forms; NaN in older data sets without them."""
     if f"{name}_coefficient" in data:
         return data[f"{name}_coefficient"].values
     return np.full(len(data[f"{name}_value"]), np.nan)
@@ -280,7 +280,7 @@ def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
 def draw_curve(
     ax: Axes, curve: Curve, heights: Float[np.ndarray, "n k"], *, stable: bool = True
 ) -> None:
-    """Draws lines along a curve: dashed where it is unstable, and solid where it is `stable`."""
+    """Draw lines along a curve: dashed where it is unstable, and solid where it is `stable`."""
     solid = curve.stable_intervals
     changes = np.flatnonzero(solid[1:] != solid[:-1]) + 1
     colour, _ = period_style(curve.period)
@@ -293,7 +293,7 @@ def draw_curve(
 
 
 def draw_multiplier(ax: Axes, curve: Curve) -> None:
-    """Draws the modulus of the largest multiplier along a curve."""
+    """Draw the modulus of the largest multiplier along a curve."""
     fine = interpolate_multipliers(curve)
     draw_curve(ax, fine, fine.spectral_radius[:, None])
 
@@ -305,14 +305,14 @@ def draw_event(
     period: int,
     sign: dict[str, Any],
 ) -> None:
-    """Draws the signs of a bifurcation; for long periods, which are many, they are smaller."""
+    """Draw the signs of a bifurcation; for long periods, which are many, they are smaller."""
     colour, _ = period_style(period)
     smaller = {} if period < 3 else {"ms": 0.7 * sign["ms"], "mew": 0.7 * sign["mew"]}
     ax.plot(values, heights, color=colour, zorder=7 - period / 100, **sign | smaller)
 
 
 def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
-    """Returns limits of the picture around the states of the cascade; None without a cascade."""
+    """Return limits of the picture around the states of the cascade; None without a cascade."""
     interval = cascade_interval(data)
     if interval is None:
         return None
@@ -327,7 +327,7 @@ def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None
 
 
 def write_step_times(ax: Axes, data: xr.Dataset) -> None:
-    """Writes the step times of the gaits of period one at the end of the range beside the axes."""
+    """Write the step times of the gaits of period one at the end of the range beside the axes."""
     heights, times = final_gaits(data)
     _, size = size_between(ax)
     line = 1.4 * points_of(SMALL) / size * np.ptp(ax.get_ylim())
@@ -360,14 +360,14 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
 def spread_apart(
     heights: Float[np.ndarray, " n"], gap: float, top: float
 ) -> Float[np.ndarray, " n"]:
-    """Moves ascending heights apart by a gap: upwards, as far as they stay below a top."""
+    """Move ascending heights apart by a gap: upwards, as far as they stay below a top."""
     places, steps = heights.copy(), gap * np.arange(len(heights))
     places = np.maximum.accumulate(places - steps) + steps
     return np.minimum(places, top - steps[::-1])
 
 
 def set_range(ax: Axes, data: xr.Dataset) -> None:
-    """Sets the x limits to the range of the parameter."""
+    """Set the x limits to the range of the parameter."""
     samples = data["sample_value"].values if "sample_value" in data else []
     values = np.concatenate([data["value"].values, samples])
     if len(values) and np.ptp(values) > 0:
@@ -375,12 +375,12 @@ def set_range(ax: Axes, data: xr.Dataset) -> None:
 
 
 def first_name(data: xr.Dataset) -> str:
-    """Returns the name of the first coordinate of the section."""
+    """Return the name of the first coordinate of the section."""
     return str(data.attrs["section"][0])
 
 
 def period_lines(drawn: list[Curve]) -> list[Line2D]:
-    """Returns the signs of periods in a legend, the shortest first."""
+    """Return the signs of periods in a legend, the shortest first."""
     return [
         Line2D([], [], color=period_style(period)[0], lw=3, label=f"period {period}")
         for period in sorted({curve.period for curve in drawn})

@@ -38,7 +38,7 @@ def capturability(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws how large the basin could be: n-step capturable states within the viability kernel.
+    """Draw how large the basin could be: n-step capturable states within the viability kernel.
 
     Cells are coloured by the fewest strides into the target, darker for fewer. Then come viable
     cells from which no actions lead there; the lightest cells are bound to fail under these
@@ -85,7 +85,7 @@ def capturability(
 
 
 def regions_of_capture(data: xr.Dataset, areas: list[str]) -> list[Region]:
-    """Returns the sets of cells that `areas` names, each without those before, and all others."""
+    """Return the sets of cells that `areas` names, each without those before, and all others."""
     capture, viable = data["capture"].values, data["viable"].values
     sets = [capture == n for n in range(MOST_STRIDES)]
     sets += [capture >= MOST_STRIDES, viable & (capture < 0), ~viable & (capture < 0)]
@@ -97,7 +97,7 @@ def regions_of_capture(data: xr.Dataset, areas: list[str]) -> list[Region]:
 
 
 def areas_of_capture(data: xr.Dataset) -> list[str]:
-    """Labels each set with its area, those before included; empty for a set without cells."""
+    """Label each set with its area, those before included; empty for a set without cells."""
     capture, viable = data["capture"].values, data["viable"].values
     most, cell = int(capture.max()), grid_of(data).cell_area
     area = lambda cells: f"{cells.sum() * cell:.3g}"
@@ -116,7 +116,7 @@ def count_strides(n: int) -> str:
 
 
 def read_basins(data: xr.Dataset, basins: Mapping[str, xr.Dataset]) -> Mapping[str, xr.Dataset]:
-    """Returns basins on the grid of a kernel, checked."""
+    """Return basins on the grid of a kernel, checked."""
     check_kind("basins", basins, Mapping)
     if len(basins) > len(LINES):
         raise WrongUse(f"basins must be {len(LINES)} at most, not {len(basins)}")

@@ -24,7 +24,7 @@ def lyapunov_exponents(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws Lyapunov exponents of the attractor against a parameter, with their error bands.
+    """Draw Lyapunov exponents of the attractor against a parameter, with their error bands.
 
     Bands are twice the standard error on each side. Walking is chaotic where the first exponent is
     above zero. Nothing is drawn where no walker walks.
@@ -71,5 +71,5 @@ def lyapunov_exponents(
 
 
 def ordinal(i: int) -> str:
-    """Returns the place of an exponent, in words."""
+    """Return the place of an exponent, in words."""
     return ("first", "second", "third")[i] if i < 3 else f"{i + 1}th"

@@ -19,7 +19,7 @@ ROUGHEST = 2.0
 
 
 def probable_fall(fall: ProbableFall, *, title: bool | str = True) -> Figure:
-    """Draws the most probable fall: its disturbances, its path through the section, and its law.
+    """Draw the most probable fall: its disturbances, its path through the section, and its law.
 
     Above are the disturbances of each stride, and the least action for each number of disturbed
     strides. Below are the states just after each heel strike, theta and theta + thetadot, from the
@@ -48,7 +48,7 @@ def probable_fall(fall: ProbableFall, *, title: bool | str = True) -> Figure:
 
 
 def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
-    """Draws the disturbances of each stride as bars."""
+    """Draw the disturbances of each stride as bars."""
     number = np.arange(1, len(fall.disturbances) + 1)
     kinds = np.flatnonzero(fall.disturbances.any(axis=0))
     width = 0.8 / len(kinds)
@@ -67,7 +67,7 @@ def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
 
 
 def draw_actions(ax: Axes, fall: ProbableFall) -> None:
-    """Draws the least action of each number of disturbed strides."""
+    """Draw the least action of each number of disturbed strides."""
     ax.plot(np.arange(1, len(fall.actions) + 1), fall.actions, "-o", color=BASINS[0], ms=4, lw=1)
     ax.axhline(fall.action, color=OTHERS, lw=0.8, ls=":")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -77,7 +77,7 @@ def draw_actions(ax: Axes, fall: ProbableFall) -> None:
 
 
 def draw_path(ax: Axes, fall: ProbableFall) -> None:
-    """Draws states just after heel strike; open circles come after the last disturbance."""
+    """Draw states just after heel strike; open circles come after the last disturbance."""
     theta, thetadot = fall.states[:, 0], fall.states[:, 2]
     disturbed = np.arange(len(theta)) <= len(fall.disturbances)
     for marked, face in ((disturbed, BASINS[0]), (~disturbed, "white")):
@@ -91,7 +91,7 @@ def draw_path(ax: Axes, fall: ProbableFall) -> None:
 
 
 def draw_law(ax: Axes, fall: ProbableFall) -> None:
-    """Draws mean strides to a fall over action / scale^2, and the law without its prefactor."""
+    """Draw mean strides to a fall over action / scale^2, and the law without its prefactor."""
     exponent = np.linspace(ROUGHEST, np.log(LONGEST), 60)
     scales = np.sqrt(fall.action / exponent)
     means = np.array([fall.mean_strides(one) for one in scales.tolist()])

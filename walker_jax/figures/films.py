@@ -43,7 +43,7 @@ def film(
     signature: str = "",
     progress: bool = False,
 ) -> None:
-    """Makes a film of a walk: the walker on its slope, and beside it its trajectory in the basin.
+    """Make a film of a walk: the walker on its slope, and beside it its trajectory in the basin.
 
     **Arguments:**
 
@@ -108,7 +108,7 @@ def film(
 
 
 def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) -> None:
-    """Makes a film of a walk in space, by parallel projection."""
+    """Make a film of a walk in space, by parallel projection."""
     check_dataset(walk, "walk in space")
     figure = Figure(figsize=(6, 5.4), layout="constrained")
     ax = figure.subplots()
@@ -129,7 +129,7 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
 
 
 def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = False) -> None:
-    """Makes a film of ever narrower windows around a point of a boundary.
+    """Make a film of ever narrower windows around a point of a boundary.
 
     Colours are as in `basin`.
 
@@ -170,7 +170,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
 
 
 def check_film(path: Path) -> None:
-    """Raises `WrongPlace` for a path to which no film can be written."""
+    """Raise `WrongPlace` for a path to which no film can be written."""
     if path.suffix not in FILMS:
         raise WrongPlace(f"{path} must end in one of {', '.join(FILMS)}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
@@ -181,7 +181,7 @@ def check_film(path: Path) -> None:
 def film_writer(
     figure: Figure, path: Path, signature: str, moving: list[Artist]
 ) -> Iterator[Callable[[], object]]:
-    """Yields a function that adds the figure to a film, which is put in its place at the end.
+    """Yield a function that adds the figure to a film, which is put in its place at the end.
 
     In a GIF, only the `moving` artists are drawn anew for each frame.
     """
@@ -201,7 +201,7 @@ def film_writer(
             still = canvas.copy_from_bbox(figure.bbox)
 
             def grab() -> None:
-                """Draws the moving artists on the still background, and adds the frame."""
+                """Draw the moving artists on the still background, and add the frame."""
                 canvas.restore_region(still)
                 for one in moving:
                     figure.draw_artist(one)

@@ -21,7 +21,7 @@ EVENT: dict[str, Any] = {"color": OTHERS, "lw": 0.8, "ls": ":"}
 
 
 def basin_fractions(data: xr.Dataset) -> Figure:
-    """Draws fractions of the basins over a parameter, stacked, with the attractors above.
+    """Draw fractions of the basins over a parameter, stacked, with the attractors above.
 
     The upper panel has the first coordinate of the attractors at the start of each stride; dotted
     lines are the bifurcations of their branches. Walkers fail from the rest of the region.
@@ -65,7 +65,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
 
 
 def colours_of(periods: Sequence[int]) -> list[str]:
-    """Returns a colour for each attractor: the colour of its period for the first one with it.
+    """Return a colour for each attractor: the colour of its period for the first one with it.
 
     The others, and those without a period, take the remaining colours, and then share one.
     """
@@ -78,7 +78,7 @@ def colours_of(periods: Sequence[int]) -> list[str]:
 
 
 def draw_steps(ax: Axes, value: np.ndarray, shares: np.ndarray, colours: list[str]) -> None:
-    """Draws stacked shares, constant around each value, halfway to its neighbours."""
+    """Draw stacked shares, constant around each value, halfway to its neighbours."""
     middle = (value[:-1] + value[1:]) / 2
     edges = np.concatenate([value[:1], middle, value[-1:]])
     base = np.zeros(len(value))

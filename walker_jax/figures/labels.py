@@ -16,7 +16,7 @@ def draw_label(
     extent: Extent,
     axes_size: Float[np.ndarray, " 2"],
 ) -> bool:
-    """Labels a region inside itself, with letter and words, or the letter alone, as there is room.
+    """Label a region inside itself, with letter and words, or the letter alone, as there is room.
 
     `free` marks where labels may stand, on axes of a size in points. Returns whether there was room
     for the words.
@@ -57,7 +57,7 @@ def keep_clear(
     dots: Float[np.ndarray, "n 2"],
     extent: Extent,
 ) -> None:
-    """Marks in `free` that no label may stand on these dots."""
+    """Mark in `free` that no label may stand on these dots."""
     shape, low = np.array(free.shape), np.array(extent[::2])
     for dot in np.nan_to_num((dots - low) / (np.array(extent[1::2]) - low), nan=-1):
         first, last = (np.clip(dot + side * 0.02, 0, 1) * shape for side in (-1, 1))
@@ -67,7 +67,7 @@ def keep_clear(
 def roomiest_place(
     cells: Bool[np.ndarray, "nx ny"], size: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " 2"] | None:
-    """Finds the place among the cells with the most room for a box; None where it does not fit.
+    """Find the place among the cells with the most room for a box; None where it does not fit.
 
     Box and place are fractions of the axes. The box grows in proportion while it fits. It fits if
     at most one cell in fifty of it is not among `cells`.
@@ -91,7 +91,7 @@ def roomiest_place(
 
 
 def luminance(colour: str) -> float:
-    """Returns the relative luminance of an sRGB colour, 0 for black to 1 for white (WCAG 2)."""
+    """Return the relative luminance of an sRGB colour, 0 for black to 1 for white (WCAG 2)."""
     rgb = np.array(to_rgb(colour))
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return float(linear @ (0.2126, 0.7152, 0.0722))

@@ -63,7 +63,7 @@ def for_print(
     size: float | int = 8,
     dpi: float | int = 300,
 ) -> Iterator[None]:
-    """Gives pictures drawn in this context the width of a column of print, and its text.
+    """Give pictures drawn in this context the width of a column of print, and its text.
 
     ```python
     with figures.for_print(width=3.4, font="Times New Roman"):
@@ -108,14 +108,14 @@ def for_print(
 
 
 def new_figure(width: float | int, height: float | int, layout: Layout = "constrained") -> Figure:
-    """Makes a figure of a size in inches; if one width is set for all, of the same proportions."""
+    """Make a figure of a size in inches; if one width is set for all, of the same proportions."""
     page = page_width.get()
     scale = 1.0 if page is None else page / width
     return Figure(figsize=(scale * width, scale * height), layout=layout)
 
 
 def make_smaller(ax: Axes) -> None:
-    """Makes the lines and signs of a picture smaller, for print."""
+    """Make the lines and signs of a picture smaller, for print."""
     for line in ax.lines:
         line.set(markersize=SMALLER * line.get_markersize())
         line.set(linewidth=SMALLER * line.get_linewidth())
@@ -123,23 +123,23 @@ def make_smaller(ax: Axes) -> None:
 
 
 def new_axes(width: float | int, height: float | int, layout: Layout = "constrained") -> Axes:
-    """Makes the axes of a new figure, of a size in inches."""
+    """Make the axes of a new figure, of a size in inches."""
     return new_figure(width, height, layout).add_subplot()
 
 
 def figure_of(ax: Axes) -> Figure:
-    """Returns the figure that axes are on."""
+    """Return the figure that axes are on."""
     return cast(Figure, ax.get_figure(root=True))
 
 
 def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """Returns the outer edges of equal cells."""
+    """Return the outer edges of equal cells."""
     half = (centres[-1] - centres[0]) / (len(centres) - 1) / 2
     return float(centres[0] - half), float(centres[-1] + half)
 
 
 def padded_limits(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
-    """Returns the range of values, slightly widened; None for a single value."""
+    """Return the range of values, slightly widened; None for a single value."""
     beyond = 0.03 * np.ptp(values)
     return (values.min() - beyond, values.max() + beyond) if beyond else None
 
@@ -147,7 +147,7 @@ def padded_limits(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None
 def name_axes(
     ax: Axes, x: str | None = None, y: str | None = None, size: str | None = None
 ) -> None:
-    """Labels axes with coordinates or parameters, or with words of their own."""
+    """Label axes with coordinates or parameters, or with words of their own."""
     style: dict[str, Any] = {} if size is None else {"fontsize": size}
     if x is not None:
         ax.set_xlabel(axis_label(x), **style)
@@ -166,7 +166,7 @@ def dress(
     legends: Sequence[tuple[Sequence[Artist], int]] = (),
     beside: Sequence[Axes] = (),
 ) -> None:
-    """Writes title and note above axes, their names, and legends below, as wide as there is room.
+    """Write title and note above axes, their names, and legends below, as wide as there is room.
 
     Each legend is a sequence of handles and its largest number of columns. `beside` are axes that
     share the height, such as a colour bar. In a small panel all texts are smaller.
@@ -203,7 +203,7 @@ def dress(
 
 
 def size_of(ax: Axes) -> tuple[float, float]:
-    """Estimates the width and height that axes with title and legends will have (pixels)."""
+    """Estimate the width and height that axes with title and legends will have (pixels)."""
     box = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
     whole = figure_of(ax).get_layout_engine() is None or page_width.get() is not None
     larger = 1.0 if whole else LARGER
@@ -211,7 +211,7 @@ def size_of(ax: Axes) -> tuple[float, float]:
 
 
 def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> float:
-    """Returns the width of axes in their panel, without the space at their sides (pixels)."""
+    """Return the width of axes in their panel, without the space at their sides (pixels)."""
     wide, _ = size_of(ax)
     spec = ax.get_subplotspec()
     if spec is None or figure_of(ax).get_layout_engine() is None:
@@ -232,7 +232,7 @@ def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> flo
 
 
 def size_between(ax: Axes) -> Float[np.ndarray, " 2"]:
-    """Estimates the size of axes between a title above and legends below (points)."""
+    """Estimate the size of axes between a title above and legends below (points)."""
     wide, high = np.array(size_of(ax)) * 72 / figure_of(ax).dpi
     return np.array([wide, max(high - AROUND, 0.4 * high)])
 
@@ -240,7 +240,7 @@ def size_between(ax: Axes) -> Float[np.ndarray, " 2"]:
 def write_above(
     ax: Axes, title: str, note: str, size: float, wide: float, measure: RendererAgg
 ) -> tuple[list[Artist], float]:
-    """Writes a title, and one or more lines below it. Returns the artists and their height."""
+    """Write a title, and one or more lines below it. Returns the artists and their height."""
     drawn: list[Artist] = []
     scale, high = figure_of(ax).dpi / 72, 0.0
     if note:
@@ -299,7 +299,7 @@ def write_below(
 
 
 def fit_text(text: Text, room: float, measure: RendererAgg) -> None:
-    """Breaks a text, at spaces outside formulas, into lines that fit (pixels)."""
+    """Break a text, at spaces outside formulas, into lines that fit (pixels)."""
     font = text.get_fontproperties()
     width_of = lambda line: measure.get_text_width_height_descent(
         line, font, cbook.is_math_text(line)
@@ -323,6 +323,6 @@ def figure_legend(figure: Figure, handles: list, *, columns: int) -> None:
 
 
 def figure_title(figure: Figure, title: str, size: str = "x-large", weight: str = "bold") -> None:
-    """Writes a title at the left, above all axes of a figure; none in print."""
+    """Write a title at the left, above all axes of a figure; none in print."""
     if page_width.get() is None:
         figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight=weight)

@@ -24,7 +24,7 @@ def metastability(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the quasi-stationary distribution: where walks that still last are on the section.
+    """Draw the quasi-stationary distribution: where walks that still last are on the section.
 
     The axes are theta and theta + thetadot, as for basins; on rough ground the third direction is
     summed over. Colours show chance on a logarithmic scale.

@@ -29,7 +29,7 @@ def multipliers(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the Floquet multipliers of gaits in the complex plane, with the unit circle.
+    """Draw the Floquet multipliers of gaits in the complex plane, with the unit circle.
 
     Colours and signs show periods; signs are filled for stable gaits and open for unstable ones. An
     arrow at the rim of the frame points to each multiplier beyond it, with its value.
@@ -91,7 +91,7 @@ class Rim(NamedTuple):
 
 
 def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
-    """Groups multipliers beyond the frame by close places at its rim."""
+    """Group multipliers beyond the frame by close places at its rim."""
     found: list[Rim] = []
     for value, gait in sorted(far, key=lambda one: abs(one[0])):
         place = value * RIM / max(abs(value.real), abs(value.imag))
@@ -105,7 +105,7 @@ def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
 
 
 def draw_rim(ax: Axes, rim: Rim, labels: bool) -> None:
-    """Draws a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
+    """Draw a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
     figure = figure_of(ax)
     inwards = -1 if (rim.x >= 0) == (abs(rim.x) > RIM / 2) else 1
     # Zero counts by x, so that the two sides of a small frame differ in height.
@@ -133,7 +133,7 @@ def draw_rim(ax: Axes, rim: Rim, labels: bool) -> None:
 
 
 def write_row(ax: Axes, rim: Rim, shift: int, rise: int, words: str) -> None:
-    """Writes words on the inner side of a place of the rim, at an offset in points."""
+    """Write words on the inner side of a place of the rim, at an offset in points."""
     ax.annotate(
         words,
         (rim.x, rim.y),

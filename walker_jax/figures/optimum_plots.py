@@ -84,7 +84,7 @@ def optimisation(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the values of a parameter that an optimisation tried, and the objective.
+    """Draw the values of a parameter that an optimisation tried, and the objective.
 
     Dots are evaluations, joined in their order, from light and large to dark and small as the steps
     become shorter. Runs that did not lead to the optimum are faint. The broad line is the scan
@@ -114,7 +114,7 @@ def optimisation(
 
 
 def basins_before_and_after(data: xr.Dataset) -> Figure:
-    """Draws the basins before and after an optimisation, side by side, with colours as in `basin`.
+    """Draw the basins before and after an optimisation, side by side, with colours as in `basin`.
 
     **Arguments:**
 
@@ -130,7 +130,7 @@ def basins_before_and_after(data: xr.Dataset) -> Figure:
 
 
 def optimum(data: xr.Dataset) -> Figure:
-    """Draws an optimisation: the steps to the optimum, and the basins before and after, if known.
+    """Draw an optimisation: the steps to the optimum, and the basins before and after, if known.
 
     The pictures are `optimisation` of each parameter, above `basins_before_and_after`.
 
@@ -162,7 +162,7 @@ def optimum(data: xr.Dataset) -> Figure:
 
 
 def check_optimum(data: xr.Dataset) -> None:
-    """Raises `WrongUse` where no optimum was found."""
+    """Raise `WrongUse` where no optimum was found."""
     check_dataset(data, "optimisation")
     if not is_optimum(data):
         raise WrongUse("data must be of an optimisation that found an optimum")
@@ -170,7 +170,7 @@ def check_optimum(data: xr.Dataset) -> None:
 
 
 def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
-    """Returns only the attributes of an optimisation, without the free parameters."""
+    """Return only the attributes of an optimisation, without the free parameters."""
     changed = {f"walker_{name}" for name in free_parameters(data)}
     return xr.Dataset(attrs={key: data.attrs[key] for key in data.attrs if key not in changed})
 
@@ -178,7 +178,7 @@ def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
 def draw_optimisation(
     ax: Axes, data: xr.Dataset, parameter: str, subject: str, shown: Shown
 ) -> None:
-    """Draws the picture `optimisation`."""
+    """Draw the picture `optimisation`."""
     scan, ground = draw_scan(ax, data, parameter)
     stages, others = draw_runs(ax, data, parameter)
     marks = [*draw_ends(ax, data.sel(parameter=parameter)), *scan, *others]
@@ -196,7 +196,7 @@ def draw_optimisation(
 
 
 def draw_ends(ax: Axes, own: xr.Dataset) -> list[Line2D]:
-    """Draws start and optimum, uncut even at a bound. Returns them for the legend."""
+    """Draw start and optimum, uncut even at a bound. Returns them for the legend."""
     marks = []
     for side, style in (
         ("start", {"marker": "o", "mfc": "none", "mec": INK, "mew": 1.4, "ms": 12}),
@@ -210,7 +210,7 @@ def draw_ends(ax: Axes, own: xr.Dataset) -> list[Line2D]:
 
 
 def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D], list[Patch]]:
-    """Draws the scan, if there is one, and the background where limits forbid it.
+    """Draw the scan, if there is one, and the background where limits forbid it.
 
     Returns both for the legend.
     """
@@ -229,7 +229,7 @@ def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D],
 
 
 def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D], list[Line2D]]:
-    """Draws the steps of all runs. Returns stages and other runs for the legend."""
+    """Draw the steps of all runs. Returns stages and other runs for the legend."""
     found = runs(data, parameter)
     for run in found:
         order, opacity = (4, 1) if run.best else (3, FAINT)
@@ -249,7 +249,7 @@ def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D],
 
 
 def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
-    """Draws the basins at start and optimum on two axes of a figure, with one legend for both."""
+    """Draw the basins at start and optimum on two axes of a figure, with one legend for both."""
     if "fate_start" not in data or "fate_optimum" not in data:
         raise WrongUse("data must hold the basins at start and optimum of an optimisation")
     x, y = map(str, data["fate_start"].dims)
@@ -271,7 +271,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
 
 
 def optimum_basin_note(data: xr.Dataset, side: str) -> str:
-    """Returns the area of a basin, if it is known, and its slice, if it is in one."""
+    """Return the area of a basin, if it is known, and its slice, if it is in one."""
     area = area_at(data, side)
     fixed = slice_coordinates(data)
     slices = [slice_phrase(fixed)] if fixed else []
@@ -279,14 +279,14 @@ def optimum_basin_note(data: xr.Dataset, side: str) -> str:
 
 
 def headline(data: xr.Dataset, width: int) -> str:
-    """Returns the walker, its fixed parameters, and the objective, in lines of some width."""
+    """Return the walker, its fixed parameters, and the objective, in lines of some width."""
     walker, words = walker_title(fixed_attributes(data), width), objective_words(data)
     fits = len(walker.splitlines()[-1]) + len(words) < width
     return f"{walker}: {words}" if fits else f"{walker}:\n{words}"
 
 
 def objective_words(data: xr.Dataset) -> str:
-    """Returns the objective in words."""
+    """Return the objective in words."""
     given = weights(data)
     if [*given.values()] == [1]:
         return measure_words(*given)
@@ -298,12 +298,12 @@ def objective_words(data: xr.Dataset) -> str:
 
 
 def measure_words(name: str) -> str:
-    """Returns a measure in words."""
+    """Return a measure in words."""
     return MEASURE_WORDS.get(name, name.replace("-", " "))
 
 
 def limit_words(data: xr.Dataset) -> str:
-    """Describes what limits forbid; without limits, a scan has gaps only where there is no gait."""
+    """Describe what limits forbid; without limits, a scan has gaps only where there is no gait."""
     sides = [
         f"{measure_words(name)} {side} {limit:g}"
         for name, pair in limits(data).items()
@@ -314,7 +314,7 @@ def limit_words(data: xr.Dataset) -> str:
 
 
 def gain(data: xr.Dataset) -> str:
-    """Returns the objective at the start and at the optimum, in words."""
+    """Return the objective at the start and at the optimum, in words."""
     factor = improvement(data)
     notes = [f"× {factor:.3g}"] if factor is not None else []
     notes += ["small is better"] if data.attrs["sign"] < 0 else []
@@ -323,7 +323,7 @@ def gain(data: xr.Dataset) -> str:
 
 
 def ending(data: xr.Dataset, parameter: str) -> list[str]:
-    """Says where the optimum lies along a parameter, and whether the run converged."""
+    """Say where the optimum lies along a parameter, and whether the run converged."""
     side = int(data["at_bound"].sel(parameter=parameter))
     where = f"at the {'upper' if side > 0 else 'lower'} bound"
     if not side:

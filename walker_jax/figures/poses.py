@@ -29,7 +29,7 @@ SHARES = (0, 0.2, 0.4, 0.6, 0.8, 1)
 
 
 def step(data: xr.Dataset) -> Figure:
-    """Draws one stride, in six poses from heel strike to heel strike.
+    """Draw one stride, in six poses from heel strike to heel strike.
 
     Figure 1 of Schwab and Wisse (2001), which names the parts of the model.
 
@@ -73,7 +73,7 @@ def step(data: xr.Dataset) -> Figure:
 
 
 def draw_ground(ax: Axes, data: xr.Dataset) -> None:
-    """Draws the visible part of the slope, with a mark at every half of a leg."""
+    """Draw the visible part of the slope, with a mark at every half of a leg."""
     slope, size = float(data.attrs["walker_slope"]), leg_size(data)
     far = np.ceil(2 + np.abs(data["hip"].values[:, 0]).max() / size)
     if "footholds" in data:
@@ -88,7 +88,7 @@ def draw_ground(ax: Axes, data: xr.Dataset) -> None:
 
 
 def draw_steps(ax: Axes, data: xr.Dataset, far: float) -> None:
-    """Draws rough ground as steps, whose heights change half way between footholds, at marks."""
+    """Draw rough ground as steps, whose heights change half way between footholds, at marks."""
     slope = float(data.attrs["walker_slope"])
     along, height = data["footholds"].values.T
     turns = (along[1:] + along[:-1]) / 2
@@ -107,12 +107,12 @@ def draw_steps(ax: Axes, data: xr.Dataset, far: float) -> None:
 
 
 def leg_size(data: xr.Dataset) -> float:
-    """Returns the length from the hip to the sole."""
+    """Return the length from the hip to the sole."""
     return data.attrs["leg_length"] + data.attrs["foot_radius"]
 
 
 def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
-    """Draws hip, legs and feet of one frame. Returns the lines."""
+    """Draw hip, legs and feet of one frame. Returns the lines."""
     slope, radius = (float(pose.attrs[name]) for name in ("walker_slope", "foot_radius"))
     hip = pose["hip"].values
     lines: list[Line2D] = []
@@ -142,13 +142,13 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
 
 
 def to_level(places: Float[np.ndarray, "n 2"], slope: float) -> Float[np.ndarray, "n 2"]:
-    """Turns places along the slope and normal to it until the horizontal is level."""
+    """Turn places along the slope and normal to it until the horizontal is level."""
     c, s = np.cos(slope), np.sin(slope)
     return places @ np.array([[c, -s], [s, c]])
 
 
 def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
-    """Writes the names of the parts of the model beside one of its poses."""
+    """Write the names of the parts of the model beside one of its poses."""
     slope = float(pose.attrs["walker_slope"])
     foot, hip = (to_level(pose[name].values[None], slope)[0] for name in ("stance", "hip"))
     theta, phi = float(pose["theta"]), float(pose["phi"])

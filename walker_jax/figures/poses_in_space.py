@@ -30,7 +30,7 @@ FAR = 2
 
 
 def project(places: Float[np.ndarray, "n 3"], slope: float) -> Float[np.ndarray, "n 3"]:
-    """Returns places on the page, and how near they are to the eye."""
+    """Return places on the page, and how near they are to the eye."""
     c, s = np.cos(slope), np.sin(slope)
     level = places @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     c, s, up, flat = np.cos(TURNED), np.sin(TURNED), np.sin(ABOVE), np.cos(ABOVE)
@@ -39,7 +39,7 @@ def project(places: Float[np.ndarray, "n 3"], slope: float) -> Float[np.ndarray,
 
 
 def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.ndarray, " 2"]]:
-    """Draws one frame of a motion; returns the artists, and the page's place below the walker."""
+    """Draw one frame of a motion; return the artists, and the page's place below the walker."""
     slope, radius, length = (
         float(pose.attrs[f"walker_{name}"]) for name in ("slope", "disc_radius", "leg_length")
     )
@@ -50,7 +50,7 @@ def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.nd
     drawn: list[Artist] = draw_slope(ax, below, slope, length)
 
     def disc(centre):
-        """Returns the edge of a disc, normal to the axle."""
+        """Return the edge of a disc, normal to the axle."""
         first = np.cross(axle, [0.0, 0.0, 1.0])
         first /= np.linalg.norm(first)
         turn = np.linspace(0, 2 * np.pi, CORNERS)[:, None]
@@ -87,7 +87,7 @@ def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.nd
 def draw_slope(
     ax: Axes, below: Float[np.ndarray, " 3"], slope: float, length: float
 ) -> list[Artist]:
-    """Draws the slope around a place, with lines at every half of a leg."""
+    """Draw the slope around a place, with lines at every half of a leg."""
     middle = below / length
     at = np.arange(np.ceil(2 * (middle[0] - FAR)), 2 * (middle[0] + FAR)) / 2
     side = np.array([-1.0, -0.5, 0.0, 0.5, 1.0]) + round(2 * middle[1]) / 2

@@ -30,7 +30,7 @@ def proof(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the cells that are proved to walk for ever, or to fall, and the trap.
+    """Draw the cells that are proved to walk for ever, or to fall, and the trap.
 
     **Arguments:**
 
@@ -72,7 +72,7 @@ def proof(
 
 
 def trap_edge(data: xr.Dataset) -> np.ndarray:
-    """Returns points of the trap's border, along the axes."""
+    """Return points of the trap's border, along the axes."""
     turn = np.linspace(0, 2 * np.pi, EDGE)
     circle = float(data["trap_size"]) * np.stack([np.cos(turn), np.sin(turn)])
     offsets = np.linalg.solve(data["trap_factor"].values.T, circle)
@@ -81,7 +81,7 @@ def trap_edge(data: xr.Dataset) -> np.ndarray:
 
 
 def proof_note(data: xr.Dataset) -> str:
-    """States the theorem, or the bounds on the area."""
+    """State the theorem, or the bounds on the area."""
     if data.attrs["all_walk"] and data.attrs["radius"]:
         return f"proved: all starts within {data.attrs['radius']:.7g} walk for ever"
     low, high = data.attrs["area_lower"], data.attrs["area_upper"]

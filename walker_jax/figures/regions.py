@@ -48,7 +48,7 @@ class Region(NamedTuple):
 
 
 def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
-    """Returns the nonempty regions of a data set, with one for each large basin."""
+    """Return the nonempty regions of a data set, with one for each large basin."""
     walking = walking_cells(data, large)
     found = []
     for (number, cells), colour in zip(walking.large.items(), BASINS, strict=False):
@@ -69,7 +69,7 @@ def regions_of_one_basin(
     unmatched: Bool[np.ndarray, "*shape"],
     failures: Sequence[str] = (),
 ) -> list[Region]:
-    """Returns the nonempty regions if all basins have one colour."""
+    """Return the nonempty regions if all basins have one colour."""
     found = [
         Region(CellClass(basin), BASINS[0], "A", BASIN),
         Region(CellClass(unmatched), UNMATCHED, "", UNMATCHED_WORDS),
@@ -80,7 +80,7 @@ def regions_of_one_basin(
 def with_failures(
     regions: list[Region], fate: Int[np.ndarray, "*shape"], failures: Sequence[str]
 ) -> list[Region]:
-    """Adds the regions of failures, and drops empty regions."""
+    """Add the regions of failures, and drop empty regions."""
     cells = failing_cells(fate)
     failing = [
         Region(cells[one], colour, letter, failure_words(one, failures), one == Outcome.UNDECIDED)
@@ -90,7 +90,7 @@ def with_failures(
 
 
 def paint(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*shape 3"]:
-    """Paints every cell in the colour of its region."""
+    """Paint every cell in the colour of its region."""
     image = np.zeros((*shape, 3), np.uint8)
     for region in regions:
         image[region.cells] = np.round(np.multiply(to_rgb(region.colour), 255))
@@ -98,12 +98,12 @@ def paint(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*
 
 
 def extent_of(data: xr.Dataset, x: str, y: str) -> Extent:
-    """Returns the edges of a grid: left, right, low and high."""
+    """Return the edges of a grid: left, right, low and high."""
     return (*cell_edges(data[x].values), *cell_edges(data[y].values))
 
 
 def show_image(ax: Axes, image: UInt8[np.ndarray, "nx ny 3"], extent: Extent) -> None:
-    """Draws an image of cells, the first axis along x."""
+    """Draw an image of cells, the first axis along x."""
     ax.imshow(
         image.swapaxes(0, 1),
         origin="lower",
@@ -117,14 +117,14 @@ def show_image(ax: Axes, image: UInt8[np.ndarray, "nx ny 3"], extent: Extent) ->
 def place_states(
     data: xr.Dataset, states: Float[np.ndarray, "n section"], axes: tuple[str, ...]
 ) -> Float[np.ndarray, "n axes"]:
-    """Returns the places of states on a picture with these axes."""
+    """Return the places of states on a picture with these axes."""
     section = data.attrs["section"]
     offsets = states - np.asarray(data.attrs.get("origin", 0.0))
     return np.stack([along_axis(offsets, section, axis) for axis in axes], axis=-1)
 
 
 def cycle_of(data: xr.Dataset, number: int) -> Float[np.ndarray, "n section"]:
-    """Returns the states of an attractor."""
+    """Return the states of an attractor."""
     return data["states"].sel(number=number).dropna("phase").values
 
 
@@ -133,7 +133,7 @@ WRITTEN_COORDINATES = 3
 
 
 def attractor_name(period: int, section: list[str], cycle: Float[np.ndarray, "n section"]) -> str:
-    """Names an attractor in the legend: its period, and up to two of its states."""
+    """Name an attractor in the legend: its period, and up to two of its states."""
     names = [SYMBOLS.get(name, name) for name in section]
     states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.tolist()]
     shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
@@ -149,18 +149,18 @@ def attractor_name(period: int, section: list[str], cycle: Float[np.ndarray, "n 
 def attractor_mark(
     ax: Axes, dots: Float[np.ndarray, "n 2"], marker: str, label: str = ""
 ) -> Line2D:
-    """Draws the states of an attractor."""
+    """Draw the states of an attractor."""
     style = {"color": INK, "mec": "white", "mew": 1.2, "ms": 7.5, "zorder": 5}
     return ax.plot(*dots.T, marker, ls="", label=label, **style)[0]
 
 
 def patch_of(region: Region, label: str = "") -> Patch:
-    """Returns the sign of a region in a legend."""
+    """Return the sign of a region in a legend."""
     return Patch(fc=region.colour, ec=INK, lw=0.5, label=label or region.words)
 
 
 def counted_patch(region: Region, share: int) -> Patch:
-    """Returns the sign of a region with its number of cells, one in `share` of which is given."""
+    """Return the sign of a region with its number of cells, one in `share` of which is given."""
     count = region.of.count * share
     about = "about " * (share > 1)
     return patch_of(region, f"{region.words} ({about}{count:,} cell{'s' * (count > 1)})")

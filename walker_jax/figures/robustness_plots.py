@@ -59,7 +59,7 @@ def disturbance(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the basin near its gait, and the nearest start from which the walker does not return.
+    """Draw the basin near its gait, and the nearest start from which the walker does not return.
 
     The walker returns from all starts inside the solid curve. If the nearest start converges to
     another attractor, the nearest one that falls is marked too: none inside the dashed curve falls.
@@ -120,7 +120,7 @@ def disturbance(
 
 
 def distance_phrase(starts: list[NearestStart]) -> str:
-    """Returns the distances of the nearest starts from the gait, in words."""
+    """Return the distances of the nearest starts from the gait, in words."""
     nearest, *fall = starts
     if fall:
         farther = f"{fall[0].distance:.4g} to a failure"
@@ -131,7 +131,7 @@ def distance_phrase(starts: list[NearestStart]) -> str:
 
 
 def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
-    """Returns the legend of the nearest start that does not return."""
+    """Return the legend of the nearest start that does not return."""
     if start.outcome == Outcome.STRIDE:
         return "nearest start that converges to another attractor"
     fails = failure_words(start.outcome, failures_of(data))
@@ -140,7 +140,7 @@ def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
 
 
 def robustness(data: xr.Dataset) -> Figure:
-    """Draws the basin of a gait, and beside it its least disturbance if it is in the same plane.
+    """Draw the basin of a gait, and beside it its least disturbance if it is in the same plane.
 
     The pictures are `basin` and `disturbance`.
 
@@ -169,7 +169,7 @@ def robustness_measures(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws area of the basin, least disturbance and largest multiplier against a parameter.
+    """Draw area of the basin, least disturbance and largest multiplier against a parameter.
 
     Figure 8 of Schwab and Wisse (2001), with the least disturbance added. Area and disturbance are
     shares of their largest values; the multiplier is drawn as it is. The picture shows that one may
@@ -216,7 +216,7 @@ def boundary_dimension(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the dimension of the boundary of the basin against a parameter, with its interval.
+    """Draw the dimension of the boundary of the basin against a parameter, with its interval.
 
     It is 1 where the boundary is smooth, and larger where it is fractal.
 
@@ -242,7 +242,7 @@ def boundary_dimension(
 
 
 def robustness_table(data: xr.Dataset) -> Figure:
-    """Draws area, least disturbance, largest multiplier and boundary dimension, a panel each.
+    """Draw area, least disturbance, largest multiplier and boundary dimension, a panel each.
 
     The last is the picture `boundary_dimension`. The band around the area is twice its standard
     error. Where the nearest start that does not return converges to another attractor, the nearest
@@ -300,14 +300,14 @@ def robustness_table(data: xr.Dataset) -> Figure:
 
 
 def draw_measure(ax: Axes, data: xr.Dataset, name: str, scale: float = 1) -> list[Line2D]:
-    """Draws a measure against the parameter, divided by a scale."""
+    """Draw a measure against the parameter, divided by a scale."""
     colour, style, words = MEASURES[name]
     values, _ = table_axis(data)
     return ax.plot(values, data[name].values / scale, style, color=colour, label=words)
 
 
 def draw_band(ax: Axes, data: xr.Dataset, scale: float = 1) -> None:
-    """Draws a band of twice the standard error around the area."""
+    """Draw a band of twice the standard error around the area."""
     values, _ = table_axis(data)
     middle, band = data["total_area"].values / scale, 2 * data["total_area_error"].values / scale
     colour, *_ = MEASURES["total_area"]
@@ -315,7 +315,7 @@ def draw_band(ax: Axes, data: xr.Dataset, scale: float = 1) -> None:
 
 
 def draw_falls(ax: Axes, data: xr.Dataset, scale: float = 1) -> list[Line2D]:
-    """Draws the least disturbance that causes a fall, where a smaller one leads elsewhere."""
+    """Draw the least disturbance that causes a fall, where a smaller one leads elsewhere."""
     values, _ = table_axis(data)
     farther = data["least_fall"].values > data["least_disturbance"].values
     if not farther.any():
@@ -327,12 +327,12 @@ def draw_falls(ax: Axes, data: xr.Dataset, scale: float = 1) -> list[Line2D]:
 
 
 def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
-    """Returns the values of a table's parameter, and its name, after a check of the data set."""
+    """Return the values of a table's parameter, and its name, after a check of the data set."""
     check_dataset(data, "robustness table")
     parameter = str(data["total_area"].dims[0])
     return data[parameter].values, parameter
 
 
 def largest_of(values: xr.DataArray) -> float:
-    """Returns the largest value; 0 where all are 0 or NaN."""
+    """Return the largest value; 0 where all are 0 or NaN."""
     return float(np.nanmax([0.0, *values.values]))

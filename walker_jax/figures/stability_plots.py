@@ -23,7 +23,7 @@ def stability_and_area(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the gait's largest multiplier and the area of the basin against the slope.
+    """Draw the gait's largest multiplier and the area of the basin against the slope.
 
     Figure 8 of Schwab and Wisse (2001).
 

@@ -37,7 +37,7 @@ FAILURES = {outcome: (*signs, WORDS[outcome.name]) for outcome, signs in SIGNS.i
 
 
 def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
-    """Says how a walk fails; `failures` are the system's own failures."""
+    """Say how a walk fails; `failures` are the system's own failures."""
     return outcome_in_words(name_of_outcome(outcome, failures))
 
 
@@ -71,18 +71,18 @@ TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
 
 
 def points_of(size: str) -> float:
-    """Returns a size of text in points, by one of these names or a name in `rcParams`."""
+    """Return a size of text in points, by one of these names or a name in `rcParams`."""
     chosen: Any = rcParams  # typed as Any, as its own types name each key
     return FontProperties(size=chosen.get(size, size)).get_size_in_points()
 
 
 def period_style(period: int) -> tuple[str, str]:
-    """Returns colour and sign of gaits of a period."""
+    """Return colour and sign of gaits of a period."""
     return PERIODS[period - 1] if period <= len(PERIODS) else LONGER
 
 
 def gait_marker(period: int, stable: bool) -> dict[str, Any]:
-    """Returns the style of a gait's multiplier: filled if the gait is stable, open otherwise."""
+    """Return the style of a gait's multiplier: filled if the gait is stable, open otherwise."""
     colour, marker = period_style(period)
     face = colour if stable else "white"
     return {"color": colour, "marker": marker, "mfc": face, "mew": 1.2, "ms": 7, "ls": ""}

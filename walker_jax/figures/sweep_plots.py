@@ -25,7 +25,7 @@ def sweep(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the area or volume of the basin over one or two parameters; over one, with its error.
+    """Draw the area or volume of the basin over one or two parameters; over one, with its error.
 
     **Arguments:**
 

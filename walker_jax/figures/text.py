@@ -41,12 +41,12 @@ FEW_PARAMETERS = 5
 
 
 def axis_label(name: str) -> str:
-    """Returns the label of an axis for a coordinate or a parameter."""
+    """Return the label of an axis for a coordinate or a parameter."""
     return AXIS_LABELS.get(name, name.replace("_", " "))
 
 
 def walker_title(data: xr.Dataset, width: int = 60) -> str:
-    """Returns the walker and its parameters, in lines of some width."""
+    """Return the walker and its parameters, in lines of some width."""
     name = str(data.attrs.get("walker", "Walker"))
     parameters = {
         str(key).removeprefix("walker_"): value
@@ -60,7 +60,7 @@ def walker_title(data: xr.Dataset, width: int = 60) -> str:
 
 
 def parameter_values(parameters: Mapping[str, float]) -> list[str]:
-    """Returns parameters with their values."""
+    """Return parameters with their values."""
     return [
         f"{name.replace('_', ' ')} {value:g}" + " rad" * (name == "slope")
         for name, value in parameters.items()
@@ -68,13 +68,13 @@ def parameter_values(parameters: Mapping[str, float]) -> list[str]:
 
 
 def join_phrases(phrases: Sequence[str], width: int) -> str:
-    """Joins phrases with commas, in lines of some width that break between phrases."""
+    """Join phrases with commas, in lines of some width that break between phrases."""
     whole = [words.replace(" ", "\u00a0") for words in phrases]
     return textwrap.fill(", ".join(whole), width).replace("\u00a0", " ")
 
 
 def basin_note(data: xr.Dataset) -> str:
-    """Returns the method, the number of cells, and the area of all basins together."""
+    """Return the method, the number of cells, and the area of all basins together."""
     method = data.attrs.get("method", "")
     shape = data.attrs.get("shape", data["fate"].shape)
     note = f"{METHOD_NAMES.get(method, method)} on {' × '.join(map(str, shape))} cells"
@@ -85,7 +85,7 @@ def basin_note(data: xr.Dataset) -> str:
 
 
 def volume_note(data: xr.Dataset) -> str:
-    """Returns the method, the number of cells, and the volume of a basin with its error."""
+    """Return the method, the number of cells, and the volume of a basin with its error."""
     shape = " × ".join(str(data.sizes[name]) for name in data["axis"].values.tolist())
     size, error = float(data["total_area"]), float(data["total_area_error"])
     note = f"{METHOD_NAMES['direct, refined'].rstrip(',')}, on {shape} cells"
@@ -94,7 +94,7 @@ def volume_note(data: xr.Dataset) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """Formats a number to the digits that its standard error leaves, with that error."""
+    """Format a number to the digits that its standard error leaves, with that error."""
     if not error > 0:
         return f"{value:.4g}"
     digits = max(0, 1 - math.floor(math.log10(error)))
@@ -102,18 +102,18 @@ def with_error(value: float, error: float) -> str:
 
 
 def slice_phrase(fixed: Mapping[str, float]) -> str:
-    """Says where the plane of a picture is, by the coordinates that it holds fixed."""
+    """Say where the plane of a picture is, by the coordinates that it holds fixed."""
     values = [coordinate_value(name, value) for name, value in fixed.items()]
     return join_phrases([f"in the slice at {values[0]}", *values[1:]], 60)
 
 
 def coordinate_value(name: str, value: float) -> str:
-    """Formats a coordinate with its value."""
+    """Format a coordinate with its value."""
     return f"{SYMBOLS.get(name, name)} = {value:.4g}".replace("-", "−")
 
 
 def area_phrase(data: xr.Dataset, area: float) -> str:
-    """Formats an area of a data set, with its unit on a walker's section."""
+    """Format an area of a data set, with its unit on a walker's section."""
     if not has_known_units(data):
         return f"basin area {area:.4g}"
     mantissa, exponent = f"{area:.2e}".split("e")
@@ -121,13 +121,13 @@ def area_phrase(data: xr.Dataset, area: float) -> str:
 
 
 def count_noun(count: int, noun: str) -> str:
-    """Formats a count and its noun, in the plural where needed."""
+    """Format a count and its noun, in the plural where needed."""
     ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
     return f"{count} {noun}{ending}"
 
 
 def short_number(value: complex) -> str:
-    """Formats a number with few digits."""
+    """Format a number with few digits."""
     real, imaginary = (
         f"{part:.2e}" if part >= 1e6 else f"{part:,.0f}" if part >= 100 else f"{part:.1f}"
         for part in (abs(value.real), abs(value.imag))

@@ -45,7 +45,7 @@ def viability(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the viability kernel over a grid and the failures around it; of three axes, a slice.
+    """Draw the viability kernel over a grid and the failures around it; of three axes, a slice.
 
     Viable cells are shaded by the share of actions that keep them viable. Other cells have the
     colour of the failure that no choice of actions prevents. Lines are the target's boundary and
@@ -97,7 +97,7 @@ def viability(
 
 
 def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, str]:
-    """Returns the plane of a data set that is drawn, and its place among three axes."""
+    """Return the plane of a data set that is drawn, and its place among three axes."""
     shown = data[name]
     if shown.ndim not in (2, 3) or min(shown.shape[:2]) < 2:
         raise WrongUse(
@@ -116,7 +116,7 @@ def draw_boundary(
     cells: Bool[np.ndarray, "nx ny"],
     extent: Extent,
 ) -> Line2D | None:
-    """Draws the line around a set of cells; returns its sign in the legend, None without cells."""
+    """Draw the line around a set of cells; return its sign in the legend, None without cells."""
     words, colour, width, kind = line
     if not cells.any():
         return None
@@ -138,7 +138,7 @@ def draw_boundary(
 
 
 def viability_note(data: xr.Dataset) -> str:
-    """Returns the actions and the areas, in words."""
+    """Return the actions and the areas, in words."""
     area, target = data.attrs["area"], data.attrs["target_area"]
     words = f"{actions_in_words(data)}: viable {area:.4g}"
     if "inner_area" in data.attrs:
@@ -149,7 +149,7 @@ def viability_note(data: xr.Dataset) -> str:
 
 
 def actions_in_words(data: xr.Dataset) -> str:
-    """Returns the number of actions, and their ranges, in words."""
+    """Return the number of actions, and their ranges, in words."""
     ranges = [
         f"{name.replace('_', ' ')} from {data[name].min():g} to {data[name].max():g}"
         for name in names_in(data, "actions")

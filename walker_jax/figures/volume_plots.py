@@ -49,7 +49,7 @@ MARGIN = 0.05
 
 
 def volume(data: xr.Dataset) -> Figure:
-    """Draws the basin of attraction in three dimensions: slices, and its surface.
+    """Draw the basin of attraction in three dimensions: slices, and its surface.
 
     Three slices, each along two axes of the grid, go through the first state of the attractor with
     the largest basin. The fourth picture shows the surface of all basins in parallel projection,
@@ -108,7 +108,7 @@ def volume(data: xr.Dataset) -> Figure:
 def walking_places(
     data: xr.Dataset, large: list[int]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Returns the centres of cells that converge, and their colours, by place in `large`."""
+    """Return the centres of cells that converge, and their colours, by place in `large`."""
     names = data["axis"].values.tolist()
     shape = tuple(data.sizes[name] for name in names)
     first, attractor = data["first_cell"].values, data["run_attractor"].values
@@ -124,7 +124,7 @@ def walking_places(
 
 
 def window_of(data: xr.Dataset, places: Float[np.ndarray, "n 3"]) -> list[tuple[float, float]]:
-    """Returns the range of each axis with basins, without their tails, slightly widened; or all."""
+    """Return the range of each axis with basins, without their tails, slightly widened; or all."""
     first, last = data["lower"].values, data["upper"].values
     if len(places) == 0:
         return list(zip(first.tolist(), last.tolist(), strict=True))
@@ -141,7 +141,7 @@ def draw_surface(
     places: Float[np.ndarray, "n 3"],
     colours: Int[np.ndarray, " n"],
 ) -> None:
-    """Draws the surface of cells in parallel projection, and the edges of the window around it."""
+    """Draw the surface of cells in parallel projection, and the edges of the window around it."""
     low, high = np.array(window).T
     view = rotation(AZIMUTH, ELEVATION)
     project = lambda at: (2 * (at - low) / (high - low) - 1) @ view.T
@@ -175,7 +175,7 @@ def draw_surface(
 
 
 def rotation(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
-    """Returns the directions to the right, up, and towards the viewer, in space, as rows."""
+    """Return the directions to the right, up, and towards the viewer, in space, as rows."""
     a, e = np.radians([azimuth, elevation])
     right = np.array([-np.sin(a), np.cos(a), 0.0])
     viewer = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
@@ -185,7 +185,7 @@ def rotation(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
 def shade(
     depth: Float[np.ndarray, "rows columns"], colour: Int[np.ndarray, "rows columns"]
 ) -> Float[np.ndarray, "rows columns 4"]:
-    """Computes the light that a surface reflects (Lambert), in its colours; clear outside it."""
+    """Compute the light that a surface reflects (Lambert), in its colours; clear outside it."""
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     there = np.isfinite(depth)
@@ -208,7 +208,7 @@ def shade(
 
 
 def draw_box(ax: Axes, project, low: np.ndarray, high: np.ndarray, *, behind: bool) -> None:
-    """Draws the edges of a box that are behind its content, or those in front of it."""
+    """Draw the edges of a box that are behind its content, or those in front of it."""
     corners = np.array(list(product(*zip(low, high, strict=True))))
     at = project(corners)
     hidden = int(at[:, 2].argmin())
@@ -222,7 +222,7 @@ def draw_box(ax: Axes, project, low: np.ndarray, high: np.ndarray, *, behind: bo
 def name_edges(
     ax: Axes, names: tuple[str, ...], project, low: np.ndarray, high: np.ndarray
 ) -> None:
-    """Names three edges of a box at its outline, and the values at their ends."""
+    """Name three edges of a box at its outline, and the values at their ends."""
     for k, name in enumerate(names):
         edges = []
         for ends in product((0, 1), repeat=2):

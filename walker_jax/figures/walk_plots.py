@@ -38,7 +38,7 @@ def leg_angles(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Draws the angles of both legs from the normal of the slope, over time.
+    """Draw the angles of both legs from the normal of the slope, over time.
 
     Figure 6 of Schwab and Wisse (2001). Thin lines are heel strikes, at which the legs exchange
     roles.
@@ -88,7 +88,7 @@ def leg_angles(
 
 
 def course(data: xr.Dataset) -> str:
-    """Says how many strides a walk has, and how it fails, if it does."""
+    """Say how many strides a walk has, and how it fails, if it does."""
     outcomes = data["outcome"].values
     last = Outcome(int(outcomes[-1]))
     strides = count_noun(len(outcomes) - (last != Outcome.STRIDE), "stride")
@@ -98,7 +98,7 @@ def course(data: xr.Dataset) -> str:
 
 
 def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
-    """Draws a walk's trajectory in a basin: the starts of its strides, joined in order.
+    """Draw a walk's trajectory in a basin: the starts of its strides, joined in order.
 
     Figure 5 of Schwab and Wisse (2001), with an enlargement around the last half of the starts.
 
@@ -140,18 +140,18 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
 
 
 def axes_of(data: xr.Dataset) -> tuple[str, str]:
-    """Returns the axes of a basin over two dimensions."""
+    """Return the axes of a basin over two dimensions."""
     x, y = map(str, data["fate"].dims)
     return x, y
 
 
 def trajectory_in(data: xr.Dataset, walk: xr.Dataset) -> Float[np.ndarray, "n 2"]:
-    """Returns the starts of the strides of a walk, along the axes of a basin."""
+    """Return the starts of the strides of a walk, along the axes of a basin."""
     return place_states(data, walk["states"].values, axes_of(data))
 
 
 def write_number(ax: Axes, number: int, place: tuple[float, float]) -> None:
-    """Writes a number beside a dot."""
+    """Write a number beside a dot."""
     frame = {"boxstyle": "circle,pad=0.15", "fc": "white", "ec": INK, "lw": 0.5}
     style = {"textcoords": "offset points", "fontsize": SMALL, "bbox": frame, "zorder": 7}
     ax.annotate(f"{number}", place, (8, 7), **style)

@@ -29,7 +29,7 @@ def is_negative(condition: Condition, state: Any) -> Bool[Array, ""]:
 def value_and_rate(
     value: Function, rates: Callable[[Any], Any], state: Any
 ) -> tuple[Scalar, Scalar]:
-    """Returns the value of a function and its rate along a motion; constants to derivatives."""
+    """Return the value of a function and its rate along a motion; constants to derivatives."""
     both = with_fast_sincos(lambda state: jax.jvp(value, (state,), (rates(state),)))
     return lax.stop_gradient(both(lax.stop_gradient(state)))
 
@@ -44,7 +44,7 @@ def least_between(
     resolution: float = FINE,
     above: float = -np.inf,
 ) -> tuple[Scalar, Scalar]:
-    """Finds the time at which a value is least between two states of a motion, and that value.
+    """Find the time at which a value is least between two states of a motion, and that value.
 
     The states are `time` apart. `at` returns the value with its rate. The least value is at a root
     of the rate, bracketed by secants (Illinois) to a part of `time`, or until the value is not

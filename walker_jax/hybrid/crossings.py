@@ -38,7 +38,7 @@ MOVED = 7
 
 @jax.jit
 def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
-    """Returns whether a function is below zero at first, or at zero and about to fall."""
+    """Return whether a function is below zero at first, or at zero and about to fall."""
     value, rate, curvature = series[:3]
     falls = (rate < 0) | ((rate == 0) & (curvature < 0))
     return (value < 0) | ((value == 0) & falls)
@@ -52,7 +52,7 @@ def may_rise(
     below: Bool[Array, ""],
     ends_below: Bool[Array, ""],
 ) -> Bool[Array, ""]:
-    """Returns whether a function may rise through zero in a step, given its side at both ends.
+    """Return whether a function may rise through zero in a step, given its side at both ends.
 
     It cannot if it is monotone and keeps its side; nor if it has no zero, or only the one at which
     the step begins; nor if one of `admits` is negative throughout. All are given by their first
@@ -67,7 +67,7 @@ def may_rise(
 
 
 def comes_near_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Returns whether a function may have a zero in a step, other than one change of its side."""
+    """Return whether a function may have a zero in a step, other than one change of its side."""
     (middle, change), rest = about_middle(series, length)
     return (jnp.abs(middle) <= jnp.abs(change) / 2 + rest.value) & (jnp.abs(change) <= rest.rate)
 
@@ -81,7 +81,7 @@ class Rest(NamedTuple):
 
 
 def about_middle(series: list[Scalar], length: Scalar) -> tuple[tuple[Scalar, Scalar], Rest]:
-    """Expands a function about the middle of a step: value, linear change, and bounds of the rest.
+    """Expand a function about the middle of a step: value, linear change, and bounds of the rest.
 
     The change is over the step, at the rate in the middle. About the middle a term of order k is
     2^k times smaller at the ends than about the start, so the bounds are close. The last two terms
@@ -103,7 +103,7 @@ def about_middle(series: list[Scalar], length: Scalar) -> tuple[tuple[Scalar, Sc
 
 
 def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Returns whether a polynomial that begins at zero, to rounding, certainly moves away from it.
+    """Return whether a polynomial that begins at zero, to rounding, certainly moves away from it.
 
     It moves in the direction of its first term that does not vanish, provided that c_2 has the same
     direction and outweighs the terms after it.
@@ -117,18 +117,18 @@ def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
 
 
 def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
-    """Returns the sum over k >= 2 of |c_k| length^k, a bound on the nonlinear part."""
+    """Return the sum over k >= 2 of |c_k| length^k, a bound on the nonlinear part."""
     return evaluate_polynomial(sizes(series)[2:], length) * length**2
 
 
 def is_monotone(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Returns whether the rate of a function certainly keeps its sign in a step."""
+    """Return whether the rate of a function certainly keeps its sign in a step."""
     rates = [k * size for k, size in enumerate(sizes(series))]
     return rates[1] > evaluate_polynomial(rates[2:], length) * length
 
 
 def sizes(series: list[Scalar]) -> list[Scalar]:
-    """Returns the absolute values of coefficients, twice those of the last two nonlinear ones."""
+    """Return the absolute values of coefficients, twice those of the last two nonlinear ones."""
     last = max(2, len(series) - 2)
     return [jnp.abs(c) * (1 if k < last else 2) for k, c in enumerate(series)]
 
@@ -150,7 +150,7 @@ class Crossing(NamedTuple):
 
 @jax.jit
 def first_rise(crossings: list[Crossing], length: Scalar) -> tuple[Int[Array, ""], Scalar]:
-    """Finds the first admitted rise of several polynomials in a step: its number, and its time.
+    """Find the first admitted rise of several polynomials in a step: its number, and its time.
 
     The number is -1, and the time infinite, if there is none. One search serves all, one after the
     other. Results are constant to derivatives.
@@ -176,7 +176,7 @@ def first_rise(crossings: list[Crossing], length: Scalar) -> tuple[Int[Array, ""
 
 
 def rise_of(crossing: Crossing, length: Scalar) -> Instant:
-    """Finds the first admitted rise of one polynomial.
+    """Find the first admitted rise of one polynomial.
 
     If it is monotone, its sides decide. Otherwise it is expanded about points that move to the
     right, each by a length that certainly holds no zero; at a zero, where that length nearly

@@ -87,7 +87,7 @@ class Unfinished(NamedTuple):
 def follow_mode(
     mode: Mode, start: Any, going: Bool[Array, ""], method: Method, *, measured: bool = False
 ) -> End:
-    """Follows a mode from a state to its end; does nothing unless `going`.
+    """Follow a mode from a state to its end; do nothing unless `going`.
 
     Derivatives of the arrival are exact to third order. If `measured`, every step is searched, and
     its misses are recorded.
@@ -128,7 +128,7 @@ def follow_mode(
 
 
 def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
-    """Returns a step of no length at the start of a mode."""
+    """Return a step of no length at the start of a mode."""
     zero = zero_at(start)
     sides = [zero for _ in mode.guards]
     rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched(mode)]
@@ -142,7 +142,7 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
 
 
 def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Step:
-    """Makes the next step, and says whether it certainly ends nothing."""
+    """Make the next step, and say whether it certainly ends nothing."""
     begins, sides = step.end, step.ends
     series, end, length, memory = method.step(begins, step.memory)
     may, ends = ~jnp.isfinite(length), []
@@ -164,7 +164,7 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
 
 
 def measured_step(mode: Mode, method: Method, step: Step) -> Step:
-    """Makes the next step, all of which is searched and recorded."""
+    """Make the next step, all of which is searched and recorded."""
     series, end, length, memory = method.step(step.end, step.memory)
     ends = []
     for guard, side in zip(mode.guards, step.ends, strict=True):
@@ -176,7 +176,7 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
-    """Finds the first event in the last step, if there is one, and earlier violations."""
+    """Find the first event in the last step, if there is one, and earlier violations."""
     last = now.last
     series = last.series if method.carries_series(last.end) else method.series_of(last.start)
     crossings = []
@@ -212,12 +212,12 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
 
 
 def watched(mode: Mode) -> list[Condition]:
-    """Returns the conditions that may be violated between the ends of a mode."""
+    """Return the conditions that may be violated between the ends of a mode."""
     return [one for one in mode.conditions if not one.least_at_ends]
 
 
 def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, list[list]]]:
-    """Expands each guard's value and the functions that admit it; all of these if `whole`."""
+    """Expand each guard's value and the functions that admit it; all of these if `whole`."""
     functions = mode.functions(whole)
     flat = [function for guard in functions for function in guard]
     found = function_series(lambda y: [one(y) for one in flat], lax.stop_gradient(series))
@@ -229,14 +229,14 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
 
 
 def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
-    """Returns whether a guard is below zero as a step begins, by its side or first value."""
+    """Return whether a guard is below zero as a step begins, by its side or first value."""
     return jnp.where(side == 0, begins_below(value), side < 0)
 
 
 def rises_perhaps(
     guard: Guard, side: Scalar, polynomials: tuple, length: Scalar, end: Any
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Returns whether a guard may rise in a step, and whether it ends below zero."""
+    """Return whether a guard may rise in a step, and whether it ends below zero."""
     value, admits = polynomials
     at_end = lambda one: with_fast_sincos(one)(lax.stop_gradient(end))
     below = is_below(side, value)
@@ -252,7 +252,7 @@ def rises_perhaps(
 
 
 def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any) -> Scalar:
-    """Returns the value of the guard that ended a mode; of the first if none did."""
+    """Return the value of the guard that ended a mode; of the first if none did."""
     value = mode.guards[0].value(state)
     for i, guard in enumerate(mode.guards[1:], 1):
         value = jnp.where(number == i, guard.value(state), value)

@@ -75,7 +75,7 @@ def no_misses(mode: Mode, start: Any) -> Misses:
 
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
-    """Adds the misses of a step to those that are known. All values have their derivatives."""
+    """Add the misses of a step to those that are known. All values have their derivatives."""
     found = [turns_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
     nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
     least, before = {}, {}
@@ -107,12 +107,12 @@ class Turns(NamedTuple):
 def turns_in_step(
     guard: Guard, sides: tuple[Bool[Array, ""], Bool[Array, ""]], step: Seen
 ) -> Turns:
-    """Finds where a guard turns in a step, and where it rises without being admitted."""
+    """Find where a guard turns in a step, and where it rises without being admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
 
     def admitted(time: Scalar) -> Scalar:
-        """Returns the least of the functions that admit a rise."""
+        """Return the least of the functions that admit a rise."""
         least = jnp.full_like(time, jnp.inf)
         for one in admits:
             least = jnp.minimum(least, evaluate_polynomial(one, time))
@@ -167,13 +167,13 @@ class Place(NamedTuple):
 
 
 def first_place(series: list[Scalar], time: Scalar) -> Place:
-    """Returns the start of a step, where the coefficients are known; `time` gives the dtype."""
+    """Return the start of a step, where the coefficients are known; `time` gives the dtype."""
     value, rate, bend = lax.stop_gradient(series[:3])
     return Place(0 * time, value, rate, 2 * bend)
 
 
 def turn_of_rate(series: list[Scalar], start: Place, end: Place) -> Place:
-    """Returns the place where the rate of a polynomial turns in a step; its end if it does not."""
+    """Return the place where the rate of a polynomial turns in a step; its end if it does not."""
     sign = jnp.where(start.curvature < 0, 1, -1).astype(end.time.dtype)
     turns = sign * jnp.sign(end.curvature) > 0
     rising = polynomial_jet([sign * c for c in derivative_of(derivative_of(series))])
@@ -183,7 +183,7 @@ def turn_of_rate(series: list[Scalar], start: Place, end: Place) -> Place:
 
 
 def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -> Instant:
-    """Finds where a function is least in a step, or greatest with `sign` -1.
+    """Find where a function is least in a step, or greatest with `sign` -1.
 
     Its rate turns at `middle` alone. The time is constant to derivatives: the value does not depend
     on it to first order.
@@ -201,7 +201,7 @@ def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -
 
 
 def least_in_step(mode: Mode, condition: Condition, step: Seen) -> Scalar:
-    """Returns the least value of a condition where it turns in a step; infinite if it does not."""
+    """Return the least value of a condition where it turns in a step; infinite if it does not."""
     at = partial(value_and_rate, condition.value, mode.rates)
     between = lambda time: evaluate_series(step.series, time)
     ends = step.start, step.arrival

@@ -90,12 +90,12 @@ class Mode(NamedTuple):
         return self.field if self.rates_at is None else self.rates_at  # pyright: ignore
 
     def outcomes(self) -> list[int]:
-        """Returns all outcomes of its guards and conditions."""
+        """Return all outcomes of its guards and conditions."""
         conditions = (*self.conditions, *self.at_end)
         return [*(one.leads_to for one in self.guards), *(one.outcome for one in conditions)]
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
-        """Returns the value of each guard and the functions that admit it; all if `whole`."""
+        """Return the value of each guard and the functions that admit it; all if `whole`."""
         return [
             [one.value, *one.admits, *(one.admits_at_rise if whole else ())] for one in self.guards
         ]

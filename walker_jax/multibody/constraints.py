@@ -50,7 +50,7 @@ class ConstrainedSolution(NamedTuple):
 def rate_matrix(
     constraints: RateConstraints, q: Coordinates, qdot: Coordinates
 ) -> Float[Array, "a q"]:
-    """Returns A(q), column by column. Raises `WrongUse` where a is not an array of shape (a,)."""
+    """Return A(q), column by column. Raises `WrongUse` where a is not an array of shape (a,)."""
     if len(shape := jax.eval_shape(constraints, q, qdot).shape) != 1:
         raise WrongUse(f"constraints must return an array of shape (a,), not {shape}")
     directions = np.eye(len(q), dtype=q.dtype)
@@ -60,7 +60,7 @@ def rate_matrix(
 def convective_rates(
     constraints: RateConstraints, q: Coordinates, qdot: Coordinates
 ) -> Float[Array, " a"]:
-    """Returns A,q qdot qdot, the part of the time derivative of a without accelerations."""
+    """Return A,q qdot qdot, the part of the time derivative of a without accelerations."""
     return jax.jvp(lambda q: constraints(q, qdot), (q,), (qdot,))[1]
 
 
@@ -72,7 +72,7 @@ def solve_constrained(
     *,
     held: Sequence[int] = (),
 ) -> ConstrainedSolution:
-    """Solves for the accelerations and constraint forces of a system whose rates are constrained.
+    """Solve for the accelerations and constraint forces of a system whose rates are constrained.
 
     **Arguments:**
 

@@ -25,7 +25,7 @@ class Motion(NamedTuple):
 def solve_motion(
     system: System, q: Coordinates, qdot: Coordinates, *, held: Sequence[int] = ()
 ) -> Motion:
-    """Solves (4) for the accelerations, and for the forces that hold some coordinates.
+    """Solve (4) for the accelerations, and for the forces that hold some coordinates.
 
     [F,q^T M F,q] qddot = F,q^T [f - M F,qq qdot qdot] + Q, where held coordinates do not accelerate
     and Q are their constraint forces.
@@ -56,7 +56,7 @@ def solve_motion(
 
 
 def held_coordinates(held: Sequence[int], count: int) -> list[int]:
-    """Returns the indices of the held coordinates, counted from 0, sorted and each once."""
+    """Return the indices of the held coordinates, counted from 0, sorted and each once."""
     numbers = {operator.index(i) for i in held}
     if any(not -count <= i < count for i in numbers):
         raise WrongUse(f"held must be numbers of {count} coordinates, not {sorted(numbers)}")

@@ -35,7 +35,7 @@ def impact(
     restitution: Real = 0.0,
     constraints: RateConstraints | None = None,
 ) -> Impact:
-    """Computes velocities after an impact, and its impulses, from (17).
+    """Compute velocities after an impact, and its impulses, from (17).
 
     A contact closes where its contact function g(q), (11), becomes zero. All coordinates are free,
     and positions do not change. With rho the impulses of the contact on the system,
@@ -83,7 +83,7 @@ def impact(
 
 
 def push(system: System, q: Coordinates, qdot: Coordinates, impulse: Coordinates) -> Coordinates:
-    """Returns rates after an impulse dual to q, (15): [F,q^T M F,q] (qdot+ - qdot-) = impulse.
+    """Return rates after an impulse dual to q, (15): [F,q^T M F,q] (qdot+ - qdot-) = impulse.
 
     All coordinates are free. NaN where the mass matrix is singular or ill-conditioned
     (`WORST_PIVOT`).

@@ -49,7 +49,7 @@ class ConstrainedMotion(ConstrainedPower):
         """Indices of the coordinates whose rates are independent; all others follow from a = 0."""
 
     def allowed_rates(self, q: Coordinates) -> Float[Array, "q u"]:
-        """Returns T(q): column i has all rates at unit rate of the i-th independent coordinate.
+        """Return T(q): column i has all rates at unit rate of the i-th independent coordinate.
 
         NaN where the dependent rates are not determined.
         """

@@ -21,7 +21,7 @@ bound a result would have at most some five correct digits.
 
 
 def block(matrix: Float[Array, "n n"], places: Iterable[int]) -> list[list[Array]]:
-    """Returns the submatrix of rows and columns with the same indices."""
+    """Return the submatrix of rows and columns with the same indices."""
     places = list(places)
     return [[matrix[i, j] for j in places] for i in places]
 
@@ -38,7 +38,7 @@ class Factors(NamedTuple):
 
 
 def factorise(matrix: list[list[Array]]) -> Factors:
-    """Factorises a symmetric positive definite matrix, which needs no pivoting.
+    """Factorise a symmetric positive definite matrix, which needs no pivoting.
 
     NaN if a pivot is too small (`WORST_PIVOT`).
     """
@@ -56,7 +56,7 @@ def factorise(matrix: list[list[Array]]) -> Factors:
 
 
 def solve_factored(factors: Factors, right: list[Array]) -> list[Array]:
-    """Returns A^-1 b: for two unknowns, two divisions and seven products in all."""
+    """Return A^-1 b: for two unknowns, two divisions and seven products in all."""
     L, V, inverse = factors
     n, y = len(inverse), []
     for i in range(n):
@@ -68,13 +68,13 @@ def solve_factored(factors: Factors, right: list[Array]) -> list[Array]:
 
 
 def dot(a: list[Array], b: list[Array]):
-    """Returns the inner product of two lists, up to the length of the shorter one."""
+    """Return the inner product of two lists, up to the length of the shorter one."""
     terms = [x * y for x, y in zip(a, b, strict=False)]
     return sum(terms[1:], terms[0]) if terms else 0.0
 
 
 def check_pivots(name: str, matrix: Array, places: Iterable[int], what: str, q) -> None:
-    """Raises `WrongUse` for a matrix with too small a pivot, unless it is traced."""
+    """Raise `WrongUse` for a matrix with too small a pivot, unless it is traced."""
     if isinstance(matrix, Tracer) or not np.isfinite(matrix).all():
         return
     places = list(places)

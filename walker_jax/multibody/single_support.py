@@ -61,7 +61,7 @@ class SingleSupport(VirtualPower):
 
 
 def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
-    """Returns q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin.
+    """Return q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin.
 
     It also converts rates. For a phase, it returns q from the phase's coordinates.
     """
@@ -70,7 +70,7 @@ def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
 
 
 def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, " q"]]:
-    """Returns q and its rates."""
+    """Return q and its rates."""
     numbers = jax.tree.leaves(state)
     half = len(numbers) // 2
     return stance_coordinates(numbers[:half]), stance_coordinates(numbers[half:])
@@ -78,7 +78,7 @@ def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, 
 
 @jax.jit
 def accelerations_and_forces(walker: HasSystem, state: Any) -> tuple[list[Scalar], list[Scalar]]:
-    """Computes accelerations on the stance foot, and the forces that hold u and v, (4)."""
+    """Compute accelerations on the stance foot, and the forces that hold u and v, (4)."""
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)

@@ -26,7 +26,7 @@ Rotation = Callable[[Coordinates], Float[Array, "3 3"]]
 
 
 def rotation_about(axis: int, angle: Scalar) -> Float[Array, "3 3"]:
-    """Returns the rotation by an angle about axis 0, 1 or 2."""
+    """Return the rotation by an angle about axis 0, 1 or 2."""
     c, s, one, zero = jnp.cos(angle), jnp.sin(angle), jnp.ones_like(angle), jnp.zeros_like(angle)
     entries = {(axis, axis): one}
     after, last = (axis + 1) % 3, (axis + 2) % 3
@@ -37,14 +37,14 @@ def rotation_about(axis: int, angle: Scalar) -> Float[Array, "3 3"]:
 def body_coordinates(
     centre: Float[Array, " 3"], rotation: Float[Array, "3 3"]
 ) -> Float[Array, " 12"]:
-    """Returns x of a body: its centre of mass, and its axes one after the other."""
+    """Return x of a body: its centre of mass, and its axes one after the other."""
     return jnp.concatenate([centre, rotation.T.reshape(-1)])
 
 
 def body_masses(
     masses: Sequence[Scalar], inertias: Sequence[Float[Array, "3 3"]]
 ) -> Float[Array, "x x"]:
-    """Returns M of rigid bodies, from their masses and matrices of inertia."""
+    """Return M of rigid bodies, from their masses and matrices of inertia."""
     count = BODY * len(masses)
     zero = jnp.zeros_like(masses[0])
     entries = [[zero] * count for _ in range(count)]
@@ -62,7 +62,7 @@ def body_masses(
 
 
 def body_weights(masses: Sequence[Scalar], gravity: Float[Array, " 3"]) -> Float[Array, " x"]:
-    """Returns forces f of a uniform gravity on bodies."""
+    """Return forces f of a uniform gravity on bodies."""
     none = jnp.zeros(BODY - 3, gravity.dtype)
     return jnp.concatenate([part for mass in masses for part in (mass * gravity, none)])
 
@@ -70,7 +70,7 @@ def body_weights(masses: Sequence[Scalar], gravity: Float[Array, " 3"]) -> Float
 def material_velocity(
     centre: Place, rotation: Rotation, point: Place, q: Coordinates, qdot: Coordinates
 ) -> Float[Array, " 3"]:
-    """Computes the velocity of the material point of a body that is now at `point(q)`.
+    """Compute the velocity of the material point of a body that is now at `point(q)`.
 
     It is zero for the contact of a body that rolls without slipping.
     """
@@ -79,13 +79,13 @@ def material_velocity(
 
 
 def angular_velocity(rotation: Rotation, q: Coordinates, qdot: Coordinates) -> Float[Array, " 3"]:
-    """Computes omega, with Rdot = [omega x] R."""
+    """Compute omega, with Rdot = [omega x] R."""
     spin = velocity(rotation, q, qdot) @ rotation(q).T
     return jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
 
 
 def momentum(system: System, q: Coordinates, qdot: Coordinates) -> Float[Array, " 3"]:
-    """Computes the linear momentum of a system that consists of bodies in space."""
+    """Compute the linear momentum of a system that consists of bodies in space."""
     moved = times_masses(system, velocity(system.transfer, q, qdot))
     return moved.reshape(-1, BODY)[:, :3].sum(axis=0)
 
@@ -93,7 +93,7 @@ def momentum(system: System, q: Coordinates, qdot: Coordinates) -> Float[Array, 
 def angular_momentum(
     system: System, q: Coordinates, qdot: Coordinates, about: Float[Array, " 3"]
 ) -> Float[Array, " 3"]:
-    """Computes the angular momentum about a point of a system that consists of bodies in space."""
+    """Compute the angular momentum about a point of a system that consists of bodies in space."""
     places = system.transfer(q).reshape(-1, BODY // 3, 3).at[:, 0].add(-about)
     moved = times_masses(system, velocity(system.transfer, q, qdot)).reshape(places.shape)
     return jnp.cross(places, moved).sum(axis=(0, 1))

@@ -48,13 +48,13 @@ class System(eqx.Module):
 
 
 def mass_matrix(system: System, q: Coordinates) -> Float[Array, "q q"]:
-    """Computes the reduced mass matrix, F,q^T M F,q, (10)."""
+    """Compute the reduced mass matrix, F,q^T M F,q, (10)."""
     slopes = jacobian(system.transfer, q)
     return slopes.T @ times_masses(system, slopes)
 
 
 def times_masses(system: System, values: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Returns the product of M with a vector or a matrix."""
+    """Return the product of M with a vector or a matrix."""
     masses = system.masses.astype(values.dtype)
     if masses.ndim == 2:
         return masses @ values
@@ -62,14 +62,14 @@ def times_masses(system: System, values: Float[Array, "..."]) -> Float[Array, ".
 
 
 def reduced_force(system: System, q: Coordinates, qdot: Coordinates) -> Coordinates:
-    """Computes the reduced force, F,q^T (f - M F,qq qdot qdot) + Q, (10)."""
+    """Compute the reduced force, F,q^T (f - M F,qq qdot qdot) + Q, (10)."""
     return virtual_power(system, q, qdot, convective_acceleration(system.transfer, q, qdot))
 
 
 def virtual_power(
     system: System, q: Coordinates, qdot: Coordinates, acceleration: Float[Array, " x"]
 ) -> Coordinates:
-    """Computes F,q^T [f - M xddot] + Q, (2): zero for every coordinate that is free to move."""
+    """Compute F,q^T [f - M xddot] + Q, (2): zero for every coordinate that is free to move."""
     # Unrolling computes equal terms of F only once, and their products with the balance too.
     _, transposed = jax.vjp(unroll(system.transfer), q)
     (power,) = transposed(system.forces.astype(q.dtype) - times_masses(system, acceleration))
@@ -79,7 +79,7 @@ def virtual_power(
 
 
 def jacobian(function: Callable, q: Coordinates) -> Float[Array, "x q"]:
-    """Computes F,q, column by column."""
+    """Compute F,q, column by column."""
     along = lambda direction: velocity(function, q, direction)
     if isinstance(q, Tracer):  # F is traced once for all directions
         along = jax.jit(along, inline=True)
@@ -88,25 +88,25 @@ def jacobian(function: Callable, q: Coordinates) -> Float[Array, "x q"]:
 
 
 def velocity(function: Callable, q: Coordinates, qdot) -> Float[Array, "..."]:
-    """Computes xdot = F,q qdot, (3)."""
+    """Compute xdot = F,q qdot, (3)."""
     return jax.jvp(function, (q,), (jnp.asarray(qdot),))[1]
 
 
 def convective_acceleration(
     function: Callable, q: Coordinates, qdot: Coordinates
 ) -> Float[Array, " x"]:
-    """Computes F,qq qdot qdot, the part of the acceleration due to velocities alone, (3)."""
+    """Compute F,qq qdot qdot, the part of the acceleration due to velocities alone, (3)."""
     return jax.jvp(lambda q: velocity(function, q, qdot), (q,), (qdot,))[1]
 
 
 def kinetic_energy(system: System, q: Coordinates, qdot: Coordinates) -> Float[Array, ""]:
-    """Computes xdot^T M xdot / 2."""
+    """Compute xdot^T M xdot / 2."""
     xdot = velocity(system.transfer, q, qdot)
     return jnp.sum(xdot * times_masses(system, xdot)) / 2
 
 
 def potential_energy(system: System, q: Coordinates) -> Float[Array, ""]:
-    """Computes -f^T x, for the applied forces alone; zero at x = 0."""
+    """Compute -f^T x, for the applied forces alone; zero at x = 0."""
     return -jnp.sum(system.forces * system.transfer(q))
 
 

@@ -50,7 +50,7 @@ QUICK = Size(section=400, slopes=15, levels=None, strides=3000, shifts=2)
 
 
 def paper_grid(shift: Sequence[float] | Float[np.ndarray, " 2"] = (0, 0)) -> Grid:
-    """Returns the grid of Figure 4, 200 x 250 cells, shifted by parts of a cell."""
+    """Return the grid of Figure 4, 200 x 250 cells, shifted by parts of a cell."""
     left, up = np.multiply(CELL, shift)
     return Grid.sheared(theta=(-left, 0.4 - left, 200), sum=(-0.04 + up, 0.01 + up, 250))
 

@@ -44,7 +44,7 @@ class Number(NamedTuple):
 
 
 def compare_numbers(data: dict[str, xr.Dataset]) -> list[Number]:
-    """Compares every number of the paper's text and table with ours."""
+    """Compare every number of the paper's text and table with ours."""
     walker = SimplestWalker(EXAMPLE_SLOPE)
     gait = find_gait(walker)
     theta, thetadot = map(float, gait.states[0])
@@ -75,7 +75,7 @@ def compare_numbers(data: dict[str, xr.Dataset]) -> list[Number]:
 
 
 def numbers_of_section_3() -> list[Number]:
-    """Compares the impact, for a walker whose feet have almost no mass, by the general method."""
+    """Compare the impact, for a walker whose feet have almost no mass, by the general method."""
     theta, rate = -0.25, -0.3
     walker = PointFootWalker(EXAMPLE_SLOPE, 1e-9)
     strike = State(*map(jnp.asarray, (theta, 2 * theta, rate, 0.1)))
@@ -104,13 +104,13 @@ def numbers_of_section_3() -> list[Number]:
 
 
 def numbers_of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Number]:
-    """Compares the step-to-step behaviour."""
+    """Compare the step-to-step behaviour."""
     at = lambda *values: State(*map(jnp.asarray, values))
     force: Any = lambda rate: float(walker.contact_force(at(EXAMPLE_SLOPE, 0.0, rate, 0.0))[1])
     fastest: Any = brentq(force, -2.0, -0.1)
 
     def rate_after_strike(angle: float) -> float:
-        """Returns the rate of the stance leg after heel strike at an angle."""
+        """Return the rate of the stance leg after heel strike at an angle."""
         _, after = walker.impact(at(angle, 2 * angle, -1.0, 0.0))
         return float(walker.exchange_legs(after).thetadot)
 
@@ -146,7 +146,7 @@ def numbers_of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) ->
 
 
 def numbers_of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Number]:
-    """Compares the results."""
+    """Compare the results."""
     fate = Outcome(int(strides(walker, np.array([[0.2, -0.23]])).outcome[0])).name
     walks = data["line"]["attractor"].values >= 0
     crossings = int((np.diff(walks.astype(int), prepend=0) > 0).sum())
@@ -204,7 +204,7 @@ def numbers_of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) ->
 
 
 def backward_edge(walker: SimplestWalker, theta: np.ndarray) -> np.ndarray:
-    """Finds the rate at which walkers begin to fall backward at once, at each angle."""
+    """Find the rate at which walkers begin to fall backward at once, at each angle."""
     slow, fast = np.full(len(theta), -1e-6), -2 * theta
     for _ in range(50):
         middle = (slow + fast) / 2
@@ -217,7 +217,7 @@ def backward_edge(walker: SimplestWalker, theta: np.ndarray) -> np.ndarray:
 def compare_printed(
     where: str, what: str, printed: str, ours: float, digits: int | None = None, why: str = ""
 ) -> Number:
-    """Compares a number, printed to some digits, with ours, which is written with three more."""
+    """Compare a number, printed to some digits, with ours, which is written with three more."""
     places = -int(Decimal(printed).as_tuple().exponent)
     agrees = bool(abs(ours - float(printed)) <= 0.5 * 10.0**-places * (1 + 1e-9))
     digits = places + 3 if digits is None else digits

@@ -37,7 +37,7 @@ th { color: var(--faint); font-weight: 600; }
 
 
 def page(title: str, subtitle: str, intro: str, blocks: Sequence[str], signature: str = "") -> str:
-    """Makes a page with a heading, an introduction, and blocks of `picture` and `table`.
+    """Make a page with a heading, an introduction, and blocks of `picture` and `table`.
 
     The page holds the signature, invisibly.
     """
@@ -59,7 +59,7 @@ def page(title: str, subtitle: str, intro: str, blocks: Sequence[str], signature
 
 
 def picture(title: str, png: bytes, caption: str) -> str:
-    """Makes a picture that is kept in the page itself."""
+    """Make a picture that is kept in the page itself."""
     data = base64.b64encode(png).decode()
     return (
         f"<h2>{escape(title)}</h2><figure>"
@@ -69,7 +69,7 @@ def picture(title: str, png: bytes, caption: str) -> str:
 
 
 def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Makes a table; a narrow page stacks its rows, and cells that say `differs` stand out."""
+    """Make a table; a narrow page stacks its rows, and cells that say `differs` stand out."""
 
     def cell(name: str, text: str) -> str:
         label = f' data-head="{escape(name)}"' * bool(name)

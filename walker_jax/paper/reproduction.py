@@ -24,7 +24,7 @@ from walker_jax.paper.pictures import FIGURES, PaperFigure
 def reproduce(
     out: Path, *, quick: bool = False, overwrite: bool = False, progress: bool = False
 ) -> list[Number]:
-    """Computes all of the paper's figures and numbers, and writes a report of them.
+    """Compute all of the paper's figures and numbers, and write a report of them.
 
     **Arguments:**
 
@@ -49,7 +49,7 @@ def reproduce(
     (out / "data").mkdir(parents=True, exist_ok=True)
 
     def compute(name: str) -> xr.Dataset:
-        """Computes a data set, unless an earlier run has left it."""
+        """Compute a data set, unless an earlier run has left it."""
         own = request | {"part": places[name].stem}
         found = storage.find(places[name], own)
         if found is None:
@@ -79,7 +79,7 @@ def reproduce(
 
 
 def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite: bool) -> None:
-    """Raises `WrongUse` where other files would be lost, or nothing can be written."""
+    """Raise `WrongUse` where other files would be lost, or nothing can be written."""
     storage.check_writable(out)
     if not out.exists():
         return
@@ -96,20 +96,20 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
 
 
 def files_of(out: Path) -> list[Path]:
-    """Returns the files of a report beside its data sets."""
+    """Return the files of a report beside its data sets."""
     figures = [path for one in FIGURES for path in picture_paths(out, one)]
     return [*figures, out / "numbers.json", out / "report.html"]
 
 
 def picture_paths(out: Path, figure: PaperFigure) -> tuple[Path, Path]:
-    """Returns the paths of a figure, as PNG and as SVG."""
+    """Return the paths of a figure, as PNG and as SVG."""
     return out / f"figure-{figure.number}.png", out / f"figure-{figure.number}.svg"
 
 
 def render_report(
     numbers: list[Number], images: list[bytes], signature: str, *, quick: bool
 ) -> str:
-    """Returns the page of the report."""
+    """Return the page of the report."""
     differ = [number for number in numbers if not number.agrees]
     rows = lambda chosen: [
         (one.where, one.what, one.printed, one.ours, "✓" if one.agrees else "differs", one.why)

@@ -42,7 +42,7 @@ def prove_basin(
     strides: int = 60,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Proves which starts walk for ever, converging to a gait's trap, and which fall.
+    """Prove which starts walk for ever, converging to a gait's trap, and which fall.
 
     First an ellipse about the gait is proved to be a trap: strides lead all of it into itself. Then
     cells are carried from stride to stride, in arithmetic with rigorous bounds, until all of a cell

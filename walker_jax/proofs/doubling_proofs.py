@@ -59,7 +59,7 @@ def prove_doubling(
     period: int = 1,
     width: float = 2e-8,
 ) -> ProvedDoubling:
-    """Proves that a gait doubles its period, and between which values of a parameter.
+    """Prove that a gait doubles its period, and between which values of a parameter.
 
     The doubling is found by secants between `low` and `high`; at both, the gait must be the one
     that `find_gait` finds by itself, once with multipliers above -1 and once with one below.

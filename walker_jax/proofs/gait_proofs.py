@@ -39,7 +39,7 @@ class ProvedGait(NamedTuple):
 
 @refuses_tracers()
 def prove_gait(walker: System, guess: Any = None, period: int = 1) -> ProvedGait:
-    """Proves that a walker has a gait, where it is, and whether it is stable.
+    """Prove that a walker has a gait, where it is, and whether it is stable.
 
     `find_gait` finds the gait; then Krawczyk's operator on all states of the cycle proves, in
     arithmetic with rigorous bounds, that exactly one gait is near by. Each stride of it is a stride

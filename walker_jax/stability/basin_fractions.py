@@ -77,7 +77,7 @@ def continue_basins(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Follows attractors over a parameter, with the fraction of a region that each basin takes.
+    """Follow attractors over a parameter, with the fraction of a region that each basin takes.
 
     A gait keeps its number along its branch; a gait of twice the period that branches off has
     another number. A motion without a period keeps its number from one value to the next.
@@ -163,7 +163,7 @@ class Family:
     def attractors_at(
         self, value: float, starts: Float[np.ndarray, "n section"], strides: int
     ) -> Found:
-        """Finds the attractors at a value above all previous ones, and the labels of starts."""
+        """Find the attractors at a value above all previous ones, and the labels of starts."""
         there = with_parameter(self.walker, self.parameter, float(value))
         names, known = [], []
         for name, cycle in self.cycles_at(value):
@@ -191,7 +191,7 @@ class Family:
         return Found(names, shown, labels)
 
     def cycles_at(self, value: float) -> list[tuple[int, Float[np.ndarray, "_ section"]]]:
-        """Returns the gaits of all branches at a value, stable or not, with their numbers."""
+        """Return the gaits of all branches at a value, stable or not, with their numbers."""
         guesses = [
             (name, cycle)
             for name, branch in enumerate(self.branches)
@@ -207,7 +207,7 @@ class Family:
         ]
 
     def names_of(self, value: float, found: list[Attractor], taken: list[int]) -> list[int]:
-        """Returns the numbers of attractors that were not known beforehand at a value."""
+        """Return the numbers of attractors that were not known beforehand at a value."""
         names: list[int] = []
         for one in found:
             branch, name = None, self.without_period
@@ -237,7 +237,7 @@ def assemble(
     branches: list[Branch | None],
     samples: int,
 ) -> xr.Dataset:
-    """Makes the data set that `continue_basins` returns."""
+    """Make the data set that `continue_basins` returns."""
     count, size = len(branches), found[0].labels.states.shape[1]
     longest = max((len(one.states) for each in found for one in each.attractors), default=1)
     period = np.zeros(count, int)
@@ -285,7 +285,7 @@ def assemble(
 
 
 def summarise_fractions(data: xr.Dataset) -> dict:
-    """Returns the attractors of `continue_basins` and their bifurcations, for JSON."""
+    """Return the attractors of `continue_basins` and their bifurcations, for JSON."""
     fraction = data["fraction"].values
     attractors = [
         {

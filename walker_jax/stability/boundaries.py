@@ -48,7 +48,7 @@ def boundary(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Analyses the boundary between the fates in a region: entropy, Wada property and edge states.
+    """Analyse the boundary between the fates in a region: entropy, Wada property and edge states.
 
     Regions are the fates; all walkers that converge to an attractor are in one region. Cells that
     are not feasible starts are in none.
@@ -143,7 +143,7 @@ def boundary(
 
 
 def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
-    """Returns the place, in cells, of the first attractor's first state, or the middle."""
+    """Return the place, in cells, of the first attractor's first state, or the middle."""
     middle = (np.array(grid.shape) - 1) / 2
     if data.sizes["number"] == 0 or len(grid.names) < grid.coordinates:
         return middle
@@ -154,7 +154,7 @@ def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
 def touching_cells(
     label: Int[np.ndarray, "*cells"], pair: tuple[int, int], near: Float[np.ndarray, " axes"]
 ) -> Int[np.ndarray, "2 axes"] | None:
-    """Returns two neighbouring cells with these labels, the nearest to a place; or None."""
+    """Return two neighbouring cells with these labels, the nearest to a place; or None."""
     found = []
     for axis in range(label.ndim):
         swapped = np.moveaxis(label, axis, 0)
@@ -176,7 +176,7 @@ def edge_arrays(
     tolerance: float | None,
     progress: bool,
 ) -> dict[str, tuple]:
-    """Returns the variables over the pairs of regions that touch."""
+    """Return the variables over the pairs of regions that touch."""
     size = len(walker.section)
     saddles = [one.saddle for one in edges]
     multipliers = [np.zeros(0) if one is None else np.asarray(one.multipliers) for one in saddles]
@@ -214,7 +214,7 @@ def edge_arrays(
 def curves_of(
     walker: System, saddle: Gait | None, tolerance: float | None
 ) -> list[Float[np.ndarray, "n section"]]:
-    """Returns the two curves of a saddle's stable manifold; none where it is not drawn."""
+    """Return the two curves of a saddle's stable manifold; none where it is not drawn."""
     if saddle is None or len(walker.section) != 2 or len(saddle.states) > LONGEST_CURVED:
         return []
     try:
@@ -224,7 +224,7 @@ def curves_of(
 
 
 def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
-    """Joins arrays of several lengths into one, with NaN after the shorter ones."""
+    """Join arrays of several lengths into one, with NaN after the shorter ones."""
     values = np.full((len(rows), max(map(len, rows), default=0), size), np.nan)
     for one, row in zip(values, rows, strict=True):
         one[: len(row)] = row
@@ -232,7 +232,7 @@ def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
 
 
 def summarise_boundary(data: xr.Dataset) -> dict:
-    """Returns the results of `boundary` for JSON, with fates by name."""
+    """Return the results of `boundary` for JSON, with fates by name."""
     failures = failures_of(data)
     names = lambda codes: [name_of_outcome(int(code), failures) for code in codes.values]
     value, crowded = float(data["boundary_entropy"]), float(data["boundary_crowded"])

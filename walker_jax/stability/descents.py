@@ -45,7 +45,7 @@ def descend_to_failure(
     count: int = DENSE,
     roughly_fails: Fails | None = None,
 ) -> Float[np.ndarray, " size"]:
-    """Finds a short failing vector in the span of an orthonormal basis, by descents.
+    """Find a short failing vector in the span of an orthonormal basis, by descents.
 
     Arguments and errors are those of `rays.nearest_failure`.
     """
@@ -76,7 +76,7 @@ def turn(
     lengths: Float[np.ndarray, " n"],
     halvings: int = FINE,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Takes one step of each descent, to the shortest of some rays towards the normal."""
+    """Take one step of each descent, to the shortest of some rays towards the normal."""
     tried = turned_rays(gradient, basis, rays, lengths, TURNS)
     flat = tried.reshape(-1, rays.shape[1]) @ basis
     reached = shorten(fails, flat, np.repeat(lengths, len(TURNS)), halvings)
@@ -93,7 +93,7 @@ def shorten(
     lengths: Float[np.ndarray, " n"],
     halvings: int = FINE,
 ) -> Float[np.ndarray, " n"]:
-    """Finds the first failure on each ray up to its own length; infinite where there is none."""
+    """Find the first failure on each ray up to its own length; infinite where there is none."""
     gaps = lengths / NEARER
     places = np.arange(1, NEARER + 1) * gaps[:, None]
     points = places[:, :, None] * rays[:, None]

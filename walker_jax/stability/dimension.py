@@ -34,7 +34,7 @@ uncertain, and the distances are shorter than a cell of the default slice."""
 
 
 def comparisons(walker: System) -> dict[str, Any]:
-    """Returns the distances and pairs with which `robustness` compares starts of a walker."""
+    """Return the distances and pairs with which `robustness` compares starts of a walker."""
     if is_planar(walker):
         return {"distances": DISTANCES, "pairs": PAIRS}
     return {"distances": DISTANCES_IN_SPACE, "pairs": PAIRS_IN_SPACE}
@@ -53,7 +53,7 @@ def boundary_dimension(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> Uncertainty:
-    """Estimates the dimension of the basins' boundary in a region, by the uncertainty exponent.
+    """Estimate the dimension of the basins' boundary in a region, by the uncertainty exponent.
 
     A start is uncertain at a distance if a walker at that distance, on either side in a random
     direction, converges to another attractor, or to none. Starts are drawn from the cells with a

@@ -71,7 +71,7 @@ def least_disturbance(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastDisturbance:
-    """Finds the least disturbance after which a walker does not return to its gait, or falls.
+    """Find the least disturbance after which a walker does not return to its gait, or falls.
 
     The result is the nearest such point to the gait, on the section. From there the walker may
     converge to another attractor: then the `failure` is `STRIDE`, and the nearest point from which
@@ -165,7 +165,7 @@ def least_disturbance(
 
 
 def least_disturbance_if_any(walker: System, gait: Gait, **about: Any) -> LeastDisturbance:
-    """Finds `least_disturbance`; NaN, and a failure of -1, where all tried disturbances return."""
+    """Find `least_disturbance`; NaN, and a failure of -1, where all tried disturbances return."""
     try:
         return least_disturbance(walker, gait, **about)
     except ComputationFailed:

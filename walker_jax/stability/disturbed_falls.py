@@ -40,7 +40,7 @@ class DisturbedWalks(NamedTuple):
     """The fall that counts; None for any."""
 
     def rows(self, w: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n strides 3"]:
-        """Returns the step, slope and push of each stride."""
+        """Return the step, slope and push of each stride."""
         kinds = np.flatnonzero(self.deviations)
         count = w.shape[1] // len(kinds)
         rows = np.zeros((len(w), self.strides, 3))
@@ -48,13 +48,13 @@ class DisturbedWalks(NamedTuple):
         return rows
 
     def arrays(self) -> tuple[Walker, Integrator]:
-        """Returns the walker and the integrator, with numbers of one dtype."""
+        """Return the walker and the integrator, with numbers of one dtype."""
         dtype = self.start.dtype
         walker = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), self.mapper.walker)
         return walker, self.mapper.integrator.in_dtype(dtype)
 
     def follow(self, w: Float[np.ndarray, "n size"]) -> WalkEnd:
-        """Follows walks until they fall, or return to the gait after the disturbances."""
+        """Follow walks until they fall, or return to the gait after the disturbances."""
         (walker, integrator), rows = self.arrays(), self.rows(w)
         targets, _ = targets_of(self.mapper.attractors, len(self.mapper.walker.section))
         limit = np.int32(rows.shape[1] + self.mapper.strides)
@@ -62,17 +62,17 @@ class DisturbedWalks(NamedTuple):
         return map_cells(walk_disturbed_on, given, (False, False, True, False, False, False))
 
     def falls(self, end: WalkEnd) -> Bool[np.ndarray, " n"]:
-        """Marks the walks that end in a fall that counts."""
+        """Mark the walks that end in a fall that counts."""
         if self.outcome is not None:
             return end.outcome == self.outcome
         return ~np.isin(end.outcome, (Outcome.STRIDE, Outcome.UNDECIDED))
 
     def fails(self, w: Float[np.ndarray, "n size"]) -> Bool[np.ndarray, " n"]:
-        """Marks the sequences that topple the walker."""
+        """Mark the sequences that topple the walker."""
         return self.falls(self.follow(w))
 
     def gradient(self, w: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:
-        """Returns derivatives of the margins of the falls that end walks; NaN without a fall."""
+        """Return derivatives of the margins of the falls that end walks; NaN without a fall."""
         end, rows = self.follow(w), self.rows(w)
         fallen, (walker, integrator) = self.falls(end), self.arrays()
         rows = np.concatenate([rows, np.zeros((len(rows), 1, 3))], axis=1)
@@ -94,7 +94,7 @@ class DisturbedWalks(NamedTuple):
     def pull_back(
         self, rows: Float[np.ndarray, "n strides 3"], change: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n strides 3"]:
-        """Calls `pull_back` in batches of one size, so that one program is compiled."""
+        """Call `pull_back` in batches of one size, so that one program is compiled."""
         walker, integrator = self.arrays()
         slopes = np.empty_like(rows)
         for first in range(0, len(rows), PULLED_BACK):
@@ -112,7 +112,7 @@ def walk_disturbed_on(
     limit: Int[Array, ""],
     integrator: Integrator,
 ) -> WalkEnd:
-    """Follows disturbed strides and then even ones, until a failure, a target or the limit."""
+    """Follow disturbed strides and then even ones, until a failure, a target or the limit."""
 
     def unfinished(walk):
         return (walk.outcome == Outcome.STRIDE) & (walk.strides < limit) & (walk.target < 0)
@@ -141,7 +141,7 @@ def pull_back(
     change: Float[Array, "n section"],
     integrator: Integrator,
 ) -> Float[Array, "n strides 3"]:
-    """Computes derivatives of n margins by the disturbances before them.
+    """Compute derivatives of n margins by the disturbances before them.
 
     The margin is that of the failing stride. If a later stride fails, its derivative `change` by
     the state on the section is given.

@@ -19,7 +19,7 @@ from walker_jax.walking.iteration import strides as take_strides
 def mapper_of_gait(
     walker: System, gait: Gait | None, strides: int, tolerance: float | None
 ) -> Mapper:
-    """Returns the mapper whose only attractor is a stable gait, with its capture boxes.
+    """Return the mapper whose only attractor is a stable gait, with its capture boxes.
 
     Raises `ValueError` for a gait that is not stable, not found, or not one of this walker;
     `ComputationFailed` where none is given and none is found.
@@ -46,7 +46,7 @@ def mapper_of_gait(
 
 
 def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:
-    """Adds to a mapper the other gaits to which walkers from some starts converge.
+    """Add to a mapper the other gaits to which walkers from some starts converge.
 
     Walkers that converge to one of these need not be followed to their last stride.
     """
@@ -58,6 +58,6 @@ def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> 
 
 
 def failure_test(fall: bool) -> Callable[[Labels], Bool[np.ndarray, " n"]]:
-    """Returns a test of labels: whether walkers fall or, unless `fall`, do not return."""
+    """Return a test of labels: whether walkers fall or, unless `fall`, do not return."""
     check_kind("fall", fall, bool)
     return lambda labels: labels.fallen if fall else labels.attractor != 0

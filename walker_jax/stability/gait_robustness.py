@@ -66,7 +66,7 @@ def robustness(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Measures the robustness of a walker's gait: basin, disturbances, basin stability, boundary.
+    """Measure the robustness of a walker's gait: basin, disturbances, basin stability, boundary.
 
     ```python
     grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
@@ -146,7 +146,7 @@ def robustness(
 def measure_gait(
     walker: System, grid: Grid, gait: Gait, disturbances: float, seed: int, about: dict[str, Any]
 ) -> tuple[Gait, dict[str, Any]]:
-    """Measures a gait; returns it from its state nearest to failure on, and its variables.
+    """Measure a gait; return it from its state nearest to failure on, and its variables.
 
     `about` holds the arguments that all measures take: strides, and the tolerance.
     """
@@ -188,7 +188,7 @@ def measure_gait(
 def measure_walks(
     walker: System, gait: Gait, ground: float, seed: int, tolerance: float | None
 ) -> dict[str, Any]:
-    """Returns the variables of walks on rough ground."""
+    """Return the variables of walks on rough ground."""
     how: Any = {"gait": gait, "limit": WALK_LIMIT, "tolerance": tolerance}
     walks = steps_to_fall(check_planar(walker), ground, WALKS, jax.random.key(seed), **how)
     return dict(zip(GROUND_NAMES, walks[:3], strict=True))
@@ -210,7 +210,7 @@ def robustness_table(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Computes `robustness` over values of a parameter, without the results by cell or attractor.
+    """Compute `robustness` over values of a parameter, without the results by cell or attractor.
 
     Arguments are those of `robustness`. Without a grid, each walker with mass on its legs has a
     slice around its own gait. `progress` shows a bar on a terminal.
@@ -249,7 +249,7 @@ def robustness_table(
 def join_rows(
     rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str
 ) -> xr.Dataset:
-    """Joins all rows into one table, with NaN for the missing values of a row."""
+    """Join all rows into one table, with NaN for the missing values of a row."""
     where = xr.DataArray(values, dims=parameter, name=parameter)
     plain = [row.reset_coords().drop_attrs() for row in rows]
     return xr.concat(
@@ -258,7 +258,7 @@ def join_rows(
 
 
 def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
-    """Returns the attributes of the rows, except those that differ between rows."""
+    """Return the attributes of the rows, except those that differ between rows."""
     own = ("area", f"walker_{parameter}")
     given: dict[str, list] = {}
     for row in rows:

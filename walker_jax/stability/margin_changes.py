@@ -25,7 +25,7 @@ def differentiate_margins(
     parameters: Sequence[str],
     tolerance: Real,
 ) -> Float[np.ndarray, "n columns"]:
-    """Computes derivatives of the margins of failing walks from x, along directions and parameters.
+    """Compute derivatives of the margins of failing walks from x, along directions and parameters.
 
     Each walk fails after the strides that it has `made`. Derivatives are NaN where it does not.
     """
@@ -45,7 +45,7 @@ def differentiate_margins(
 
 
 def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
-    """Computes the derivative of the margin of the failure that ends a walk after `count` strides.
+    """Compute the derivative of the margin of the failure that ends a walk after `count` strides.
 
     The derivative is along tangents of the walker and of the start. It is NaN where the walk does
     not end in that stride.

@@ -40,7 +40,7 @@ class LinearMetric(NamedTuple):
     def disturbance(
         self, state: Float[np.ndarray, " section"], y: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n section"]:
-        """Returns the disturbances of a state with the coordinates y."""
+        """Return the disturbances of a state with the coordinates y."""
         return y @ self.root
 
     def pull_back(
@@ -49,13 +49,13 @@ class LinearMetric(NamedTuple):
         y: Float[np.ndarray, "n section"],
         gradient: Float[np.ndarray, "n section"],
     ) -> Float[np.ndarray, "n section"]:
-        """Converts gradients along the section to gradients along y."""
+        """Convert gradients along the section to gradients along y."""
         return gradient @ self.root.T
 
     def size(
         self, state: Float[np.ndarray, " section"], disturbed: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, " n"]:
-        """Returns the sizes of disturbances of a state."""
+        """Return the sizes of disturbances of a state."""
         return np.linalg.norm(np.linalg.solve(self.root.T, (disturbed - state).T), axis=0)
 
 
@@ -68,7 +68,7 @@ class CurvedMetric(NamedTuple):
     def disturbance(
         self, state: Float[np.ndarray, " section"], y: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n section"]:
-        """Returns the disturbances along y of size |y|: r u, with u = y / |y| and f(r u) = |y|.
+        """Return the disturbances along y of size |y|: r u, with u = y / |y| and f(r u) = |y|.
 
         Raises `ComputationFailed` where the function does not grow along a ray.
         """
@@ -91,7 +91,7 @@ class CurvedMetric(NamedTuple):
         unit: Float[np.ndarray, "n section"],
         size: Float[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Calls `solve_lengths` on a power of two of rays, to compile few programs."""
+        """Call `solve_lengths` on a power of two of rays, to compile few programs."""
         number = np.minimum(np.arange(1 << max(0, len(size) - 1).bit_length()), len(size) - 1)
         found = solve_lengths(AsItIs(self.distance), jnp.asarray(state), unit[number], size[number])
         length, error = (np.asarray(one)[: len(size)] for one in found)
@@ -103,7 +103,7 @@ class CurvedMetric(NamedTuple):
         y: Float[np.ndarray, "n section"],
         gradient: Float[np.ndarray, "n section"],
     ) -> Float[np.ndarray, "n section"]:
-        """Converts gradients along r u, with |u| = 1 and f(r u) = |y|, to gradients along y.
+        """Convert gradients along r u, with |u| = 1 and f(r u) = |y|, to gradients along y.
 
         dr = (d|y| - r f' du) / (f' u), and du is the part of dy across u, over |y|.
         """
@@ -120,7 +120,7 @@ class CurvedMetric(NamedTuple):
     def size(
         self, state: Float[np.ndarray, " section"], disturbed: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, " n"]:
-        """Returns the sizes of disturbances of a state."""
+        """Return the sizes of disturbances of a state."""
         d = jnp.asarray(disturbed - state)
         return np.asarray(jax.vmap(self.distance, (None, 0))(jnp.asarray(state), d))
 
@@ -132,7 +132,7 @@ def solve_lengths(
     unit: Float[Array, "n section"],
     size: Float[Array, " n"],
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Solves f(r u) = size for lengths r, by Newton's iteration on log f over log r."""
+    """Solve f(r u) = size for lengths r, by Newton's iteration on log f over log r."""
 
     def solve(u, target):
         def error_at(length):
@@ -161,7 +161,7 @@ def solve_lengths(
 def gradients(
     distance: DistanceFunction, state: Float[Array, " section"], d: Float[Array, "n section"]
 ) -> Float[Array, "n section"]:
-    """Computes gradients of the size of a disturbance by the disturbance."""
+    """Compute gradients of the size of a disturbance by the disturbance."""
     return jax.vmap(jax.grad(distance, argnums=1), (None, 0))(state, d)
 
 
@@ -174,7 +174,7 @@ def metric_of(
     along: Sequence[Any] | ArrayLike | None,
     metric: Sequence[Any] | ArrayLike | DistanceFunction | None = None,
 ) -> Metric:
-    """Makes the metric of units of length, a matrix or a function, with the span of `along`.
+    """Make the metric of units of length, a matrix or a function, with the span of `along`.
 
     Raises `ValueError` for a scale, a matrix or vectors that do not fit the section.
     """
@@ -197,7 +197,7 @@ def metric_of(
 
 
 def inverse_root(metric: Any, size: int) -> Float[np.ndarray, "section section"]:
-    """Computes the symmetric M^(-1/2) of a symmetric positive definite matrix M."""
+    """Compute the symmetric M^(-1/2) of a symmetric positive definite matrix M."""
     matrix = numbers_or_none(metric)
     fits = matrix.shape == (size, size) and bool(np.isfinite(matrix).all())
     fits = fits and np.allclose(matrix, matrix.T, rtol=SYMMETRIC, atol=0)
@@ -211,7 +211,7 @@ def inverse_root(metric: Any, size: int) -> Float[np.ndarray, "section section"]
 
 
 def numbers_or_none(values: Any) -> Float[np.ndarray, "..."]:
-    """Returns the values as an array of numbers; NaN for other values."""
+    """Return the values as an array of numbers; NaN for other values."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError):

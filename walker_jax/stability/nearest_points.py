@@ -72,7 +72,7 @@ def descend(
     most: int,
     known: tuple[int, float] = (0, np.inf),
 ) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
-    """Finds local minima of the distance, from the nearest failures on some rays.
+    """Find local minima of the distance, from the nearest failures on some rays.
 
     The nearest comes first. `known` is a number of first rays, and a length at which these fail.
     """
@@ -100,7 +100,7 @@ def descend(
 def follows_another(
     rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Marks rays close to a shorter one, or to an earlier one of the same length."""
+    """Mark rays close to a shorter one, or to an earlier one of the same length."""
     close = np.linalg.norm(rays[:, None] - rays, axis=2) < SAME
     before = np.tri(len(rays), k=-1, dtype=bool)
     shorter = (lengths < lengths[:, None]) | (before & (lengths == lengths[:, None]))
@@ -110,7 +110,7 @@ def follows_another(
 def solve_nearest(
     fails: Fails, gradient: Gradient, ray: Float[np.ndarray, " size"], length: float
 ) -> NearestPoint:
-    """Finds the nearest point of a boundary, by Newton's iteration from a ray close to it.
+    """Find the nearest point of a boundary, by Newton's iteration from a ray close to it.
 
     The iteration ends where a step brings ray and normal no closer, or differences find no
     boundary.
@@ -143,7 +143,7 @@ def solve_nearest(
 
 
 def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.ndarray, "rank rank"]:
-    """Computes I - r W over the directions across a ray, by central differences."""
+    """Compute I - r W over the directions across a ray, by central differences."""
     across = tangents(near.ray)
     if len(across) == 0:
         return np.eye(0)
@@ -158,7 +158,7 @@ def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.nd
 def misalignment(
     fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
-    """Returns the length of each ray up to the boundary, near a known one, and F = nu - u."""
+    """Return the length of each ray up to the boundary, near a known one, and F = nu - u."""
     tried = length * np.stack([1 - REACHES, 1 + REACHES])
     points = tried[..., None] * rays[:, None, None]
     before, after = np.moveaxis(
@@ -177,5 +177,5 @@ def misalignment(
 
 
 def tangents(ray: Float[np.ndarray, " size"]) -> Float[np.ndarray, "rank size"]:
-    """Returns unit vectors across a ray and each other."""
+    """Return unit vectors across a ray and each other."""
     return np.linalg.svd(ray[None])[2][1:]

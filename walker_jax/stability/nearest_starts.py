@@ -23,7 +23,7 @@ class NearestStart(NamedTuple):
 
 
 def has_plane_disturbance(data: xr.Dataset) -> bool:
-    """Returns whether a data set has a least disturbance and fates over one section of two axes."""
+    """Return whether a data set has a least disturbance and fates over one section of two axes."""
     known = {"fate", "least_disturbance", "failing_state", "gait_state"} <= set(data)
     if not known or data["fate"].ndim != 2 or data["least_disturbance"].ndim:
         return False
@@ -31,7 +31,7 @@ def has_plane_disturbance(data: xr.Dataset) -> bool:
 
 
 def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
-    """Returns the nearest start that does not return, and the nearest that falls, if another."""
+    """Return the nearest start that does not return, and the nearest that falls, if another."""
     nearest = NearestStart(
         data["gait_state"].values,
         float(data["least_disturbance"]),
@@ -57,6 +57,6 @@ def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
 def circle(
     centre: Float[np.ndarray, " 2"], radius: float, points: int = 400
 ) -> Float[np.ndarray, "points 2"]:
-    """Returns states at a distance from another, on a section of two coordinates."""
+    """Return states at a distance from another, on a section of two coordinates."""
     turn = np.linspace(0, 2 * np.pi, points)
     return centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -71,7 +71,7 @@ class ProbableFall(NamedTuple):
     """Angle between the sequence and the normal of that boundary, 0 at the least sequence."""
 
     def mean_strides(self, scale: float = 1.0) -> float:
-        """Returns the mean strides to a fall, with deviations `scale` times as large.
+        """Return the mean strides to a fall, with deviations `scale` times as large.
 
             sqrt(flatness) / Phi(-sqrt(2 action) / scale)
 
@@ -84,7 +84,7 @@ class ProbableFall(NamedTuple):
             return float(np.exp(self.log_mean_strides(scale)))
 
     def log_mean_strides(self, scale: float = 1.0) -> float:
-        """Returns the natural logarithm of `mean_strides`, however rare a fall is."""
+        """Return the natural logarithm of `mean_strides`, however rare a fall is."""
         from scipy.special import log_ndtr
 
         if not (is_number(scale) and 0 < scale < np.inf):
@@ -106,7 +106,7 @@ def most_probable_fall(
     directions: int = 180,
     tolerance: float | None = None,
 ) -> ProbableFall:
-    """Finds the most probable sequence of disturbances that topples a walker, from its gait on.
+    """Find the most probable sequence of disturbances that topples a walker, from its gait on.
 
     Consider all sequences of `strides` disturbances after which the walker falls, at once or later
     on even ground. The result is the one with the least sum of squares. For one to three strides,
@@ -159,7 +159,7 @@ def most_probable_fall(
 
 
 def read_deviations(ground: float | Disturbance) -> Float[np.ndarray, " 3"]:
-    """Returns the standard deviations of steps, slope and pushes, checked."""
+    """Return the standard deviations of steps, slope and pushes, checked."""
     given = ground if isinstance(ground, Disturbance) else Disturbance(step=ground)
     known = all(is_number(one) and 0 <= one < np.inf for one in given)
     if not (known and any(given)):
@@ -172,7 +172,7 @@ def read_deviations(ground: float | Disturbance) -> Float[np.ndarray, " 3"]:
 def search(
     walks: DisturbedWalks, shorter: NearestPoint | None, count: int, directions: int
 ) -> NearestPoint:
-    """Finds the nearest sequence of `count` disturbed strides, given that of one stride less."""
+    """Find the nearest sequence of `count` disturbed strides, given that of one stride less."""
     kinds = int(np.count_nonzero(walks.deviations))
     size = count * kinds
     rays = []
@@ -188,7 +188,7 @@ def search(
 
 
 def describe(walks: DisturbedWalks, found: list[NearestPoint], unit: float) -> ProbableFall:
-    """Describes the least sequence, and its walk to the fall; `unit` is the largest deviation."""
+    """Describe the least sequence, and its walk to the fall; `unit` is the largest deviation."""
     best = min(found, key=lambda one: one.length)
     w = best.length * best.ray
     tried = BEYOND[:, None] * w

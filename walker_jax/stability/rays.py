@@ -43,7 +43,7 @@ def nearest_failure(
     count: int = DENSE,
     roughly_fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]] | None = None,
 ) -> Float[np.ndarray, " size"]:
-    """Finds the shortest failing vector in the span of an orthonormal basis.
+    """Find the shortest failing vector in the span of an orthonormal basis.
 
     The origin must not fail. `gradient`, at failing points just beyond the boundary, is normal to
     it, or NaN. Rays are chosen by a scan of `count` directions in a plane; the scan uses
@@ -64,7 +64,7 @@ def nearest_failure(
 def first_on_ray(
     fails: Callable, ray: Float[np.ndarray, " size"], length: float
 ) -> Float[np.ndarray, " size"]:
-    """Finds the first failure on a ray that fails at some length, as far as samples show."""
+    """Find the first failure on a ray that fails at some length, as far as samples show."""
     while True:
         first = first_failures(fails, ray[None], 0.0, (1 - 1e-9) * length, FINAL_DISTANCES)
         if np.isinf(first[0]):
@@ -75,7 +75,7 @@ def first_on_ray(
 def nearest_rays(
     fails: Callable, basis: Float[np.ndarray, "rank size"], count: int
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Finds directions of the local minima of the distance to failures, and these distances."""
+    """Find directions of the local minima of the distance to failures, and these distances."""
     rank = len(basis)
     rays = spread_directions(rank, RAYS)
     first = scan(fails, rays @ basis, RADII)
@@ -115,7 +115,7 @@ def polish(
     lengths: Float[np.ndarray, " n"],
     gap: float,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Turns rays towards the nearest point of a flat boundary, and keeps the shorter ones."""
+    """Turn rays towards the nearest point of a flat boundary, and keep the shorter ones."""
     rank, shares = len(basis), np.concatenate([[0.0], POLISH_SHARES])
     tried = turned_rays(gradient, basis, best, lengths, shares)
     flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
@@ -132,7 +132,7 @@ def polish(
 
 
 def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Float[np.ndarray, " n"]:
-    """Finds the first failure along each ray, within a reach of at most four times the nearest.
+    """Find the first failure along each ray, within a reach of at most four times the nearest.
 
     Raises `ComputationFailed` where nothing fails up to a length of a thousand.
     """
@@ -155,7 +155,7 @@ def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Floa
 def keep_nearest(
     fails: Callable, rays: np.ndarray, basis: np.ndarray, low: float, high: float, count: int
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Returns the rays whose first failure is among the nearest, and its distance."""
+    """Return the rays whose first failure is among the nearest, and its distance."""
     while True:
         gap = (high - low) / count
         first = first_failures(fails, rays @ basis, low, high, count)
@@ -169,7 +169,7 @@ def keep_nearest(
 def first_failures(
     fails: Callable, rays: Float[np.ndarray, "n size"], low: Any, high: Any, count: int
 ) -> Float[np.ndarray, " n"]:
-    """Returns the first failing distance along each ray; infinite where none fails."""
+    """Return the first failing distance along each ray; infinite where none fails."""
     distances = np.linspace(low, high, count + 1)[1:]
     points = distances[:, None] * rays[:, None]
     failed = fails(points.reshape(-1, rays.shape[1])).reshape(len(rays), count)
@@ -183,7 +183,7 @@ def turned_rays(
     lengths: Float[np.ndarray, " n"],
     shares: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, "n m rank"]:
-    """Turns rays by shares of the way to the nearest point of a flat boundary."""
+    """Turn rays by shares of the way to the nearest point of a flat boundary."""
     with np.errstate(invalid="ignore", divide="ignore"):  # raised where there is no gradient
         normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
         along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
@@ -199,7 +199,7 @@ def bisect(
     gap: float | Float[np.ndarray, " n"],
     times: int,
 ) -> Float[np.ndarray, " n"]:
-    """Bisects for distances of the boundary, between failing ones and those a `gap` before."""
+    """Bisect for distances of the boundary, between failing ones and those a `gap` before."""
     known = np.isfinite(high)
     below, above = (high - gap)[known], high[known]
     for _ in range(times):
@@ -218,7 +218,7 @@ def bisect_nearest(
     gap: float,
     least: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n m"]:
-    """Bisects n times m rays as `bisect` does, `FINE` times, as far as the nearest of m needs.
+    """Bisect n times m rays as `bisect` does, `FINE` times, as far as the nearest of m needs.
 
     A ray is dropped once it is known to be longer than another of the m, or than the `least`.
     """
@@ -233,7 +233,7 @@ def bisect_nearest(
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
-    """Returns evenly spread unit vectors; in three dimensions four times as many as in two.
+    """Return evenly spread unit vectors; in three dimensions four times as many as in two.
 
     In more dimensions they are random, and as many as in two.
     """
@@ -253,14 +253,14 @@ def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
 
 
 def spacing(rank: int, count: int) -> float:
-    """Returns the angle between neighbours among `spread_directions`."""
+    """Return the angle between neighbours among `spread_directions`."""
     return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
 
 
 def fan(
     direction: Float[np.ndarray, " rank"], width: float, count: int
 ) -> Float[np.ndarray, "n rank"]:
-    """Returns unit vectors within an angle of a direction; the direction is the first of them."""
+    """Return unit vectors within an angle of a direction; the direction is the first of them."""
     across = np.linalg.svd(direction[None])[2][1:]
     if len(across) == 1:
         offsets = np.linspace(-1, 1, count - 1)[:, None]
@@ -275,7 +275,7 @@ def fan(
 def local_minima(
     rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float, most: int
 ) -> Int[np.ndarray, " m"]:
-    """Returns indices of the vectors of smallest length within an angle, the shortest first."""
+    """Return indices of the vectors of smallest length within an angle, the shortest first."""
     order = lengths.argsort()
     rays = rays[order]
     minima = (i for i in range(len(order)) if (rays[:i] @ rays[i] <= np.cos(angle)).all())

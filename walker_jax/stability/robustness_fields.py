@@ -91,7 +91,7 @@ Group = Mapping[str, Field]
 
 
 def variables(group: Group, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the variables of a group, given values by its keys."""
+    """Return the variables of a group, given values by its keys."""
     kinds = {"number": float, "count": int, "outcome": int}
     as_vector = lambda value: ("coordinate", np.asarray(value))
     return {
@@ -100,7 +100,7 @@ def variables(group: Group, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def variables_of_gait(gait: Gait) -> dict[str, Any]:
-    """Returns the variables of a gait, with its first state."""
+    """Return the variables of a gait, with its first state."""
     about = {
         "period": len(gait.states),
         "state": gait.states[0],
@@ -112,19 +112,19 @@ def variables_of_gait(gait: Gait) -> dict[str, Any]:
 
 
 def variables_of_steps(down: LeastStepDown, fall: LeastStepDown) -> dict[str, Any]:
-    """Returns the variables of the least step down, and of the least one that causes a fall."""
+    """Return the variables of the least step down, and of the least one that causes a fall."""
     about = {"step_down": down.size, "step_down_failure": down.failure}
     return variables(STEP_DOWN, about | {"step_down_fall": fall.size})
 
 
 def variables_of_return(stability: BasinStability) -> dict[str, Any]:
-    """Returns the variables of the return to the gait."""
+    """Return the variables of the return to the gait."""
     about = {"median_strides": stability.median, "slowest_strides": stability.slowest}
     return variables(RETURN, stability._asdict() | about | {"mean_strides": stability.mean})
 
 
 def without_gait(walker: System) -> dict:
-    """Returns the variables that `robustness` adds where no gait attracts."""
+    """Return the variables that `robustness` adds where no gait attracts."""
     of_kind = lambda *kinds: [field.name for field in FIELDS if field.kind in kinds]
     unknown_state = "coordinate", np.full(len(walker.section), np.nan)
     numbers = dict.fromkeys(of_kind("number"), np.nan)
@@ -134,7 +134,7 @@ def without_gait(walker: System) -> dict:
 
 
 def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
-    """Returns the results of `robustness`, `at` a value, for JSON; None where no gait attracts."""
+    """Return the results of `robustness`, `at` a value, for JSON; None where no gait attracts."""
     attracts = int(data["gait_period"]) > 0
     values = lambda group: {
         key: value_of(data, field) if attracts else None for key, field in group.items()
@@ -162,7 +162,7 @@ def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
 
 
 def value_of(data: xr.Dataset, field: Field) -> Any:
-    """Returns the value of a field; None for no outcome."""
+    """Return the value of a field; None for no outcome."""
     value = data[field.name].values
     if field.kind == "vector":
         return value

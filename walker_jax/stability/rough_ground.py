@@ -73,7 +73,7 @@ def steps_to_fall(
     confidence: float = 0.95,
     tolerance: float | None = None,
 ) -> StepsToFall:
-    """Counts the strides that walkers make on rough ground until they fall, starting in a gait.
+    """Count the strides that walkers make on rough ground until they fall, starting in a gait.
 
     Walks stop after `limit` strides, or where the outcome is `UNDECIDED`: no walker counts as
     fallen unless it is known to fall. For such walks, the mean assumes a constant chance to fall in
@@ -126,7 +126,7 @@ def walk_disturbed(
     limit: int,
     tolerance: float | None,
 ) -> DisturbedWalk:
-    """Follows disturbed walks from n full states, each with a random key, until they fail."""
+    """Follow disturbed walks from n full states, each with a random key, until they fail."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
     integrator = integrator_of(states.dtype, tolerance).in_dtype(states.dtype)
     n = len(states)
@@ -148,7 +148,7 @@ def walk_disturbed(
 
 
 def pad_to_power_of_two(indices: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]:
-    """Repeats the last index up to a power of two, so that few programs are compiled."""
+    """Repeat the last index up to a power of two, so that few programs are compiled."""
     size = 1 << (len(indices) - 1).bit_length()
     return np.concatenate([indices, np.repeat(indices[-1:], size - len(indices))])
 
@@ -157,7 +157,7 @@ def pad_to_power_of_two(indices: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]
 def draw(
     ground: RandomDisturbance, keys: Array, first: int | Int[Array, ""], count: int
 ) -> Float[Array, "n strides 3"]:
-    """Draws the disturbances of `count` strides of n walks, from stride `first` on."""
+    """Draw the disturbances of `count` strides of n walks, from stride `first` on."""
 
     def one(key, number):
         return as_row(ground(jax.random.fold_in(key, number)))
@@ -167,13 +167,13 @@ def draw(
 
 
 def as_row(drawn: Any) -> Float[Array, " 3"]:
-    """Returns the step, slope and push in the result of a random function."""
+    """Return the step, slope and push in the result of a random function."""
     disturbance = drawn if isinstance(drawn, Disturbance) else Disturbance(step=drawn)
     return jnp.stack([jnp.asarray(value, float) for value in disturbance])
 
 
 def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
-    """Returns the random function that an argument stands for, checked."""
+    """Return the random function that an argument stands for, checked."""
     if is_number(ground):
         deviation = float(ground)
         if not 0 <= deviation < np.inf:
@@ -211,7 +211,7 @@ class NormalSteps(NamedTuple):
 
 
 def read_key(key: Any) -> Array:
-    """Returns a random key, given one of new or old style, or none."""
+    """Return a random key, given one of new or old style, or none."""
     if key is None:
         return jax.random.key(0)
     refusal = f"key must be one random key of JAX, not {short(key)}"
@@ -229,7 +229,7 @@ def read_key(key: Any) -> Array:
 
 
 def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " full"]:
-    """Returns the full state of a gait just after heel strike."""
+    """Return the full state of a gait just after heel strike."""
     check_single(walker)
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     check_found(gait)
@@ -241,7 +241,7 @@ def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[n
 def mean_life(
     strides: Int[np.ndarray, " n"], ended: Bool[np.ndarray, " n"], confidence: float
 ) -> tuple[float, float, float]:
-    """Estimates the mean number of strides until a fall, and its confidence interval.
+    """Estimate the mean number of strides until a fall, and its confidence interval.
 
     The stride in which a walker falls does not count, as in a `Walk`.
     """

@@ -93,7 +93,7 @@ def basin_stability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> BasinStability:
-    """Estimates the fraction of random disturbances from which a walker returns to its gait.
+    """Estimate the fraction of random disturbances from which a walker returns to its gait.
 
     ```python
     found = wj.basin_stability(wj.SimplestWalker(0.004), 0.02, samples=1000)
@@ -166,7 +166,7 @@ class Trial(NamedTuple):
 def check_disturbances(
     walker: System, disturbances: Any, sizes: LinearMetric | CurvedMetric, *, turned: bool
 ) -> None:
-    """Raises `WrongUse` for wrong disturbances, or a metric or directions that do not fit them."""
+    """Raise `WrongUse` for wrong disturbances, or a metric or directions that do not fit them."""
     if isinstance(disturbances, Grid):
         check_grid(walker, disturbances, "direct")
     elif not callable(disturbances) and (
@@ -183,7 +183,7 @@ def check_disturbances(
 
 
 def count_walkers(walker: System, gait: Gait | None) -> int | None:
-    """Returns the number of walkers that array parameters describe; None for a single walker."""
+    """Return the number of walkers that array parameters describe; None for a single walker."""
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
     if not counts:
         return None
@@ -202,7 +202,7 @@ def starts_about(
     rng: np.random.Generator,
     samples: int,
 ) -> Callable[[Any], Float[np.ndarray, "n section"]]:
-    """Returns a function from a state to starts; those of a grid or a function are fixed."""
+    """Return a function from a state to starts; those of a grid or a function are fixed."""
     if not is_number(disturbances):
         starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
         return lambda state: starts
@@ -211,7 +211,7 @@ def starts_about(
 
 
 def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
-    """Measures the fields of `BasinStability` for one walker, in their order."""
+    """Measure the fields of `BasinStability` for one walker, in their order."""
     mapper = mapper_of_gait(walker, gait, trial.strides, trial.tolerance)
     (own,) = mapper.attractors
     starts = trial.about(own.states[0]).astype(own.states.dtype)
@@ -237,7 +237,7 @@ def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
 def draw_starts(
     walker: System, name: str, draw: Any, rng: np.random.Generator, samples: int
 ) -> Float[np.ndarray, "n section"]:
-    """Draws starts in the region of a grid, or by a function; `name` is that of the argument."""
+    """Draw starts in the region of a grid, or by a function; `name` is that of the argument."""
     if isinstance(draw, Grid):
         return draw.points_at(rng.uniform(size=(samples, len(draw.names))))
     starts = numbers(f"starts that {name} returns", draw(rng, samples))
@@ -250,24 +250,24 @@ def draw_starts(
 
 
 def mean_of(values: Float[np.ndarray, " n"]) -> float:
-    """Returns the mean; NaN of none."""
+    """Return the mean; NaN of none."""
     return float(values.mean()) if values.size else np.nan
 
 
 def median_of(values: Float[np.ndarray, " n"]) -> float:
-    """Returns the lower median; NaN of none."""
+    """Return the lower median; NaN of none."""
     return float(np.percentile(values, 50, method="inverted_cdf")) if values.size else np.nan
 
 
 def draw_from_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:
-    """Draws points uniformly distributed in the unit ball."""
+    """Draw points uniformly distributed in the unit ball."""
     x = rng.normal(size=(n, rank))
     radius = rng.uniform(size=(n, 1)) ** (1 / rank)
     return radius * x / np.linalg.norm(x, axis=1, keepdims=True)
 
 
 def wilson_interval(successes: int, n: int, confidence: float) -> tuple[float, float]:
-    """Computes Wilson's interval for a probability, from the number of successes in n trials."""
+    """Compute Wilson's interval for a probability, from the number of successes in n trials."""
     z = NormalDist().inv_cdf((1 + confidence) / 2)
     centre, spread = successes + z**2 / 2, z * np.sqrt(successes * (1 - successes / n) + z**2 / 4)
     return float((centre - spread) / (n + z**2)), float((centre + spread) / (n + z**2))

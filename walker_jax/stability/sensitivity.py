@@ -37,7 +37,7 @@ its start and its end, and its duration."""
 
 
 def length_indicator(walker: Walker, start: State, end: State, time: Scalar) -> Scalar:
-    """Returns how far the swing foot is ahead at heel strike, along the slope."""
+    """Return how far the swing foot is ahead at heel strike, along the slope."""
     return walker.reach(walker.exchange_legs(end))
 
 
@@ -75,7 +75,7 @@ def gait_sensitivity(
     *,
     tolerance: float | None = None,
 ) -> GaitSensitivity:
-    """Computes the gait sensitivity norm of a gait of period one, and the matrices behind it.
+    """Compute the gait sensitivity norm of a gait of period one, and the matrices behind it.
 
     Works under JAX's transformations. Derivatives by parameters of the walker are right where the
     gait is differentiated too, `gait=wj.find_gait(walker, guess)`.
@@ -122,7 +122,7 @@ def respond_to(
     integrator: Integrator,
     functions: tuple[tuple[OneDisturbance, ...], tuple[Indicator, ...]],
 ) -> GaitSensitivity:
-    """Computes the matrices and the norm, for disturbances and indicators."""
+    """Compute the matrices and the norm, for disturbances and indicators."""
     inputs, outputs = functions
 
     def disturbed(x, e):
@@ -148,7 +148,7 @@ def respond_to(
 
 
 def look_up(what: str, table: dict[str, Any], name: Any) -> Any:
-    """Returns the function that a name stands for, or the one given in place of a name."""
+    """Return the function that a name stands for, or the one given in place of a name."""
     if callable(name):
         return name
     if not isinstance(name, str) or name not in table:

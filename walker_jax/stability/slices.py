@@ -19,7 +19,7 @@ its cells along an axis: they hold the toy's basin there, with a margin."""
 
 
 def slice_around(walker: Walker, state: Float[ArrayLike, " section"]) -> Grid:
-    """Returns a slice around a gait's state; in space it is over yaw and rate of lean.
+    """Return a slice around a gait's state; in space it is over yaw and rate of lean.
 
     In space the starts are thus turned walkers, pushed from the side.
     """
@@ -34,7 +34,7 @@ def slice_around(walker: Walker, state: Float[ArrayLike, " section"]) -> Grid:
 
 
 def default_region(walker: System, searched: Gait | None = None) -> Grid | None:
-    """Returns the default region of `robustness`; None where a gait is needed and not found.
+    """Return the default region of `robustness`; None where a gait is needed and not found.
 
     For a walker on point feet it has all feasible angles, and rates around the simplest walker's
     basins, or more for other walkers. For any other walker it is a slice around a gait, by default

@@ -50,7 +50,7 @@ def least_step_down(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastStepDown:
-    """Finds the least step down after which a walker does not return to its gait, or falls.
+    """Find the least step down after which a walker does not return to its gait, or falls.
 
     One heel strike is on lower ground (`step_down`), and so are all that follow. The search tries
     `HEIGHTS` heights up to the least one; it may miss failures in narrower ranges. Arguments and
@@ -90,7 +90,7 @@ def least_step_down(
 def labels_after_step(
     mapper: Mapper, x: Float[np.ndarray, "n section"], drops: Float[np.ndarray, " n"]
 ) -> Labels:
-    """Labels walkers that step down by `drops` from x; the stride down counts."""
+    """Label walkers that step down by `drops` from x; the stride down counts."""
     walker, integrator = mapper.walker, mapper.integrator
     arguments = (
         jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker),

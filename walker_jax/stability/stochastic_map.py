@@ -79,7 +79,7 @@ def metastability(
     repetitions: int = 4,
     tolerance: float | None = None,
 ) -> xr.Dataset:
-    """Estimates how long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
+    """Estimate how long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
 
     The cost hardly depends on how rare falls are. The method is independent of `steps_to_fall`.
 
@@ -170,7 +170,7 @@ class Repetition(NamedTuple):
 
 
 def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repetition:
-    """Runs one repetition. Its walks from the start give the strides before they forget it."""
+    """Run one repetition. Its walks from the start give the strides before they forget it."""
     pilot, own = jax.random.split(key)
     along = rough.ground, jax.random.split(pilot, PILOT_WALKS), PILOT_STRIDES, rough.tolerance
     walks = walk_disturbed(rough.walker, np.broadcast_to(start, (PILOT_WALKS, len(start))), *along)
@@ -191,12 +191,12 @@ def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repet
 
 
 def describe_ground(ground: float | RandomDisturbance) -> float | str:
-    """Returns the number, the name of the function, or the `repr` of another callable."""
+    """Return the number, the name of the function, or the `repr` of another callable."""
     return ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
 
 
 def widening(repetitions: int) -> float:
-    """Returns the factor on the scatter of few repetitions for a 95 % interval of 1.96 of it."""
+    """Return the factor on the scatter of few repetitions for a 95 % interval of 1.96 of it."""
     from scipy.special import ndtri, stdtrit
 
     return float(stdtrit(repetitions - 1, 0.975) / ndtri(0.975))
@@ -210,7 +210,7 @@ class Chart(NamedTuple):
     """Rows: directions, each as long as the standard deviation of states along it."""
 
     def cell_of(self, states: Float[np.ndarray, "n full"], side: float) -> Int[np.ndarray, " n"]:
-        """Returns the number of the cell of each state."""
+        """Return the number of the cell of each state."""
         y = section_and_gap(states, len(self.centre))
         place = np.floor((y - self.centre) @ np.linalg.inv(self.axes) / side)
         half = 2 ** (BITS - 1)
@@ -223,7 +223,7 @@ class Chart(NamedTuple):
     def points_in(
         self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n d"], side: float
     ) -> Float[np.ndarray, "n d"]:
-        """Returns points of cells, at places `within` each from 0 to 1."""
+        """Return points of cells, at places `within` each from 0 to 1."""
         d = len(self.centre)
         shifts = BITS * np.arange(d - 1, -1, -1)
         place = ((cells[:, None] >> shifts) & (2**BITS - 1)) - 2 ** (BITS - 1)
@@ -231,13 +231,13 @@ class Chart(NamedTuple):
 
 
 def section_and_gap(states: Float[np.ndarray, "n full"], size: int) -> Float[np.ndarray, "n d"]:
-    """Returns theta, thetadot and, as a third, phi - 2 theta, zero with both feet at one height."""
+    """Return theta, thetadot and, as a third, phi - 2 theta, zero with both feet at one height."""
     theta, phi, thetadot, _ = states.T
     return np.stack([theta, thetadot, phi - 2 * theta], axis=1)[:, :size]
 
 
 def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n full"]]:
-    """Makes the chart of the states of walks that last; returns these states too."""
+    """Make the chart of the states of walks that last; return these states too."""
     lasting = walks.state[walks.outcome == Outcome.STRIDE]
     if len(lasting) < FEWEST_SURVIVORS:
         raise ComputationFailed(
@@ -260,7 +260,7 @@ def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n full"]]:
 def transition_matrix(
     rough: Rough, chart: Chart, states: Float[np.ndarray, "n full"], key: Array
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
-    """Estimates P, from walks that last, in their states; its cells are in ascending order.
+    """Estimate P, from walks that last, in their states; its cells are in ascending order.
 
     A stride counts by the weight of its walk. Transitions to cells without starts are dropped: they
     are about as rare as those that never happened. So are strides without an answer, as they may
@@ -309,7 +309,7 @@ def transition_matrix(
 def known_cells(
     starts: Int[np.ndarray, " n"], ends: Int[np.ndarray, " n"]
 ) -> Int[np.ndarray, " cells"]:
-    """Returns the cells with a stride that is known to end in one of them, or in a fall.
+    """Return the cells with a stride that is known to end in one of them, or in a fall.
 
     Any other cell would have the chance 0 to survive, as if all its strides were falls.
     """
@@ -330,7 +330,7 @@ def choose_walkers(
     chances: Float[np.ndarray, " n"],
     walkers: int,
 ) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"], Int[np.ndarray, " m"]]:
-    """Resamples walkers: returns the cells, the chance of each, and equally many walkers of each.
+    """Resample walkers: returns the cells, the chance of each, and equally many walkers of each.
 
     Resampling is systematic: at equal distances along the walkers' chances, joined.
     """
@@ -350,7 +350,7 @@ def choose_walkers(
 def places_of(
     numbers: Int[np.ndarray, " n"], cells: Int[np.ndarray, " cells"]
 ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Returns the places of cells in an ascending list, and whether they are in it."""
+    """Return the places of cells in an ascending list, and whether they are in it."""
     place = np.minimum(np.searchsorted(cells, numbers), len(cells) - 1)
     return place, cells[place] == numbers
 
@@ -358,7 +358,7 @@ def places_of(
 def solve_chain(
     chain: csr_array,
 ) -> tuple[float, Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
-    """Computes the largest eigenvalue, its left eigenvector, and the mean life from each cell.
+    """Compute the largest eigenvalue, its left eigenvector, and the mean life from each cell.
 
     The mean number m of strides until a fall is P (1 + m). Along the eigenvector it is large,
     survival / (1 - survival); the remainder converges as fast as walks forget.
@@ -382,7 +382,7 @@ def solve_chain(
 
 
 def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.ndarray, " cells"]]:
-    """Computes the largest eigenvalue and its eigenvector, of sum 1, by power iteration."""
+    """Compute the largest eigenvalue and its eigenvector, of sum 1, by power iteration."""
     vector = np.full(count, 1 / count)
     value = 0.0
     for _ in range(MAX_ITERATIONS):

@@ -76,7 +76,7 @@ def tipping_probability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> Tipping:
-    """Estimates the chance to end elsewhere after a parameter jumps to another value.
+    """Estimate the chance to end elsewhere after a parameter jumps to another value.
 
     P(i -> j) = |B_i(p-) and B_j(p+)| / |B_i(p-)|
 
@@ -146,7 +146,7 @@ class Ends(NamedTuple):
 
 
 def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: float) -> Tipping:
-    """Assembles the result of `tipping_probability`, by the mappers before and after the jump."""
+    """Assemble the result of `tipping_probability`, by the mappers before and after the jump."""
     rows, columns = np.unique(ends.before), np.unique(np.concatenate([ends.after, *ends.jumped]))
     counts = transition_counts(ends.before, ends.after, rows, columns)
     total = counts.sum(axis=1, keepdims=True)
@@ -174,12 +174,12 @@ def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: floa
 
 
 def ends_of(labels: Labels) -> Int[np.ndarray, " n"]:
-    """Returns the ends of walks: the number of an attractor, or `FAILURES` + `Outcome` for none."""
+    """Return the ends of walks: the number of an attractor, or `FAILURES` + `Outcome` for none."""
     return np.where(labels.converged, labels.attractor, FAILURES + labels.fate.astype(int))
 
 
 def name_of(end: int, failures: Sequence[str]) -> str:
-    """Returns the name of an end."""
+    """Return the name of an end."""
     if end < FAILURES:
         return f"attractor {end}"
     outcome = end - FAILURES
@@ -193,14 +193,14 @@ def transition_counts(
     rows: Int[np.ndarray, " r"],
     columns: Int[np.ndarray, " c"],
 ) -> Int[np.ndarray, "r c"]:
-    """Counts the pairs with labels rows[i] and columns[j], which are sorted."""
+    """Count the pairs with labels rows[i] and columns[j], which are sorted."""
     counts = np.zeros((len(rows), len(columns)), int)
     np.add.at(counts, (np.searchsorted(rows, first), np.searchsorted(columns, second)), 1)
     return counts
 
 
 def states_on(mapper: Mapper, attractor: Attractor) -> Float[np.ndarray, "n section"]:
-    """Returns the states of a cycle, or many of a motion that does not repeat itself."""
+    """Return the states of a cycle, or many of a motion that does not repeat itself."""
     if attractor.period:
         return attractor.states
     states, _ = orbits(mapper.walker, attractor.states[:1], RUN, mapper.integrator)

@@ -85,7 +85,7 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
 
 
 def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool[Array, ""]:
-    """Returns whether h > 0 rises, with the swing leg ahead and the stance leg in compression.
+    """Return whether h > 0 rises, with the swing leg ahead and the stance leg in compression.
 
     Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a spring
     between the legs adds to it, so h goes on rising. Once this ends, by tension or with phi > 0, it
@@ -97,7 +97,7 @@ def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool
 
 
 def gait_strip(slope: ArrayLike, hip_stiffness: ArrayLike = 0.0) -> Grid:
-    """Returns a strip of the section that shrinks like slope^{1/3} (Garcia and others 1998).
+    """Return a strip of the section that shrinks like slope^{1/3} (Garcia and others 1998).
 
     At its widest, the upper edge is where walkers begin to fall backward,
     thetadot = -2 sin((theta - slope) / 2). The lower edge follows the leg, which a spring swings in

@@ -64,7 +64,7 @@ class AbstractRoundFootWalker(HeavyLegWalker):
         return pendulum_region(self, self.leg_length, axes)
 
     def hip_and_legs(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], Float[Array, " 6"]]:
-        """Returns the hip, and the legs' centres of mass and angles."""
+        """Return the hip, and the legs' centres of mass and angles."""
         u, v, theta, phi = q[:4]
         radius = self.foot_radius
         centre = jnp.stack([u - radius * theta, v + radius])

@@ -53,7 +53,7 @@ def Feedback(
     gains: Mapping[str, Sequence[Any] | Float[ArrayLike, " section"]],
     bounds: Mapping[str, tuple[Any, Any]] | None = None,
 ) -> Walker:
-    """Makes a walker whose parameters are set anew at each heel strike, by linear feedback.
+    """Make a walker whose parameters are set anew at each heel strike, by linear feedback.
 
     During the stride from x on the section, a parameter p is p* + K (x - x*), where p* is its value
     in `walker` and x* the state of the gait. So the gait stays a gait, whatever the gains. From a
@@ -114,7 +114,7 @@ def Feedback(
 
 
 def check_bounded(walker: Walker, name: str, bounds: Mapping[str, Any]) -> None:
-    """Raises `WrongUse` if feedback could set a parameter to a bound that it must not reach."""
+    """Raise `WrongUse` if feedback could set a parameter to a bound that it must not reach."""
     one = next(one for one in parameters(walker) if one.name == name)
     is_open = (one.low > -np.inf and not one.closed) or one.high < np.inf
     if is_open and name not in bounds:
@@ -124,12 +124,12 @@ def check_bounded(walker: Walker, name: str, bounds: Mapping[str, Any]) -> None:
 def remake(
     kind: type[Walker], controlled: tuple[str, ...], limited: tuple[str, ...], values: dict
 ) -> Walker:
-    """Makes the walker with feedback, with these parameters."""
+    """Make the walker with feedback, with these parameters."""
     return feedback_class(kind, controlled, limited)(**values)
 
 
 def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " section"]:
-    """Returns the state of a gait of period one, checked."""
+    """Return the state of a gait of period one, checked."""
     state = read_numbers("gait", getattr(gait, "states", gait))
     if state.ndim == 2 and len(state) == 1:
         state = state[0]
@@ -147,7 +147,7 @@ def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " sectio
 
 
 def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
-    """Returns gains or bounds of a parameter, checked."""
+    """Return gains or bounds of a parameter, checked."""
     values = read_numbers(f"{what} of {name}", row)
     if values.shape != (size,):
         raise WrongUse(f"{what} of {name} must be {size} numbers, not {short(row)}")
@@ -155,7 +155,7 @@ def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
 
 
 def read_numbers(what: str, given: Any) -> Float[Array, "..."]:
-    """Returns real numbers as an array; raises `WrongUse` for others."""
+    """Return real numbers as an array; raise `WrongUse` for others."""
     try:
         return jnp.asarray(given, float)
     except (TypeError, ValueError, OverflowError):
@@ -166,7 +166,7 @@ def read_numbers(what: str, given: Any) -> Float[Array, "..."]:
 def feedback_class(
     kind: type[Walker], controlled: tuple[str, ...], limited: tuple[str, ...]
 ) -> type[Walker]:
-    """Makes the class of walkers of a kind with feedback on some parameters."""
+    """Make the class of walkers of a kind with feedback on some parameters."""
     known = {one.name: one for one in parameters(kind)}
     units = {name: one.unit for name, one in known.items()}
     added = [

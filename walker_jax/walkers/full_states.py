@@ -6,12 +6,12 @@ from walker_jax.checks import WrongUse
 
 
 def named(state: Any) -> str:
-    """Names a kind of full state, with its fields."""
+    """Name a kind of full state, with its fields."""
     return f"{state.__name__}({', '.join(state._fields)})"
 
 
 def check_full_state(kind: Any, start: Any) -> None:
-    """Raises `WrongUse` for a class of walkers whose `lift` does not return its `state`.
+    """Raise `WrongUse` for a class of walkers whose `lift` does not return its `state`.
 
     The same holds for methods inherited from a walker of the package with another state, unless
     that walker has joints: its methods take any number of them.

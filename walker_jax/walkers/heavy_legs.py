@@ -102,13 +102,13 @@ class HeavyLegWalker(MultibodyWalker):
 
 
 def rate_of(joint: str) -> str:
-    """Returns the name of the rate of a coordinate."""
+    """Return the name of the rate of a coordinate."""
     return f"{joint}dot"
 
 
 @functools.cache
 def state_with(joints: tuple[str, ...]) -> type:
-    """Makes the full state of a walker with joints: coordinates first, then their rates."""
+    """Make the full state of a walker with joints: coordinates first, then their rates."""
     if not joints:
         return State
     coordinates = "theta", "phi", *joints
@@ -126,14 +126,14 @@ def state_with(joints: tuple[str, ...]) -> type:
 
 
 def make_state(joints: tuple[str, ...], values: tuple) -> Any:
-    """Makes a full state of a walker with joints, from its numbers."""
+    """Make a full state of a walker with joints, from its numbers."""
     return state_with(joints)(*values)
 
 
 def with_joints(
     walker: HeavyLegWalker, theta: Scalar, phi: Scalar, at: Scalar | float = 0.0
 ) -> Float[Array, " q"]:
-    """Returns q with the stance foot at the origin and all joints at one place."""
+    """Return q with the stance foot at the origin and all joints at one place."""
     return stance_coordinates([theta, phi, *[jnp.full_like(theta, at)] * len(walker.joints)])
 
 
@@ -143,7 +143,7 @@ PENDULUM_AXES = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0
 def pendulum_region(
     walker: HeavyLegWalker, leg_length: Scalar, axes: dict[str, Any] = PENDULUM_AXES
 ) -> Grid:
-    """Returns a region to search for gaits, with rates in units of a pendulum of the leg's length.
+    """Return a region to search for gaits, with rates in units of a pendulum of the leg's length.
 
     The toppling rate, the usual unit, vanishes for large feet.
     """
@@ -154,6 +154,6 @@ def pendulum_region(
 def swing_foot_at(
     walker: HeavyLegWalker, theta: Scalar | float, joints: Scalar | float
 ) -> Float[Array, " 2"]:
-    """Returns (u, v) of the swing foot at heel strike, phi = 2 theta, with all joints equal."""
+    """Return (u, v) of the swing foot at heel strike, phi = 2 theta, with all joints equal."""
     theta = jnp.asarray(theta, walker.slope.dtype)
     return walker.swing_foot(with_joints(walker, theta, 2 * theta, joints))

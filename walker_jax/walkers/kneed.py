@@ -163,7 +163,7 @@ class KneedWalker(HeavyLegWalker):
         return {"BUCKLED": lambda state: stance_knee_moment(self, begin_bent(state), (4,))}
 
     def places(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], ...]:
-        """Returns the hip, the stance knee, the swing knee, and the centre of the swing foot's arc.
+        """Return the hip, the stance knee, the swing knee, and the centre of the swing foot's arc.
 
         q is (u, v, theta, phi, knee). It may end with the angle of a bent stance knee; theta is
         then that of the thigh.
@@ -183,7 +183,7 @@ class KneedWalker(HeavyLegWalker):
         return hip, stance_knee, swing_knee, foot
 
     def bent_system(self) -> System:
-        """Returns the masses with free knees, for q as `places` takes it."""
+        """Return the masses with free knees, for q as `places` takes it."""
 
         def transfer(q):
             hip, stance_knee, swing_knee, _ = self.places(q)
@@ -207,12 +207,12 @@ class KneedWalker(HeavyLegWalker):
         return jnp.stack(leg_below) - hip
 
     def system(self):
-        """Returns the system with straight legs."""
+        """Return the system with straight legs."""
         bent = self.bent_system()
         return System(lambda q: bent.transfer(straight(q)), bent.masses, bent.forces)
 
     def bent_swing_foot(self, q: Float[Array, " 5"]) -> Float[Array, " 2"]:
-        """Returns (u, v) of the swing foot's arc's centre, as if that foot had rolled there."""
+        """Return (u, v) of the swing foot's arc's centre, as if that foot had rolled there."""
         *_, centre = self.places(q)
         angle, radius = q[2] - q[3] - q[4], self.foot_radius
         return centre + jnp.stack([radius * angle, -radius])
@@ -232,12 +232,12 @@ class LockedWalker(KneedWalker):
 
 
 def lock_knees(walker: KneedWalker) -> LockedWalker:
-    """Returns the same walker after knee strike."""
+    """Return the same walker after knee strike."""
     return LockedWalker(**{one.name: getattr(walker, one.name) for one in fields(walker)})
 
 
 def begin_bent(state: State) -> BentState:
-    """Returns the state with the angle and the rate of a straight knee added."""
+    """Return the state with the angle and the rate of a straight knee added."""
     theta, phi, thetadot, phidot = state
     zero = jnp.zeros_like(theta)
     return BentState(theta, phi, zero, thetadot, phidot, zero)
@@ -247,7 +247,7 @@ def begin_bent(state: State) -> BentState:
 def stance_knee_moment(
     walker: KneedWalker, state: BentState, locked: tuple[int, ...] = ()
 ) -> Scalar:
-    """Computes the moment that presses the stance knee on its stop; if negative, the knee bends.
+    """Compute the moment that presses the stance knee on its stop; if negative, the knee bends.
 
     It is the constraint force dual to the angle of the stance knee, (4). Other coordinates may be
     locked.
@@ -263,7 +263,7 @@ def stance_knee_moment(
 
 
 def straight(q: Float[Array, " 4"]) -> Float[Array, " 5"]:
-    """Returns q of straight legs, with the angle of the knee added."""
+    """Return q of straight legs, with the angle of the knee added."""
     return jnp.concatenate([q, jnp.zeros_like(q[:1])])
 
 

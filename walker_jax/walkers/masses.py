@@ -117,7 +117,7 @@ class MultibodyPhase(MultibodyMotion, Phase):
 
 
 def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
-    """Returns whether h > 0 rises ever faster, with the swing leg ahead and the stance leg falling.
+    """Return whether h > 0 rises ever faster, with the swing leg ahead and the stance leg falling.
 
     The stance leg must also be in compression. As for the simplest walker, it is then too late to
     come down again, and the leg falls on. That is an observation (tests), and excludes walkers that
@@ -132,7 +132,7 @@ def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
 
 @jax.jit
 def curvature_of_potential(walker: MultibodyWalker) -> Scalar:
-    """Computes V'' by the angle of both legs together, upright; positive if the feet's arcs are so
+    """Compute V'' by the angle of both legs together, upright; positive if the feet's arcs are so
     large that the walker rocks on them."""
 
     def curvature(walker):
@@ -149,7 +149,7 @@ def curvature_of_potential(walker: MultibodyWalker) -> Scalar:
 
 @jax.jit
 def rates_and_impulses(walker: MultibodyMotion, state: Any) -> tuple[list[Scalar], list[Scalar]]:
-    """Computes rates after the impact in which contacts close, and its impulses, (17)."""
+    """Compute rates after the impact in which contacts close, and its impulses, (17)."""
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)
@@ -162,19 +162,19 @@ def rates_and_impulses(walker: MultibodyMotion, state: Any) -> tuple[list[Scalar
 
 
 def gravity(slope: Scalar, masses: Float[Array, " x"], turns: int = 0) -> Float[Array, " x"]:
-    """Returns gravity, (6), on points in the plane, whose coordinates precede `turns` angles."""
+    """Return gravity, (6), on points in the plane, whose coordinates precede `turns` angles."""
     points = (len(masses) - turns) // 2
     down = jnp.stack([jnp.sin(slope), -jnp.cos(slope)])
     return masses * jnp.concatenate([*[down] * points, jnp.zeros(turns, masses.dtype)])
 
 
 def weight(system: System, q: Float[Array, " q"]) -> Scalar:
-    """Returns the force of gravity on all masses together."""
+    """Return the force of gravity on all masses together."""
     along = jnp.stack([jnp.zeros_like(q).at[i].set(1) for i in range(2)])
     sums = [multibody.velocity(system.transfer, q, one) @ system.forces for one in along]
     return jnp.hypot(*sums)
 
 
 def leg(angle: Scalar) -> Float[Array, " 2"]:
-    """Returns the direction from foot to hip of a leg at an angle from the normal of the slope."""
+    """Return the direction from foot to hip of a leg at an angle from the normal of the slope."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

@@ -62,7 +62,7 @@ class Walker(HybridSystem):
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
     def __init_subclass__(cls, **kwargs):
-        """Resets known properties of base classes that this class may not have.
+        """Reset known properties of base classes that this class may not have.
 
         `PREMISES` lists these properties, with the methods from which each was shown. If a class
         redefines one of these methods and does not restate the property, the default of `Walker`
@@ -80,18 +80,18 @@ class Walker(HybridSystem):
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
-        """Returns the full state of a point of the section."""
+        """Return the full state of a point of the section."""
 
     @abc.abstractmethod
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
-        """Returns whether a stride can begin at x.
+        """Return whether a stride can begin at x.
 
         For an infeasible start, `walker-jax walk` shows the first line of a walker's own docstring
         here.
         """
 
     def gait_region(self) -> Grid:
-        """Returns the part of the section where the states of gaits lie, in cells to search from.
+        """Return the part of the section where the states of gaits lie, in cells to search from.
 
         By default it holds starts whose speed takes the stance leg about to its dead point. Rates
         are in units of the toppling rate. phidot covers any motion of the legs. Joints are at rest
@@ -110,11 +110,11 @@ class Walker(HybridSystem):
         return region_of_starts(self, axes, rate)
 
     def phases(self) -> tuple[Phase, ...]:
-        """Returns the phases of a stride before its last, the swing; by default there are none."""
+        """Return the phases of a stride before its last, the swing; by default there are none."""
         return ()
 
     def modes(self) -> tuple[Mode, ...]:
-        """Returns the modes of a stride, its phases and the swing, built from the other methods.
+        """Return the modes of a stride, its phases and the swing, built from the other methods.
 
         The swing ends at heel strike, where the contact coordinate rises through zero with the foot
         ahead, or in a fall. Functions that follow a stride use only these modes, the impact and the
@@ -146,12 +146,12 @@ class Walker(HybridSystem):
         return *(phase.mode() for phase in self.phases()), swing
 
     def equations(self) -> VectorField:
-        """Returns the equations of motion to integrate: the vector field, or a `PowerBalance`."""
+        """Return the equations of motion to integrate: the vector field, or a `PowerBalance`."""
         return self.vector_field
 
     @abc.abstractmethod
     def vector_field(self, state: State) -> State:
-        """Returns the time derivative of the state during a stride, or its last phase.
+        """Return the time derivative of the state during a stride, or its last phase.
 
         It may have kinks, such as the limits of a torque: a step of the integration ends at a kink.
         Where it jumps within a stride, or just after its end, the outcome is `UNDECIDED`.
@@ -159,10 +159,10 @@ class Walker(HybridSystem):
 
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
-        """Returns the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
+        """Return the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
 
     def during_stride(self, x: Float[Array, " section"]) -> "Walker":
-        """Returns the walker during the stride from x: its parameters may depend on the start.
+        """Return the walker during the stride from x: its parameters may depend on the start.
 
         That is feedback from stride to stride. By default a walker stays as it is. From a full
         state, x has the section's coordinates (`project`).
@@ -170,14 +170,14 @@ class Walker(HybridSystem):
         return self
 
     def driven_by_gravity(self) -> bool:
-        """Returns whether gravity alone does work: a step loses the energy that the slope gives.
+        """Return whether gravity alone does work: a step loses the energy that the slope gives.
 
         By default that is not known.
         """
         return False
 
     def motor_work(self, start: State, end: State) -> Scalar | None:
-        """Returns the work of motors in a step, per unit of weight, in the unit of length.
+        """Return the work of motors in a step, per unit of weight, in the unit of length.
 
         The states are those just after a heel strike and just before the next. The method is called
         where `driven_by_gravity` is false. None, the default, means unknown.
@@ -185,7 +185,7 @@ class Walker(HybridSystem):
         return None
 
     def past_contact(self, state: Any) -> Bool[Array, ""]:
-        """Returns whether h > 0 can only grow from here, so that no heel strike follows.
+        """Return whether h > 0 can only grow from here, so that no heel strike follows.
 
         It spares a walker that falls from the section the rest of its fall; outcomes must not
         depend on it. By default that is never known.
@@ -193,26 +193,26 @@ class Walker(HybridSystem):
         return jnp.zeros_like(state.theta, bool)
 
     def conditions(self) -> Conditions:
-        """Returns functions that must not be negative up to heel strike, besides the force Q_v."""
+        """Return functions that must not be negative up to heel strike, besides the force Q_v."""
         return {}
 
     @abc.abstractmethod
     def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
-        """Returns the trailing foot's velocity (u, v) and the state after impact, legs as before.
+        """Return the trailing foot's velocity (u, v) and the state after impact, legs as before.
 
         The argument is the state at heel strike, before the impact. With the legs exchanged, the
         state after it must be on the section; construction raises `WrongUse` otherwise.
         """
 
     def push(self, state: State, change: Scalar) -> State:
-        """Returns the state just after heel strike with thetadot changed by a push forward or back.
+        """Return the state just after heel strike with thetadot changed by a push forward or back.
 
         The section's other coordinates stay as they are.
         """
         return state._replace(thetadot=state.thetadot + change)
 
     def contact(self, state: State) -> Scalar:
-        """Returns the contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
+        """Return the contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
 
         It rises at heel strike. A swing foot ahead of the stance foot is above the ground where h <
         0.
@@ -220,7 +220,7 @@ class Walker(HybridSystem):
         return state.phi - 2 * state.theta
 
     def is_ahead(self, state: Any) -> Scalar:
-        """Returns a positive number where the swing foot is ahead: coming down is heel strike.
+        """Return a positive number where the swing foot is ahead: coming down is heel strike.
 
         Elsewhere coming down is scuffing, which a stride ignores. By default the foot is ahead past
         mid-stance.
@@ -228,7 +228,7 @@ class Walker(HybridSystem):
         return -state.theta
 
     def falls(self, state: Any) -> dict[str, Scalar]:
-        """Returns functions that rise through zero where the walker falls, by name of failure.
+        """Return functions that rise through zero where the walker falls, by name of failure.
 
         The name is that of an `Outcome`, or of one of the walker's own `failures`. The earliest
         fall counts; at the start of a stride, the first function that is not negative. The default
@@ -238,21 +238,21 @@ class Walker(HybridSystem):
 
     @abc.abstractmethod
     def clearance(self, state: State) -> Scalar:
-        """Returns the height of the swing foot above the slope, in the unit of length."""
+        """Return the height of the swing foot above the slope, in the unit of length."""
 
     @abc.abstractmethod
     def reach(self, state: State) -> Scalar:
-        """Returns the distance of the swing foot ahead of the stance foot, along the slope."""
+        """Return the distance of the swing foot ahead of the stance foot, along the slope."""
 
     def bent_leg(self, state: Any) -> Float[Array, "2 2"] | None:
-        """Returns the places of the swing knee and of the leg's end, from the hip, for pictures.
+        """Return the places of the swing knee and of the leg's end, from the hip, for pictures.
 
         The state is one of the first phase. By default legs are drawn straight.
         """
         return None
 
     def exchange_legs(self, state: State) -> State:
-        """Returns the state with the swing leg as the new stance leg, (21) and its derivative."""
+        """Return the state with the swing leg as the new stance leg, (21) and its derivative."""
         theta, phi, thetadot, phidot = (getattr(state, name) for name in State._fields)
         return state._replace(
             theta=theta - phi, phi=-phi, thetadot=thetadot - phidot, phidot=-phidot
@@ -260,7 +260,7 @@ class Walker(HybridSystem):
 
 
 def check_planar(walker: Any) -> Walker:
-    """Raises `WrongUse` for walkers in space, where the theory holds in the plane only."""
+    """Raise `WrongUse` for walkers in space, where the theory holds in the plane only."""
     check_kind("walker", walker, Walker)
     if not is_planar(walker):
         raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
@@ -297,14 +297,14 @@ PREMISES = {
 
 
 def moves_like(walker: System, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
-    """Returns whether a walker moves as one of some kind does, by the same equations."""
+    """Return whether a walker moves as one of some kind does, by the same equations."""
     methods = {method for methods in PREMISES.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
     return isinstance(walker, kind) and all(map(same, methods))
 
 
 def check_lands_on_section(walker: Walker) -> None:
-    """Raises `WrongUse` for a user's own walker whose impact leaves the section.
+    """Raise `WrongUse` for a user's own walker whose impact leaves the section.
 
     `project` would hide that. With two coordinates the projection drops phidot, so a user's own
     masses matter too. phi is not checked: the user may choose which of several legs, or spokes, is
@@ -331,7 +331,7 @@ def check_lands_on_section(walker: Walker) -> None:
 
 @jax.jit
 def landing(walker: Walker) -> tuple[State, State, State]:
-    """Returns a heel strike, the state after it, legs exchanged, and its place on the section."""
+    """Return a heel strike, the state after it, legs exchanged, and its place on the section."""
     to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
     walker = jax.tree.map(to_array, walker)
     start = walker.lift(
@@ -344,7 +344,7 @@ def landing(walker: Walker) -> tuple[State, State, State]:
 
 
 def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:
-    """Returns starts by theta, the sum of theta and thetadot, and phidot; joints are at rest at 0.
+    """Return starts by theta, the sum of theta and thetadot, and phidot; joints are at rest at 0.
 
     Rates are in units of `rate`.
     """
@@ -356,13 +356,13 @@ def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:
 
 
 def least_scuff(length: Scalar) -> Scalar:
-    """Returns the depth from which on a foot counts as below the ground, for a length of legs."""
+    """Return the depth from which on a foot counts as below the ground, for a length of legs."""
     return LEAST_SCUFF[jnp.dtype(jnp.result_type(length))] * length
 
 
 @kernel
 def toppling_rate(walker: Walker) -> Scalar:
-    """Computes the rate at which a walker topples, legs together, from rest.
+    """Compute the rate at which a walker topples, legs together, from rest.
 
     To first order thetaddot = rate^2 (theta - slope).
     """

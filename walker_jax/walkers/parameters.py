@@ -18,7 +18,7 @@ Described = TypeVar("Described")
 
 
 def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
-    """Returns the parameters of a walker, in the order of its constructor's arguments.
+    """Return the parameters of a walker, in the order of its constructor's arguments.
 
     A user's own class need not describe its fields: they accept any real number then.
     """
@@ -34,7 +34,7 @@ def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
 
 
 def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
-    """Returns the parameters of a class; for a system, its own values are the defaults."""
+    """Return the parameters of a class; for a system, its own values are the defaults."""
     if isinstance(kind, type):
         return parameters(kind)
     described = {one.name: one for one in parameters(type(kind))}
@@ -45,13 +45,13 @@ def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
 
 
 def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[Described, ...]:
-    """Returns the descriptions of one kind among a walker's fields, which have bounds."""
+    """Return the descriptions of one kind among a walker's fields, which have bounds."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
 
 
 def description(field: dataclasses.Field, kind: type[Described]) -> Described | None:
-    """Returns the description of a field, if it is of the kind: the owner of its converter."""
+    """Return the description of a field, if it is of the kind: the owner of its converter."""
     one = getattr(field.metadata.get("converter"), "__self__", None)
     return one if isinstance(one, kind) else None
 
@@ -63,13 +63,13 @@ class Option(NamedTuple):
     meaning: str
 
     def convert(self, value: object) -> bool:
-        """Returns the value; raises `WrongUse` for one that is not true or false."""
+        """Return the value; raise `WrongUse` for one that is not true or false."""
         check_kind(self.name, value, bool)
         return bool(value)
 
 
 def options(walker: type[System] | System) -> tuple[Option, ...]:
-    """Returns the options of a walker, in the order of its constructor's arguments.
+    """Return the options of a walker, in the order of its constructor's arguments.
 
     Raises `WrongUse` for another static field, whose value data sets would lack.
     """
@@ -81,18 +81,18 @@ def options(walker: type[System] | System) -> tuple[Option, ...]:
 
 
 def chosen_options(walker: System) -> tuple[str, ...]:
-    """Returns the names of a walker's options that are on."""
+    """Return the names of a walker's options that are on."""
     return tuple(one.name for one in options(walker) if getattr(walker, one.name))
 
 
 def describe_walker(walker: System) -> dict[str, Any]:
-    """Returns the name, parameters and active options of a walker, for a request."""
+    """Return the name, parameters and active options of a walker, for a request."""
     values = {name: float(value) for name, value in numbers_of(walker).items()}
     return {"name": walker.label(), **values, **dict.fromkeys(chosen_options(walker), True)}
 
 
 def attributes_of(walker: System, *, without: str | None = None) -> dict[str, Any]:
-    """Returns the parameters and active options of a walker, as attributes of a data set.
+    """Return the parameters and active options of a walker, as attributes of a data set.
 
     They include the names of its own failures, and a fingerprint of the code of a class outside the
     package.
@@ -106,7 +106,7 @@ def attributes_of(walker: System, *, without: str | None = None) -> dict[str, An
 
 
 def describe_in_words(walker: System) -> str:
-    """Describes a walker on one line: its name, then each parameter with its value."""
+    """Describe a walker on one line: its name, then each parameter with its value."""
     name, *values = describe_walker(walker).items()
     return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
 
@@ -116,7 +116,7 @@ BRIEF = 48
 
 
 def describe_briefly(walker: System) -> str:
-    """Describes a walker on one line, with as many of its parameters as there is room for."""
+    """Describe a walker on one line, with as many of its parameters as there is room for."""
     told, *others = describe_in_words(walker).split(", ")
     for i, one in enumerate(others):
         if i and len(f"{told}, {one}") > BRIEF:
@@ -131,7 +131,7 @@ errors, which begin at the 16th digit."""
 
 
 def space_decimals(low: float, high: float, count: int) -> list[float]:
-    """Returns equally spaced values of a parameter, from low to high, rounded to `DIGITS`.
+    """Return equally spaced values of a parameter, from low to high, rounded to `DIGITS`.
 
     So 0.3 is 0.3, and not 0.30000000000000004.
     """
@@ -147,13 +147,13 @@ UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
 def slopes_of(kind: type[System]) -> tuple[float, float]:
-    """Returns the ends of the slopes over which gaits are followed unless others are given."""
+    """Return the ends of the slopes over which gaits are followed unless others are given."""
     ends = next(one.span for one in parameters(kind) if one.name == "slope")
     return SLOPE.span if np.isnan(ends[0]) else ends
 
 
 def check_parameter(walker: System, parameter: str, *values: float) -> None:
-    """Raises `WrongUse` for a parameter the walker lacks, or values that it refuses."""
+    """Raise `WrongUse` for a parameter the walker lacks, or values that it refuses."""
     check_kind("walker", walker, System)
     if not isinstance(parameter, str) or parameter not in numbers_of(walker):
         names = ", ".join(numbers_of(walker))
@@ -173,7 +173,7 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
 def parameter_directions(
     walker: AnySystem, parameters: Sequence[str], dtype, rows: int = 1
 ) -> AnySystem:
-    """Returns a walker with a row of numbers for each parameter: directions of some of them.
+    """Return a walker with a row of numbers for each parameter: directions of some of them.
 
     In the row of one of these its own number is 1, and all others are 0. The rows of other
     parameters are 0.
@@ -185,5 +185,5 @@ def parameter_directions(
 
 
 def with_parameter(walker: AnySystem, parameter: str, value) -> AnySystem:
-    """Returns the walker with another value of one parameter; an array makes many walkers."""
+    """Return the walker with another value of one parameter; an array makes many walkers."""
     return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)

@@ -46,48 +46,48 @@ class Phase(eqx.Module):
 
     @abc.abstractmethod
     def begin(self, state: State) -> Any:
-        """Returns its own state at the start of a stride; released parts are at rest."""
+        """Return its own state at the start of a stride; released parts are at rest."""
 
     @abc.abstractmethod
     def vector_field(self, state: Any) -> Any:
-        """Returns the time derivative of the state."""
+        """Return the time derivative of the state."""
 
     @abc.abstractmethod
     def contact_force(self, state: Any) -> tuple[Scalar, Scalar]:
-        """Returns the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
+        """Return the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
 
     @abc.abstractmethod
     def event(self, state: Any) -> Scalar:
-        """Returns a number that is negative in the phase, and rises through zero at its end."""
+        """Return a number that is negative in the phase, and rises through zero at its end."""
 
     @abc.abstractmethod
     def end(self, state: Any) -> Any:
-        """Returns the state in which the next phase begins: a `State` if that is the swing.
+        """Return the state in which the next phase begins: a `State` if that is the swing.
 
         It follows the impact in which constraints are made, or the release of others.
         """
 
     def clearance(self, state: Any) -> Scalar | None:
-        """Returns the height of the swing foot above the slope, if it must not come down here.
+        """Return the height of the swing foot above the slope, if it must not come down here.
 
         By default it may.
         """
         return None
 
     def reach(self, state: Any) -> Scalar:
-        """Returns the distance of the swing foot ahead of the stance foot, along the slope."""
+        """Return the distance of the swing foot ahead of the stance foot, along the slope."""
         raise NotImplementedError
 
     def conditions(self) -> Conditions:
-        """Returns the conditions of this phase; the walker's own hold in the swing alone."""
+        """Return the conditions of this phase; the walker's own hold in the swing alone."""
         return {}
 
     def equations(self) -> VectorField:
-        """Returns the equations of motion to integrate, as for the walker."""
+        """Return the equations of motion to integrate, as for the walker."""
         return self.vector_field
 
     def mode(self) -> Mode:
-        """Returns the phase as a mode of a stride, to its event.
+        """Return the phase as a mode of a stride, to its event.
 
         It also ends in a fall, and where the swing foot comes down in front, if it must not.
         """
@@ -115,27 +115,27 @@ class Phase(eqx.Module):
 
 
 def energy_of(part: Any) -> Function | None:
-    """Returns the method of a walker or a phase that gives its energy, if it has one."""
+    """Return the method of a walker or a phase that gives its energy, if it has one."""
     energy: Any = getattr(part, "energy", None)
     of_a_state = callable(energy) and len(inspect.signature(energy).parameters) == 1
     return cast("Function", energy) if of_a_state else None
 
 
 def is_of_package(kind: type, method: str) -> bool:
-    """Returns whether a method of a class, if it has it, is one of the package's own."""
+    """Return whether a method of a class, if it has it, is one of the package's own."""
     home = next((base for base in kind.__mro__ if method in vars(base)), None)
     return home is None or home.__module__.startswith("walker_jax.")
 
 
 def conditions_of(part: Any) -> dict[int, Function]:
-    """Returns its conditions, Q_v among them, by the outcome if one is violated."""
+    """Return its conditions, Q_v among them, by the outcome if one is violated."""
     walker = getattr(part, "walker", part)
     others = {int(walker.failure(name)): one for name, one in part.conditions().items()}
     return {int(Outcome.RUNNING): lambda state: part.contact_force(state)[1]} | others
 
 
 def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
-    """Returns the falls of a walker as guards; `persist` says that they last within a step."""
+    """Return the falls of a walker as guards; `persist` says that they last within a step."""
     value = lambda name: lambda state: walker.falls(state)[name]
     kind, guards = type(walker).__name__, []
     for name, shape in jax.eval_shape(walker.falls, some_state(walker)).items():
@@ -153,7 +153,7 @@ def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
 
 
 def check_real(label: str, value: jax.ShapeDtypeStruct) -> None:
-    """Raises `WrongUse` if a user's own hook returns something else than one real number."""
+    """Raise `WrongUse` if a user's own hook returns something else than one real number."""
     if value.shape or not jnp.issubdtype(value.dtype, jnp.floating):
         raise WrongUse(
             f"{label} must be one real number, such as -theta, not {value.dtype} of shape "
@@ -162,13 +162,13 @@ def check_real(label: str, value: jax.ShapeDtypeStruct) -> None:
 
 
 def some_state(walker: Any) -> Any:
-    """Returns a full state without values, of the dtype of a walker's parameters."""
+    """Return a full state without values, of the dtype of a walker's parameters."""
     dtype = jnp.result_type(0.0, *jax.tree.leaves(walker))
     number: Any = jax.ShapeDtypeStruct((), dtype)
     return walker.state(*[number] * len(walker.state._fields))
 
 
 def is_planar(walker: Any) -> bool:
-    """Returns whether a system is a planar walker: the angles of its legs come first."""
+    """Return whether a system is a planar walker: the angles of its legs come first."""
     coordinates = getattr(getattr(walker, "state", None), "_fields", ())
     return coordinates[:2] == State._fields[:2]

@@ -29,7 +29,7 @@ GROUP = "walker_jax.walkers"
 
 
 def find_walker(name: str) -> type[Walker]:
-    """Returns the class of walkers of a name; raises `WrongUse` where there is none."""
+    """Return the class of walkers of a name; raise `WrongUse` where there is none."""
     if name in WALKERS:
         return WALKERS[name]
     if ":" in name:
@@ -50,7 +50,7 @@ def find_walker(name: str) -> type[Walker]:
 
 
 def find_system(name: str) -> type[System] | System:
-    """Returns the system, or class of systems, of a name; raises `WrongUse` where there is none."""
+    """Return the system, or class of systems, of a name; raise `WrongUse` where there is none."""
     if name in SYSTEMS:
         return SYSTEMS[name]
     place, _, attribute = name.rpartition(":")
@@ -77,7 +77,7 @@ def find_system(name: str) -> type[System] | System:
 
 
 def reference_of(kind: type[System] | System) -> str:
-    """Returns the name by which another process finds a class, or a system that a file makes.
+    """Return the name by which another process finds a class, or a system that a file makes.
 
     `find_walker` takes the name of a walker, `find_system` that of any other system. Raises
     `WrongUse` for objects that have no name in a module with a file.
@@ -95,7 +95,7 @@ def reference_of(kind: type[System] | System) -> str:
 
 
 def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
-    """Returns the module with a file that has a class, or makes a system, and its name there."""
+    """Return the module with a file that has a class, or make a system, and its name there."""
     if isinstance(kind, type):
         module = sys.modules.get(kind.__module__)
         found = getattr(module, "__dict__", {}).get(kind.__qualname__) is kind
@@ -120,12 +120,12 @@ def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
 
 
 def installed_walkers() -> dict[str, EntryPoint]:
-    """Returns the walkers of other packages, by name; names of this package take precedence."""
+    """Return the walkers of other packages, by name; names of this package take precedence."""
     return {one.name: one for one in entry_points(group=GROUP) if one.name not in WALKERS}
 
 
 def load_installed(point: EntryPoint) -> type[Walker]:
-    """Returns the class that another package registers; raises `WrongUse` where it has none."""
+    """Return the class that another package registers; raise `WrongUse` where it has none."""
     try:
         value = point.load()
     except (Exception, SystemExit) as error:  # whatever foreign code raises
@@ -134,12 +134,12 @@ def load_installed(point: EntryPoint) -> type[Walker]:
 
 
 def load_place(place: str, noun: str = "walker") -> ModuleType:
-    """Returns the module of a file or of a package; errors name the `noun` that is looked for."""
+    """Return the module of a file or of a package; errors name the `noun` that is looked for."""
     return load_file(Path(place), noun) if place.endswith(".py") else load_module(place, noun)
 
 
 def load_file(path: Path, noun: str = "walker") -> ModuleType:
-    """Runs a Python file as a module of its name, which may import files beside it."""
+    """Run a Python file as a module of its name, which may import files beside it."""
     if not path.is_file():
         raise WrongPlace(f"{noun} {path}: there is no such file")
     path, name = path.resolve(), path.stem
@@ -161,7 +161,7 @@ def load_file(path: Path, noun: str = "walker") -> ModuleType:
 
 
 def is_taken(name: str, path: Path) -> bool:
-    """Returns whether another module than this file has that name, loaded or not."""
+    """Return whether another module than this file has that name, loaded or not."""
     if name in sys.stdlib_module_names:
         return True
     try:
@@ -172,7 +172,7 @@ def is_taken(name: str, path: Path) -> bool:
 
 
 def load_module(name: str, noun: str) -> ModuleType:
-    """Returns a module, of this folder or installed."""
+    """Return a module, of this folder or installed."""
     make_importable(Path.cwd())
     try:
         return importlib.import_module(name)
@@ -186,7 +186,7 @@ def make_importable(folder: Path) -> None:
 
 
 def cannot_be_loaded(error: BaseException, path: Path | None = None) -> str:
-    """Says why code cannot be loaded, with the line of the file where it failed."""
+    """Say why code cannot be loaded, with the line of the file where it failed."""
     line, step = "", error.__traceback__
     while step is not None:
         if path is not None and step.tb_frame.f_code.co_filename == str(path):
@@ -196,7 +196,7 @@ def cannot_be_loaded(error: BaseException, path: Path | None = None) -> str:
 
 
 def walkers_in(module: ModuleType) -> list[str]:
-    """Returns the names of the walkers that a module defines."""
+    """Return the names of the walkers that a module defines."""
     return [
         name
         for name, value in vars(module).items()
@@ -213,18 +213,18 @@ def is_system(value: Any) -> TypeGuard[type[System]]:
 
 
 def systems_in(module: ModuleType) -> list[str]:
-    """Returns the names of the systems, and of their classes, that a module makes."""
+    """Return the names of the systems, and of their classes, that a module makes."""
     return [name for name in vars(module) if is_own(module, name)]
 
 
 def is_own(module: ModuleType, name: str) -> bool:
-    """Returns whether a module makes a system, or defines a class of systems, of that name."""
+    """Return whether a module makes a system, or defines a class of systems, of that name."""
     value = vars(module)[name]
     return isinstance(value, System) or (is_system(value) and value.__module__ == module.__name__)
 
 
 def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> type[Walker]:
-    """Returns the class, if it is a complete one of walkers; raises `WrongUse` otherwise."""
+    """Return the class, if it is a complete one of walkers; raise `WrongUse` otherwise."""
     if not is_walker(value):
         raise WrongUse(f"walker {name} must be a class of walkers: {choose_from(others, place)}")
     check_complete("walker", name, value)
@@ -232,7 +232,7 @@ def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> ty
 
 
 def check_complete(noun: str, name: str, kind: type[System]) -> None:
-    """Raises `WrongUse` for a class that lacks methods, or names of coordinates."""
+    """Raise `WrongUse` for a class that lacks methods, or names of coordinates."""
     missing = sorted(getattr(kind, "__abstractmethods__", ()))
     missing += [] if hasattr(kind, "section") else ["section"]
     if missing or inspect.isabstract(kind):
@@ -240,7 +240,7 @@ def check_complete(noun: str, name: str, kind: type[System]) -> None:
 
 
 def choose_from(names: Sequence[str], place: str) -> str:
-    """Says how to name one of the walkers, or systems, of a place."""
+    """Say how to name one of the walkers, or systems, of a place."""
     if not names:
         return f"{place} defines none"
     return "give " + " or ".join(f"{place}:{name}" for name in names)

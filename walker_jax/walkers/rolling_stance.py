@@ -63,12 +63,12 @@ class Momenta(NamedTuple):
     """Cosine and sine of the lean."""
 
     def scalars(self) -> list[Scalar]:
-        """Returns all entries, one after the other."""
+        """Return all entries, one after the other."""
         return [entry for field in self for entry in field]
 
     @classmethod
     def of(cls, scalars: list[Scalar]) -> "Momenta":
-        """Makes the momenta from all entries."""
+        """Make the momenta from all entries."""
         vectors = [jnp.stack(scalars[i : i + 3]) for i in range(0, 24, 3)]
         return cls._make([*vectors, scalars[24:]])
 
@@ -107,14 +107,14 @@ class RollingStance(ConstrainedPower):
         return [rolled * jnp.cos(q[2]), rolled * jnp.sin(q[2]), *u]
 
     def rolled(self, u: list) -> Scalar:
-        """Returns the speed of the contact along the slope."""
+        """Return the speed of the contact along the slope."""
         return -self.walker.disc_radius * u[2]
 
     def momentum(self, q, u):
         return unroll(lambda self, q, u: self.momenta(q[3:], u).scalars())(self, q, u)
 
     def momenta(self, angles: list, u: list) -> Momenta:
-        """Computes the momenta from lean, theta and phi, and the rates."""
+        """Compute the momenta from lean, theta and phi, and the rates."""
         walker = self.walker
         lean, theta, phi = angles
         yawdot, leandot, thetadot, phidot = u
@@ -147,14 +147,14 @@ class RollingStance(ConstrainedPower):
         return Momenta(whole, about_hip, p_1 + p_2, p_2, at_hip, arms, swing, frame, tilt)
 
     def spin(self, leg: tuple[Scalar, Scalar], side: float, omega: Vector) -> Vector:
-        """Returns the angular momentum of a leg about its centre of mass."""
+        """Return the angular momentum of a leg about its centre of mass."""
         c, s = leg
         within = jnp.stack([c * omega[0] - s * omega[2], omega[1], s * omega[0] + c * omega[2]])
         h = self.walker.inertia(side) @ within
         return jnp.stack([c * h[0] + s * h[2], h[1], c * h[2] - s * h[0]])
 
     def weight(self, yaw: Scalar, lean: list[Scalar]) -> Vector:
-        """Returns the weight of a leg, along the axle's frame."""
+        """Return the weight of a leg, along the axle's frame."""
         down, down_slope = -jnp.cos(self.walker.slope), jnp.sin(self.walker.slope)
         across, (c, s) = -down_slope * jnp.sin(yaw), lean
         gravity = [down_slope * jnp.cos(yaw), c * across + s * down, c * down - s * across]
@@ -175,7 +175,7 @@ class RollingStance(ConstrainedPower):
         return unroll(flat)(self, q, u, momentum, momentum_rates)
 
     def moments(self, lean: list[Scalar], whole: Vector, swing: Vector) -> list[Scalar]:
-        """Returns the power of moments, on both legs and the swing leg, at unit rate of each u."""
+        """Return the power of moments, on both legs and the swing leg, at unit rate of each u."""
         (c, s), (along, sideways, up) = lean, whole
         return [sideways * s + up * c, along, -sideways, swing[1]]
 
@@ -195,14 +195,14 @@ class RollingStance(ConstrainedPower):
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Returns the vector product, with no more products than it has."""
+    """Return the vector product, with no more products than it has."""
     (a0, a1, a2), (b0, b1, b2) = a, b
     return jnp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 @jax.jit
 def contact_forces(walker: Any, state: Any) -> list[Scalar]:
-    """Computes the forces of the ground on the stance disc, down the slope and normal to it."""
+    """Compute the forces of the ground on the stance disc, down the slope and normal to it."""
     q, u = list(state[:6]), list(state[6:])
     rates = list(RollingStance(walker)(state))
 

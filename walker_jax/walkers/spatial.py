@@ -43,7 +43,7 @@ SPATIAL_SLOPE = SLOPE._replace(default=0.0702)
 
 
 def inertia_parameter(name: str, default: float) -> Parameter:
-    """Makes an entry of the matrix of inertia of the left leg."""
+    """Make an entry of the matrix of inertia of the left leg."""
     meaning = f"entry {name[-2:]} of the left leg's matrix of inertia"
     low = 0.0 if name[-1] == name[-2] else -np.inf
     return Parameter(name, meaning, "mass length^2", default, low=low)
@@ -134,7 +134,7 @@ class SpatialWalker(Walker):
         return *diagonal, self.inertia_xy, self.inertia_xz, self.inertia_yz
 
     def inertia(self, side: float) -> Float[Array, "3 3"]:
-        """Returns the matrix of inertia of the left leg, side 1, or of the right, side -1."""
+        """Return the matrix of inertia of the left leg, side 1, or of the right, side -1."""
         xx, yy, zz, xy, xz, yz = self.inertia_entries()
         xy, yz = side * xy, side * yz
         rows = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
@@ -144,15 +144,15 @@ class SpatialWalker(Walker):
     # disc's centre, at its lowest point.
 
     def axle(self, q: Float[Array, " 7"]) -> Float[Array, "3 3"]:
-        """Returns the frame of the axle: directions forward, along the axle to the left, and up."""
+        """Return the frame of the axle: directions forward, along the axle to the left, and up."""
         return rotation_about(2, q[3]) @ rotation_about(0, q[4])
 
     def rotation(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, "3 3"]:
-        """Returns the frame of a leg, the stance leg's or the swing leg's."""
+        """Return the frame of a leg, the stance leg's or the swing leg's."""
         return self.axle(q) @ rotation_about(1, q[6] - q[5] if swing else -q[5])
 
     def disc(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, " 3"]:
-        """Returns the centre of a disc."""
+        """Return the centre of a disc."""
         axle, shank = self.axle(q), self.leg_length - self.disc_radius
         stance = q[:3] + self.disc_radius * axle[:, 2]
         if not swing:
@@ -161,17 +161,17 @@ class SpatialWalker(Walker):
         return hip - shank * self.rotation(q, True)[:, 2]
 
     def sole(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, " 3"]:
-        """Returns the lowest point of a disc, where it touches the slope."""
+        """Return the lowest point of a disc, where it touches the slope."""
         return self.disc(q, swing) - self.disc_radius * self.axle(q)[:, 2]
 
     def centre_of_mass(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, " 3"]:
-        """Returns the centre of mass of a leg."""
+        """Return the centre of mass of a leg."""
         outward = -self.com_outward if swing else self.com_outward
         place = jnp.stack([self.com_forward, outward, self.com_height - self.disc_radius])
         return self.disc(q, swing) + self.rotation(q, swing) @ place
 
     def system(self) -> System:
-        """Returns the system of both legs, for all seven coordinates."""
+        """Return the system of both legs, for all seven coordinates."""
 
         def transfer(q):
             legs = [(self.centre_of_mass(q, one), self.rotation(q, one)) for one in (False, True)]
@@ -186,7 +186,7 @@ class SpatialWalker(Walker):
     def contact_velocity(
         self, q: Float[Array, " 7"], qdot: Float[Array, " 7"], swing: bool
     ) -> Float[Array, " 3"]:
-        """Returns the velocity of a disc's point at its sole: zero if it rolls without slipping."""
+        """Return the velocity of a disc's point at its sole: zero if it rolls without slipping."""
         place = lambda function: lambda q: function(q, swing)
         places = place(self.disc), place(self.rotation), place(self.sole)
         return material_velocity(*places, q, qdot)
@@ -307,21 +307,21 @@ RATES = SpatialState._fields[6:]
 
 
 def on_ground(q: Float[Array, " 6"]) -> Float[Array, " 7"]:
-    """Adds z to the coordinates of a walker on its stance disc; or to their rates."""
+    """Add z to the coordinates of a walker on its stance disc; or to their rates."""
     return jnp.concatenate([q[:2], jnp.zeros_like(q[:1]), q[2:]])
 
 
 def all_coordinates(
     walker: SpatialWalker, state: Any
 ) -> tuple[Float[Array, " 7"], Float[Array, " 7"]]:
-    """Returns q and its rates, for a state."""
+    """Return q and its rates, for a state."""
     q, u = list(state[:6]), list(state[6:])
     return on_ground(jnp.stack(q)), on_ground(jnp.stack(RollingStance(walker).rates(q, u)))
 
 
 @jax.jit
 def sole_of(walker: SpatialWalker, state: Any) -> list[Scalar]:
-    """Returns the swing disc's sole, relative to the stance disc's."""
+    """Return the swing disc's sole, relative to the stance disc's."""
 
     def flat(walker, angles):
         zero = jnp.zeros_like(angles[0])
@@ -332,7 +332,7 @@ def sole_of(walker: SpatialWalker, state: Any) -> list[Scalar]:
 
 @jax.jit
 def rates_after_impact(walker: SpatialWalker, state: Any) -> list[Scalar]:
-    """Returns rates after the swing disc sticks: of the old sole forward and up, and u."""
+    """Return rates after the swing disc sticks: of the old sole forward and up, and u."""
 
     def flat(walker, state):
         q, qdot = all_coordinates(walker, state)

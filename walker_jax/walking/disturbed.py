@@ -47,14 +47,14 @@ def follow_disturbed(
     disturbance: Disturbance,
     integrator: Integrator,
 ) -> Stride:
-    """Follows one disturbed stride; the result's state is a full state."""
+    """Follow one disturbed stride; the result's state is a full state."""
     return follow_step(*disturbed_start(walker, x, disturbance), integrator)
 
 
 def disturbed_start(
     walker: Walker, x: Float[Array, " coordinates"], disturbance: Disturbance
 ) -> tuple[Walker, Float[Array, " full"], Scalar]:
-    """Returns the walker on a disturbed slope, its state after the push, and the step's height."""
+    """Return the walker on a disturbed slope, its state after the push, and the step's height."""
     slope = vars(walker)["slope"] + disturbance.slope
     steeper = with_parameter(walker, "slope", slope)
     start = walker.lift(x) if x.shape == (len(walker.section),) else walker.state(*x)
@@ -68,7 +68,7 @@ def follow_disturbed_walk(
     disturbances: Float[Array, "strides 3"],
     integrator: Integrator,
 ) -> DisturbedWalk:
-    """Follows strides, each with its disturbance, to a failure or the last one."""
+    """Follow strides, each with its disturbance, to a failure or the last one."""
 
     def advance(walk, disturbance):
         result = follow_disturbed(walker, walk.state, Disturbance(*disturbance), integrator)

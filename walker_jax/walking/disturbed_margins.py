@@ -41,7 +41,7 @@ def follow_disturbed_margins(
     disturbance: Disturbance,
     integrator: Integrator,
 ) -> Margins:
-    """Follows one disturbed stride, as `follow_disturbed` does, and measures its margins.
+    """Follow one disturbed stride, as `follow_disturbed` does, and measure its margins.
 
     A foot that comes down on lower ground has passed the level of the other foot before: the
     forward margin is the smaller one of the two.

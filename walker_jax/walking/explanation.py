@@ -126,7 +126,7 @@ def format_point(values: Float[np.ndarray, " n"]) -> str:
 def explain(
     walker: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
 ) -> Explanation:
-    """Explains why the stride from x ends as it does, and checks that a model fits together.
+    """Explain why the stride from x ends as it does, and check that a model fits together.
 
     For each mode it reports each guard that rose through zero, with its time and whether it was
     admitted, and how near the others came. It reports about the least values of conditions, and the
@@ -176,7 +176,7 @@ def explain(
 
 
 def check_point(system: System, x: Any) -> list[str]:
-    """Returns complaints about a start."""
+    """Return complaints about a start."""
     if not on_section(system, x):
         return []
     if not bool(system.feasible(x)):
@@ -199,7 +199,7 @@ def check_point(system: System, x: Any) -> list[str]:
 
 
 def check_records(records: list[ModeRecord]) -> list[str]:
-    """Returns complaints about guards."""
+    """Return complaints about guards."""
     found = []
     for i, mode in enumerate(records):
         if not mode.ended_by:
@@ -212,7 +212,7 @@ def check_records(records: list[ModeRecord]) -> list[str]:
 
 
 def check_energy(records: list[ModeRecord]) -> list[str]:
-    """Returns complaints about a walker whose energy should stay constant in each mode."""
+    """Return complaints about a walker whose energy should stay constant in each mode."""
     found = []
     for i, mode in enumerate(records):
         start, end = mode.energy
@@ -225,7 +225,7 @@ def check_energy(records: list[ModeRecord]) -> list[str]:
 
 
 def check_landing(system: HybridSystem, landed: Any) -> list[str]:
-    """Returns complaints about the state in which the next stride begins."""
+    """Return complaints about the state in which the next stride begins."""
     point = system.project(landed)
     again = system.lift(point)
     if jax.tree.structure(again) != jax.tree.structure(landed):
@@ -242,7 +242,7 @@ def check_landing(system: HybridSystem, landed: Any) -> list[str]:
 def record_modes(
     system: HybridSystem, x: Any, integrator: Integrator
 ) -> tuple[list[ModeRecord], Any]:
-    """Records each mode up to its end, and the state of the next stride's start, or None."""
+    """Record each mode up to its end, and the state of the next stride's start, or None."""
     state, records = full_state(system, x), []
     modes = modes_from(system, x)
     for number, mode in enumerate(modes):
@@ -266,7 +266,7 @@ def record_mode(
     failures: tuple[str, ...],
     may_be_due: bool,
 ) -> tuple[ModeRecord, Any, bool]:
-    """Follows a mode from a state: its record, its last state, and whether the stride goes on.
+    """Follow a mode from a state: its record, its last state, and whether the stride goes on.
 
     A mode that `may_be_due` is over at once where its last guard is not below zero.
     """
@@ -327,10 +327,10 @@ def record_mode(
 
 
 def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Callable, Callable]:
-    """Makes two functions: a recorded step of a mode, and its part up to a time."""
+    """Make two functions: a recorded step of a mode, and its part up to a time."""
 
     def look(state, series, time):
-        """Returns a step's end at a time, the guards there, and the conditions on the way."""
+        """Return a step's end at a time, the guards there, and the conditions on the way."""
         ways = [method.state_at(state, series, part * time) for part in PARTS]
         values = [guard.value(ways[-1]) for guard in mode.guards]
         return ways[-1], values, [[value(y) for y in ways] for value in conditions]
@@ -345,14 +345,14 @@ def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Calla
 
 
 def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[float, bool]]:
-    """Returns when a guard rises in a step, and whether each rise is admitted."""
+    """Return when a guard rises in a step, and whether each rise is admitted."""
     holds = lambda one, when: np.polyval(np.array(one)[::-1], when) > 0
     times = rises_of(np.array(value), length, below)
     return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
 
 
 def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: str = "") -> dict:
-    """Returns conditions by the names of their outcomes; a repeated name has a number."""
+    """Return conditions by the names of their outcomes; a repeated name has a number."""
     found: dict[str, Condition] = {}
     for i, one in enumerate(conditions):
         name = name_of_outcome(one.outcome, failures) + where
@@ -361,13 +361,13 @@ def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: s
 
 
 def values_at_end(mode: Mode, state: Any, failures: tuple[str, ...]) -> dict[str, float]:
-    """Returns the values of the conditions of a state in which a mode has ended."""
+    """Return the values of the conditions of a state in which a mode has ended."""
     asked = named(mode.at_end, failures, " at the end")
     return {name: float(one.value(state)) for name, one in asked.items()}
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:
-    """Returns the times at which a polynomial rises through zero in a step, from all real roots."""
+    """Return the times at which a polynomial rises through zero in a step, from all real roots."""
     scaled = coefficients * length ** np.arange(len(coefficients))
     roots = np.roots(np.trim_zeros(scaled[::-1], "f"))
     real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)

@@ -98,7 +98,7 @@ class Margins(NamedTuple):
 def margins(
     walker: System, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
 ) -> Margins:
-    """Follows one stride, as `stride` does, and measures its margins.
+    """Follow one stride, as `stride` does, and measure its margins.
 
     Arguments and errors are those of `stride`. First derivatives are exact. Margins are smooth
     except where the instant that determines them jumps.
@@ -119,7 +119,7 @@ def margins_of_many(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Margins:
-    """Computes `margins` for each of n starts, with one walker or n, as in `strides`.
+    """Compute `margins` for each of n starts, with one walker or n, as in `strides`.
 
     ```python
     found = wj.margins_of_many(wj.SimplestWalker(0.004), [(0.2, -0.2), (0.2, -0.25)])
@@ -130,7 +130,7 @@ def margins_of_many(
 
 
 def failure_margin(found: Margins) -> Scalar:
-    """Returns the margin of the failure that ended a stride, NaN for none; no batch axis."""
+    """Return the margin of the failure that ended a stride, NaN for none; no batch axis."""
     by = jnp.full_like(found.backward, jnp.nan)
     for outcome, name in WAYS.items():
         by = jnp.where(found.stride.outcome == outcome, getattr(found, name), by)
@@ -162,7 +162,7 @@ def follow_margins(
 
 
 def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
-    """Measures a map: the margin that the system defines is that of the failure that happens."""
+    """Measure a map: the margin that the system defines is that of the failure that happens."""
     stride, margin = apply_map(walker, x), margin_of_start(walker, x)
     ways = dict.fromkeys(WAYS.values(), jnp.full_like(margin, jnp.nan))
     for way, name in WAYS.items():
@@ -171,7 +171,7 @@ def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
 
 
 def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
-    """Returns `System.margin`; NaN where there is none."""
+    """Return `System.margin`; NaN where there is none."""
     known = walker.margin(x) if x.shape == (len(walker.section),) else None
     return jnp.sum(x) * jnp.nan if known is None else known
 
@@ -179,7 +179,7 @@ def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
 def judged_ends(
     walker: HybridSystem, parts: tuple[Part, ...], struck: Bool[Array, ""], lift: Scalar
 ) -> list[tuple[int, Array, Scalar]]:
-    """Returns each condition of a mode's end: its outcome, whether it was reached, its value."""
+    """Return each condition of a mode's end: its outcome, whether it was reached, its value."""
     judged: list[tuple[int, Array, Scalar]] = []
     for i, part in enumerate(parts):
         ended = part.end.guard == len(part.mode.guards) - 1
@@ -192,7 +192,7 @@ def judged_ends(
 
 
 def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:
-    """Returns the margins of a measured stride of known outcome, by name."""
+    """Return the margins of a measured stride of known outcome, by name."""
     parts = arrival.parts
     struck = arrival.verdict == Outcome.STRIDE
     lift, following = begin_next(walker, parts[-1].mode, arrival.state)
@@ -255,7 +255,7 @@ def margins_by_name(
     began: Bool[Array, ""],
     outcome: Int[Array, ""],
 ) -> dict[str, Scalar]:
-    """Returns the margins by name, from those of passed failures and that of the failed one.
+    """Return the margins by name, from those of passed failures and that of the failed one.
 
     They are NaN for failures that the stride cannot have had, and for all if it never `began`.
     """
@@ -273,12 +273,12 @@ def margins_by_name(
 
 
 def lesser_known(one: Scalar, other: Scalar) -> Scalar:
-    """Returns the smaller of two margins; either may be NaN."""
+    """Return the smaller of two margins; either may be NaN."""
     return jnp.where(jnp.isnan(one) | (other < one), other, one)
 
 
 def time_scale(walker: HybridSystem, state: Any) -> Scalar:
-    """Returns the time in which a walker topples, to first order; 1 for other systems."""
+    """Return the time in which a walker topples, to first order; 1 for other systems."""
     if not isinstance(walker, Walker):
         return zero_at(state) + 1
     in_space = isinstance(walker, SpatialWalker)
@@ -302,7 +302,7 @@ class Guards(NamedTuple):
 
 def guards_of(part: Part) -> Guards:
     def look(state):
-        """Returns values, and the least of the functions that admit each."""
+        """Return values, and the least of the functions that admit each."""
         values, admits = [], []
         for guard in part.mode.guards:
             values.append(guard.value(state))
@@ -313,7 +313,7 @@ def guards_of(part: Part) -> Guards:
         return values, admits
 
     def below(values, admits):
-        """Returns values of guards that are admitted and have not risen."""
+        """Return values of guards that are admitted and have not risen."""
         both = zip(values, admits, strict=True)
         return [jnp.where((value < 0) & (admit > 0), value, -jnp.inf) for value, admit in both]
 
@@ -325,7 +325,7 @@ def guards_of(part: Part) -> Guards:
 
 
 def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> Scalar:
-    """Returns the margin of the fall that ended a stride before heel strike; NaN if none did.
+    """Return the margin of the fall that ended a stride before heel strike; NaN if none did.
 
     It is the least change that would have prevented the fall. The guard of the fall would not have
     risen if its rate were zero: -(rate unit)^2 / 2; nor if the rise were not admitted. The mode
@@ -347,13 +347,13 @@ def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> 
 
 
 def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
-    """Returns the margin of a guard that has not risen; infinite if nothing is known of it."""
+    """Return the margin of a guard that has not risen; infinite if nothing is known of it."""
     known = jnp.isfinite(greatest)
     return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
 def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar:
-    """Returns the margin by which a heel strike happened; infinite if there was none.
+    """Return the margin by which a heel strike happened; infinite if there was none.
 
     It would not have happened if the foot had not passed the contact before, or had not been ahead;
     or if the foot came up again at once and had not come down as deep.
@@ -365,7 +365,7 @@ def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar
 
 
 def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
-    """Returns the least value of a condition up to heel strike, and the nearest miss before that.
+    """Return the least value of a condition up to heel strike, and the nearest miss before that.
 
     The miss is that of the last guard of the mode, before the condition was violated.
     """
@@ -386,7 +386,7 @@ def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
 
 
 def force_at_start(parts: tuple[Part, ...]) -> Scalar:
-    """Returns the contact force in the state in which a stride begins to move."""
+    """Return the contact force in the state in which a stride begins to move."""
     force, later = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
     for part in parts:
         here = ~later & (part.verdict == Outcome.RUNNING)
@@ -398,5 +398,5 @@ def force_at_start(parts: tuple[Part, ...]) -> Scalar:
 
 
 def not_above_zero(margin: Scalar) -> Scalar:
-    """Removes the positive rounding error of a failed margin, and keeps the derivative."""
+    """Remove the positive rounding error of a failed margin, and keep the derivative."""
     return margin - lax.stop_gradient(jnp.maximum(margin, 0))

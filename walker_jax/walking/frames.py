@@ -31,7 +31,7 @@ def ends_of_modes(
     step: Float[Array, ""] | None,
     integrator: Integrator,
 ) -> Float[Array, " modes"]:
-    """Returns the time at which each phase ends, and at which the picture ends; infinite if never.
+    """Return the time at which each phase ends, and at which the picture ends; infinite if never.
 
     The picture ends where the swing foot comes down, or the walker is on the ground.
     """
@@ -50,7 +50,7 @@ def ends_of_modes(
 
 
 def to_the_ground(mode: Mode) -> Mode:
-    """Returns the same motion, in which a leg that stops goes on until it is down."""
+    """Return the same motion, in which a leg that stops goes on until it is down."""
     down = lambda state: state.theta - np.pi / 2
     guards = [
         one._replace(value=down, persists=False) if one.leads_to == Outcome.BACKWARD else one
@@ -69,7 +69,7 @@ def frames_of_stride(
     height: float | None = None,
     tolerance: float | None = None,
 ) -> tuple[Float[np.ndarray, " frames"], Any]:
-    """Returns times about `step` apart from the start of a stride to its end, and the states then.
+    """Return times about `step` apart from the start of a stride to its end, and the states then.
 
     `stride` is its outcome and duration. A failing stride is shown to its end, or to the violation
     of a condition, and for `longest` at most. `height` is the step up to the next foothold, on
@@ -91,7 +91,7 @@ def find_ends(
     height: float | None = None,
     tolerance: float | None = None,
 ) -> Float[np.ndarray, " modes"]:
-    """Computes `ends_of_modes`, with arguments as in `stride`."""
+    """Compute `ends_of_modes`, with arguments as in `stride`."""
     walker, start, integrator = prepare(walker, x, tolerance)
     step = None if height is None else jnp.asarray(height, start.dtype)
     return np.asarray(ends_of_modes(walker, start, step, integrator))
@@ -100,14 +100,14 @@ def find_ends(
 def swings_at(
     times: Float[np.ndarray, " frames"], ends: Float[np.ndarray, " modes"]
 ) -> Bool[np.ndarray, " frames"]:
-    """Returns whether the phases before the swing are over."""
+    """Return whether the phases before the swing are over."""
     return times >= (ends[-2] if len(ends) > 1 else 0)
 
 
 def frames_shown(
     walker: Walker, outcome: Outcome, states: Any, swings: Bool[np.ndarray, " frames"]
 ) -> int:
-    """Counts the frames before the violation of the condition that ended a stride, if one did.
+    """Count the frames before the violation of the condition that ended a stride, if one did.
 
     The count is at least one. Before the swing, states are those of the first phase.
     """

@@ -81,7 +81,7 @@ def strides(
     solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Stride:
-    """Makes one stride from each of n starts, on all devices and cores.
+    """Make one stride from each of n starts, on all devices and cores.
 
     ```python
     starts = [(0.2, -0.2), (0.2, -0.25), (0.3, -0.3)]
@@ -105,7 +105,7 @@ def for_each_start(
     solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Any:
-    """Computes function(walker, x, integrator) for n starts, and one walker or n; NumPy arrays."""
+    """Compute function(walker, x, integrator) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, System)
     xs = array("xs", xs)
     if xs.dtype.kind not in "fiub":
@@ -128,7 +128,7 @@ def for_each_start(
 
 
 def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
-    """Returns one walker, or n of them, with parameters of one dtype, and whether there are n.
+    """Return one walker, or n of them, with parameters of one dtype, and whether there are n.
 
     Parameters of another dtype would be compiled anew.
     """
@@ -140,14 +140,14 @@ def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
 
 
 def broadcast_parameters(walker: AnySystem, n: int, dtype) -> AnySystem:
-    """Returns a walker, or n of them, with every parameter as an array of n."""
+    """Return a walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
 
 
 def with_parameters(
     walker: AnySystem, parameters: Sequence[str], values: Float[np.ndarray, "n parameters"]
 ) -> AnySystem:
-    """Returns n walkers, each with its own values of some parameters, unchecked."""
+    """Return n walkers, each with its own values of some parameters, unchecked."""
     walkers = broadcast_parameters(walker, len(values), values.dtype)
     for parameter, column in zip(parameters, values.T, strict=True):
         walkers = with_parameter(walkers, parameter, column)
@@ -155,12 +155,12 @@ def with_parameters(
 
 
 def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) -> AnySystem:
-    """Returns some of many walkers; the single one, if all starts share it."""
+    """Return some of many walkers; the single one, if all starts share it."""
     return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
 
 
 def check_parameter_arrays(walker: System, n: int) -> None:
-    """Raises `WrongUse` for parameters that are neither one number nor n, or out of range."""
+    """Raise `WrongUse` for parameters that are neither one number nor n, or out of range."""
     for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
@@ -179,7 +179,7 @@ def walk(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Walk:
-    """Makes n strides, one after the other, from x on the section.
+    """Make n strides, one after the other, from x on the section.
 
     ```python
     walker = wj.SimplestWalker(0.004)
@@ -228,7 +228,7 @@ def follow_rough_walk(
     ground: Float[Array, " n"],
     integrator: Integrator,
 ) -> Walk:
-    """Follows strides, each onto its own height above the last."""
+    """Follow strides, each onto its own height above the last."""
 
     def follow(carry, step):
         x, fate = carry
@@ -250,7 +250,7 @@ def walk_on(
     limit: Int[Array, ""],
     integrator: Integrator,
 ) -> WalkEnd:
-    """Walks on until a failure, until a target is reached, or for a number of strides."""
+    """Walk on until a failure, until a target is reached, or for a number of strides."""
 
     def distances(x, targets):
         distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
@@ -286,7 +286,7 @@ def iterate(
     *,
     progress: str | None = None,
 ) -> WalkEnd:
-    """Runs `walk_on` from each of n starts, on all devices and cores; NumPy arrays.
+    """Run `walk_on` from each of n starts, on all devices and cores; NumPy arrays.
 
     The walker's parameters may be arrays of n. Walks continue in rounds, each of the unfinished
     walks. `progress` is the label of a progress bar.
@@ -327,7 +327,7 @@ def iterate(
 
 
 def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
-    """Repeats targets up to a power of two, so that few programs are compiled.
+    """Repeat targets up to a power of two, so that few programs are compiled.
 
     Of equal targets the first is the nearest. Without targets the result is one that no state
     reaches.
@@ -339,7 +339,7 @@ def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
 
 
 def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[np.ndarray, " n"]:
-    """Returns the number of the nearest target within reach of each state; -1 for none."""
+    """Return the number of the nearest target within reach of each state; -1 for none."""
     number, smallest = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, (state, frame) in enumerate(zip(*targets, strict=True)):
         distance = np.abs((x - state) @ frame.T).max(axis=1)
@@ -353,7 +353,7 @@ def orbits(
     count: int,
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "n states section"], Int[np.ndarray, " n"]]:
-    """Returns all states of `count` strides from each of n starts, and the last outcomes.
+    """Return all states of `count` strides from each of n starts, and the last outcomes.
 
     States after a failure are NaN. The walker's parameters may be arrays of n.
     """
@@ -377,7 +377,7 @@ def orbits(
 def record_walk(
     walker: System, x: Float[Array, " section"], limit: Int[Array, ""], integrator: Integrator
 ) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
-    """Returns the states of `RECORDED` strides, NaN from the end on, and the last outcome."""
+    """Return the states of `RECORDED` strides, NaN from the end on, and the last outcome."""
 
     def unfinished(walk):
         made, _, outcome, _ = walk

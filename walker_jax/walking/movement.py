@@ -41,7 +41,7 @@ def motion(
     ground: Float[ArrayLike, " strides"] | None = None,
     tolerance: float | None = None,
 ) -> xr.Dataset:
-    """Computes the motion of a walk from x, and of its fall, at times about `step` apart.
+    """Compute the motion of a walk from x, and of its fall, at times about `step` apart.
 
     ```python
     walker = wj.SimplestWalker(0.009)
@@ -132,7 +132,7 @@ def motion(
 def step_ahead(
     walker: Walker, states: Any, height: float | None, failed: bool
 ) -> Float[np.ndarray, "2"]:
-    """Returns the way from the stance foot to the next foothold; one step, after a failure."""
+    """Return the way from the stance foot to the next foothold; one step, after a failure."""
     shown = lambda i: jax.tree.map(lambda values: jnp.asarray(values[i]), legs(states))
     ahead = float(walker.reach(shown(-1)))
     if failed and height is not None:
@@ -141,7 +141,7 @@ def step_ahead(
 
 
 def leg_shape(walker: Walker) -> tuple[float, float]:
-    """Returns the length from hip to the centre of the foot's arc, and its radius, or 0.
+    """Return the length from hip to the centre of the foot's arc, and its radius, or 0.
 
     They follow from the way of the swing foot as legs turn by half a turn from being parallel, the
     stance leg from upright. That way is twice the length down, and half the arc's circumference
@@ -156,7 +156,7 @@ def leg_shape(walker: Walker) -> tuple[float, float]:
 def leg_positions(
     walker: Walker, states: Any, foot: Float[np.ndarray, "2"], length: float, radius: float
 ) -> dict[str, Float[np.ndarray, "frames 2"]]:
-    """Returns stance foot, hip and swing foot, or the arcs' centres; and a swing knee."""
+    """Return stance foot, hip and swing foot, or the arcs' centres; and a swing knee."""
     along = lambda angle: np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     theta, phi = np.asarray(states.theta), np.asarray(states.phi)
     stance = foot + np.stack([-radius * theta, np.full(len(theta), radius)], axis=1)

@@ -24,7 +24,7 @@ ANGLES = SpatialState._fields[2:6]
 def move_in_space(
     walker: SpatialWalker, states: SpatialState, foot: Float[np.ndarray, " 3"], number: int
 ) -> tuple[dict[str, Float[np.ndarray, " n"]], dict[str, Float[np.ndarray, "n 3"]], Any]:
-    """Returns angles and places in a stride of some number, and the place of the next foot."""
+    """Return angles and places in a stride of some number, and the place of the next foot."""
     found, sole = map(np.asarray, jax.vmap(places_of, (None, 0))(walker, states))
     mirror = np.array([1, (-1) ** number, 1])
     places = {name: foot + mirror * found[:, i] for i, name in enumerate(PLACES)}
@@ -37,7 +37,7 @@ def move_in_space(
 def places_of(
     walker: SpatialWalker, state: SpatialState
 ) -> tuple[Float[jax.Array, "places 3"], Float[jax.Array, " 3"]]:
-    """Returns both discs' centres, the axle's ends and direction; and the swing disc's sole."""
+    """Return both discs' centres, the axle's ends and direction; and the swing disc's sole."""
     q, shank = on_ground(jnp.stack(state[:6])), walker.leg_length - walker.disc_radius
     discs = [walker.disc(q, swing) for swing in (False, True)]
     ends = [

@@ -10,7 +10,7 @@ from walker_jax.walking.starts import overrides
 
 
 def raise_ground(mode: Mode, step: Scalar) -> Mode:
-    """Returns a phase whose swing foot must not come down on ground that is higher by `step`."""
+    """Return a phase whose swing foot must not come down on ground that is higher by `step`."""
     above = lambda guard: lambda state: step + guard.value(state)
     raised = [
         guard._replace(value=above(guard)) if guard.leads_to == Outcome.BENT_KNEE else guard
@@ -22,7 +22,7 @@ def raise_ground(mode: Mode, step: Scalar) -> Mode:
 def onto_step(
     walker: Walker, swing: Mode, step: Scalar, to_step: Bool[Array, ""] | None = None
 ) -> Mode:
-    """Returns the swing up to the foot's contact, ahead of the other, on ground higher by `step`.
+    """Return the swing up to the foot's contact, ahead of the other, on ground higher by `step`.
 
     If not `to_step`, it is the swing as it is. Both cases share one loop, which keeps the lanes of
     a kernel together. On a step the foot is ahead once it has passed the other leg; a walker's own

@@ -27,7 +27,7 @@ def prepare(
     tolerance: Real | None,
     solver: AnySolver | None = None,
 ) -> tuple[AnySystem, Float[Array, " coordinates"], Integrator]:
-    """Returns walker, start and integrator, checked, in the dtype of the start."""
+    """Return walker, start and integrator, checked, in the dtype of the start."""
     check_kind("walker", walker, System)
     check_single(walker)
     x = as_floating(x)
@@ -45,13 +45,13 @@ def prepare(
 
 
 def sizes_of_starts(walker: System) -> tuple[int, ...]:
-    """Returns the sizes of a section's point, and of the full states a walker may start from."""
+    """Return the sizes of a section's point, and of the full states a walker may start from."""
     full = state_kinds(walker) if isinstance(walker, Walker) else []
     return len(walker.section), *(len(kind._fields) for kind in full)
 
 
 def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
-    """Returns x as an array; a floating dtype is kept."""
+    """Return x as an array; a floating dtype is kept."""
     try:
         values = jnp.asarray(x)
     except (TypeError, ValueError, OverflowError):
@@ -62,12 +62,12 @@ def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
 
 
 def on_section(walker: System, x: Float[Array, " coordinates"]) -> bool:
-    """Returns whether a start is a point of the section, and no full state."""
+    """Return whether a start is a point of the section, and no full state."""
     return x.shape == (len(walker.section),)
 
 
 def during_stride(walker: AnySystem, x: Float[Array, " coordinates"]) -> AnySystem:
-    """Returns the walker during the stride from x; a full state is projected on the section."""
+    """Return the walker during the stride from x; a full state is projected on the section."""
     if not isinstance(walker, Walker) or type(walker).during_stride is Walker.during_stride:
         return walker
     x = x if on_section(walker, x) else walker.project(full_state(walker, x))
@@ -75,7 +75,7 @@ def during_stride(walker: AnySystem, x: Float[Array, " coordinates"]) -> AnySyst
 
 
 def state_kinds(walker: Walker) -> list[type]:
-    """Returns the kinds of full states for a start: the walker's, and its first phase's."""
+    """Return the kinds of full states for a start: the walker's, and its first phase's."""
     if not (phases := walker.phases()):
         return [walker.state]
     number: Any = jax.ShapeDtypeStruct((), jnp.asarray(0.0).dtype)
@@ -84,7 +84,7 @@ def state_kinds(walker: Walker) -> list[type]:
 
 
 def full_state(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Any:
-    """Returns the full state of a start, which may be one already; of the first phase, if any."""
+    """Return the full state of a start, which may be one already; of the first phase, if any."""
     if not isinstance(walker, Walker):
         return walker.lift(x)
     if on_section(walker, x):
@@ -101,7 +101,7 @@ def full_state(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Any:
 def is_feasible(
     walker: HybridSystem, x: Float[Array, " coordinates"], start: Any
 ) -> Bool[Array, ""]:
-    """Returns whether a stride can begin at x, with the full state `start`."""
+    """Return whether a stride can begin at x, with the full state `start`."""
     if not isinstance(walker, Walker) or on_section(walker, x):
         return walker.feasible(x)
     feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
@@ -111,7 +111,7 @@ def is_feasible(
 
 
 def check_vector_field(walker: Walker, start: Any) -> None:
-    """Raises `WrongUse` for a user's own vector field that does not return rates."""
+    """Raise `WrongUse` for a user's own vector field that does not return rates."""
     if type(walker).vector_field is MultibodyMotion.vector_field:
         return
     rates = jax.eval_shape(walker.vector_field, start)
@@ -124,13 +124,13 @@ def check_vector_field(walker: Walker, start: Any) -> None:
 
 
 def overrides(walker: Walker, name: str) -> bool:
-    """Returns whether the class of a walker overrides a method of the package's own walkers."""
+    """Return whether the class of a walker overrides a method of the package's own walkers."""
     usual = Walker if is_planar(walker) else SpatialWalker
     return getattr(type(walker), name) is not getattr(usual, name)
 
 
 def check_is_ahead(walker: Walker, state: Any) -> None:
-    """Raises `WrongUse` for a user's own rule that is not a real number."""
+    """Raise `WrongUse` for a user's own rule that is not a real number."""
     if overrides(walker, "is_ahead"):
         label = f"is_ahead of {type(walker).__name__}"
         check_real(label, jax.eval_shape(walker.is_ahead, state))

@@ -82,7 +82,7 @@ def stride(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Stride:
-    """Makes one stride, S(x), equation (20); for any `System`, the step to its next point.
+    """Make one stride, S(x), equation (20); for any `System`, the step to its next point.
 
     ```python
     walker = wj.SimplestWalker(0.004)
@@ -140,7 +140,7 @@ def follow_stride(
 def modes_from(
     walker: HybridSystem, x: Float[Array, " coordinates"], *, to_the_end: bool = False
 ) -> list[Mode]:
-    """Returns the modes of the stride from x.
+    """Return the modes of the stride from x.
 
     A launched walker, which did not start on the section, is followed to the end of a fall.
     """
@@ -156,7 +156,7 @@ def modes_from(
 
 
 def begin_stride(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Arrival:
-    """Returns the full state at the start."""
+    """Return the full state at the start."""
 
     def begin(walker, x):
         start = full_state(walker, x)
@@ -170,7 +170,7 @@ def begin_stride(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Arriv
 def follow_modes(
     modes: list[Mode], begun: Arrival, integrator: Integrator, measured: bool = False
 ) -> Arrival:
-    """Follows modes from a state of the first one to heel strike, the end of the last.
+    """Follow modes from a state of the first one to heel strike, the end of the last.
 
     If `measured`, the parts of the stride have their misses.
     """
@@ -182,7 +182,7 @@ def follow_modes(
 def follow_phases(
     phases: list[Mode], begun: Arrival, integrator: Integrator, measured: bool = False
 ) -> list[Arrival]:
-    """Returns the start of a stride, and the end of each phase, reset for the next one."""
+    """Return the start of a stride, and the end of each phase, reset for the next one."""
     ends = [begun]
     for mode in phases:
         last = ends[-1]
@@ -207,12 +207,12 @@ def follow_phases(
 def follow_swing(
     mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False
 ) -> Arrival:
-    """Follows the last mode, from the end of the phases."""
+    """Follow the last mode, from the end of the phases."""
     return follow_on(mode, begin_mode(mode, last, jnp.asarray(False)), integrator, measured)
 
 
 def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
-    """Judges how a mode begins: the walker may have fallen, or, unless the mode is `over`, be in
+    """Judge how a mode begins: the walker may have fallen, or, unless the mode is `over`, be in
     tension at the start of the stride."""
     going = last.verdict == Outcome.UNDECIDED
     verdict = jnp.where(going, with_fast_sincos(partial(fall_of, mode))(last.state), last.verdict)
@@ -224,7 +224,7 @@ def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
 
 
 def fall_of(mode: Mode, state: Any) -> Int[Array, ""]:
-    """Returns how a walker has fallen as a mode begins; `UNDECIDED` if it has not."""
+    """Return how a walker has fallen as a mode begins; `UNDECIDED` if it has not."""
     outcome = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
     for guard in reversed(mode.guards):
         if guard.at_once:
@@ -234,7 +234,7 @@ def fall_of(mode: Mode, state: Any) -> Int[Array, ""]:
 
 
 def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False) -> Arrival:
-    """Follows a mode from the end of the one before; its guard gives the verdict."""
+    """Follow a mode from the end of the one before; its guard gives the verdict."""
     going = (last.verdict == Outcome.UNDECIDED) & jnp.isfinite(last.time)
     method = method_of(mode, last.state, integrator)
     found = follow_mode(mode, last.state, going, method, measured=measured)
@@ -254,7 +254,7 @@ def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool 
 
 
 def judge_end(mode: Mode, state: Any, verdict: Int[Array, ""]) -> Int[Array, ""]:
-    """Judges the state in which a mode has ended: the motion may have to end there."""
+    """Judge the state in which a mode has ended: the motion may have to end there."""
     for one in reversed(mode.at_end):
         value = one.value(state)
         fails = jnp.where(jnp.isnan(value), Outcome.UNDECIDED, one.outcome)
@@ -263,14 +263,14 @@ def judge_end(mode: Mode, state: Any, verdict: Int[Array, ""]) -> Int[Array, ""]
 
 
 def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
-    """Returns the method that integrates a mode; its steps also end at kinks of guards."""
+    """Return the method that integrates a mode; its steps also end at kinks of guards."""
     functions = tuple(function for guard in mode.functions() for function in guard)
     watched = () if mode.as_smooth else functions
     return integrator.method(mode.field, start, *functions, watched=watched)
 
 
 def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[Any, Stride]:
-    """Returns the state after a heel strike, legs exchanged, and the stride, on the section."""
+    """Return the state after a heel strike, legs exchanged, and the stride, on the section."""
     lift, following = begin_next(walker, modes[-1], last.state)
     fallen = fall_of(judging_mode(walker, modes), following)
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
@@ -284,7 +284,7 @@ def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[
 
 
 def judging_mode(walker: HybridSystem, modes: list[Mode]) -> Mode:
-    """Returns the mode whose guards decide whether the next stride begins with a fall.
+    """Return the mode whose guards decide whether the next stride begins with a fall.
 
     Its state is the one that the last mode leads to: for a walker that of the swing, before its
     first phase begins.
@@ -293,7 +293,7 @@ def judging_mode(walker: HybridSystem, modes: list[Mode]) -> Mode:
 
 
 def begin_next(walker: HybridSystem, last: Mode, state: Any) -> tuple[Scalar, Any]:
-    """Returns the speed at which the trailing foot lifts, and the next stride's start.
+    """Return the speed at which the trailing foot lifts, and the next stride's start.
 
     The start follows from the state in which the last mode has ended. The speed is 1 for systems
     without feet.
@@ -311,7 +311,7 @@ def step_down(
     *,
     tolerance: Real | None = None,
 ) -> Stride:
-    """Makes one stride whose heel strike is on ground lower by `drop`, which is not negative.
+    """Make one stride whose heel strike is on ground lower by `drop`, which is not negative.
 
     It is `stride(walker, x, step=-drop)`.
 
@@ -330,7 +330,7 @@ def step_down(
 
 
 def height_of_step(step: Any, dtype) -> Float[Array, ""]:
-    """Returns a step's height, checked."""
+    """Return a step's height, checked."""
     if not isinstance(step, Tracer):
         check_number("step", step)
         if not abs(step) <= np.finfo(float).max:
@@ -345,7 +345,7 @@ def follow_step(
     step: Float[Array, ""],
     integrator: Integrator,
 ) -> Stride:
-    """Makes one stride to ground higher by `step`; the result's state is a full state."""
+    """Make one stride to ground higher by `step`; the result's state is a full state."""
     walker = during_stride(walker, x)
     *phases, swing = modes_from(walker, x)
     raised = [raise_ground(mode, step) for mode in phases]
@@ -372,7 +372,7 @@ def follow_to_step(
     integrator: Integrator,
     measured: bool = False,
 ) -> Arrival:
-    """Follows the swing on even ground, and on to ground that is higher by `step`.
+    """Follow the swing on even ground, and on to ground that is higher by `step`.
 
     A foot that goes below the ground has passed its level first, ahead of the other: the legs may
     pass each other below the level, and that is no heel strike.

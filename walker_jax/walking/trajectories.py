@@ -38,7 +38,7 @@ def trajectory(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Any:
-    """Computes angles and rates at `times` after the start x of a stride, 0 or later, in any order.
+    """Compute angles and rates at `times` after the start x of a stride, 0 or later, in any order.
 
     The motion follows the equations alone: it does not end at heel strike, whose time `stride`
     gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
@@ -73,7 +73,7 @@ def state_after(
     time: Scalar,
     integrator: Integrator,
 ) -> Any:
-    """Computes the state a time after the start of a stride; of the first phase, if any."""
+    """Compute the state a time after the start of a stride; of the first phase, if any."""
     walker = during_stride(walker, x)
     start, now = full_state(walker, x), jnp.zeros_like(time)
     *phases, swing = walker.modes()
@@ -93,7 +93,7 @@ def state_after(
 
 
 def state_of_motion(mode: Mode, start: Any, time: Scalar, integrator: Integrator) -> Any:
-    """Computes the state a time after another, in one mode."""
+    """Compute the state a time after another, in one mode."""
     method = integrator.method(mode.field, start)
     solution = method.solve(start, jnp.zeros_like(time), time)
     arrived = solution.result == diffrax.RESULTS.successful
@@ -101,7 +101,7 @@ def state_of_motion(mode: Mode, start: Any, time: Scalar, integrator: Integrator
 
 
 def legs(states: Any) -> State:
-    """Returns the angles and rates of the legs, from states of any phase."""
+    """Return the angles and rates of the legs, from states of any phase."""
     return State(*(getattr(states, name) for name in State._fields))
 
 
@@ -112,7 +112,7 @@ def phase_times(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Float[Array, " phases"]:
-    """Computes the time at which each phase of a stride ends; the last is the time of `stride`.
+    """Compute the time at which each phase of a stride ends; the last is the time of `stride`.
 
     For a kneed walker these are the times of knee strike, 0 where the knee locks at once, and of
     heel strike. NaN for phases that do not end with their event. Arguments and errors are those of
