@@ -51,9 +51,11 @@ def Policy(
 ) -> System:
     """Return the system with the best action of `viable` chosen before each stride.
 
-        walker = wj.PoweredWalker(slope=0.004)
-        grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 125))
-        policy = wj.Policy(walker, wj.viable(walker, grid, {"push_off": (0, 0.1, 17)}))
+    ```python
+    walker = wj.PoweredWalker(slope=0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 125))
+    policy = wj.Policy(walker, wj.viable(walker, grid, {"push_off": (0, 0.1, 17)}))
+    ```
 
     In a cell with an action, parameters are interpolated linearly along each axis between the
     centres of that cell and of neighbours with actions, so they have derivatives. Elsewhere they

@@ -85,9 +85,11 @@ def viable(
 ) -> xr.Dataset:
     """Compute the viability kernel of a system on a grid, and the actions that lead to its gait.
 
-        walker = wj.PoweredWalker(slope=0.004)
-        grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 125))
-        wj.viable(walker, grid, {"push_off": (0, 0.1, 17)}).area
+    ```python
+    walker = wj.PoweredWalker(slope=0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 125))
+    wj.viable(walker, grid, {"push_off": (0, 0.1, 17)}).area
+    ```
 
     Before each stride a controller chooses an action, one of all combinations. Leaving the grid
     counts as a failure.

@@ -84,9 +84,11 @@ def area_gradient(
 ) -> AreaGradient:
     """Compute the area of the basin within a grid, and its derivatives by parameters.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
-        found = wj.area_gradient(walker, grid, ["slope"])
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
+    found = wj.area_gradient(walker, grid, ["slope"])
+    ```
 
     With n the unit normal of the boundary,
 

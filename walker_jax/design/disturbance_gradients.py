@@ -50,9 +50,11 @@ def disturbance_gradient(
 ) -> DisturbanceGradient:
     """Compute the least disturbance that topples a walker, and its derivatives by parameters.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        found = wj.disturbance_gradient(walker, ["slope"])
-        found.size, found.gradient
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    found = wj.disturbance_gradient(walker, ["slope"])
+    found.size, found.gradient
+    ```
 
     The least disturbance (the minimal fatal shock) is the smallest from which the walker does not
     return or, with `fall`, from which it falls.

@@ -42,9 +42,11 @@ def gait_measures(
 ) -> dict[str, Measure]:
     """Measure a gait's speed, step length, stability and cost, with derivatives by parameters.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        speed = wj.gait_measures(walker, ["slope"])["speed"]
-        speed.value, speed.gradient
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    speed = wj.gait_measures(walker, ["slope"])["speed"]
+    speed.value, speed.gradient
+    ```
 
     - "step-length": the mean length of a step along the slope;
     - "speed": the step length over the mean step time;

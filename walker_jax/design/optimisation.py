@@ -92,9 +92,11 @@ def optimise(
 ) -> xr.Dataset:
     """Find the best values of a walker's parameters within bounds, by gradient ascent.
 
-        walker = wj.SpringWalker(slope=0.004, hip_stiffness=1.0)
-        found = wj.optimise(walker, {"hip_stiffness": (0, 30)}, "area")
-        found["optimum"], found["exact_optimum"]
+    ```python
+    walker = wj.SpringWalker(slope=0.004, hip_stiffness=1.0)
+    found = wj.optimise(walker, {"hip_stiffness": (0, 30)}, "area")
+    found["optimum"], found["exact_optimum"]
+    ```
 
     **Arguments:**
 

@@ -39,9 +39,11 @@ def sensitivity_gradient(
 ) -> SensitivityGradient:
     """Compute the gait sensitivity norm, and its derivatives by parameters of the walker.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        found = wj.sensitivity_gradient(walker, ["slope"])
-        found.norm, found.gradient
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    found = wj.sensitivity_gradient(walker, ["slope"])
+    found.norm, found.gradient
+    ```
 
     d norm / dp is the derivative at a fixed state, plus the derivative by the state times that of
     the gait's state. Disturbances and indicators are the defaults of `gait_sensitivity`, each of

@@ -81,9 +81,11 @@ def sweep(
 ) -> xr.Dataset:
     """Compute the basin, its area and the gait for all combinations of parameter values.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        data = wj.sweep(walker, {"slope": [0.004, 0.009]})
-        data["total_area"], data["multiplier"]
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    data = wj.sweep(walker, {"slope": [0.004, 0.009]})
+    data["total_area"], data["multiplier"]
+    ```
 
     **Arguments:**
 

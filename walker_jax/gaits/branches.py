@@ -89,9 +89,11 @@ def continue_gait(
 ) -> Branch:
     """Follow a gait over a range of a parameter, in both directions and past folds.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        branch = wj.continue_gait(walker, "slope", (0.002, 0.02))
-        branch.doublings[0].value
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    branch = wj.continue_gait(walker, "slope", (0.002, 0.02))
+    branch.doublings[0].value
+    ```
 
     Steps are as long as the curvature of the branch allows. Two folds, or two doublings, within one
     step are missed. If a multiplier passes 1 without a fold, two branches cross: a branch point.

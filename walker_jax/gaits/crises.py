@@ -45,9 +45,11 @@ def loss_of_walking(
 ) -> Loss:
     """Find the boundary crisis: the value of a parameter above which all walkers fall.
 
-        walker = wj.SimplestWalker(slope=0.015)
-        branch = wj.continue_gait(walker, "slope", (0.014, 0.022))
-        wj.loss_of_walking(walker, "slope", (0.014, 0.022), [branch])
+    ```python
+    walker = wj.SimplestWalker(slope=0.015)
+    branch = wj.continue_gait(walker, "slope", (0.014, 0.022))
+    wj.loss_of_walking(walker, "slope", (0.014, 0.022), [branch])
+    ```
 
     The interval is divided into a row of values. At each of them walkers start near the gaits of
     the branches there, stable or not: unstable gaits are dense in a chaotic attractor. The next

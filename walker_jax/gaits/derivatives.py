@@ -54,9 +54,11 @@ def gait_derivatives(
 ) -> GaitDerivatives:
     """Differentiate a gait's states, multipliers and step times by a parameter of the walker.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        gait = wj.find_gait(walker)
-        wj.gait_derivatives(walker, gait, "slope").multipliers
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    gait = wj.find_gait(walker)
+    wj.gait_derivatives(walker, gait, "slope").multipliers
+    ```
 
     By the implicit function theorem, dx solves J_i dx_i - dx_{i+1} = -dS(x_i)/dp. The derivative
     of a multiplier is (w dM v) / (w v), where M = J_k ... J_1, v and w are the right and left

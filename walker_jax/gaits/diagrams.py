@@ -71,9 +71,11 @@ def bifurcation_diagram(
 ) -> xr.Dataset:
     """Compute the gaits over a range of a parameter, their bifurcations, and the attractors.
 
-        walker = wj.SimplestWalker(slope=0.015)
-        diagram = wj.bifurcation_diagram(walker, "slope", (0.012, 0.02))
-        diagram["event_value"], diagram["lost"]
+    ```python
+    walker = wj.SimplestWalker(slope=0.015)
+    diagram = wj.bifurcation_diagram(walker, "slope", (0.012, 0.02))
+    diagram["event_value"], diagram["lost"]
+    ```
 
     Searches from the walker's `gait_region`, at `SEARCH_VALUES` values in the range, find gaits of
     all periods up to `period_max` or `LONGEST_SEARCHED_PERIOD`. Their branches are followed, and

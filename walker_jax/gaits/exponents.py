@@ -71,9 +71,11 @@ def lyapunov(
 ) -> Lyapunov:
     """Compute all Lyapunov exponents of the attractor to which a state converges.
 
-        walker = wj.SimplestWalker(slope=0.0185)
-        x = wj.find_gait(walker).states[0]
-        wj.lyapunov(walker, x).exponents
+    ```python
+    walker = wj.SimplestWalker(slope=0.0185)
+    x = wj.find_gait(walker).states[0]
+    wj.lyapunov(walker, x).exponents
+    ```
 
     **Arguments:**
 

@@ -49,9 +49,11 @@ def attractors(
 ) -> xr.Dataset:
     """Find the attractors to which walkers converge, at each of many values of a parameter.
 
-        walker, slopes = wj.SimplestWalker(slope=0.004), [0.004, 0.016, 0.018]
-        starts = np.tile(wj.find_gait(walker).states, (len(slopes), 1, 1))
-        wj.attractors(walker, "slope", slopes, starts)["period"]
+    ```python
+    walker, slopes = wj.SimplestWalker(slope=0.004), [0.004, 0.016, 0.018]
+    starts = np.tile(wj.find_gait(walker).states, (len(slopes), 1, 1))
+    wj.attractors(walker, "slope", slopes, starts)["period"]
+    ```
 
     **Arguments:**
 

@@ -72,9 +72,11 @@ def find_gait(
 ) -> Gait:
     """Find a gait of a walker by Newton's iteration (26), from a guess or a default.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        gait = wj.find_gait(walker)
-        gait.states, gait.multipliers, gait.stable
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    gait = wj.find_gait(walker)
+    gait.states, gait.multipliers, gait.stable
+    ```
 
     It works under JAX's transformations. Derivatives with respect to the walker's parameters, in
     forward and reverse mode, follow from the implicit function theorem: for a period of one,
@@ -185,9 +187,11 @@ def find_gaits(
 ) -> list[Gait]:
     """Find all gaits of a period to which Newton's iteration converges from a region's cells.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        gaits = wj.find_gaits(walker, period=1)
-        gaits.states, gaits.stable  # the long and the short gait
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    gaits = wj.find_gaits(walker, period=1)
+    gaits.states, gaits.stable  # the long and the short gait
+    ```
 
     All searches run at once, each from the states of a walk that starts at the centre of a cell. A
     finer region finds more gaits. A walk over the period must repeat each gait to `MAX_RESIDUAL`:
@@ -257,9 +261,11 @@ def descend(
 ) -> Float[np.ndarray, "n period section"]:
     """Move guesses closer to gaits by gradient descent on the mismatch of their strides.
 
-        walker = wj.SimplestWalker(slope=0.004)
-        cycles = wj.descend(walker, np.array([[[0.15, -0.15]]]))
-        wj.find_gait(walker, cycles[0])
+    ```python
+    walker = wj.SimplestWalker(slope=0.004)
+    cycles = wj.descend(walker, np.array([[[0.15, -0.15]]]))
+    wj.find_gait(walker, cycles[0])
+    ```
 
     Adam (optax) minimises |S(x_1) - x_2|^2 + ... + |S(x_k) - x_1|^2 for each of n cycles; its rate
     falls to zero over the steps. A step to a state that makes no stride is rejected, and the rate

@@ -20,11 +20,13 @@ def kernel(
 ) -> Callable:
     """Compile a pure JAX function of one cell to vectorised machine code; a decorator.
 
-        @kernel
-        def energy(q, p):
-            return p**2 / 2 - jnp.cos(q)
+    ```python
+    @kernel
+    def energy(q, p):
+        return p**2 / 2 - jnp.cos(q)
 
-        jax.vmap(energy)(jnp.linspace(0, 1, 1000), jnp.zeros(1000))
+    jax.vmap(energy)(jnp.linspace(0, 1, 1000), jnp.zeros(1000))
+    ```
 
     Call a kernel as its function, and map it over cells by `jax.vmap`. On a CPU it works on as many
     cells at once as a register holds, and on all cores under `jax.jit`. On other devices, and where
@@ -87,7 +89,9 @@ def kernel(
 def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
     """Say in one line why a function of one cell has no kernel for these arguments.
 
-        why_not(lambda x: jnp.sort(x), jnp.zeros(3))
+    ```python
+    why_not(lambda x: jnp.sort(x), jnp.zeros(3))
+    ```
 
     **Arguments:**
 

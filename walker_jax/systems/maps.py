@@ -17,10 +17,12 @@ from walker_jax.systems.system import System, code_field
 class Map(System):
     """A map x -> f(x, **parameters) as a system: every stride takes the time 1.
 
-        def henon(x, a, b):
-            return jnp.stack([1 - a * x[0] ** 2 + x[1], b * x[0]])
+    ```python
+    def henon(x, a, b):
+        return jnp.stack([1 - a * x[0] ** 2 + x[1], b * x[0]])
 
-        wj.Map(henon, ("x", "y"), parameters={"a": 1.4, "b": 0.3})
+    wj.Map(henon, ("x", "y"), parameters={"a": 1.4, "b": 0.3})
+    ```
 
     **Arguments:**
 

@@ -34,12 +34,14 @@ SHARED_FAILURES = tuple(
 class System(eqx.Module):
     """A return map; its fields are scalar parameters, or static options.
 
-        class Logistic(wj.System):
-            r: jax.Array = 3.2
-            section = ("x",)
+    ```python
+    class Logistic(wj.System):
+        r: jax.Array = 3.2
+        section = ("x",)
 
-            def advance(self, x):
-                return self.r * x * (1 - x), wj.Outcome.STRIDE, 1.0
+        def advance(self, x):
+            return self.r * x * (1 - x), wj.Outcome.STRIDE, 1.0
+    ```
 
     Derive from it to define `advance`, or from `HybridSystem` to define modes of motion instead;
     or make a `Map` of a function.
