@@ -20,7 +20,7 @@ FOUND = {
     for name, thing in PUBLIC.items()
 }
 EXAMPLES = {name: sources[0] for name, sources in FOUND.items() if sources}
-WITHOUT = {"step_down", "margins_of_many", "information_dimension"}
+WITHOUT = {"margins_of_many"}
 """Functions beside others of the same use, which have the example."""
 
 

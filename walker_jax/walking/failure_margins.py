@@ -119,13 +119,7 @@ def margins_of_many(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Margins:
-    """Compute `margins` for each of n starts, with one walker or n, as in `strides`.
-
-    ```python
-    found = wj.margins_of_many(wj.SimplestWalker(0.004), [(0.2, -0.2), (0.2, -0.25)])
-    found.stride.outcome, found.forward  # the second walker falls forward
-    ```
-    """
+    """Compute `margins` for each of n starts, with one walker or n, as in `strides`."""
     return for_each_start(follow_margins, walker, xs, tolerance, progress=progress)
 
 
