@@ -2,6 +2,7 @@
 
 import io
 import re
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from rich.console import Console
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.execution import progress, workers
+from walker_jax.gaits import branches, search
 from walker_jax.stability import boundaries, gait_robustness
 from walker_jax.systems.outcomes import Outcome
 
@@ -124,3 +126,27 @@ def test_a_boundary_says_what_it_is_at(monkeypatch):
     assert pairs >= edges > 0
     named = [("basin", True), ("edge states", True, pairs), ("stable manifolds", True, edges)]
     assert seen == named
+
+
+def test_a_branch_says_how_much_of_its_interval_is_covered(monkeypatch):
+    seen = []
+
+    @contextmanager
+    def bar(label, wanted, total=None, done=0):
+        yield lambda completed: seen.append((label, wanted, total, completed))
+
+    monkeypatch.setattr(branches, "bar", bar)
+    walker = wj.SimplestWalker(0.0095)
+    wj.continue_gait(walker, "slope", (0.009, 0.01), progress=True)
+    shares = [one[-1] for one in seen]
+    assert {one[:-1] for one in seen} == {("branch of gaits", True, 100)}
+    assert shares == sorted(shares) and shares[0] == 0 and shares[-1] >= 99
+
+
+def test_searches_show_progress_where_it_is_wanted(monkeypatch):
+    seen = []
+    bar = search.bar
+    monkeypatch.setattr(search, "bar", lambda *words: seen.append(words) or bar("", False))
+    region = wj.Grid.plain(theta=(0.19, 0.21, 2), thetadot=(-0.21, -0.19, 2))
+    wj.find_gaits(wj.SimplestWalker(0.009), 1, region, progress=True)
+    assert seen == [("searches for gaits", True)]

@@ -17,13 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
 from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers, short
+from walker_jax.execution.progress import bar
 from walker_jax.gaits.arclength import CORRECTOR_STEPS
 from walker_jax.gaits.continuation import BRANCH_CLOSES, Path, Start, follow_branch
 from walker_jax.gaits.cycles import (
@@ -35,7 +36,7 @@ from walker_jax.gaits.cycles import (
 )
 from walker_jax.gaits.defining_systems import BRANCH, DOUBLING, FOLD, TORUS
 from walker_jax.gaits.events import Bifurcation, add_normal_form
-from walker_jax.gaits.requests import compute_responses, run_batched
+from walker_jax.gaits.requests import Request, compute_responses, run_batched
 from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator, default_tolerance
@@ -86,6 +87,7 @@ def continue_gait(
     *,
     normal_forms: bool = False,
     tolerance: Real | None = None,
+    progress: bool = False,
 ) -> Branch:
     """Follow a gait over a range of a parameter, in both directions and past folds.
 
@@ -111,6 +113,7 @@ def continue_gait(
       supercritical ones. Their third derivatives take ten seconds to compile, and minutes for
       walkers with knees.
     - `tolerance`: tolerance of the integration, as in `stride`.
+    - `progress`: whether to show on a terminal how much of the interval is covered.
 
     **Returns** a `Branch`. It begins at the end towards which the parameter falls at first.
 
@@ -119,11 +122,15 @@ def continue_gait(
     """
     check_interval(walker, parameter, interval)
     check_kind("normal_forms", normal_forms, bool)
+    check_kind("progress", progress, bool)
     value = float(getattr(walker, parameter))
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     check_found(gait)
     start = Start(value, np.asarray(gait.states, float))
-    branches = continue_gaits(walker, parameter, interval, [start], tolerance=tolerance)
+    label = "branch of gaits" if progress else None
+    branches = continue_gaits(
+        walker, parameter, interval, [start], tolerance=tolerance, progress=label
+    )
     if normal_forms:
         branches = add_normal_forms(walker, parameter, branches, tolerance=tolerance)
     return branches[0]
@@ -136,6 +143,7 @@ def continue_gaits(
     starts: Sequence[Start],
     *,
     tolerance: Real | None = None,
+    progress: str | None = None,
 ) -> list[Branch]:
     """Follow the branches through many starts of any periods, all at once.
 
@@ -152,8 +160,16 @@ def continue_gaits(
         for start in starts
         for sign in ((-1.0, 1.0) if start.direction is None else (1.0,))
     ]
-    compute = partial(compute_responses, walker, [parameter], Integrator(tolerance))
-    paths = iter(run_batched(tasks, compute))
+    integrator = Integrator(tolerance)
+    covered = [start.value for start in starts]
+    with bar(progress or "", progress is not None, 100) as update:
+
+        def compute(requests: list[Any]) -> list[Any]:
+            covered.extend(one.value for one in requests if isinstance(one, Request))
+            update(int(100 * (max(covered) - min(covered)) / (high - low)))
+            return compute_responses(walker, [parameter], integrator, requests)
+
+        paths = iter(run_batched(tasks, compute))
     branches = []
     for start in starts:
         backward = next(paths) if start.direction is None else Path([], [], "a period doubling")

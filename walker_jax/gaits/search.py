@@ -5,10 +5,6 @@ section 4.2). Newton's iteration solves the k equations at once, with all states
 multiple shooting: errors do not grow from stride to stride. The Floquet multipliers of a gait are
 the eigenvalues of the product of the strides' Jacobians, J_k ... J_1. The gait is stable if all of
 them are inside the unit circle. Jacobians come from automatic differentiation.
-
-`find_gait` is one search, a differentiable function of the walker and the guess. `search_gait` does
-the same, but a failed search is a result and not an error. `find_gaits` makes thousands of searches
-at once.
 """
 
 from __future__ import annotations
@@ -33,6 +29,7 @@ from walker_jax.checks import (
     is_traced,
     refuses_tracers,
 )
+from walker_jax.execution.progress import bar
 from walker_jax.gaits.cycles import (
     MAX_RESIDUAL,
     MAX_SEARCH_STEPS,
@@ -184,6 +181,7 @@ def find_gaits(
     *,
     descent: int = 0,
     tolerance: Real | None = None,
+    progress: bool = False,
 ) -> list[Gait]:
     """Find all gaits of a period to which Newton's iteration converges from a region's cells.
 
@@ -205,6 +203,7 @@ def find_gaits(
       `gait_region`.
     - `descent`: number of steps of `descend` after which failed searches are repeated.
     - `tolerance`: tolerance of the integration, as in `stride`.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** a `Gait` whose fields have the gaits along their first axis: those with a state in
     the region, each once, from its state with the smallest first coordinate, in ascending order of
@@ -213,8 +212,10 @@ def find_gaits(
     check_kind("walker", walker, System)
     check_whole("period", period)
     check_whole("descent", descent, 0)
+    check_kind("progress", progress, bool)
     grid = walker.gait_region() if region is None else region
-    return search_region(walker, period, grid, descent, tolerance=tolerance)
+    with bar("searches for gaits", progress):
+        return search_region(walker, period, grid, descent, tolerance=tolerance)
 
 
 def search_region(

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import ComputationFailed, check_whole, refuses_tracers
+from walker_jax.checks import ComputationFailed, check_kind, check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.descents import descend_to_failure
@@ -70,6 +70,7 @@ def least_disturbance(
     directions: int = DENSE,
     strides: int = 500,
     tolerance: float | None = None,
+    progress: bool = False,
 ) -> LeastDisturbance:
     """Find the least disturbance after which a walker does not return to its gait, or falls.
 
@@ -110,6 +111,7 @@ def least_disturbance(
       more dimensions a sixteenth, at random.
     - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
+    - `progress`: whether to show progress on a terminal.
 
     Raises `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that
     do not fit the section; `ComputationFailed` where the walker returns from all disturbances up to
@@ -119,6 +121,7 @@ def least_disturbance(
     search = nearest_failure if len(sizes.basis) <= LARGEST_SPAN else descend_to_failure
     lost = failure_test(fall)
     check_whole("directions", directions)
+    check_kind("progress", progress, bool)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)
     states = mapper.attractors[0].states
     rays = spread_directions(len(sizes.basis), OTHER_GAITS_DIRECTIONS) @ sizes.basis
@@ -132,7 +135,7 @@ def least_disturbance(
     def fails(
         points: Float[np.ndarray, "n section"], mapper: Mapper = all_gaits
     ) -> Bool[np.ndarray, " n"]:
-        return lost(mapper(points))
+        return lost(mapper(points, progress="disturbances" if progress else None))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = all_gaits(points).strides
