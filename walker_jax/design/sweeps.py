@@ -83,8 +83,8 @@ def sweep(
 
     ```python
     walker = wj.SimplestWalker(slope=0.004)
-    data = wj.sweep(walker, {"slope": [0.004, 0.009]})
-    data["total_area"], data["multiplier"]
+    grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 125))
+    wj.sweep(walker, {"slope": [0.004, 0.009]}, grid)["total_area"]
     ```
 
     **Arguments:**

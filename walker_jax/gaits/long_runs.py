@@ -50,9 +50,9 @@ def attractors(
     """Find the attractors to which walkers converge, at each of many values of a parameter.
 
     ```python
-    walker, slopes = wj.SimplestWalker(slope=0.004), [0.004, 0.016, 0.018]
-    starts = np.tile(wj.find_gait(walker).states, (len(slopes), 1, 1))
-    wj.attractors(walker, "slope", slopes, starts)["period"]
+    walker = wj.SimplestWalker(slope=0.004)
+    starts = np.tile(wj.find_gait(walker).states, (3, 1, 1))
+    wj.attractors(walker, "slope", np.array([0.004, 0.016, 0.018]), starts)["period"]
     ```
 
     **Arguments:**
