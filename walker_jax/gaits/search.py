@@ -190,7 +190,7 @@ def find_gaits(
     ```python
     walker = wj.SimplestWalker(slope=0.004)
     gaits = wj.find_gaits(walker, period=1)
-    gaits.states, gaits.stable  # the long and the short gait
+    [gait.stable for gait in gaits]  # of the long and the short gait
     ```
 
     All searches run at once, each from the states of a walk that starts at the centre of a cell. A
@@ -206,9 +206,9 @@ def find_gaits(
     - `descent`: number of steps of `descend` after which failed searches are repeated.
     - `tolerance`: tolerance of the integration, as in `stride`.
 
-    **Returns** a `Gait` whose fields have the gaits along their first axis: those with a state in
-    the region, each once, from its state with the smallest first coordinate, in ascending order of
-    that coordinate.
+    **Returns** a list of `Gait`s, those that have a state in the region. Each appears once, and
+    begins at its state with the smallest first coordinate. The list is in ascending order of that
+    coordinate.
     """
     check_kind("walker", walker, System)
     check_whole("period", period)
