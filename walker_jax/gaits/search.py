@@ -190,7 +190,7 @@ def find_gaits(
     ```python
     walker = wj.SimplestWalker(slope=0.004)
     gaits = wj.find_gaits(walker, period=1)
-    [gait.stable for gait in gaits]  # of the long and the short gait
+    [gait.stable for gait in gaits]  # only the long gait is stable
     ```
 
     All searches run at once, each from the states of a walk that starts at the centre of a cell. A
