@@ -62,7 +62,7 @@ def read_actions(system: System, actions: Any) -> Actions:
 
 
 def check_count(count: int) -> None:
-    """Refuse more combinations than there are numbers for actions."""
+    """Refuse more than `MOST_ACTIONS` combinations."""
     if count > MOST_ACTIONS:
         raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
 

@@ -106,7 +106,7 @@ def join_levels(
 
 
 def subdivide(values: np.ndarray, shape: tuple[int, ...], levels: int = 1) -> np.ndarray:
-    """Repeat the values of a grid's cells for their parts, two along each axis."""
+    """Repeat the values of a grid's cells for their parts, 2^levels along each axis."""
     values = values.reshape(shape)
     for axis in range(len(shape)):
         values = values.repeat(2**levels, axis)

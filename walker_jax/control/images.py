@@ -189,9 +189,9 @@ def box_around(
 ) -> tuple[Int[Array, " d"], Int[Array, " d"], Bool[Array, ""], Bool[Array, ""]]:
     """Return the box around the image of a cell, to first order, and whether each bound counts it.
 
-    The box has its first and last places on each axis. The inner bound counts it if all strides,
-    from corners and centre, are made and the whole box lies on the grid. The outer bound counts it
-    if some strides are made and the box touches the grid.
+    The box is returned as its first and its last places on each axis. The inner bound counts it if
+    all strides, from corners and centre, are made and the whole box lies on the grid. The outer
+    bound counts it if some strides are made and the box touches the grid.
     """
     grid, finest = shared
     counts, finer = jnp.asarray(grid.counts), jnp.asarray(finest.counts)

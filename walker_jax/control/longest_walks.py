@@ -148,7 +148,7 @@ def arrive(
 def improve(
     spread: Spread, value: Float[np.ndarray, " all"], action: Int32[np.ndarray, " n"]
 ) -> Int32[np.ndarray, " n"]:
-    """Return the best action of each cell, given the strides that follow; equals keep theirs."""
+    """Return the best action of each cell, given the strides that follow; ties keep the old one."""
     lasting = np.zeros(value.shape)
     lasting[spread.cells] = 1 + value[spread.cells]
     found = np.empty((len(spread.cells), spread.place.shape[1]))

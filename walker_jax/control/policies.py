@@ -126,7 +126,7 @@ def whole_grid(data: xr.Dataset) -> xr.Dataset:
 def least_effort_actions(
     walker: System, data: xr.Dataset, actions: Actions
 ) -> Int32[np.ndarray, "*shape"]:
-    """Return the actions of least effort; those of `data` if no path leads into the target."""
+    """Return the actions of least effort; those of `data` where no path leads into the target."""
     grid = grid_of(data)
     each = bytes_of_cell(len(actions.values), len(grid.names), bounds=False)
     check_grid(walker, grid, "cell-map", each, kind="viability")

@@ -48,7 +48,7 @@ def disturbance_gradient(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> DisturbanceGradient:
-    """Compute the least disturbance that topples a walker, and its derivatives by parameters.
+    """Compute the least disturbance of a gait, and its derivatives by parameters of the walker.
 
     ```python
     walker = wj.SimplestWalker(slope=0.004)

@@ -21,8 +21,8 @@ from walker_jax.walkers.model import check_planar, is_planar
 STEP_SIZES = (0.1, 0.03, 0.01, 0.003)
 """Step sizes of each stage, in places."""
 BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
-"""Half widths, in places, of the bands that replace derivatives where there are none. They are wide
-enough for the errors of areas at their ends."""
+"""Half widths, in places, of the bands over which derivatives are averaged where there are none.
+They are wide enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
 """Levels of refinement omitted in each stage; areas at the ends have all."""
 SCAN_LEVELS_OMITTED = 2

@@ -142,8 +142,8 @@ def optimise(
 
     - `objective_start` and `objective_optimum`, as measured during the climb;
     - `exact_start` and `exact_optimum`, with standard errors `exact_start_error` and
-      `exact_optimum_error`. These are 0 except for areas and volumes, and NaN with the least
-      disturbance, for which the search gives an upper bound;
+      `exact_optimum_error`. These are 0 except for areas, volumes and basin stability, and NaN with
+      the least disturbance, for which the search gives an upper bound;
     - `binding`: the measures whose limits bind at the optimum;
     - `converged`: whether it ended because no step of the last stage along the gradient improved
       the objective; `out_of_time`: whether it ended because the `seconds` were over;
@@ -282,7 +282,7 @@ def climb_on(trace: Trace, first: list[Climb]) -> tuple[int, Climb]:
 
 
 def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Grid | None:
-    """Choose a grid: the whole section for a volume, else the region of the first gait."""
+    """Choose a grid: the whole section for a volume, else the first default region of a start."""
     walkers = (problem.walker_at(problem.values(place)) for place in places)
     if problem.size == "volume":
         first = next(walkers)

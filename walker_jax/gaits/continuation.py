@@ -13,7 +13,7 @@ FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.005, 0.05, 1e-7
 """Lengths of the first, the longest and the shortest step along a branch, in widths of the range.
 The branch ends if it needs a shorter step; it takes at least 20 steps over the range."""
 HALF_PERIOD_RESOLUTION = 1e-3
-"""Shortest step near the gait from which a branch doubled; the branch ends there."""
+"""Longest step at the end of a branch that returns to the gait from which it doubled."""
 MAX_POINTS = 2000
 """Most points on each side of a branch: with the longest steps, a hundred times the range."""
 BRANCH_CLOSES = "the branch closes"

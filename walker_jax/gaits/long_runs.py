@@ -20,7 +20,7 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
 
 RECORDED_STATES = 64
-"""Recorded states of an orbit; longer periods are not recognised."""
+"""Recorded states of an orbit; only shorter periods are recognised."""
 START_OFFSET = 1e-6
 """Distance from a gait, in the first coordinate, at which walkers start. It is small, so that a
 walker converges to a stable gait with a narrow basin, but above rounding errors, so that a walker
@@ -116,7 +116,7 @@ def settle(
     integrator: Integrator,
     progress: str | None = None,
 ) -> Settled:
-    """Find the attractors of n walkers, each with its own parameters, after many strides."""
+    """Find the attractors of n walkers, each with its own parameters, after `strides` strides."""
     end = iterate_to_cycles(walkers, starts, strides, integrator, progress)
     fate, count = end.outcome, end.strides
     orbit = np.full((len(starts), RECORDED_STATES, starts.shape[1]), np.nan)
@@ -138,7 +138,10 @@ def iterate_to_cycles(
     integrator: Integrator,
     progress: str | None = None,
 ) -> WalkEnd:
-    """`iterate` without targets, except that a walk ends once it has settled on a cycle."""
+    """`iterate` without targets, which skips the strides of walks that have settled on a cycle.
+
+    The end of such a walk, after `limit` strides, follows from its cycle.
+    """
     n = len(starts)
     end = WalkEnd(
         starts.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32), np.full(n, -1, np.int32)

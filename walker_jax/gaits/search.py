@@ -188,7 +188,7 @@ def find_gaits(
     ```python
     walker = wj.SimplestWalker(slope=0.004)
     gaits = wj.find_gaits(walker, period=1)
-    [(gait.states, bool(gait.stable)) for gait in gaits]
+    [gait.stable for gait in gaits]  # only the long gait is stable
     ```
 
     All searches run at once, each from the states of a walk that starts at the centre of a cell. A
@@ -205,7 +205,7 @@ def find_gaits(
     - `tolerance`: tolerance of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
-    **Returns** the gaits that have a state in the region, each once, from its state with the
+    **Returns** a list of those that have a state in the region, each once, from its state with the
     smallest first coordinate, in ascending order of that coordinate.
     """
     check_kind("walker", walker, System)

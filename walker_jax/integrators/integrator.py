@@ -24,8 +24,8 @@ TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
     """Return the given tolerance, or the default of a dtype.
 
-    It must lie between a quarter of the dtype's rounding error and 1; smaller tolerances make no
-    difference to steps. A traced tolerance is not checked.
+    It must lie between a quarter of the dtype's rounding error and 1. Below that, rounding hides
+    the difference between a step and a shorter one. A traced tolerance is not checked.
     """
     dtype = jnp.dtype(dtype)
     if dtype not in TOLERANCE:

@@ -91,7 +91,7 @@ def taylor_step(
     """Return the series of the solution of y' = f(y) from a state, and the length of a step.
 
     At the end of the step the last terms of the series reach the tolerance, and those of the
-    watched functions are within it. If f or a watched function has a kink before that, the step
+    watched functions are within it. If f or one of the `others` has a kink before that, the step
     ends just behind the kink, by `tolerance` times the length. The length is NaN if f jumps by more
     than the root of the tolerance, relative to |y| or |y'|.
     """

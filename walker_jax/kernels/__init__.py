@@ -19,11 +19,11 @@ kernel, with `adjoint=ForwardMode()` and `throw=False`.
 
 A function has no kernel if it uses sorting, eigenvalues or singular values; floating-point types of
 16 bits or complex arithmetic; computed indices into arrays of more than `indexing.MAX_ENTRIES`
-entries, such as results at many times; random numbers; or callbacks. Checks at run time are
-callbacks (`equinox.error_if`), so `optimistix.Bisection` that must detect the sign of its bracket,
-a differentiated root search, and reverse mode have none either. Programs are compiled for the
-processor of this machine and kept on disk (`object_cache`), and so are the results of tracing
-(`program_cache`).
+entries, such as results at many times; random numbers; or callbacks. Checks that may fail at run
+time are callbacks (`equinox.error_if`). So a function has no kernel either if it calls an
+`optimistix.Bisection` that must detect the sign of its bracket, differentiates a root search, or
+goes through a solver in reverse mode. Programs are compiled for the processor of this machine and
+kept on disk (`object_cache`), and so are the results of tracing (`program_cache`).
 """
 
 from walker_jax.kernels.decorator import kernel, why_not

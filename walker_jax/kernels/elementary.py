@@ -40,7 +40,7 @@ def exp_float32(x):
 
 
 def next_after(x, y):
-    """Return the floating-point number next to x towards y, whose bits differ by one integer."""
+    """Return the floating-point number next to x towards y; as an integer, its bits are 1 away."""
     dtype = np.dtype(x.dtype)
     integer = np.dtype(f"int{8 * dtype.itemsize}")
     bits = lax.bitcast_convert_type(x, integer)

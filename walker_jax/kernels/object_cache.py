@@ -27,7 +27,7 @@ from walker_jax.kernels.private_files import (
 VARIABLE = "WALKER_JAX_CACHE_DIR"
 """The environment variable that names the folder; if empty, no code is kept."""
 MAX_BYTES = 2**28
-"""Most bytes in the folder, about a thousand programs; the least recently used are removed."""
+"""Most bytes in the folder, about two thousand programs; the least recently used are removed."""
 SUFFIX = ".kernel"
 """Suffix of every file in the folder, temporary ones included."""
 CHECKSUM_BYTES = 32

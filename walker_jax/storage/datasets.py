@@ -152,10 +152,8 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     kept = check_metadata(path)
     with name_damage(path, METADATA):
         group = open_group(path, "r")
-    with (
-        name_damage(path, "it"),
-        warnings.catch_warnings(),
-    ):  # of arrays that a run is about to begin
+    with name_damage(path, "it"), warnings.catch_warnings():
+        # Zarr warns of arrays that a run is about to begin.
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
         unfinished = bool(group.attrs.get("unfinished"))
         for name in kept:

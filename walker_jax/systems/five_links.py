@@ -17,7 +17,7 @@ LINKS = "stance_shank", "stance_thigh", "torso", "swing_thigh", "swing_shank"
 
 
 class LinkState(NamedTuple):
-    """Angles (rad) of the five links from the vertical, positive forward, and their rates."""
+    """Angles (rad) of `LINKS`, in that order, from the vertical, positive forward; their rates."""
 
     angles: tuple[Scalar, ...]
     rates: tuple[Scalar, ...]

@@ -30,8 +30,8 @@ class Map(System):
     - `coordinates`: names of the coordinates.
     - `parameters`: numbers by name, for derivatives, continuation and sweeps.
     - `feasible`: a function (x, **parameters) that tells whether a stride may begin at a point; by
-      default at any finite one. If it returns a real number, positive points are feasible, and the
-      number is the `margin` of a stride, which gives areas of basins their derivatives.
+      default at any finite one. If it returns a real number, points where it is positive are
+      feasible, and it is the `margin` of a stride, which gives areas of basins their derivatives.
     - `region`: axes of a grid, `{"x": (low, high, count), ...}`, whose cells are the starts of
       searches for periodic points.
 

@@ -73,7 +73,10 @@ class TorsoWheel(HybridSystem):
     section: ClassVar = ("thetadot", "psi", "psidot")
 
     def system(self) -> multibody.System:
-        """Return masses and F(q), q = (u, v, theta, psi); u, v are the foot's, along the slope."""
+        """Return masses and F(q), with q = (u, v, theta, psi).
+
+        The foot is at u along the slope, and at v normal to it.
+        """
 
         def torque(q, qdot):
             tau = self.stiffness * (self.lean - q[3]) - self.damping * qdot[3]
