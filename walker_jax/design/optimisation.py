@@ -94,7 +94,7 @@ def optimise(
 
     ```python
     walker = wj.SpringWalker(slope=0.004, hip_stiffness=1.0)
-    found = wj.optimise(walker, {"hip_stiffness": (0, 30)}, "area")
+    found = wj.optimise(walker, {"hip_stiffness": (0, 30)}, "area", seconds=60)
     found["optimum"], found["exact_optimum"]
     ```
 
