@@ -372,7 +372,7 @@ def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarra
 def axes_around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
     """Return the axes of a window around a gait's state.
 
-    Where the state has phidot and joints too, they are fixed at their values there.
+    If `names` has phidot and joints too, these are fixed at their values in the state.
     """
     theta, thetadot, *others = map(float, np.asarray(state))
     middle = theta + thetadot if names[1] == "sum" else thetadot

@@ -23,8 +23,8 @@ RADIUS = 5.0
 HALVINGS = 3
 """Default number of coarser grids to compare."""
 SHRINKS = 0.75
-"""Largest ratio of mean distances on successive grids of a Wada boundary. The ratio is 0.39 to 0.56
-for basins of Newton's method, and 0.92 to 1.37 for two curves a few cells apart."""
+"""Largest ratio of the mean distances of a Wada boundary on a grid and on one twice as coarse. It
+is 0.39 to 0.56 for basins of Newton's method, and 0.92 to 1.37 for two curves a few cells apart."""
 
 
 class Wada(NamedTuple):

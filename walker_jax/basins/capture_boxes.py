@@ -51,9 +51,10 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         attractors[number] = attractors[number]._replace(capture_boxes=frames)
 
     def largest(boxes: Float[np.ndarray, "tried period section section"], small: int) -> int:
-        """Return the largest of growing boxes from which all converge; half of it is kept.
+        """Return the index of the largest of growing boxes from which all converge, or -1.
 
-        The first `small` boxes are tried at once, the others in turn: walks end in the box before.
+        Half of that box becomes the attractor's. The first `small` boxes are tried at once, the
+        others in turn: walks end in the box before.
         """
         best = -1
         for tried in (boxes[:small], *boxes[small:, None]):

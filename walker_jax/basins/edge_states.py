@@ -162,7 +162,7 @@ def fate_of(label: int) -> Outcome:
 
 
 def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
-    """Name a fate that two starts share, and suggests other starts."""
+    """Name a fate that two starts share, and suggest other starts."""
     name = name_of_outcome(fate_of(label), failures)
     if label == Outcome.UNDECIDED:
         return f"{name}: the integration gave no answer; try another tolerance, or other starts"

@@ -117,11 +117,11 @@ class Mapper(NamedTuple):
     def label_all(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> tuple[Labels, "Mapper"]:
-        """Label all starts, also those undecided; return the mapper to all attractors found."""
+        """Label all starts, undecided ones too; return labels, and the mapper to all attractors."""
         return self.complete_labels(self.follow(starts, progress=progress))
 
     def complete_labels(self, labels: Labels, most: int = SAMPLE) -> tuple[Labels, "Mapper"]:
-        """Label the walkers that remain, and return the mapper to all attractors found."""
+        """Label the walkers that remain too; return labels, and the mapper to all attractors."""
         remaining = labels.remaining
         labels.attractor[remaining], mapper = self.label_remaining(labels.states[remaining], most)
         return labels, mapper

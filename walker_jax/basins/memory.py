@@ -37,7 +37,7 @@ def check_grid(
     *,
     kind: str | None = None,
 ) -> None:
-    """Raise `WrongUse` for a grid outside the walker's section, or too large for the memory.
+    """Raise `WrongUse` for a grid that does not fit the walker's section, or the memory.
 
     The names of its axes must differ from names of arrays in the `kind` of data set to be made.
     """

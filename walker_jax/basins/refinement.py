@@ -261,7 +261,7 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
 def check_twice(
     cells: RefinedCells, levels: int, check: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
-    """Check cells twice: follows what the first check finds; the second estimates what is left.
+    """Check cells twice: follow what the first check finds, and estimate what is left.
 
     Returns the cells, the mistake in each, and the number of checks of each level. Shares of the
     levels minimise the variance, the sum of (mistakes + 1) (size / count)^2.

@@ -152,5 +152,5 @@ def neighbours(
 def flat_index(
     places: Sequence[Int[np.ndarray, "..."]] | Int[np.ndarray, "..."], shape: tuple[int, ...]
 ) -> Int[np.ndarray, "..."]:
-    """Return the numbers of the cells at places on each axis; the border ends the axes."""
+    """Return the numbers of the cells at places on each axis, moved to the border if beyond it."""
     return np.asarray(np.ravel_multi_index(tuple(places), shape, mode="clip"))

@@ -36,7 +36,7 @@ CORRECTIONS = 8
 EXACT = 1e-10
 """Largest residual of a point, along the curve that it is mapped to and across."""
 SHORTEST = 1e-7
-"""Shortest step: the curve ends where no longer step succeeds."""
+"""Length of the shortest step: if it fails too, the curve ends."""
 GROWTH = 1.5
 """Growth of the step after one that succeeds."""
 SHARPEST = 0.9

@@ -109,7 +109,7 @@ def bisect_to_last_digit(
     label_starts: Callable[[Float[np.ndarray, "n section"]], Int[np.ndarray, " n"]],
     ends: Float[np.ndarray, "2 section"],
 ) -> Float[np.ndarray, " section"]:
-    """Bisect a segment; return the first number with another label than its first end.
+    """Bisect a segment; return the first point with another label than its first end.
 
     Raises `ComputationFailed` where both ends have one label, and all points between.
     """

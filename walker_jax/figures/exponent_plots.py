@@ -11,8 +11,8 @@ from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
 DEEPEST = 4.0
-"""Lowest exponent that is drawn, in units of the highest, or of a half if that is larger: at a
-superstable gait the lowest exponents have no bound."""
+"""Depth below zero of the lowest exponent that is drawn, in units of the highest, or of a half if
+that is larger: at a superstable gait the lowest exponents have no bound."""
 
 
 def lyapunov_exponents(

@@ -264,7 +264,7 @@ def write_below(
     wide: float,
     measure: RendererAgg,
 ) -> tuple[list[Artist], float]:
-    """Places legends at the left, below one another. Returns them and their height."""
+    """Put legends at the left, below one another. Returns them and their height."""
     drawn: list[Artist] = []
     figure, points = figure_of(ax), size * points_of("legend.fontsize")
     scale, high = figure.dpi / 72, 0.0
@@ -318,7 +318,7 @@ def fit_text(text: Text, room: float, measure: RendererAgg) -> None:
 
 
 def figure_legend(figure: Figure, handles: list, *, columns: int) -> None:
-    """Places a legend at the left, below all axes of a figure."""
+    """Put a legend at the left, below all axes of a figure."""
     figure.legend(handles=handles, loc="outside lower left", ncols=columns, frameon=False)
 
 

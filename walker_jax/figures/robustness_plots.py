@@ -172,8 +172,8 @@ def robustness_measures(
     """Draw area of the basin, least disturbance and largest multiplier against a parameter.
 
     Figure 8 of Schwab and Wisse (2001), with the least disturbance added. Area and disturbance are
-    shares of their largest values; the multiplier is drawn as it is. The picture shows that one may
-    grow where the others do not shrink.
+    shares of their largest values; the multiplier is drawn as it is. Where one grows, the others
+    need not shrink.
 
     **Arguments:**
 

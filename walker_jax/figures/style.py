@@ -1,7 +1,7 @@
 """Colours, signs, lines and sizes that all pictures share.
 
 Any two colours that can touch differ by 12 or more in CIEDE2000, in normal vision, protanopia and
-deuteranopia. Colours of failures differ by 6 in lightness, for prints in grey.
+deuteranopia. Colours of failures differ by 6 or more in lightness, for prints in grey.
 """
 
 from collections.abc import Sequence

@@ -204,7 +204,7 @@ def numbers_of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) ->
 
 
 def backward_edge(walker: SimplestWalker, theta: np.ndarray) -> np.ndarray:
-    """Find the rate at which walkers begin to fall backward at once, at each angle."""
+    """Find the rate where walkers begin to fall backward in the first stride, at each angle."""
     slow, fast = np.full(len(theta), -1e-6), -2 * theta
     for _ in range(50):
         middle = (slow + fast) / 2

@@ -30,8 +30,9 @@ BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Multiples of the least disturbance; the first that fails gives the failure. They exceed it by
 more than rounding errors, unless it fails itself."""
 SEARCH_TOLERANCE = 1e-9
-"""Tolerance of the integration in searches, whose results are then measured at the default. It
-takes half as long, and moves a boundary by far less than the distances that searches try."""
+"""Tolerance of the integration in searches, whose results are then measured at the given one. It
+takes half as long as the default, and moves a boundary by far less than the distances that searches
+try."""
 OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
 """Directions and distances of starts from which walkers may converge to other gaits."""
 
@@ -83,7 +84,7 @@ def least_disturbance(
     Last come ever narrower fans around the rays that are nearer than their neighbours, and steps
     along the boundary's gradient. It tries all directions at distances 1.6 % of the size apart, or
     0.16 % close to it, where directions are 8 times as close. It may miss a finger of failures
-    between these points; the size is then too large by the extra distance.
+    between these points; the size is then too large by as much as the finger is nearer.
 
     In more than three dimensions, as for a walker in space, not all directions can be tried. There
     random rays find failures. Descents along the boundary's gradient lead from the nearest of them

@@ -133,7 +133,7 @@ def middle_parts(
     settle: int,
     integrator: Integrator,
 ) -> list[Float[np.ndarray, "_ section"]]:
-    """State of each walk from stride `settle` on, up to as many before its end."""
+    """Return the states of each walk from stride `settle` on, up to as many before its end."""
     count = int(min(lives.max(), LONGEST_ORBIT))
     states, _ = orbits(system, starts, count, integrator)
     ends = np.minimum(lives, count + settle) - settle

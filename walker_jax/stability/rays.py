@@ -184,7 +184,7 @@ def turned_rays(
     shares: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, "n m rank"]:
     """Turn rays by shares of the way to the nearest point of a flat boundary."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # raised where there is no gradient
+    with np.errstate(invalid="ignore", divide="ignore"):  # there may be no gradient
         normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
         along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
     turned = rays[:, None] + shares[:, None] * along[:, None]

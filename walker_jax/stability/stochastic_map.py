@@ -330,7 +330,7 @@ def choose_walkers(
     chances: Float[np.ndarray, " n"],
     walkers: int,
 ) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"], Int[np.ndarray, " m"]]:
-    """Resample walkers: returns the cells, the chance of each, and equally many walkers of each.
+    """Resample walkers; return the cells, the chance of each, and equally many walkers of each.
 
     Resampling is systematic: at equal distances along the walkers' chances, joined.
     """

@@ -13,8 +13,8 @@ def named(state: Any) -> str:
 def check_full_state(kind: Any, start: Any) -> None:
     """Raise `WrongUse` for a class of walkers whose `lift` does not return its `state`.
 
-    The same holds for methods inherited from a walker of the package with another state, unless
-    that walker has joints: its methods take any number of them.
+    The same holds for methods inherited from a walker of the package with another state, unless the
+    class has joints: the package's methods take any number of them.
     """
     expected = named(kind.state)
     if not isinstance(start, kind.state):

@@ -153,7 +153,7 @@ class KneedWalker(HeavyLegWalker):
         return pendulum_region(self, self.thigh_length + self.shank_length)
 
     def further_gait_region(self):
-        """On large feet and steep slopes steps are both long and fast."""
+        """Where feet are large and the slope is steep too, steps are long and fast."""
         axes = {"theta": (0.4, 1.2, 20), "sum": (-0.5, 0.5, 20), "turn": (-2.0, -0.4, 16)}
         return pendulum_region(self, self.thigh_length + self.shank_length, axes)
 
@@ -212,7 +212,7 @@ class KneedWalker(HeavyLegWalker):
         return System(lambda q: bent.transfer(straight(q)), bent.masses, bent.forces)
 
     def bent_swing_foot(self, q: Float[Array, " 5"]) -> Float[Array, " 2"]:
-        """Return (u, v) of the swing foot's arc's centre, as if that foot had rolled there."""
+        """Return (u, v) of the swing foot, from its arc's centre, as if it had rolled there."""
         *_, centre = self.places(q)
         angle, radius = q[2] - q[3] - q[4], self.foot_radius
         return centre + jnp.stack([radius * angle, -radius])

@@ -45,7 +45,7 @@ def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
 
 
 def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[Described, ...]:
-    """Return the descriptions of one kind among a walker's fields, which have bounds."""
+    """Return the descriptions of one kind among a walker's fields."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
 

@@ -194,7 +194,7 @@ class SpatialWalker(Walker):
     # A stride
 
     def lift(self, x):
-        """Leans so that both discs touch the slope, with the stance disc at the origin."""
+        """Lean so that both discs touch the slope, with the stance disc at the origin."""
         yaw, theta, phi, yawdot, leandot, thetadot, phidot = x
         zero, shank = jnp.zeros_like(yaw), self.leg_length - self.disc_radius
         higher = 2 * shank * jnp.sin(phi / 2 - theta) * jnp.sin(phi / 2)

@@ -251,7 +251,8 @@ def margins_by_name(
 ) -> dict[str, Scalar]:
     """Return the margins by name, from those of passed failures and that of the failed one.
 
-    They are NaN for failures that the stride cannot have had, and for all if it never `began`.
+    They are NaN for failures that the stride cannot have had. If it never `began`, only the margin
+    of the failure that happened is known.
     """
     margins: dict[str, Scalar] = {}
     led_to = {end for part in parts for end in part.mode.outcomes()}

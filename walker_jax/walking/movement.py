@@ -64,8 +64,8 @@ def motion(
     **Returns** a data set. Over `frame` it has
 
     - `time`, and `stride`, its number, from 0;
-    - `theta`, `phi`, `thetadot` and `phidot`, and the other coordinates of the stride's first
-      phase, such as `knee`;
+    - `theta`, `phi`, `thetadot` and `phidot`, and all else that a state of the stride's first phase
+      has, such as `knee` and its rate;
     - over `axis` too, the places of the `hip`, of a `swing_knee`, and of the ends of the legs,
       `stance` and `swing`: on round feet, the centres of the arcs.
 
