@@ -42,7 +42,7 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
 
 
 EXAMPLES = dict.fromkeys(("System", "Walker"), ", such as wj.SimplestWalker(slope=0.009)")
-"""Kinds of which an example tells more than the name, since the command line knows them by words."""
+"""Added to the names of kinds that users may take for words, as on the command line."""
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:
