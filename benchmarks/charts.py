@@ -14,8 +14,8 @@ has no maps, and no package index at hand has BifurcationKit, COCO or MATCONT.
 
 The answer: curves agree with the other programs to their last digit, and take half a second. A
 chart takes six seconds. The loop takes a thousand times as long for a stride of Hénon's map. AUTO
-takes about as long as this package; its file of results has ten digits. With no machine code on disk, `walker-jax chart` takes 19 s of processor time for the spring, and 47 s
-for round feet.
+takes about as long as this package; its file of results has ten digits. With no machine code on
+disk, `walker-jax chart` takes 19 s of processor time for the spring, and 47 s for round feet.
 
     2 cores, shared with others; jax 0.10.2
                                 first (s)   next (s)   error
