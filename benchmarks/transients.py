@@ -115,8 +115,12 @@ def opening(leaf: int, slopes: tuple[float, float], starts: np.ndarray) -> float
     return float(slopes[0] - folds[0] / rate)
 
 
-def tell_ways_out(slope: float, found: Visits) -> None:
-    """Walkers that pass beyond the manifold, by leaf; and of the first, by that of before."""
+def tell_ways_out(slope: float, found: Visits) -> float:
+    """Walkers that pass beyond the manifold, by leaf; and of the first, by that of before.
+
+    Returns how far the fold of the third leaf is from where walkers are, five strides before they
+    pass beyond the manifold on the first.
+    """
     out = found.beyond > 0
     shares = [f"{(out & (found.leaf == n)).sum() / found.strides:.5f}" for n in range(len(LEAVES))]
     first = out & (found.leaf == 0)
@@ -125,10 +129,12 @@ def tell_ways_out(slope: float, found: Visits) -> None:
     inside = found.before[0][first]
     inside = inside[(inside < -5e-4) & (inside > -1.5e-3)]
     print(
-        f"{slope:.5f}  {found.falls[out].mean():.1%} fall; beyond it in a stride, by leaf: {', '.join(shares)}; five strides before "
-        f"those of the first were {-inside.max():.6f} to {-inside.min():.6f} inside, "
-        f"on the leaves by {', '.join(earlier)}; fold of the third {-third:.6f} inside"
+        f"{slope:.5f}  beyond it in a stride, by leaf: {', '.join(shares)}, and of these "
+        f"{found.falls[out].mean():.1%} fall; those of the first were, five strides before, "
+        f"{-inside.max():.6f} to {-inside.min():.6f} inside, on the leaves by "
+        f"{', '.join(earlier)}; the fold of the third is {-third:.6f} inside"
     )
+    return float(inside.min() - third)
 
 
 def tell_lives(starts: np.ndarray, crisis: float) -> np.ndarray:
@@ -213,12 +219,13 @@ def main() -> None:
     second = opening(1, (0.01912, 0.019125), many)
     print(f"the first fold touches the manifold at {crisis:.8f}, the second at {second:.7f}")
     panels = {slope: visits(slope, many) for slope in (0.0191, 0.01914, 0.01916, 0.0192)}
-    for slope, found in panels.items():
-        tell_ways_out(slope, found)
+    gaps = [tell_ways_out(slope, found) for slope, found in panels.items()]
+    third = float(np.interp(0, gaps[2:0:-1], [*panels][2:0:-1]))
+    print(f"the third fold is where walkers are five strides before from {third:.6f} on")
     lives = tell_lives(starts, crisis)
     law, predicted = tell_laws(lives, crisis)
     if args.pictures is not None:
-        openings = {"second fold": second, "third, before": 0.01915}
+        openings = {"second fold": second, "third, before": third}
         ax = figures.crisis_law(*lives, law, predicted, openings)
         ax.figure.savefig(args.pictures / "crisis.png", dpi=80)
         before = visits(0.01904, many)
