@@ -350,7 +350,7 @@ def charted(points=5):
 def transients():
     """A saddle along a line, of which two walks leave."""
     theta = np.linspace(0.2, 0.3, 50)
-    saddle = np.column_stack([theta, 0.01 - theta])
+    saddle = np.column_stack([theta, 0.01 - 0.9 * theta])
     ways = np.stack([saddle[:8] - [0.01 * n, 0.0] for n in (1, 2)])
     lives, section = np.array([30, 40]), ("theta", "thetadot")
     how = 0.01, 0.005, 0.02, 100.0, lives, np.ones(2, bool), saddle, np.array([0.4, -1.7]), 1.24

@@ -136,9 +136,12 @@ def crisis_law(
     line = lambda exponent: middle[1] * (ends / middle[0]) ** -exponent
     ax.loglog(distance, lives, ls="")  # sets the scales
     bars = ax.errorbar(distance, lives, 2 * errors, fmt="o", ms=4, lw=1, color=BASINS[0])
-    bars.set_label("mean life")
+    bars[0].set_label("mean life")
     fitted = f"fitted exponent {law.exponent:.2f} ({law.low:.2f} to {law.high:.2f})"
-    handles: list[Any] = [bars, *ax.plot(ends, line(law.exponent), color=BASINS[0], label=fitted)]
+    handles: list[Any] = [
+        bars[0],
+        *ax.plot(ends, line(law.exponent), color=BASINS[0], label=fitted),
+    ]
     for i, (name, exponent) in enumerate((predicted or {}).items()):
         look = {"color": BASINS[1], "lw": 1.1, "ls": DASHES[i % len(DASHES)]}
         handles += ax.plot(ends, line(exponent), label=f"{name}: {exponent:.2f}", **look)
