@@ -41,10 +41,15 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
     return number
 
 
+EXAMPLES = dict.fromkeys(("System", "Walker"), ", such as wj.SimplestWalker(slope=0.009)")
+"""Added to the names of kinds that users may take for words, as on the command line."""
+
+
 def check_kind(name: str, value: Any, kind: type) -> None:
     """Raise `WrongUse` for a value of another kind; NumPy's booleans count as `bool`."""
     if not isinstance(value, (bool, np.bool_) if kind is bool else kind):
-        raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}", of=name)
+        example = EXAMPLES.get(kind.__name__, "")
+        raise WrongUse(f"{name} must be a {kind.__name__}{example}, not {short(value)}", of=name)
 
 
 def check_number(name: str, value: Any) -> None:

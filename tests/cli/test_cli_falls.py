@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import Outcome
+from walker_jax import Outcome, figures
 from walker_jax.stability.probable_falls import ProbableFall
 
 
@@ -71,8 +71,15 @@ def test_falls_are_refused_in_a_line(run, found, arguments, reason):
 
 
 @pytest.mark.slow
-def test_a_fall_is_filmed(run, tmp_path):
+def test_a_fall_is_filmed(run, tmp_path, monkeypatch):
+    """With as many strides as the answer tells."""
+    filmed, film = [], figures.film
+    keep = lambda motion, *args, **how: filmed.append(motion) or film(motion, *args, **how)
+    monkeypatch.setattr(figures, "film", keep)
     arguments = ["--walker", "spring", "--slope", "0.01", "--hip-stiffness", "0.2"]
     code, out, err = run("fall", *arguments, "--strides", "3", "--animate", "fall.gif")
     assert (code, err) == (0, "") and "falls forward after " in out
     assert (tmp_path / "fall.gif").read_bytes().startswith(b"GIF")
+    (motion,) = filmed
+    told = int(out.split("falls forward after ")[1].split()[0])
+    assert motion["outcome"].values.tolist() == [Outcome.STRIDE] * told + [Outcome.FORWARD]

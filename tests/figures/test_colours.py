@@ -6,7 +6,7 @@ import pytest
 from colour_vision import VISIONS, ciede2000, lab
 
 from walker_jax import Outcome
-from walker_jax.figures import style
+from walker_jax.figures import chart_plots, style
 from walker_jax.systems.outcomes import OWN
 
 APART = 12
@@ -38,6 +38,14 @@ def test_classes_that_can_touch_are_told_apart(vision):
     pairs = chain(combinations(of_package, 2), combinations(of_others, 2))
     near = [pair for pair in pairs if ciede2000(*(lab(one, vision) for one in pair)) < APART]
     assert near == []
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_undecided_cells_of_charts_are_told_apart(vision):
+    tints = [chart_plots.tinted(n) for n in range(1, len(style.PERIODS) + 1)]
+    others = [*tints, chart_plots.NO_PERIOD, chart_plots.EMPTY, chart_plots.FALLS]
+    own = lab(chart_plots.NOT_KNOWN, vision)
+    assert min(ciede2000(own, lab(one, vision)) for one in others) > APART
 
 
 @pytest.mark.parametrize("vision", VISIONS)

@@ -13,11 +13,13 @@ from made_up_results import (
     diagram,
     every_fate,
     gait,
+    lives,
     metastable,
     optimum,
     robust,
     swept,
     table,
+    transients,
     with_exponents,
 )
 from matplotlib.collections import QuadMesh
@@ -202,6 +204,36 @@ def test_more_parameters_are_at_their_first_values_and_named():
     assert line.containers
 
 
+def test_a_saddle_is_drawn_with_its_ways_out():
+    found = transients()
+    attractor = found.saddle[10:20]
+    ax = figures.chaotic_saddle(found, attractor, gait(3, 12.5, 0.002))
+    drawn = [np.asarray(line.get_xydata()) for line in ax.lines]
+    summed = lambda states: np.column_stack([states[:, 0], states[:, 0] + states[:, 1]])
+    for states in (found.saddle, attractor, *found.escapes[:, -6:]):
+        assert any(one.shape == states.shape and np.allclose(one, summed(states)) for one in drawn)
+    assert {"saddle", "gait of period 3", "on the way to a failure"} <= set(legend(ax))
+    low, high = ax.get_xlim()
+    assert low < 0.2 and high > 0.3 and "dimension 1.24" in ax.texts[0].get_text()
+    with pytest.raises(ValueError, match="found must have two coordinates, not x"):
+        figures.chaotic_saddle(found._replace(section=("x",)))
+
+
+def test_the_law_of_a_crisis_is_a_line_in_logarithms():
+    values, years, errors, law = lives()
+    ax = figures.crisis_law(values, years, errors, law, {"theory": 0.75}, {"gate": 0.01905})
+    named = {str(one.get_label()): np.asarray(one.get_xydata()) for one in ax.lines}
+    lines = {name: np.log(data) for name, data in named.items() if name[0] != "_"}
+    slope = lambda name: np.divide(*np.diff(lines[name], axis=0)[0, ::-1])
+    assert slope("fitted exponent 0.80 (0.70 to 0.90)") == pytest.approx(-0.8)
+    assert slope("theory: 0.75") == pytest.approx(-0.75)
+    fitted = np.exp(lines["fitted exponent 0.80 (0.70 to 0.90)"])
+    np.testing.assert_allclose(fitted[[0, -1], 1], years[[0, -1]], rtol=1e-9)
+    assert " gate " in [one.get_text() for one in ax.texts]
+    with pytest.raises(ValueError, match=r"values must be above the crisis, 0\.019"):
+        figures.crisis_law(values - 0.01, years, errors, law)
+
+
 def test_cells_of_metastable_walking_are_drawn_whole():
     ax = figures.metastability(metastable())
     (mesh,) = [one for one in ax.collections if isinstance(one, QuadMesh)]
@@ -294,6 +326,8 @@ GIVEN_AXES: dict[str, Any] = {
     "bifurcation_diagram": [diagram()],
     "lyapunov_exponents": [with_exponents()],
     "chart": [charted()],
+    "chaotic_saddle": [transients()],
+    "crisis_law": [*lives(), {"predicted": 0.75}, {"a further way out": 0.01905}],
     "stability_and_area": [diagram(), AREAS],
     "metastability": [metastable()],
     "multipliers": [GAITS],

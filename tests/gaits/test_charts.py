@@ -4,10 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.text import Text
 from unchecked import unchecked
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.figures.chart_plots import NOT_KNOWN
 from walker_jax.gaits.charts import words_in
 from walker_jax.gaits.gait_summary import summarise_chart
 from walker_jax.storage.schema import check_dataset
@@ -66,6 +69,24 @@ def test_the_summary_of_a_chart_is_json(charted):
     from walker_jax.cli.answers import jsonable
 
     json.dumps(jsonable(answer), allow_nan=False)
+
+
+def test_undecided_cells_are_a_class_of_their_own(charted):
+    """In the summary and in the picture, beside those that fail and those without a gait."""
+    from walker_jax import figures
+
+    data = charted.copy(deep=True)
+    data["cell_fate"].values[:2, :3] = wj.Outcome.UNDECIDED
+    data["cell_fate"].values[2, :3] = wj.Outcome.OUTSIDE
+    before, after = (summarise_chart(one)["cells"] for one in (charted, data))
+    assert "undecided" not in before
+    assert after["undecided"] == pytest.approx(6 / (16 * 17))
+    assert sum(after.values()) == pytest.approx(1) and after["fails"] > 0
+    ax = figures.chart(data)
+    assert {"undecided", "fails"} <= {one.get_text() for one in ax.figure.findobj(Text)}
+    image = np.asarray(ax.images[0].get_array())
+    np.testing.assert_allclose(image[0, 0], to_rgb(NOT_KNOWN), atol=1e-12)
+    assert not np.allclose(image[0, 2], image[0, 0])
 
 
 def test_a_chart_without_curves_is_kept(tmp_path):

@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_differences import differences
+from free_bodies import Bodies
 from reference import read_values
 
 import walker_jax as wj
@@ -158,6 +160,35 @@ def test_doublings_over_the_stiffness_of_the_hip():
         np.testing.assert_allclose(curve.states[-1, 0], state, rtol=0, atol=1e-11)
         np.testing.assert_allclose(curve.multipliers[-1], one["multipliers"], rtol=0, atol=1e-11)
         assert set(curve.criticality) == {"supercritical"}
+
+
+@pytest.mark.slow
+def test_codimension_two_of_round_feet():
+    """Where the centre of mass is behind the leg; the multipliers also by an independent solution.
+
+    The fold of period two ends in the generalised flip, as it must.
+    """
+    walker, names = wj.RoundFootWalker(0.012, com_offset=-0.015), ("slope", "com_offset")
+    bounds = {"slope": (0.004, 0.024), "com_offset": (-0.04, 0.0)}
+    branch = wj.continue_gait(walker, "com_offset", bounds["com_offset"])
+    (doubling,) = branch.doublings
+    curve = wj.continue_event(walker, doubling, names[::-1], bounds)
+    flip, fold_flip = (the_special(curve, kind) for kind in ("generalised flip", "fold-flip"))
+    assert set(curve.criticality) == {"subcritical", "supercritical"}
+    np.testing.assert_allclose(flip.values, [-0.026835186984, 0.009857074822], rtol=0, atol=1e-10)
+    at = fold_flip.values
+    np.testing.assert_allclose(at, [-0.025251477871, 0.009121863907], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(np.sort(fold_flip.multipliers.real)[[0, 2]], [-1, 1], atol=1e-9)
+    (fold,) = [one for one in branch.folds if one.value < -0.02]
+    folds = wj.continue_event(walker, fold, names[::-1], bounds)
+    np.testing.assert_allclose(the_special(folds, "fold-flip").values, at, rtol=0, atol=1e-10)
+    for found, expected in ((fold_flip, 1.0), (flip, 0.928829)):
+        offset, slope = found.values
+        bodies, x = Bodies(wj.RoundFootWalker(slope, com_offset=offset)), found.states[0]
+        along = lambda points, bodies=bodies: np.stack([bodies.stride(one)[0] for one in points])
+        np.testing.assert_allclose(along(x[None])[0], x, rtol=0, atol=1e-9)
+        multipliers = np.sort(np.linalg.eigvals(differences(along, x, np.full(3, 1e-4))).real)
+        np.testing.assert_allclose(multipliers[[0, 2]], [-1, expected], rtol=0, atol=1e-5)
 
 
 def test_wrong_events_are_refused():

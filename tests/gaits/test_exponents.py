@@ -66,6 +66,17 @@ def test_walks_that_fail_have_none():
     assert np.isnan(found.dimension) and np.isnan(found.log_determinant)
 
 
+def test_a_start_that_is_not_finite_has_none():
+    """Alone it is refused; of many systems it leaves the others as they are."""
+    start = np.array([0.1, 0.1])
+    many = jax.vmap(lambda a: wj.HenonMap(a, 0.3))(jnp.array([1.4, 1.2]))
+    found = wj.lyapunov(many, np.stack([start, [np.nan, 0.1]]), 100, walks=4)
+    alone = wj.lyapunov(wj.HenonMap(), start, 100, walks=4)
+    assert found.outcome.tolist() == [wj.Outcome.STRIDE, wj.Outcome.OUTSIDE]
+    np.testing.assert_allclose(found.exponents[0], alone.exponents, rtol=0, atol=1e-9)
+    assert np.isnan(found.exponents[1]).all()
+
+
 def test_the_dimension_of_kaplan_and_yorke():
     exponents = np.array([[-1, -2, -3], [0.5, -1, -2], [1, -0.5, -1], [1, 0, -0.5], [1, 0, np.nan]])
     found = kaplan_yorke(exponents)
@@ -99,5 +110,7 @@ def test_what_is_refused():
         wj.lyapunov(system, np.array([0.1]))
     with pytest.raises(ValueError, match="walks must be at least 2, not 1"):
         wj.lyapunov(system, np.array([0.1, 0.1]), walks=1)
+    with pytest.raises(ValueError, match=r"x must be finite, not \[nan, 0\.1\]"):
+        wj.lyapunov(system, np.array([np.nan, 0.1]))
     with pytest.raises(ValueError, match="points must be finite, of shape"):
         wj.information_dimension(np.full((3, 2), np.nan))

@@ -5,6 +5,7 @@ import xarray as xr
 
 from walker_jax import Grid, Outcome
 from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.escapes import CrisisLaw, Transients
 from walker_jax.storage.schema import attributes_of_kind, variables_of_kind
 
 SHEARED = Grid.sheared(theta=(0, 0.4, 80), sum=(-0.04, 0.01, 60))
@@ -344,3 +345,20 @@ def charted(points=5):
             "special_kinds": ["cusp"],
         },
     )
+
+
+def transients():
+    """A saddle along a line, of which two walks leave."""
+    theta = np.linspace(0.2, 0.3, 50)
+    saddle = np.column_stack([theta, 0.01 - 0.9 * theta])
+    ways = np.stack([saddle[:8] - [0.01 * n, 0.0] for n in (1, 2)])
+    lives, section = np.array([30, 40]), ("theta", "thetadot")
+    how = 0.01, 0.005, 0.02, 100.0, lives, np.ones(2, bool), saddle, np.array([0.4, -1.7]), 1.24
+    return Transients(*how, ways, section)
+
+
+def lives():
+    """Mean lives beyond a crisis at 0.019, and their law."""
+    values = 0.019 + np.geomspace(1e-6, 1e-4, 6)
+    years = 100 * ((values - 0.019) / 1e-5) ** -0.8
+    return values, years, 0.02 * years, CrisisLaw(0.019, 0.8, 0.7, 0.9, 1.2)

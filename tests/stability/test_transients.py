@@ -29,6 +29,16 @@ def test_an_open_tent_map(steepness):
     assert found.ended.all() and (found.lives[found.ended] >= 0).all()
 
 
+def test_escapes_end_in_failures():
+    system = open_tent(2.2)
+    starts = np.random.default_rng(2).uniform(size=(3000, 1))
+    found = wj.transients(system, starts, settle=5, strides=500)
+    assert found.escapes.shape == (100, 5, 1) and found.section == ("x",)
+    first, last = found.escapes[:, :-1, 0], found.escapes[:, 1:, 0]
+    np.testing.assert_allclose(tent(first, 2.2), last, rtol=0, atol=1e-12)
+    assert (last[:, -1] > 1).all() and (first < 1).all()  # from there no step begins
+
+
 def henon_like(x, a):
     return jnp.stack([a - x[0] ** 2 + 0.3 * x[1], x[0]])
 

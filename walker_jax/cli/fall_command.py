@@ -17,6 +17,7 @@ from walker_jax.cli.options import OUTPUT, check_finite
 from walker_jax.cli.walk_command import FRAME_INTERVAL
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
+from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.probable_falls import ProbableFall
 from walker_jax.systems.outcomes import Outcome, outcome_in_words
 from walker_jax.walkers.model import Walker, check_planar
@@ -96,11 +97,11 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
 
 
 def draw_film(walker: Walker, found: ProbableFall, place: Path, request: dict) -> None:
-    """Save the film of the fall, on steps a little higher and lower than the least ones."""
+    """Save the film of the fall that is told: on steps beyond the least ones by a hair."""
     from walker_jax import figures
 
     heights = np.zeros(found.strides + 1)
-    disturbed = 1.0001 * found.disturbances[:, 0]
+    disturbed = BEYOND[0] * found.disturbances[:, 0]
     count = min(len(disturbed), len(heights))
     heights[:count] = disturbed[:count]
     begin = wj.find_gait(walker).states[0]

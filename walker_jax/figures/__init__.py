@@ -40,6 +40,8 @@ from walker_jax.figures.robustness_plots import disturbance as disturbance
 from walker_jax.figures.robustness_plots import robustness as robustness
 from walker_jax.figures.robustness_plots import robustness_measures as robustness_measures
 from walker_jax.figures.robustness_plots import robustness_table as robustness_table
+from walker_jax.figures.saddle_plots import chaotic_saddle as chaotic_saddle
+from walker_jax.figures.saddle_plots import crisis_law as crisis_law
 from walker_jax.figures.stability_plots import stability_and_area as stability_and_area
 from walker_jax.figures.style import BASINS as BASINS
 from walker_jax.figures.style import FAILURES as FAILURES

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.figures.layout import Shown, cell_edges, dress, new_axes
-from walker_jax.figures.style import INK, PERIODS, SMALL, period_style
+from walker_jax.figures.style import INK, PERIODS, SIGNS, SMALL, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.gaits.charts import NO_GAIT, words_in
 from walker_jax.gaits.normal_forms import SUBCRITICAL, criticality
@@ -21,6 +21,8 @@ TINTS = (0.1, *[0.45] * (len(PERIODS) - 1))
 """Shares of the colours of periods in their cells; the rest is white."""
 NO_PERIOD, EMPTY, FALLS = "#8f8f8f", "#ffffff", "#f8ecd4"
 """Cells without a period, or with a longer one; without a gait; and where walkers fall."""
+NOT_KNOWN = SIGNS[Outcome.UNDECIDED][0]
+"""Cells where the integration gave no answer."""
 KINDS: dict[str, dict[str, Any]] = {
     "fold": {"ls": "-", "lw": 2.0},
     "doubling": {"ls": "-", "lw": 1.4},
@@ -103,6 +105,8 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     walks = fate == Outcome.STRIDE
     image = np.full((*fate.shape, 3), to_rgb(FALLS))
     image[fate == NO_GAIT] = to_rgb(EMPTY)
+    undecided = fate == Outcome.UNDECIDED
+    image[undecided] = to_rgb(NOT_KNOWN)
     handles = []
     for number in range(1, len(PERIODS) + 1):
         cells = walks & (period == number)
@@ -114,7 +118,8 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     fails = "falls" if "theta" in data.attrs["section"] else "fails"
     further = (
         ("no period, or a longer one", others, NO_PERIOD),
-        (fails, ~walks & (fate != NO_GAIT), FALLS),
+        (fails, ~walks & ~undecided & (fate != NO_GAIT), FALLS),
+        ("undecided", undecided, NOT_KNOWN),
         ("no gait", fate == NO_GAIT, EMPTY),
     )
     for name, cells, colour in further:

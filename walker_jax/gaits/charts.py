@@ -98,7 +98,8 @@ def chart(
     - `special`, the points of codimension two: `special_kind`, by the attribute `special_kinds`,
       `special_curve`, `special_value`, `special_states` and `special_multipliers`;
     - `cell_period`, over both parameters, of the attractor from near the gait: 0 where it has
-      none; and `cell_fate`, the `Outcome` of the last stride, -1 where there is no gait.
+      none; and `cell_fate`, the `Outcome` of the last stride, `UNDECIDED` where there is no answer,
+      -1 where there is no gait.
 
     Raises `ValueError` for wrong parameters, bounds or numbers, and where the system's own values
     are outside the bounds.

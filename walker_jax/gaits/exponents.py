@@ -24,6 +24,7 @@ from walker_jax.checks import (
     check_precision,
     check_whole,
     refuses_tracers,
+    short,
 )
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.long_runs import START_OFFSET
@@ -82,6 +83,7 @@ def lyapunov(
     - `system`: one system, or n: its parameters are numbers, or arrays of n, as in `strides`. So
       one call gives the exponents over a parameter.
     - `x`: a state on its section, of shape (section,), or one for each of n systems, (n, section).
+      Of many, one that is not finite has the outcome `OUTSIDE`; the others have their exponents.
     - `strides`: strides of each walk over which the exponents are averaged.
     - `walks`: number of walks from near x, which start `START_OFFSET` apart.
     - `settling`: strides before these, which do not count.
@@ -93,12 +95,15 @@ def lyapunov(
     scatter; their exponents are then accurate to about 1/strides. The exponents of a stable gait
     are the logarithms of the moduli of its multipliers, divided by its period.
 
-    Raises `ValueError` for states of a wrong shape, and numbers out of range.
+    Raises `ValueError` for states of a wrong shape, one that is not finite, and numbers out of
+    range.
     """
     check_kind("system", system, System)
     x, size = array("x", x), len(system.section)
     if x.dtype.kind not in "fiu" or x.ndim not in (1, 2) or x.shape[-1] != size or not len(x):
         raise WrongUse(f"x must be states on the section {system.section}, not of shape {x.shape}")
+    if x.ndim == 1 and not np.isfinite(x).all():
+        raise WrongUse(f"x must be finite, not {short(x.tolist())}", of="x")
     check_precision(jnp.asarray(0.0).dtype, "a mean over many strides")
     for name, number, least in (
         ("strides", strides, 1),

@@ -54,7 +54,7 @@ def summarise_chart(data: xr.Dataset) -> dict:
 
     **Returns** `curves`, each with its `kind`, `period`, the `criticality` of its parts, the values
     and the reason at both `ends`, and its `special` points; and `cells`, the share of each period,
-    of longer ones and none, of failures and of cells without a gait.
+    of longer ones and none, of failures, of undecided cells and of those without a gait.
     """
     curves = []
     for i, (kind, period) in enumerate(
@@ -88,7 +88,8 @@ def summarise_chart(data: xr.Dataset) -> dict:
     walks, short = fate == Outcome.STRIDE, (periods > 0) & (periods <= LONGEST_LISTED_PERIOD)
     shares = {f"period {n}": walks & (periods == n) for n in np.unique(periods[walks & short])}
     shares |= {"no period, or a longer one": walks & ~short}
-    shares |= {"fails": ~walks & (fate != NO_GAIT), "no gait": fate == NO_GAIT}
+    undecided, none = fate == Outcome.UNDECIDED, fate == NO_GAIT
+    shares |= {"fails": ~walks & ~undecided & ~none, "undecided": undecided, "no gait": none}
     shares = {name: float(cells.mean()) for name, cells in shares.items() if cells.any()}
     return {"curves": curves, "cells": shares}
 

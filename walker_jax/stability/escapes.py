@@ -42,6 +42,8 @@ MOST_ORBITS = 500
 """Of the longest transients, those whose states are recorded."""
 LONGEST_ORBIT = 400
 """Strides of each of them, at most."""
+MOST_ESCAPES = 100
+"""Of the transients that are no longer than that, those whose ends are recorded."""
 
 
 class Transients(NamedTuple):
@@ -65,6 +67,10 @@ class Transients(NamedTuple):
     dimension: float
     """Information dimension of the saddle, from the rate and the exponents; NaN in more than two
     dimensions and where the largest exponent is not above the rate."""
+    escapes: Float[np.ndarray, "k settle section"]
+    """The last states before the failure, of some of the walks."""
+    section: tuple[str, ...]
+    """Names of the coordinates."""
 
 
 @refuses_tracers()
@@ -117,13 +123,19 @@ def transients(
     rate, low, high = (
         float(np.log1p(1 / one)) if one > 0 else np.inf for one in (mean, most, least)
     )
-    longest = lasting[np.argsort(-end.strides[lasting], kind="stable")[:MOST_ORBITS]]
+    lasting = lasting[np.argsort(-end.strides[lasting], kind="stable")]
+    longest = lasting[:MOST_ORBITS]
     lives = end.strides[longest]
     paths = middle_parts(system, starts[longest], lives, settle, integrator)
     exponents = exponents_along(system, paths, integrator)
     dimension = dimension_of(rate, exponents)
     saddle = np.concatenate(paths)
-    return Transients(rate, low, high, mean, end.strides, ended, saddle, exponents, dimension)
+    brief = lasting[ended[lasting] & (end.strides[lasting] <= LONGEST_ORBIT)][:MOST_ESCAPES]
+    escapes = last_states(system, starts[brief], end.strides[brief], settle, integrator)
+    lives, section = end.strides, tuple(system.section)
+    return Transients(
+        rate, low, high, mean, lives, ended, saddle, exponents, dimension, escapes, section
+    )
 
 
 def middle_parts(
@@ -138,6 +150,18 @@ def middle_parts(
     states, _ = orbits(system, starts, count, integrator)
     ends = np.minimum(lives, count + settle) - settle
     return [path[settle : end + 1] for path, end in zip(states, ends, strict=True)]
+
+
+def last_states(
+    system: System,
+    starts: Float[np.ndarray, "n section"],
+    lives: Int[np.ndarray, " n"],
+    count: int,
+    integrator: Integrator,
+) -> Float[np.ndarray, "n count section"]:
+    """States of each walk, so many, up to the last one before its failure."""
+    states, _ = orbits(system, starts, int(lives.max(initial=0)), integrator)
+    return states[np.arange(len(starts))[:, None], lives[:, None] - np.arange(count)[::-1]]
 
 
 def exponents_along(

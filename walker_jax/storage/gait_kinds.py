@@ -87,7 +87,7 @@ GAITS = {
             "special_value": V("special parameter", "real", "", "of both parameters"),
             "special_states": V("special phase coordinate", "real", STATE, "the cycle there"),
             "special_multipliers": V("special order part", "real", "", "there"),
-            "cell_fate": V("first second", "integer", "", "`Outcome`; -1: no gait to start near"),
+            "cell_fate": V("first second", "integer", "", "`Outcome`, 6: undecided; -1: no gait"),
             "cell_period": V("first second", "integer", "strides", "0 where none shows"),
         },
         WALKER
