@@ -26,7 +26,7 @@ class Shown:
     axis: list[str] | None = AXES
 
 
-@takes_walker(systems=True)
+@takes_walker(systems=True, opening=True)
 def explore(
     walker: System,
     shown: Shown,
@@ -50,9 +50,10 @@ def explore(
     """Explore basins in a browser: drag the slope, watch the basin; click a start, watch it walk.
 
     Prints the link to the page, and serves it until Ctrl-C. The page needs no network. Its address
-    holds what it shows; buttons copy the command and the Python that give the same data. A system
-    that is no walker has no film: a click shows its iterates. Its window has the axes of --axis, in
-    cells of the page's own, by default over its gait_region.
+    holds what it shows; buttons copy the command and the Python that give the same data. The spring
+    walker opens with a stiffness of 1. A system that is no walker has no film: a click shows its
+    iterates. Its window has the axes of --axis, in cells of the page's own, by default over its
+    gait_region.
     """
     from walker_jax.explorer.offers import offer
     from walker_jax.explorer.server import run_server

@@ -15,7 +15,7 @@ from walker_jax.identity import code_fingerprint
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
-from walker_jax.walkers.family import PLANAR_WALKERS
+from walker_jax.walkers.family import OPENING, PLANAR_WALKERS
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import (
     Parameter,
@@ -140,7 +140,8 @@ Offers = dict[str, Offer]
 def at_defaults(kinds: Mapping[str, type[System]]) -> Offers:
     """Offers of classes whose parameters all have defaults, and which have two coordinates."""
     defaults = {
-        name: tuple(one.default for one in parameters_of(kind)) for name, kind in kinds.items()
+        name: tuple(OPENING.get(name, {}).get(one.name, one.default) for one in parameters_of(kind))
+        for name, kind in kinds.items()
     }
     return {
         name: Offer(name, kind, defaults[name])

@@ -1,7 +1,7 @@
 // The bifurcation diagram: gaits and attractors over a parameter, and its value as a cursor.
 
 import { css } from "./palette.js";
-import { decimals, number, spaced, ticks } from "./words.js";
+import { decimals, number, spaced, ticks, unitBeside } from "./words.js";
 
 const MARGIN = { left: 70, right: 14, top: 12, bottom: 44 };
 const STEPS = 210; // by a key, from end to end
@@ -151,7 +151,7 @@ export class Diagram extends EventTarget {
     c.textAlign = "center";
     c.textBaseline = "alphabetic";
     const { name, unit } = this.over, { section, coordinates } = this.state.kind;
-    c.fillText(spaced(name) + (unit && ` (${unit})`), MARGIN.left + this.width / 2, MARGIN.top + tall + 39);
+    c.fillText(`${spaced(name)} ${unitBeside(spaced(name), unit)}`, MARGIN.left + this.width / 2, MARGIN.top + tall + 39);
     c.save();
     c.translate(13, MARGIN.top + tall / 2);
     c.rotate(-Math.PI / 2);

@@ -80,6 +80,11 @@ export function spaced(name) {
   return name.replaceAll("_", " ");
 }
 
+/** A unit in parentheses, for beside a title; none where the title ends with it, as in "hip mass". */
+export function unitBeside(title, unit) {
+  return unit && !title.endsWith(unit) ? `(${unit.replace("^2", "²")})` : "";
+}
+
 /** Round steps of an axis: ticks between two ends, and the decimals that tell them apart. */
 export function ticks(low, high, most) {
   const rough = (high - low) / most;
