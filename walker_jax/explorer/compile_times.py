@@ -45,7 +45,7 @@ class CompileTimes:
         return None if expected is None else scale * expected
 
 
-def expected_seconds(offered: Offer) -> float | None:
+def expected_seconds(offered: Offer) -> int | None:
     """The seconds of the table, of a user's own class those of the class that it extends."""
     if offered.name in SECONDS:
         return SECONDS[offered.name]
