@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from explorer_subjects import FIRST, GRID, SIMPLEST, WHOLE, joined
+from explorer_subjects import FIRST, GRID, SIMPLEST, WHOLE, few, joined, parts_and_result
 from zarr.storage import ZipStore
 
 import walker_jax as wj
@@ -306,11 +306,16 @@ def test_the_disturbance_for_the_page(monkeypatch):
 def test_the_diagram_for_the_page(monkeypatch):
     """Around the first doubling: branches are gaits, and points what walkers come to."""
     monkeypatch.setattr(offers, "slopes_of", lambda kind: (0.0148, 0.0154))
-    monkeypatch.setattr(measures, "DIAGRAM", {"period_max": 2, "strides": 400, "scan": 3})
-    diagram = measures.bifurcation(subject(), "slope")
+    for name, value in few(3, strides=400).items():
+        monkeypatch.setattr(measures, name, value)
+    parts, diagram = parts_and_result(measures.bifurcation(subject(), "slope"))
+    counts = [len(one["branches"]) for one in parts]  # which come one by one
+    assert counts == sorted({*counts}) and counts[0] < counts[-1] == len(diagram["branches"])
+    assert not any(one["whole"] or one["points"] for one in parts) and diagram["whole"]
     assert json.dumps(diagram, allow_nan=False)
     for name, like in explorer_server.DIAGRAM.items():  # with which the page is tested
         assert len(diagram[name][0]) == len(like[0]) if name == "points" else diagram[name]
+        assert all(name in one for one in parts)
         if name in ("branches", "events"):
             assert {*diagram[name][0]} == {*like[0]}
     assert {*diagram} == {*explorer_server.DIAGRAM}
@@ -340,7 +345,7 @@ def test_the_measures_that_take_long():
     exact = wj.least_disturbance(wj.SimplestWalker(0.004))
     assert found["size"] == exact.size and found["failure"] == int(exact.failure)
     np.testing.assert_allclose(found["gait"], exact.state - exact.size * exact.direction)
-    diagram = measures.bifurcation(subject(), "slope")
+    _, diagram = parts_and_result(measures.bifurcation(subject(), "slope"))
     assert json.dumps(diagram, allow_nan=False)
     cascade = [one["value"] for one in diagram["events"] if one["cascade"] and not one["fold"]]
     assert min(cascade) == pytest.approx(0.01508843794, abs=1e-9)
@@ -354,10 +359,12 @@ def test_the_measures_that_take_long():
 )
 def test_a_diagram_is_of_the_walkers_own_slopes(monkeypatch, name, slopes):
     asked = []
-    monkeypatch.setattr(measures, "bifurcation_diagram", lambda *words, **_: asked.extend(words))
+    grow = lambda *words, **_: asked.extend(words) or [([], [])]
+    monkeypatch.setattr(measures, "grow_branches", grow)
+    monkeypatch.setattr(measures, "complete_diagram", lambda *words, **_: asked.extend(words))
     with pytest.raises(TypeError):  # of what is no diagram
-        measures.bifurcation(subject(name), "slope")
-    assert asked[1:] == ["slope", slopes]
+        next(measures.bifurcation(subject(name), "slope"))
+    assert asked[1:3] == asked[5:7] == ["slope", slopes]
 
 
 @pytest.mark.parametrize("method", [pytest.param("direct", marks=pytest.mark.slow), "cell-map"])

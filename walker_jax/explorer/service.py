@@ -10,7 +10,7 @@ import json
 import logging
 import struct
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from importlib import resources
@@ -32,6 +32,16 @@ from walker_jax.explorer.guard import FILES, TooLong, refuse
 from walker_jax.explorer.lattice import Rectangle, Tile, home_of, read_rectangle, read_tiles
 from walker_jax.explorer.offers import FAMILY, Offers
 from walker_jax.explorer.programs import Lane, Programs
+from walker_jax.explorer.streams import (
+    CELLS,
+    FAILED,
+    WORDS,
+    chained,
+    frame,
+    line_of,
+    reason_of,
+    unless_gone,
+)
 from walker_jax.explorer.subjects import (
     METHODS,
     Subject,
@@ -43,7 +53,7 @@ from walker_jax.explorer.subjects import (
     read_subject,
     whole,
 )
-from walker_jax.explorer.workers import SAID, Busy, Failure, Workers
+from walker_jax.explorer.workers import Busy, Failure, Workers
 
 BODY_SECONDS = 10.0
 """Seconds in which a request must have come."""
@@ -63,8 +73,6 @@ TYPES = {
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
 }
-WORDS, CELLS, FAILED = 0, 1, 2
-"""Kinds of frames of a picture: JSON, the bytes of a tile, the reason of a failure."""
 
 
 def page_files() -> dict[str, tuple[bytes, str]]:
@@ -194,10 +202,31 @@ class Service:
         elif kind == "bifurcation":
             spans = tuple(subject.offer.spans)
             over = choice("over", asked.get("over", spans[0] if spans else None), spans)
-            work = self.workers.ask(measures.bifurcation, subject, over, long=True)
+            lines = self.grow(measures.bifurcation, subject, over)
+            first = await unless_gone(request, anext(lines))
+            return StreamingResponse(chained(first, lines), media_type="application/x-ndjson")
         else:
             return refuse(404, "there is no such measure")
         return JSONResponse(await unless_gone(request, work))
+
+    async def grow(self, function: Callable, *arguments: Any) -> AsyncIterator[bytes]:
+        """Lines of JSON: what a long measure yields, as it comes."""
+        found: asyncio.Queue = asyncio.Queue()
+        asked = self.workers.ask(function, *arguments, long=True, told=found.put_nowait)
+        task = asyncio.ensure_future(asked)
+        task.add_done_callback(lambda _: found.put_nowait(None))
+        begun = False
+        try:
+            while (part := await found.get()) is not None:
+                yield line_of(part)
+                begun = True
+            yield line_of(await task)
+        except (ComputationFailed, WrongUse, Failure, Busy) as error:
+            if not begun:
+                raise
+            yield line_of({"error": reason_of(error)})
+        finally:
+            task.cancel()
 
     async def words(self, request: Request) -> Response:
         """The command line and the program that give the data of a rectangle."""
@@ -253,25 +282,6 @@ class Picture(StreamingResponse):
             self.service.pictures -= 1
 
 
-async def unless_gone(request: Request, work: Any) -> Any:
-    """The result of a coroutine, which is cancelled if whoever asked for it has gone."""
-    task = asyncio.ensure_future(work)
-
-    async def gone() -> None:
-        while (await request.receive())["type"] != "http.disconnect":
-            pass
-
-    watch = asyncio.ensure_future(gone())
-    try:
-        await asyncio.wait([task, watch], return_when=asyncio.FIRST_COMPLETED)
-        if not task.done():
-            raise ClientDisconnect
-        return task.result()
-    finally:
-        task.cancel()
-        watch.cancel()
-
-
 async def read_json(request: Request) -> Any:
     """The JSON of a request."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
@@ -281,22 +291,6 @@ async def read_json(request: Request) -> Any:
         return json.loads(body)
     except (ValueError, RecursionError):
         raise WrongUse("a request must be JSON") from None
-
-
-def frame(kind: int, content: dict | bytes) -> bytes:
-    """A frame: its length, its kind and its content."""
-    body = content if isinstance(content, bytes) else json.dumps(content).encode()
-    return struct.pack("<IB", len(body), kind) + body
-
-
-def reason_of(error: Exception) -> str:
-    """Why a computation failed; of what the package itself has not raised, the kind alone."""
-    if isinstance(error, Failure):
-        kind, message = error.args
-        return message if kind == SAID else f"the computation failed ({kind})"
-    if isinstance(error, Busy):
-        return "too much is waiting: try again in a moment"
-    return str(error)
 
 
 def refused(request: Request, error: Exception) -> Response:

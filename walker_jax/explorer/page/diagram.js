@@ -96,7 +96,8 @@ export class Diagram extends EventTarget {
   }
 
   extent() {
-    const places = this.data?.points.map(([, place]) => place) ?? [0.1, 0.3];
+    const { points, branches } = this.data ?? { points: [], branches: [] };
+    const places = points.length ? points.map(([, place]) => place) : branches.flatMap((one) => one.state.flat());
     if (!places.length) return [0, 0.5];
     const low = Math.min(...places), high = Math.max(...places), pad = 0.06 * (high - low || 0.1);
     return [low - pad, high + pad];

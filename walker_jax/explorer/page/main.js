@@ -1,6 +1,6 @@
 // The page: its parts, and what makes which of them change.
 
-import { Refused, ask, connection } from "./api.js";
+import { Refused, ask, connection, lines } from "./api.js";
 import { Compiling } from "./compiling.js";
 import { Controls } from "./controls.js";
 import { Diagram } from "./diagram.js";
@@ -358,12 +358,14 @@ async function begin() {
     diagramAbort = new AbortController();
     diagramKey = key;
     diagram.setData(null);
-    $("#diagram-note").textContent = `${words.followed}: some ten seconds…`;
+    $("#diagram-note").textContent = `${words.followed}…`;
     const body = { walker: state.walker, parameters: { ...others, [over]: diagram.over.default }, over };
     try {
-      diagram.setData(await ask("/api/measure/bifurcation", body, diagramAbort.signal));
-      diagram.show();
-      $("#diagram-note").textContent = diagram.note();
+      for await (const found of lines("/api/measure/bifurcation", body, diagramAbort.signal)) {
+        diagram.setData(found);
+        diagram.show();
+        $("#diagram-note").textContent = found.whole ? diagram.note() : `${words.followed}: ${count(found.branches.length, "branch", "branches")} so far…`;
+      }
     } catch (error) {
       if (error.name === "AbortError") return;
       diagramKey = "";

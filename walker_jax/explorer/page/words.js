@@ -71,8 +71,8 @@ export function multipliers(gait) {
   return gait.multipliers.filter(([, imaginary]) => imaginary >= 0).map(multiplier).join(", ");
 }
 
-export function count(n, noun) {
-  return `${n} ${noun}${n === 1 ? "" : "s"}`;
+export function count(n, noun, many = `${noun}s`) {
+  return `${n} ${n === 1 ? noun : many}`;
 }
 
 /** The name of a parameter, as people write it. */
