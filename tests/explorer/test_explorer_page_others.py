@@ -1,6 +1,7 @@
 """The explorer's page in a browser: maps, links, frames and the bifurcation tab."""
 
 import json
+import re
 import time
 from contextlib import suppress
 from functools import partial
@@ -11,13 +12,14 @@ import explorer_server
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from explorer_page import SECONDS, WIDE, Page, area_of, fulfil, fulfil_as
+from explorer_page import SECONDS, WIDE, Held, Page, area_of, fulfil, fulfil_as
 from explorer_subjects import few, parts_and_result
 from playwright.sync_api import Error
 
 import walker_jax as wj
 from walker_jax.explorer import measures
 from walker_jax.explorer.subjects import read_subject
+from walker_jax.walkers.family import WALKERS
 
 
 @pytest.mark.slow
@@ -102,6 +104,19 @@ def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
         page.page.select_option("#over", "b")
     assert asked.value.post_data_json["over"] == "b"
     page.wait("location.hash.includes('over=b')")
+
+
+def test_a_label_says_nothing_twice(opened):
+    page = opened("walker=simplest&slope=0.004")
+    Held(page, "**/api/home")  # or all walkers would be compiled
+    shown = {}
+    for name in WALKERS:
+        page.page.select_option("#walker", name)
+        shown[name] = page.page.locator("#parameters label").all_inner_texts()
+        assert shown[name][0] == "slope (rad)"
+        assert not any(re.search(r"\b(\w+) \(?\1\b", one) for one in shown[name])
+    assert "foot mass (hip mass)" in shown["point-foot"]
+    assert {"hip mass", "leg length", "com offset (length)"} < {*shown["round-foot"]}
 
 
 def test_a_system_of_three_coordinates_is_shown_along_any_two(opened_system):

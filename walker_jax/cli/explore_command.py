@@ -11,7 +11,7 @@ from walker_jax.cli.rewording import option_of
 from walker_jax.cli.section import AXES, axes_from, check_ranges
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.systems.system import System, numbers_of
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import is_planar
 from walker_jax.walkers.parameters import chosen_options
 
 PAGE: Any = {"rich_help_panel": "Page"}
@@ -61,8 +61,8 @@ def explore(
 
     check_host(host)
     axis = shown.axis
-    if axis and isinstance(walker, Walker):
-        raise WrongUse("--axis is for --system: the page shows a walker about its gait")
+    if axis and is_planar(type(walker)):
+        raise WrongUse("--axis is for systems: the page shows a walker in the plane about its gait")
     axes = axes_from(walker, axis) if axis else {}
     if axes:
         check_ranges(axes, len(axes))

@@ -9,6 +9,7 @@ SECONDS = {
     "round-foot": 9,
     "upper-body": 12,
     "kneed": 33,
+    "spatial": 60,
     "powered": 5,
     "powered-point-foot": 10,
     "powered-round-foot": 9,

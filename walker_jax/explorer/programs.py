@@ -31,7 +31,7 @@ class Lane:
 
 
 class Programs:
-    """What has been compiled, and is, and how long the rest takes."""
+    """Programs that are compiled, or about to be, and how long the others take."""
 
     def __init__(self) -> None:
         self.lane, self.times = Lane("compiling"), CompileTimes()

@@ -79,7 +79,7 @@ async function begin() {
   /** The name of the walker, or of another system, in a sentence. */
   function walkerName() {
     const name = state.walker.replaceAll("-", " ");
-    return state.kind.film ? `the ${/walker$/i.test(name) ? name : `${name} walker`}` : name;
+    return state.kind.walker ? `the ${/walker$/i.test(name) ? name : `${name} walker`}` : name;
   }
 
   /** That a link names a walker which this server does not have. */
@@ -381,6 +381,7 @@ async function begin() {
   function showKind() {
     const spans = Object.keys(state.kind.spans), { stride } = state.words;
     document.body.toggleAttribute("data-film", state.kind.film);
+    document.body.toggleAttribute("data-walker", state.kind.walker);
     for (const name of ["aria-label", "title"]) $("#step").setAttribute(name, `One ${stride}`);
     $("#tab-bifurcation").hidden = !spans.length;
     $("#over").replaceChildren(...spans.map((name) => new Option(spaced(name), name, false, name === state.over)));

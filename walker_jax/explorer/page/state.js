@@ -59,7 +59,7 @@ export class State extends EventTarget {
 
   /** The words for it. */
   get words() {
-    return this.kind.film ? WALKER : SYSTEM;
+    return this.kind.walker ? WALKER : SYSTEM;
   }
 
   /** How it may fail, by outcome: the failures that all share, and its own. */
