@@ -75,7 +75,7 @@ def test_every_command_has_examples_and_says_how_long_it_takes():
     assert {*EXAMPLES} == {*DURATIONS} == {*COMMANDS}
 
 
-def test_the_page_opens_walkers_in_space_and_a_spring_that_is_there(run, monkeypatch):
+def test_the_page_opens_walkers_in_space_and_a_real_spring(run, monkeypatch):
     opened = []
     monkeypatch.setattr(
         "walker_jax.explorer.server.run_server", lambda *given, **_: opened.append(given)

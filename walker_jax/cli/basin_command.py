@@ -24,7 +24,7 @@ from walker_jax.cli.answers import (
     walker_in_words,
 )
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, exclude, refuse
+from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, refuse
 from walker_jax.cli.section import AXIS, Axis, Window, check_section
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
@@ -52,7 +52,6 @@ class BasinWindow(Window):
     def check(self, walker: System) -> None:
         check_section(walker, self.axis)
         super().check(walker)
-        exclude(sum=self.sum, thetadot=self.thetadot)
 
     def whole(self, walker: System, axes: dict[str, Any]) -> dict[str, Any]:
         """The axes, on a section of three dimensions with those of the whole, but for a slice."""
@@ -99,8 +98,7 @@ class Options:
     frames: int = option(120, "Pictures of the film.", min=2)
 
     def check(self, window: BasinWindow) -> None:
-        """Refuse options that exclude each other, and those that are for another one."""
-        exclude(zoom=self.zoom, levels=self.levels)
+        """Refuse options that are for another one, which is not given."""
         if self.levels is None:
             refuse("is for --levels alone: give it too", seed=self.seed)
         if self.zoom is None:

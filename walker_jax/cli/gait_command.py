@@ -6,7 +6,7 @@ from pathlib import Path
 
 from walker_jax.cli.answers import check_figure, draw, listed, request_for, slope_of, tell
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, exclude, refuse
+from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, refuse
 from walker_jax.cli.section import START, has_own_options, refuse_own, start_from, state_from
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
@@ -34,9 +34,6 @@ class Search:
         """The coordinates of the state in which the search begins, if it is given."""
         start = self.start or None
         refuse_own(walker, guess=self.guess, phidot=self.phidot)
-        exclude(guess=self.guess, start=start)
-        exclude(start=start, phidot=self.phidot)
-        exclude(guess=self.guess, start=start, all=self.all or None)
         if start is not None:
             return start_from(walker, start)
         if self.guess is None:

@@ -58,8 +58,6 @@ def offered_kinds(command: Command, args: Sequence[str]) -> Kinds:
     """The package's walkers, or the walker or system that the arguments of a command name."""
     name = value_of("--walker", args)
     system = value_of("--system", args) if vars(command)["systems"] else None
-    if name is not None and system is not None:
-        raise WrongUse("--walker and --system exclude each other: give one of them")
     name = DEFAULT if name is None else name
     try:
         if system is not None:
