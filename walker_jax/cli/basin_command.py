@@ -23,6 +23,7 @@ from walker_jax.cli.answers import (
     slope_of,
     walker_in_words,
 )
+from walker_jax.cli.conclusions import conclude_basin
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, refuse
 from walker_jax.cli.section import AXIS, Axis, Window, check_section
@@ -175,6 +176,7 @@ def basin(
         kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
     lines = [*basin_in_words(data, answer, counts, request)]
     lines.append(f"  {kept or effort(data, answer, counts)}")
+    lines.append(f"  {conclusion(answer, request)}")
     output.tell(answer, lines, film=film)
 
 
@@ -248,6 +250,17 @@ def basin_in_words(
     yield from sizes_in_words(answer, measure, unit, zoomed="zoom" in request)
     if counts.unmatched:
         yield f"  {counts.unmatched} cells walk on without coming near a known attractor"
+
+
+def conclusion(answer: dict, request: dict) -> str:
+    """The share of starts that converge, and what to do next."""
+    cells = sum(one["cells"] for one in answer["attractors"] if not one["artefact"])
+    return conclude_basin(
+        cells / max(1, sum(answer["fates"].values())),
+        at_border=bool(answer.get("at_border")),
+        refined="levels" in request,
+        zoomed="zoom" in request,
+    )
 
 
 def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:

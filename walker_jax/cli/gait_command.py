@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from walker_jax.cli.answers import check_figure, draw, listed, request_for, slope_of, tell
+from walker_jax.cli.conclusions import conclude_gaits
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, refuse
 from walker_jax.cli.section import START, has_own_options, refuse_own, start_from, state_from
@@ -82,6 +83,7 @@ def gait(walker: System, search: Search, picture: Picture) -> None:
     about = request["walker"]
     answer = {"gaits": [summarise_gait(one) for one in found], "walker": about}
     lines = [line for one in found for line in gait_in_words(walker, about, one)]
+    lines.append(conclude_gaits(sum(bool(one.stable) for one in found), len(found)))
     lines += [] if picture.figure is None else [f"picture {picture.figure}"]
     tell(slope_of(about) | answer, lines, as_json=picture.as_json)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import walker_jax as wj
 from walker_jax.basins.windows import grid_along
 from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.conclusions import conclude_proof
 from walker_jax.cli.groups import option
 from walker_jax.cli.section import Window
 from walker_jax.cli.walker_options import takes_walker
@@ -64,3 +65,4 @@ def proof_in_words(walker: System, answer: dict) -> Iterator[str]:
     yield f"  cells that walk {cells['walk']}, fall {cells['fall']}, are open {cells['open']}"
     size, strides = answer["trap"]["size"], answer["verified_strides"]
     yield f"  {strides} verified strides; trap of size {size:.4g}"
+    yield f"  {conclude_proof(proved=not cells['open'] or answer['all_walk'])}"
