@@ -67,7 +67,7 @@ HOW = {"at_border": False, "refined": False, "zoomed": False}
 
 
 @pytest.mark.parametrize(("sentence", "part"), SAID)
-def test_a_conclusion_is_a_sentence_without_names_of_the_program(sentence, part):
+def test_a_conclusion_is_a_sentence_in_words(sentence, part):
     assert part in sentence
     assert re.match("[A-Z0-9]", sentence) and sentence.endswith(".") and "\n" not in sentence
     assert not any(re.search(rf"\b{one.name}\b", sentence) for one in Outcome)

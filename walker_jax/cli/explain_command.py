@@ -40,5 +40,5 @@ def explain(walker: System, start: Start, as_json: Json = False) -> None:
 
 def in_words(text: str) -> str:
     """An explanation with outcomes in words, in the place of their names."""
-    text = text.replace("ended by ", "the end: ").replace("condition ", "condition against: ")
+    text = re.sub(r"condition (\w+):", r"condition (\1):", text.replace("ended by ", "the end: "))
     return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: outcome_in_words(name[0]), text)
