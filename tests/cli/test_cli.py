@@ -75,10 +75,20 @@ def test_every_command_has_examples_and_says_how_long_it_takes():
     assert {*EXAMPLES} == {*DURATIONS} == {*COMMANDS}
 
 
-def test_the_page_takes_no_walker_in_space(run):
-    code, out, err = run("explore", "--no-browser", "--walker", "spatial")
+def test_the_page_opens_walkers_in_space_and_a_real_spring(run, monkeypatch):
+    opened = []
+    monkeypatch.setattr(
+        "walker_jax.explorer.server.run_server", lambda *given, **_: opened.append(given)
+    )
+    for walker, *given in (("spatial",), ("spring",), ("spring", "--hip-stiffness", "0")):
+        assert run("explore", "--no-browser", "--walker", walker, *given) == (0, "", "")
+    names, values = zip(*((offered.name, values) for _, _, offered, values in opened), strict=True)
+    assert names == ("spatial", "spring", "spring")
+    assert [one.get("hip_stiffness") for one in values] == [None, 1.0, 0.0]
+    code, out, err = run("explore", "--walker", "simplest", "--axis", "theta=0:1:9")
     assert (code, out) == (2, "")
-    assert err == "walker-jax: --walker must be planar, not a SpatialWalker\n"
+    shown = "the page shows a walker in the plane about its gait"
+    assert err == f"walker-jax: --axis is for systems: {shown}\n"
 
 
 def test_a_host_that_cannot_be_one_is_refused(run):

@@ -210,7 +210,7 @@ def test_other_commands_take_systems_too(run):
     code, out, err = run(
         "explain", "--system", "my_maps.py:system", "--start", "x=0.5", "--start", "y=0"
     )
-    assert code == 0 and out.startswith("henon from (0.5, 0): STRIDE"), err
+    assert code == 0 and out.startswith("henon from (0.5, 0): walks\n"), err
     over = ("--over", "a=0.9:1.0:2")
     code, out, err = run(
         "sweep", "--system", "my_maps.py:system", *over, *SQUARE, "--check", "2000", "--json"

@@ -122,6 +122,8 @@ def test_help_is_the_same_with_the_command_loaded(walker):
         ("walk --theta x", 2),
         ("walk --foot-radius 0.3", 2),
         ("optimise --strides", 2),
+        ("basin --zoom 4 --levels 2", 2),
+        ("gait --walker simplest --system henon", 2),
     ],
 )
 def test_help_and_typos_load_no_jax_and_no_command(line, code):

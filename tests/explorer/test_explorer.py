@@ -1,5 +1,7 @@
 """The explorer's server, without a browser."""
 
+import asyncio
+import dataclasses
 import html
 import io
 import json
@@ -19,14 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from explorer_subjects import FIRST, GRID, SIMPLEST, WHOLE, joined
+from explorer_subjects import FIRST, GRID, SIMPLEST, WHOLE, few, joined, parts_and_result
 from zarr.storage import ZipStore
 
 import walker_jax as wj
 from walker_jax.explorer import measures, offers, pictures, service, walks
+from walker_jax.explorer.compile_times import SECONDS, CompileTimes
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.lattice import HOME_CELLS, TILE, Rectangle
-from walker_jax.explorer.offers import FAMILY
+from walker_jax.explorer.offers import FAMILY, OTHERS
 from walker_jax.explorer.server import listen
 from walker_jax.explorer.subjects import Subject, read_subject
 from walker_jax.walkers.family import PLANAR_WALKERS
@@ -306,11 +309,16 @@ def test_the_disturbance_for_the_page(monkeypatch):
 def test_the_diagram_for_the_page(monkeypatch):
     """Around the first doubling: branches are gaits, and points what walkers come to."""
     monkeypatch.setattr(offers, "slopes_of", lambda kind: (0.0148, 0.0154))
-    monkeypatch.setattr(measures, "DIAGRAM", {"period_max": 2, "strides": 400, "scan": 3})
-    diagram = measures.bifurcation(subject(), "slope")
+    for name, value in few(3, strides=400).items():
+        monkeypatch.setattr(measures, name, value)
+    parts, diagram = parts_and_result(measures.bifurcation(subject(), "slope"))
+    counts = [len(one["branches"]) for one in parts]  # which come one by one
+    assert counts == sorted({*counts}) and counts[0] < counts[-1] == len(diagram["branches"])
+    assert not any(one["whole"] or one["points"] for one in parts) and diagram["whole"]
     assert json.dumps(diagram, allow_nan=False)
     for name, like in explorer_server.DIAGRAM.items():  # with which the page is tested
         assert len(diagram[name][0]) == len(like[0]) if name == "points" else diagram[name]
+        assert all(name in one for one in parts)
         if name in ("branches", "events"):
             assert {*diagram[name][0]} == {*like[0]}
     assert {*diagram} == {*explorer_server.DIAGRAM}
@@ -340,7 +348,7 @@ def test_the_measures_that_take_long():
     exact = wj.least_disturbance(wj.SimplestWalker(0.004))
     assert found["size"] == exact.size and found["failure"] == int(exact.failure)
     np.testing.assert_allclose(found["gait"], exact.state - exact.size * exact.direction)
-    diagram = measures.bifurcation(subject(), "slope")
+    _, diagram = parts_and_result(measures.bifurcation(subject(), "slope"))
     assert json.dumps(diagram, allow_nan=False)
     cascade = [one["value"] for one in diagram["events"] if one["cascade"] and not one["fold"]]
     assert min(cascade) == pytest.approx(0.01508843794, abs=1e-9)
@@ -354,10 +362,12 @@ def test_the_measures_that_take_long():
 )
 def test_a_diagram_is_of_the_walkers_own_slopes(monkeypatch, name, slopes):
     asked = []
-    monkeypatch.setattr(measures, "bifurcation_diagram", lambda *words, **_: asked.extend(words))
+    grow = lambda *words, **_: asked.extend(words) or [([], [])]
+    monkeypatch.setattr(measures, "grow_branches", grow)
+    monkeypatch.setattr(measures, "complete_diagram", lambda *words, **_: asked.extend(words))
     with pytest.raises(TypeError):  # of what is no diagram
-        measures.bifurcation(subject(name), "slope")
-    assert asked[1:] == ["slope", slopes]
+        next(measures.bifurcation(subject(name), "slope"))
+    assert asked[1:3] == asked[5:7] == ["slope", slopes]
 
 
 @pytest.mark.parametrize("method", [pytest.param("direct", marks=pytest.mark.slow), "cell-map"])
@@ -439,8 +449,6 @@ def test_only_what_is_drawn_and_in_a_file_is_explored():
 
     with pytest.raises(ValueError, match=r"that other processes can import: write Own into a file"):
         wj.explore(Own(0.004))
-    with pytest.raises(ValueError, match="walker must be planar, not a SpatialWalker"):
-        wj.explore(wj.SpatialWalker(0.004))
     with pytest.raises(ValueError, match="has a section of one coordinate, and pictures have two"):
         wj.explore(wj.SpringMassRunner())
     with pytest.raises(ValueError, match="height must be at least 100"):
@@ -484,6 +492,68 @@ def test_a_port_that_is_taken_is_named():
         said = rf"cannot listen on 127\.0\.0\.1, port {port}: .+; give another --host or --port"
         with pytest.raises(wj.ComputationFailed, match=said):
             listen("127.0.0.1", port)
+
+
+def test_a_walker_in_space_is_a_slice_of_its_section():
+    """Along any two coordinates, without a film, in the words of walkers."""
+    about = describe_family(FAMILY)["walkers"]["spatial"]
+    assert about["walker"] and not about["film"] and about["spans"] == {}
+    assert len(about["planes"]) == 21 and next(iter(about["planes"])) == "theta-thetadot"
+    others = about["planes"]["theta-thetadot"]["others"]
+    assert others == ("yaw", "phi", "yawdot", "leandot", "phidot")
+    for name, one in about["coordinates"].items():
+        assert one["low"] < one["high"] and one["label"], name
+    assert offers.offer(wj.SpatialWalker()) is FAMILY["spatial"]
+
+
+@pytest.mark.slow  # it takes a minute to compile
+def test_the_slice_of_a_walker_in_space_goes_through_its_gait(client):
+    asked = {"walker": "spatial", "tiles": [[-1, 1, 1]]}
+    (attractor,), (tile,) = client.tiles(asked)
+    walker = wj.SpatialWalker()
+    gait = np.asarray(wj.find_gait(walker).states[0])
+    np.testing.assert_allclose(attractor["states"][0], gait, atol=1e-6)
+    for name, (low, high) in offers.window_of(FAMILY["spatial"]).items():
+        assert low < gait[walker.section.index(name)] < high
+    label = np.frombuffer(tile, np.uint8)[: TILE * TILE]
+    assert (label >= FIRST).any() and (label < FIRST).any()
+    walk = client.ask("/api/walk", asked | {"start": gait.tolist(), "strides": 3}).json()
+    assert walk["leg"] is None and [one["outcome"] for one in walk["strides"]] == [0] * 3
+    cells = {"cells": [-1, 50, 50, 20, 20]}
+    words = client.ask("/api/words", asked | cells).json()
+    assert words["command"].startswith("walker-jax basin --walker spatial --slope 0.0702 ")
+    assert " --axis theta=" in words["command"] and "wj.SpatialWalker(slope=" in words["python"]
+
+
+def test_what_compiles_is_told_with_its_seconds(client):
+    told = lambda name: client.ask("/api/compiling", {"walker": name}).json()["seconds"]
+    assert told("kneed") >= SECONDS["kneed"] and told("upper-body") > told("spring") > 0
+    client.tiles(SIMPLEST | {"tiles": [[0, 0, 0]]})
+    assert told("simplest") == 0
+    assert {*SECONDS} == {*FAMILY, *OTHERS}
+
+
+def test_seconds_to_compile_grow_on_a_slow_machine():
+    times, simplest, kneed = CompileTimes(), FAMILY["simplest"], FAMILY["kneed"]
+    assert times.estimate(kneed) == SECONDS["kneed"]
+    times.record(simplest, 0.1)  # of programs in a cache
+    assert times.estimate(kneed) == SECONDS["kneed"]
+    times.record(simplest, 4.0 * SECONDS["simplest"])
+    assert times.estimate(kneed) == pytest.approx(2.0 * SECONDS["kneed"], rel=0.02)
+    own = dataclasses.replace(kneed, name="own", kind=type("Own", (wj.KneedWalker,), {}))
+    assert times.estimate(own) == times.estimate(kneed)
+    assert times.estimate(dataclasses.replace(kneed, name="own", kind=wj.System)) is None
+
+
+def test_tiles_of_a_batch_are_written_at_once():
+    """Of many writes to a page that has gone asyncio would warn."""
+
+    async def read():
+        tiles = [pictures.Tile(0, i, 0) for i in range(service.FIRST_BATCH)]
+        return [piece async for piece in service.Service().tiles(subject(), tiles)]
+
+    (piece,) = asyncio.run(read())
+    assert [one.kind for one in explorer_server.split(piece)] == [0, *[1] * service.FIRST_BATCH]
 
 
 def test_a_subject_is_one_key():

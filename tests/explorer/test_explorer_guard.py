@@ -5,6 +5,8 @@ import json
 import re
 import socket
 import threading
+from multiprocessing.connection import Connection
+from unittest.mock import Mock
 
 import explorer_server
 import pytest
@@ -233,12 +235,12 @@ def test_an_answer_that_nobody_reads_is_given_up(running, monkeypatch):
 
 def test_a_failure_is_told_in_the_packages_own_words_alone(monkeypatch):
     monkeypatch.setattr(workers.signal, "signal", lambda *_: None)
-    assert workers.answer(int, ("secret",))[0] == "ValueError"
+    assert workers.answer(int, ("secret",), Mock(spec=Connection))[0] == "ValueError"
     hidden = service.reason_of(workers.Failure("ValueError", "secret"))
     assert hidden == "the computation failed (ValueError)"
 
     def refuse():
         raise WrongUse("slope must be above 0")
 
-    said = workers.answer(refuse, ())
+    said = workers.answer(refuse, (), Mock(spec=Connection))
     assert service.reason_of(workers.Failure(*said)) == "slope must be above 0"

@@ -29,6 +29,13 @@ async def until(condition, seconds=60.0):
             await asyncio.sleep(0.01)
 
 
+def roots_of(*numbers):
+    """Yields the square root of each number; returns how many there are."""
+    for one in numbers:
+        yield math.sqrt(one)
+    return len(numbers)
+
+
 def test_a_worker_is_interrupted_and_stays():
     async def use():
         crew = workers.Workers(1)
@@ -50,6 +57,11 @@ def test_a_worker_is_interrupted_and_stays():
             assert time.monotonic() - start < 30 and crew.all[0].process.pid == pid
             with pytest.raises(workers.Failure, match="math domain error"):
                 await crew.ask(math.sqrt, -1.0)
+            told = []  # parts that come before the result, or before it fails
+            assert await crew.ask(roots_of, 4.0, 9.0, told=told.append) == 2
+            with pytest.raises(workers.Failure, match="math domain error"):
+                await crew.ask(roots_of, 16.0, -1.0, told=told.append)
+            assert told == [2.0, 3.0, 4.0]
             with pytest.raises(workers.Failure, match="has died"):
                 await crew.ask(os._exit, 1)
             assert await crew.ask(math.sqrt, 16.0) == 4.0
@@ -57,6 +69,46 @@ def test_a_worker_is_interrupted_and_stays():
             crew.stop()
 
     asyncio.run(use())
+
+
+def test_all_who_ask_are_told_of_the_same_parts():
+    async def use():
+        crew, told = workers.Workers(1), []
+        job = crew.jobs[roots_of, (25.0,)] = workers.Job(roots_of, (25.0,), long=True)
+        job.tell(1.0)
+        later = asyncio.create_task(crew.ask(roots_of, 25.0, told=told.append))
+        await asyncio.sleep(0)
+        job.tell(2.0)
+        job.result.set_result(1)
+        assert await later == 1 and told == [1.0, 2.0] and job.told == []
+
+    asyncio.run(use())
+
+
+def test_a_measure_that_grows_is_lines(running, client, monkeypatch):
+    crew = running.server.config.app.app.state.service.workers
+    asked = {"walker": "simplest", "parameters": {"slope": 0.004}}
+    endings = [{"branches": 2}, workers.Failure("OSError", "no space")]
+
+    async def ask(function, *arguments, told, **options):
+        told({"branches": 1})
+        await asyncio.sleep(0)
+        ending = endings.pop(0)
+        if isinstance(ending, Exception):
+            raise ending
+        return ending
+
+    monkeypatch.setattr(crew, "ask", ask)
+    for last in ({"branches": 2}, {"error": "the computation failed (OSError)"}):
+        answer = client.ask("/api/measure/bifurcation", asked)
+        assert answer.status == 200
+        assert list(map(json.loads, answer.body.splitlines())) == [{"branches": 1}, last]
+
+    async def busy(*arguments, **options):
+        raise workers.Busy
+
+    monkeypatch.setattr(crew, "ask", busy)
+    assert client.ask("/api/measure/bifurcation", asked).status == 503
 
 
 # ---------------------------------------------------------------------------- strangers

@@ -22,6 +22,7 @@ from explorer_page import (
     WIDE,
     Held,
     area_of,
+    fulfil,
     fulfil_as,
 )
 from parts_of_pictures import lightness
@@ -69,6 +70,51 @@ def test_the_basin_follows_the_slope(opened):
     page.said.clear()  # Chromium's own words on the status 400
 
 
+def test_a_refused_value_is_said_once_and_the_slider_stays(opened):
+    page = opened("walker=simplest&slope=0.004")
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
+    shown = "document.querySelector('main').innerText + document.querySelector('#toast').innerText"
+    slider = (
+        "[...['min', 'max', 'value']].map((k) => Number(document.querySelector('#p-slope')[k]))"
+    )
+    before = page.value(slider)
+    for key in ("basin", "bifurcation"):
+        page.page.click(f"#tab-{key}")
+        page.page.fill("#parameters .typed", "-1")
+        page.wait("document.querySelector('.error').textContent !== ''")
+        page.page.wait_for_timeout(600)  # in which all else would be asked for
+        assert page.value(shown).count("slope must be above 0") == 1
+        assert (
+            page.value(slider) == before and page.value("explorer.state.parameters.slope") == 0.004
+        )
+        assert page.page.input_value("#parameters .typed") == "-1"
+        page.page.focus("#walker")
+        assert page.page.input_value("#parameters .typed") == "0.004"
+        page.set_slope(0.005)
+        assert page.shown(".error") == ""
+        page.set_slope(0.004)
+    page.said.clear()  # Chromium's own words on the status 400
+
+
+def test_the_stage_shows_the_gait_until_a_start_is_chosen(opened):
+    page = opened("walker=simplest&slope=0.004")
+    page.wait("explorer.walk.playing && explorer.walk.time > 0")
+    np.testing.assert_allclose(page.value("explorer.walk.start"), GAIT["states"][0], atol=1e-6)
+    assert page.shown("#walk-note") == "The gait, stride 1"
+    assert page.page.locator("#stage-hint").is_visible()
+    page.set_slope(0.005)
+    page.wait("explorer.walk.subject.parameters.slope === 0.005")
+    gait = wj.find_gait(wj.SimplestWalker(0.005)).states[0]
+    np.testing.assert_allclose(page.value("explorer.walk.start"), gait, atol=1e-6)
+    assert "start=" not in page.value("location.hash")
+    # a fall, of which nothing is drawn below the ground
+    page.page.mouse.click(*page.screen(0.3, -0.035))
+    page.walks_from_start()
+    assert not page.page.locator("#stage-hint").is_visible()
+    made, drawn = page.value(LOWEST)
+    assert made < -0.5 and drawn > -1e-9
+
+
 def test_a_start_walks_or_falls_as_it_must(opened):
     page = opened("walker=simplest&slope=0.004")
     gait = wj.find_gait(wj.SimplestWalker(0.004)).states[0]
@@ -78,6 +124,7 @@ def test_a_start_walks_or_falls_as_it_must(opened):
     )
     page.page.select_option("#speed", "5")
     page.page.mouse.click(*page.screen(0.16, -0.004))
+    page.walks_from_start()
     page.wait("explorer.walk.current?.number >= 6")  # it walks on, and more strides are asked for
     start = page.value("explorer.walk.start")
     page.wait("explorer.walk.strides.length > 12")
@@ -109,6 +156,24 @@ def test_a_start_walks_or_falls_as_it_must(opened):
     start = page.value("explorer.walk.start")
     assert int(wj.stride(wj.SimplestWalker(0.004), jnp.array(start)).outcome) == wj.Outcome.FORWARD
     page.page.keyboard.press("Tab")
+
+
+LOWEST = """(() => {
+  const {walk, stage} = explorer, made = [], drawn = [], draw = stage.drawPose;
+  walk.playing = false;
+  stage.drawPose = function (c, places, ...others) {
+    drawn.push(places.hip[1] - 0.02, places.stance[1], places.swing[1]);
+    draw.call(this, c, places, ...others);
+  };
+  for (let k = 0; k <= 300; k++) {
+    walk.time = (k / 300) * walk.strides.at(-1).ends;
+    stage.draw();
+    made.push(walk.places(walk.state(), walk.current.foot).swing[1]);
+  }
+  stage.drawPose = draw;
+  return [Math.min(...made), Math.min(...drawn)];
+})()"""
+"""The lowest height above the ground in a walk: of its swing foot, and of what is drawn."""
 
 
 @pytest.mark.slow
@@ -143,7 +208,7 @@ def test_zooming_in_ten_thousand_times_and_panning(opened):
     after = page.value("explorer.map.view.centre")
     width = page.value("2 * explorer.lattice.half(explorer.map.view, 0) / explorer.map.box.width")
     assert before[0] - after[0] == pytest.approx(80 * width, rel=1e-6)
-    assert page.value("explorer.walk.strides.length") == 0  # a drag is no click
+    assert page.value("explorer.state.start") is None  # a drag is no click
     page.finished()
     page.page.click("#zoom-home")
     page.finished()
@@ -202,6 +267,7 @@ def test_an_own_walker_walks_and_one_of_another_server_is_told(opened):
     assert page.shown("#about-walker") == "The simplest walker, of a user's own."
     assert page.value("explorer.state.parameters") == {"slope": 0.0045}
     page.page.mouse.click(*page.screen(0.1534, -0.0027))
+    page.walks_from_start()
     page.wait("explorer.walk.current?.number >= 1")
     pose = page.value("explorer.walk.places(explorer.walk.state(), 0)")
     assert np.hypot(*np.subtract(pose["hip"], pose["stance"])) == pytest.approx(1)
@@ -222,7 +288,7 @@ def test_hands_on_keys_alone(opened):
     assert page.value("explorer.map.view.zoom") == 0.5
     assert "θ" in page.shown("#hover")
     page.page.keyboard.press("Enter")
-    page.wait("explorer.walk.strides.length > 0")
+    page.walks_from_start()
     page.page.keyboard.press("0")
     assert page.value("explorer.map.view.zoom") == 0
     playing = page.value("explorer.walk.playing")
@@ -283,10 +349,12 @@ def test_nothing_of_a_walker_stands_under_the_name_of_the_next(opened):
     facts = "[...document.querySelectorAll('.facts dd')].map((one) => one.textContent)"
     page.wait(f"{facts}.join().includes('0.6339')")
     held = Held(page, "**/api/home")
+    page.page.route("**/api/compiling", partial(fulfil, {"seconds": 7.2}))
     page.page.select_option("#walker", "Own")
     held.wait(1)
-    assert page.value(facts) == ["preparing…"] * 4
-    assert page.shown("#toast") == "Preparing the Own walker"
+    assert page.value(facts) == [""] * 4
+    page.wait("document.querySelector('#compiling').textContent !== ''")
+    assert page.shown("#compiling") == "Compiling the Own walker, about 8 s the first time"
     assert page.value("document.querySelector('#legend').childElementCount") == 0
     page.page.wait_for_timeout(100)
     seen = "explorer.map.context.getImageData(100, 40, 300, 200).data.buffer"
@@ -297,6 +365,7 @@ def test_nothing_of_a_walker_stands_under_the_name_of_the_next(opened):
     page.wait("document.querySelector('#toast').textContent === 'The picture is not there yet'")
     held.let_go()
     page.wait("explorer.lattice !== null")
+    assert page.shown("#compiling") == ""
     page.finished()
     page.wait(f"{facts}.join().includes('0.6339')")
     assert page.value("explorer.picture.layer.body.walker") == "Own"
@@ -312,6 +381,7 @@ def test_walks_never_mix(opened):
     page.page.mouse.click(*page.screen(0.16, -0.004))
     held.wait(1)
     held.let_go()
+    page.walks_from_start()
     page.wait("explorer.walk.strides.length === 12")
     first = page.value("explorer.walk.start")
 
@@ -474,7 +544,7 @@ def test_a_walker_with_round_feet_and_a_slice(opened):
     page.wait("JSON.parse(explorer.picture.layer.key).parameters.foot_radius === 0.2")
     page.finished()
     page.page.mouse.click(*page.screen(float(gait[0]), float(gait[0] + gait[1])))
-    page.wait("explorer.walk.strides.length > 0")
+    page.walks_from_start()
     assert page.value("explorer.walk.leg.radius") == pytest.approx(0.2)
     # a slice off the gait, by its slider, and back
     page.page.locator("#slice .typed").fill("-0.02")
@@ -505,7 +575,7 @@ def test_fingers_zoom_and_pan(opened):
         touch("touchMove", (x - d, y), (x + d, y))
     touch("touchEnd")
     assert page.value("explorer.map.view.zoom") == pytest.approx(1, abs=0.1)
-    assert page.value("explorer.walk.strides.length") == 0
+    assert page.value("explorer.state.start") is None
     page.finished()
     page.page.touchscreen.tap(x, y)
-    page.wait("explorer.walk.strides.length > 0")
+    page.walks_from_start()

@@ -1,5 +1,7 @@
 """The explorer's page in a browser: maps, links, frames and the bifurcation tab."""
 
+import json
+import re
 import time
 from contextlib import suppress
 from functools import partial
@@ -10,12 +12,14 @@ import explorer_server
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from explorer_page import SECONDS, WIDE, Page, area_of, fulfil
+from explorer_page import SECONDS, WIDE, Held, Page, area_of, fulfil, fulfil_as
+from explorer_subjects import few, parts_and_result
 from playwright.sync_api import Error
 
 import walker_jax as wj
 from walker_jax.explorer import measures
 from walker_jax.explorer.subjects import read_subject
+from walker_jax.walkers.family import WALKERS
 
 
 @pytest.mark.slow
@@ -28,7 +32,7 @@ def test_a_server_that_goes_and_comes_back(browser):
     assert page.shown("#gone").startswith("The server does not answer.")
     assert page.shown("#diagram-note").strip() in (
         "",
-        "The gaits are followed over the slope: some ten seconds…",
+        "The gaits are followed over the slope…",
     )
     page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
     with explorer_server.running(first.port):
@@ -81,7 +85,18 @@ def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
     page.wait("JSON.parse(explorer.picture.layer.key).parameters.a === 0.3")
     page.finished()
     assert "basin of the cycle of period 1" in page.shown("#legend")
-    # the bifurcation diagram is over a parameter of one's choice
+    # the bifurcation diagram grows
+    whole, note = explorer_server.DIAGRAM, "document.querySelector('#diagram-note').textContent"
+    grown = [whole | {"whole": False, "points": [], "events": [], "lost": []}, whole]
+    for lines, said in ((grown[:1], "1 branch so far"), (grown, "cycle first doubles")):
+        body = "\n".join(map(json.dumps, lines))
+        answer = partial(fulfil_as, {"body": body, "content_type": "application/x-ndjson"})
+        page.page.route("**/api/measure/bifurcation", answer)
+        page.page.locator("#parameters .typed").last.fill(f"0.{30 + len(lines)}")
+        page.page.click("#tab-bifurcation")
+        page.wait(f"{note}.includes('{said}')")
+        page.page.click("#tab-basin")
+    # it is over a parameter of one's choice
     page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
     page.page.click("#tab-bifurcation")
     page.wait("document.querySelector('#diagram-note').textContent.includes('cycle first doubles')")
@@ -89,6 +104,19 @@ def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
         page.page.select_option("#over", "b")
     assert asked.value.post_data_json["over"] == "b"
     page.wait("location.hash.includes('over=b')")
+
+
+def test_a_label_says_nothing_twice(opened):
+    page = opened("walker=simplest&slope=0.004")
+    Held(page, "**/api/home")  # or all walkers would be compiled
+    shown = {}
+    for name in WALKERS:
+        page.page.select_option("#walker", name)
+        shown[name] = page.page.locator("#parameters label").all_inner_texts()
+        assert shown[name][0] == "slope (rad)"
+        assert not any(re.search(r"\b(\w+) \(?\1\b", one) for one in shown[name])
+    assert "foot mass (hip mass)" in shown["point-foot"]
+    assert {"hip mass", "leg length", "com offset (length)"} < {*shown["round-foot"]}
 
 
 def test_a_system_of_three_coordinates_is_shown_along_any_two(opened_system):
@@ -175,10 +203,10 @@ def test_a_notebook_frames_the_page_and_others_do_not(browser, page_server):
 def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
     """A diagram of the form of the server's, or its own of few slopes; those a hand chooses."""
     page = opened("walker=simplest&slope=0.004")
-    few = {"period_max": 1, "strides": 60, "scan": 8}
-    monkeypatch.setattr(measures, "DIAGRAM", few)
+    for name, value in few(8, strides=60, period_max=1).items():
+        monkeypatch.setattr(measures, name, value)
     found = (
-        measures.bifurcation(read_subject({"walker": "simplest"}), "slope")
+        parts_and_result(measures.bifurcation(read_subject({"walker": "simplest"}), "slope"))[1]
         if computed
         else explorer_server.DIAGRAM
     )

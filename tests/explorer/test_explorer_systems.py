@@ -9,6 +9,7 @@ import explorer_server
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from explorer_subjects import few, parts_and_result
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
@@ -227,8 +228,9 @@ def test_cycles_and_their_bifurcations(own, monkeypatch):
         assert not gait.stable
     assert measures.disturbance(subject(own)) is None
     assert not own.spans
-    monkeypatch.setattr(measures, "DIAGRAM", {"period_max": 2, "strides": 200, "scan": 5})
-    diagram = measures.bifurcation(subject(OTHERS["henon"]), "b")
+    for name, value in few(5, strides=200).items():
+        monkeypatch.setattr(measures, name, value)
+    _, diagram = parts_and_result(measures.bifurcation(subject(OTHERS["henon"]), "b"))
     assert diagram["range"] == OTHERS["henon"].spans["b"] == (0.15, pytest.approx(0.45))
     assert json.dumps(diagram, allow_nan=False) and len(diagram["branches"]) > 0
 

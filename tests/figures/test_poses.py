@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from matplotlib.animation import FFMpegWriter
+from matplotlib.figure import Figure
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.figures.poses import above_ground, draw_pose
 
 SLOPE = 0.004
 
@@ -50,6 +52,34 @@ def test_round_feet_are_arcs_that_touch_the_ground(walk):
     away = np.linalg.norm(arcs[0] - stance, axis=1)
     np.testing.assert_allclose(away, radius, rtol=1e-12)
     assert abs(arcs[0][:, 1].min()) < 1e-3
+
+
+@pytest.mark.parametrize("start", [[0.3, -0.335], [0.3, -0.1]])  # falls forward, backward
+def test_nothing_is_drawn_below_the_ground(start):
+    fall = wj.motion(wj.SimplestWalker(SLOPE), np.array(start), 2)
+    assert fall["swing"][:, 1].min() < -0.5
+    turn = np.array([[np.cos(SLOPE), -np.sin(SLOPE)], [np.sin(SLOPE), np.cos(SLOPE)]])
+    ax = Figure().subplots()
+    for k in range(fall.sizes["frame"]):
+        drawn = [
+            np.asarray(line.get_xydata()) @ turn.T for line in draw_pose(ax, fall.isel(frame=k))
+        ]
+        assert min(places[:, 1].min() for places in drawn) > -1e-12
+        hip, foot = drawn[2][[0, -1]]
+        assert np.linalg.norm(foot - hip) > 0.9 - 1e-9
+
+
+def test_a_swing_leg_is_shortened_a_little_or_turned():
+    leg = np.array([[0.0, 0.98], [0.1, 0.48], [0.2, -0.02]])
+    shorter, turned = above_ground(leg, 0.0, 0.0)
+    assert turned == 0
+    np.testing.assert_allclose(shorter[-1], [0.196, 0], atol=1e-12)
+    np.testing.assert_allclose(shorter[1], shorter[[0, 2]].mean(axis=0), atol=1e-12)
+    low, turned = above_ground(leg - [0, 0.5], 0.0, 0.1)
+    length = np.linalg.norm(leg[-1] - leg[0])
+    assert low[-1, 1] == pytest.approx(0.1) and turned > 0
+    assert np.linalg.norm(low[-1] - low[0]) == pytest.approx(0.9 * length)
+    assert above_ground(leg, -0.1, 0.0)[0] is leg
 
 
 def test_a_walk_that_has_no_length_is_drawn(walk):

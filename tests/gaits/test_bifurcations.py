@@ -6,7 +6,7 @@ from reference import read_values
 from simplest_gaits import REGION, walker
 
 import walker_jax as wj
-from walker_jax.gaits import crises, diagrams, long_runs
+from walker_jax.gaits import branch_search, crises, long_runs
 from walker_jax.gaits.arclength import correct
 from walker_jax.gaits.continuation import Start
 from walker_jax.walking.iteration import WalkEnd
@@ -100,8 +100,8 @@ def test_the_cascade_stems_from_the_most_stable_gait():
     short, long = branch_of(1, [1.5, 1.4, 1.6]), branch_of(1, [0.6, 0.9, 5.0])
     doubles = [branch_of(2, [0.3, 2.0]) for _ in range(3)]
     branches = [short, doubles[0], long, doubles[1], doubles[2], branch_of(4, [0.2, 3.0])]
-    assert sorted(diagrams.find_descendants(branches, [-1, 0, -1, 2, -1, 3])) == [2, 3, 5]
-    assert diagrams.find_descendants([doubles[0]], [-1]) == []
+    assert sorted(branch_search.find_descendants(branches, [-1, 0, -1, 2, -1, 3])) == [2, 3, 5]
+    assert branch_search.find_descendants([doubles[0]], [-1]) == []
 
 
 def test_gaits_are_known_from_any_of_their_states(monkeypatch):
@@ -119,10 +119,10 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
         points = [done_with(henon, correct(a, x, None, 1.0)) for a, x in guesses]
         return [point and point.cycle for point in points]
 
-    monkeypatch.setattr("walker_jax.gaits.diagrams.solve_at", solve_at)
+    monkeypatch.setattr("walker_jax.gaits.branch_search.solve_at", solve_at)
     values = np.array([0.6, 0.8])
     two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(a) for a in values]))
-    look = lambda starts: diagrams.select_new_starts(walker(), "slope", [two], starts, 1e-12)
+    look = lambda starts: branch_search.select_new_starts(walker(), "slope", [two], starts, 1e-12)
     x = (np.sqrt(0.7**2 + 4 * 0.7) - 0.7) / (2 * 0.7)
     fixed = np.array([[x, 0.3 * x]] * 2)
     starts = [Start(0.7, x) for x in (cycle(0.7), cycle(0.7)[::-1], fixed, fixed[:1])]
@@ -192,7 +192,7 @@ def test_wrong_requests_are_refused(call, message):
 
 
 def test_an_interval_from_a_bound_on_is_not_widened():
-    widen = diagrams.widen_downwards
+    widen = branch_search.widen_downwards
     assert widen(walker(), "slope", 0.004, 0.02) == (0.002, 0.02)
     spring = wj.SpringWalker(0.0165, 0.0)
     assert widen(spring, "hip_stiffness", 0.0, 0.02) == (0.0, 0.02)

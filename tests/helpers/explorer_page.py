@@ -115,6 +115,11 @@ class Page:
         """Wait for the whole picture."""
         self.wait("Boolean(window.explorer?.picture.layer) && explorer.picture.progress === 1")
 
+    def walks_from_start(self):
+        """Wait until it walks from the start that was chosen; until then it shows the gait."""
+        chosen = "JSON.stringify(explorer.state.start)"
+        self.wait(f"explorer.state.start && {chosen} === JSON.stringify(explorer.walk.start)")
+
     def shown(self, selector):
         return self.page.locator(selector).inner_text()
 

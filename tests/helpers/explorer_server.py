@@ -23,6 +23,7 @@ from walker_jax.explorer.server import Server, listen, make_server, names_of
 TOKEN = "a-token-for-tests-alone"
 DIAGRAM = {
     "range": [0.001, 0.022],
+    "whole": True,
     "branches": [{"period": 1, "value": [0.001, 0.02], "state": [[0.1, 0.25]], "stable": [1, 0]}],
     "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
     "lost": [0.0193, 0.0194],

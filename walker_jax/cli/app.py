@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from walker_jax.cli.groups import argument, arguments_of, ungrouped, with_arguments
 from walker_jax.cli.help_pages import command_of
-from walker_jax.cli.known_options import check_known
+from walker_jax.cli.known_options import check_known, refuse_both
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.version import Version
 from walker_jax.refusals import WrongUse
@@ -107,6 +107,7 @@ def with_quiet(command: Callable[..., None]) -> Callable[..., None]:
     """The command with the option `--quiet`, which acts by its callback."""
 
     def takes(quiet, **given):
+        refuse_both(given)  # of walkers and systems that are not the package's
         return command(**given)
 
     own = [*arguments_of(command), argument("quiet", Quiet, False)]

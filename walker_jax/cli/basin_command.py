@@ -23,8 +23,9 @@ from walker_jax.cli.answers import (
     slope_of,
     walker_in_words,
 )
+from walker_jax.cli.conclusions import conclude_basin
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, exclude, refuse
+from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, refuse
 from walker_jax.cli.section import AXIS, Axis, Window, check_section
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
@@ -52,7 +53,6 @@ class BasinWindow(Window):
     def check(self, walker: System) -> None:
         check_section(walker, self.axis)
         super().check(walker)
-        exclude(sum=self.sum, thetadot=self.thetadot)
 
     def whole(self, walker: System, axes: dict[str, Any]) -> dict[str, Any]:
         """The axes, on a section of three dimensions with those of the whole, but for a slice."""
@@ -99,8 +99,7 @@ class Options:
     frames: int = option(120, "Pictures of the film.", min=2)
 
     def check(self, window: BasinWindow) -> None:
-        """Refuse options that exclude each other, and those that are for another one."""
-        exclude(zoom=self.zoom, levels=self.levels)
+        """Refuse options that are for another one, which is not given."""
         if self.levels is None:
             refuse("is for --levels alone: give it too", seed=self.seed)
         if self.zoom is None:
@@ -177,6 +176,7 @@ def basin(
         kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
     lines = [*basin_in_words(data, answer, counts, request)]
     lines.append(f"  {kept or effort(data, answer, counts)}")
+    lines.append(f"  {conclusion(answer, request)}")
     output.tell(answer, lines, film=film)
 
 
@@ -250,6 +250,17 @@ def basin_in_words(
     yield from sizes_in_words(answer, measure, unit, zoomed="zoom" in request)
     if counts.unmatched:
         yield f"  {counts.unmatched} cells walk on without coming near a known attractor"
+
+
+def conclusion(answer: dict, request: dict) -> str:
+    """The share of starts that converge, and what to do next."""
+    cells = sum(one["cells"] for one in answer["attractors"] if not one["artefact"])
+    return conclude_basin(
+        cells / max(1, sum(answer["fates"].values())),
+        at_border=bool(answer.get("at_border")),
+        refined="levels" in request,
+        zoomed="zoom" in request,
+    )
 
 
 def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:

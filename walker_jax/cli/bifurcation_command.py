@@ -9,6 +9,7 @@ from typing import Any
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, listed, request_for, walker_in_words
+from walker_jax.cli.conclusions import conclude_bifurcations
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import check_range, hyphenated, underscored
 from walker_jax.cli.walker_options import takes_walker
@@ -112,3 +113,5 @@ def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str
     for interval in answer["stable_beyond"]:
         ends = f"from {interval['from']:.9f} to {interval['to']:.9f}"
         yield f"  a gait of period {interval['period']} is stable beyond that, {ends}"
+    doublings = [event[value_key(over)] for event in answer["doublings"]]
+    yield f"  {conclude_bifurcations(doublings, hyphenated(over))}"

@@ -7,6 +7,7 @@ from pathlib import Path
 import walker_jax as wj
 from walker_jax.basins.windows import fill_around_gait, grid_along
 from walker_jax.cli.answers import Output, points_listed, request_for
+from walker_jax.cli.conclusions import conclude_boundary
 from walker_jax.cli.groups import option
 from walker_jax.cli.section import Window
 from walker_jax.cli.walker_options import takes_walker
@@ -69,6 +70,7 @@ def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
         yield "    it tends to nothing on finer grids if the boundary is Wada's"
     for one in answer["edges"]:
         yield f"  {edge_in_words(one)}"
+    yield f"  {conclude_boundary(entropy['fractal'])}"
 
 
 def edge_in_words(edge: dict) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, listed, request_for
+from walker_jax.cli.conclusions import conclude_chart
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import RANGE_FORM, hyphenated, read_range, refuse_again
 from walker_jax.cli.section import START, start_from, state_from
@@ -94,3 +95,4 @@ def chart_in_words(answer: dict, names: list[str]) -> Iterator[str]:
         yield f"  no bifurcation over {' or '.join(map(hyphenated, names))}"
     shares = ", ".join(f"{name} {share:.1%}" for name, share in answer["cells"].items())
     yield f"  cells: {shares}"
+    yield f"  {conclude_chart(len(answer['curves']))}"

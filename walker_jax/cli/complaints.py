@@ -16,7 +16,9 @@ LONGEST = 60
 def complaint(error: Any) -> str:
     """One line for an error of typer's own."""
     if hasattr(error, "possibilities"):
-        instead = did_you_mean(sorted(error.possibilities or ())[:4]) or help_for(error)
+        bare = {one.strip("-"): one for one in error.possibilities or ()}
+        similar = difflib.get_close_matches(error.option_name.strip("-"), bare)
+        instead = did_you_mean([bare[one] for one in similar]) or help_for(error)
         return f"{shown(error.option_name)} is not an option: {instead}"
     if hasattr(error, "option_name"):
         return wrong_count(error)

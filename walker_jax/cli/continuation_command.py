@@ -7,6 +7,7 @@ from pathlib import Path
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.conclusions import conclude_continuation
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import hyphenated
 from walker_jax.cli.section import Region, asked_of
@@ -71,3 +72,4 @@ def attractors_in_words(answer: dict) -> Iterator[str]:
     for event in answer["bifurcations"]:
         kind = "fold" if event["kind"] == "fold" else "period doubling"
         yield f"    {kind} of {event['attractor']} at {event['value']:.12f}"
+    yield f"  {conclude_continuation(answer['attractors'])}"

@@ -1,9 +1,13 @@
 """`walker-jax explain`."""
 
+import re
+
 from walker_jax.cli.answers import tell
+from walker_jax.cli.conclusions import conclude_explanation
 from walker_jax.cli.options import Json
 from walker_jax.cli.section import Start, begin_at
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_walker
 from walker_jax.walking import explanation
@@ -30,4 +34,11 @@ def explain(walker: System, start: Start, as_json: Json = False) -> None:
         "state": found.state if known else None,
         "jacobian": found.jacobian if known else None,
     }
-    tell(answer, [str(found)], as_json=as_json)
+    lines = [in_words(str(found)), conclude_explanation(found.name, found.complaints)]
+    tell(answer, lines, as_json=as_json)
+
+
+def in_words(text: str) -> str:
+    """An explanation with outcomes in words, in the place of their names."""
+    text = re.sub(r"condition (\w+):", r"condition (\1):", text.replace("ended by ", "the end: "))
+    return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: outcome_in_words(name[0]), text)

@@ -11,7 +11,7 @@ from walker_jax.cli.rewording import option_of
 from walker_jax.cli.section import AXES, axes_from, check_ranges
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.systems.system import System, numbers_of
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import is_planar
 from walker_jax.walkers.parameters import chosen_options
 
 PAGE: Any = {"rich_help_panel": "Page"}
@@ -26,7 +26,7 @@ class Shown:
     axis: list[str] | None = AXES
 
 
-@takes_walker(systems=True)
+@takes_walker(systems=True, opening=True)
 def explore(
     walker: System,
     shown: Shown,
@@ -50,9 +50,10 @@ def explore(
     """Explore basins in a browser: drag the slope, watch the basin; click a start, watch it walk.
 
     Prints the link to the page, and serves it until Ctrl-C. The page needs no network. Its address
-    holds what it shows; buttons copy the command and the Python that give the same data. A system
-    that is no walker has no film: a click shows its iterates. Its window has the axes of --axis, in
-    cells of the page's own, by default over its gait_region.
+    holds what it shows; buttons copy the command and the Python that give the same data. The spring
+    walker opens with a stiffness of 1. A system that is no walker has no film: a click shows its
+    iterates. Its window has the axes of --axis, in cells of the page's own, by default over its
+    gait_region.
     """
     from walker_jax.explorer.offers import offer
     from walker_jax.explorer.server import run_server
@@ -60,8 +61,8 @@ def explore(
 
     check_host(host)
     axis = shown.axis
-    if axis and isinstance(walker, Walker):
-        raise WrongUse("--axis is for --system: the page shows a walker about its gait")
+    if axis and is_planar(type(walker)):
+        raise WrongUse("--axis is for systems: the page shows a walker in the plane about its gait")
     axes = axes_from(walker, axis) if axis else {}
     if axes:
         check_ranges(axes, len(axes))

@@ -22,5 +22,6 @@ def export(
         raise WrongPlace(f"FILE.nc must end in .nc, not {file}")
     copied = storage.export(data, file, overwrite=overwrite)
     answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
-    lines = [f"{data}: {', '.join(answer['variables'])}", f"  NetCDF file {file}"]
+    lines = [f"{data}: {', '.join(answer['variables'])}"]
+    lines.append(f"  NetCDF file {file}: xarray.open_dataset and other programs read it")
     tell(answer, lines, as_json=as_json)

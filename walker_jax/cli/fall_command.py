@@ -12,6 +12,7 @@ import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import check_figure, check_film, draw, request_for, tell
+from walker_jax.cli.conclusions import conclude_fall
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import OUTPUT, check_finite
 from walker_jax.cli.walk_command import FRAME_INTERVAL
@@ -91,6 +92,7 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
     answer |= {"mean_strides": found.mean_strides(), "actions": found.actions}
     answer["log_mean_strides"] = found.log_mean_strides()
     lines = [*fall_in_words(walker, found, deviations, chosen=way is not None)]
+    lines.append(f"  {conclude_fall(filmed=pictures.animate is not None)}")
     shown = {"picture": pictures.figure, "film": pictures.animate}
     lines += [f"{name} {place}" for name, place in shown.items() if place is not None]
     tell(answer, lines, as_json=pictures.as_json)

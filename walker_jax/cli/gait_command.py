@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from walker_jax.cli.answers import check_figure, draw, listed, request_for, slope_of, tell
+from walker_jax.cli.conclusions import conclude_gaits
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, exclude, refuse
+from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, refuse
 from walker_jax.cli.section import START, has_own_options, refuse_own, start_from, state_from
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
@@ -34,9 +35,6 @@ class Search:
         """The coordinates of the state in which the search begins, if it is given."""
         start = self.start or None
         refuse_own(walker, guess=self.guess, phidot=self.phidot)
-        exclude(guess=self.guess, start=start)
-        exclude(start=start, phidot=self.phidot)
-        exclude(guess=self.guess, start=start, all=self.all or None)
         if start is not None:
             return start_from(walker, start)
         if self.guess is None:
@@ -85,6 +83,7 @@ def gait(walker: System, search: Search, picture: Picture) -> None:
     about = request["walker"]
     answer = {"gaits": [summarise_gait(one) for one in found], "walker": about}
     lines = [line for one in found for line in gait_in_words(walker, about, one)]
+    lines.append(conclude_gaits(sum(bool(one.stable) for one in found), len(found)))
     lines += [] if picture.figure is None else [f"picture {picture.figure}"]
     tell(slope_of(about) | answer, lines, as_json=picture.as_json)
 

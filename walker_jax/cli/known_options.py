@@ -50,6 +50,15 @@ KINDS: dict[str, Any] = {
 }
 """Types of options, by their names in the file; a list there has the choices of a `Literal`."""
 ONE_OF: Any = Literal
+EXCLUSIVE = (
+    *(("workers", "scheduler"), ("zoom", "levels")),
+    *(("sum", "thetadot"), ("phidot", "at_phidot")),
+    *(("guess", "start"), ("guess", "all"), ("start", "all")),
+    *(("axis", one) for one in ("theta", "sum", "thetadot", "phidot", "at_phidot")),
+    *(("start", one) for one in ("theta", "thetadot", "phidot")),
+    *(("radius", one) for one in ("theta", "sum", "at_phidot", "axis")),
+)
+"""Pairs of options that exclude each other, in all commands that have both."""
 SETTINGS = "help", "metavar", "rich_help_panel", "show_default", "min", "max", "is_eager", "hidden"
 """What else the file has of an option. Callbacks act when the command itself is loaded."""
 
@@ -77,10 +86,16 @@ def check_known(name: str, args: Sequence[str], parent: Any) -> None:
 
     It tells nothing of systems that are no walkers, nor of walkers that are not the package's.
     """
-    walker = value_of("--walker", args) or DEFAULT
-    if walker not in table()["walkers"] or value_of("--system", args) is not None:
+    walker, system = value_of("--walker", args), value_of("--system", args)
+    if system is not None and any(said["name"] == "system" for said in own_options(name)):
+        if walker is not None:
+            raise WrongUse("--walker and --system exclude each other: give one of them")
+        return
+    walker = walker or DEFAULT
+    if walker not in table()["walkers"]:
         return
     given = read_command(name, walker).make_context(name, [*args], parent=parent).params
+    refuse_both(given)
     kinds, walkers = table()["parameters"], table()["walkers"]
     refuse_foreign(
         walker,
@@ -88,6 +103,20 @@ def check_known(name: str, args: Sequence[str], parent: Any) -> None:
         {one: [each for each in walkers if one in walkers[each]] for one in kinds},
         [one for one, kind in kinds.items() if kind == "flag or none"],
     )
+
+
+def own_options(name: str) -> list[dict[str, Any]]:
+    """The options that the file has of a command, but those of walkers."""
+    return [said for said in table()["commands"][name]["options"] if said != PARAMETERS]
+
+
+def refuse_both(given: Mapping[str, Any]) -> None:
+    """Refuse two options that exclude each other."""
+    chosen = [name for name, value in given.items() if value or (value == 0 and value is not False)]
+    for one, other in EXCLUSIVE:
+        if one in chosen and other in chosen:
+            both = f"{option_of(one)} and {option_of(other)}"
+            raise WrongUse(f"{both} exclude each other: give one of them")
 
 
 def read_command(name: str, walker: str) -> TyperCommand:

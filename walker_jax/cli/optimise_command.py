@@ -12,6 +12,7 @@ import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.conclusions import conclude_optimum
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import (
     hyphenated,
@@ -227,3 +228,4 @@ def optimum_in_words(walker: System, answer: dict, objective: str) -> Iterator[s
     if answer["out_of_time"]:
         end = "out of time: the same command goes on"
     yield f"  {place}; {end}, {answer['evaluations']} evaluations"
+    yield f"  {conclude_optimum(answer)}"

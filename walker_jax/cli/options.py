@@ -34,7 +34,6 @@ class Pieces:
 
     def cluster(self) -> int | str | None:
         """Worker processes, the scheduler's, or, by None, this process."""
-        exclude(workers=self.workers, scheduler=self.scheduler)
         return self.scheduler if self.workers is None else self.workers
 
 
@@ -43,13 +42,6 @@ def refuse(reason: str, **options: Any) -> None:
     for name, given in options.items():
         if given is not None:
             raise WrongUse(f"{option_of(name)} {reason}")
-
-
-def exclude(**options: Any) -> None:
-    """Refuse two of these options that are given together."""
-    given = [option_of(name) for name, value in options.items() if value is not None]
-    if len(given) > 1:
-        raise WrongUse(f"{given[0]} and {given[1]} exclude each other: give one of them")
 
 
 def refuse_for_systems(walker: System, **options: Any) -> None:

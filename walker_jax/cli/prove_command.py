@@ -7,8 +7,8 @@ from pathlib import Path
 import walker_jax as wj
 from walker_jax.basins.windows import grid_along
 from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.conclusions import conclude_proof
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import exclude
 from walker_jax.cli.section import Window
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.proofs.basin_proofs import summarise_proof
@@ -39,10 +39,6 @@ def prove(
     and what must be trusted. For the walkers simplest, spring and powered. A window bounds the area
     of its starts that walk for ever; --levels 4 is then enough for a picture.
     """
-    exclude(radius=disc.radius, theta=window.theta)
-    exclude(radius=disc.radius, sum=window.sum)
-    exclude(radius=disc.radius, axis=window.axis or None)
-    exclude(radius=disc.radius, at_phidot=window.at_phidot)
     axes = window.axes(walker) if disc.radius is None else {}
     request = request_for("prove", walker, radius=disc.radius, axes=axes, levels=disc.levels)
 
@@ -69,3 +65,4 @@ def proof_in_words(walker: System, answer: dict) -> Iterator[str]:
     yield f"  cells that walk {cells['walk']}, fall {cells['fall']}, are open {cells['open']}"
     size, strides = answer["trap"]["size"], answer["verified_strides"]
     yield f"  {strides} verified strides; trap of size {size:.4g}"
+    yield f"  {conclude_proof(proved=not cells['open'] or answer['all_walk'])}"

@@ -12,6 +12,7 @@ import walker_jax as wj
 from walker_jax.basins.windows import grid_along
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, listed, request_for, slope_of, walker_in_words
+from walker_jax.cli.conclusions import conclude_robustness
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import (
     check_finite,
@@ -138,6 +139,7 @@ def robustness(
     lines = [f"Robustness, {walker_in_words(about)}"]
     for row, place in zip(rows, places, strict=True):
         lines += measures_in_words(row, place)
+    lines.append(f"  {conclude_robustness(rows, hyphenated(name))}")
     output.tell({"walker": request["walker"]} | answer, lines)
 
 

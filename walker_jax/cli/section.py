@@ -13,7 +13,6 @@ from walker_jax.cli.groups import option
 from walker_jax.cli.options import (
     PHIDOT_HELP,
     check_finite,
-    exclude,
     read_numbers,
     refuse,
     refuse_again,
@@ -48,17 +47,13 @@ class Section:
         return {name: given for name, given in vars(self).items() if name != "axis"}
 
     def check(self, walker: System) -> None:
-        """Refuse axes that the walker's section lacks, and two ways to give one."""
-        if self.axis:
-            for name, given in self.own.items():
-                exclude(axis=self.axis, **{name: given})
+        """Refuse axes that the walker's section lacks."""
         if not isinstance(walker, Walker):
             refuse("is for walkers: give --axis for each of a system's axes", **self.own)
         turned = {name: self.own.get(name) for name in ("phidot", "at_phidot")}
         if "phidot" not in walker.section:
             section = ", ".join(walker.section)
             refuse(f"must be left out: it is not on the section, {section}", **turned)
-        exclude(**turned)
         check_finite(at_phidot=turned["at_phidot"])
 
 
@@ -152,8 +147,6 @@ class Start:
         own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
         check_finite(**own)
         refuse_own(walker, **own)
-        for name, value in own.items():
-            exclude(start=self.start or None, **{name: value})
         given = {name: value for name, value in own.items() if value is not None}
         return start_from(walker, self.start) if self.start else given
 

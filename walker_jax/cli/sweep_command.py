@@ -10,6 +10,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.conclusions import conclude_sweep
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import Pieces, read_range, refuse_again
 from walker_jax.cli.section import Volume, asked_of
@@ -77,6 +78,7 @@ def rows_in_words(rows: "pandas.DataFrame", names: list[str]) -> Iterator[str]:
             yield f"  failed at {where}: {row.get('reason') or 'no reason was kept'}"
         if row.get("note"):
             yield f"  {where}: {row['note']}"
+    yield f"  {conclude_sweep(rows.to_dict(orient='records'), names)}"
 
 
 def values_of(over: list[str]) -> dict[str, list[float]]:

@@ -9,6 +9,7 @@ import walker_jax as wj
 from walker_jax.basins.windows import fill_around_gait, grid_along
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.conclusions import conclude_kernel
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import RANGE_FORM, Pieces, hyphenated, read_range, refuse_again
 from walker_jax.cli.section import Window
@@ -114,3 +115,4 @@ def kernel_in_words(walker: System, answer: dict) -> Iterator[str]:
         yield f"  level {n}: {areas}, {one['mapped']} cells mapped"
     for n, area in enumerate(answer["capturable"], 1):
         yield f"  caught within {n} {'stride' if n == 1 else 'strides'}: {area:.6g}"
+    yield f"  {conclude_kernel(answer['area'], answer['target_area'])}"

@@ -13,6 +13,7 @@ from walker_jax import storage
 from walker_jax.basins.windows import film_window
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import check_film, request_for, tell
+from walker_jax.cli.conclusions import conclude_walk
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import OUTPUT, check_finite, refuse_for_systems
 from walker_jax.cli.section import Start, begin_at, has_own_options
@@ -109,6 +110,7 @@ def walk_in_words(answer: dict, coordinates: tuple[str, ...]) -> Iterator[str]:
         yield f"{i:6}  {row(state)}  {duration:8.4f}  {outcome_in_words(name)}"
     if len(answer["states"]) > len(answer["outcomes"]):
         yield f"{'next':>6}  {row(answer['states'][-1])}"
+    yield conclude_walk(answer["outcomes"])
 
 
 def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoReturn:

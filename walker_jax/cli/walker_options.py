@@ -14,7 +14,7 @@ from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.system import System
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import OPENING, WALKERS
 from walker_jax.walkers.parameters import (
     Option,
     Parameter,
@@ -33,17 +33,22 @@ Offered = dict[str, dict[str, Any]]
 
 
 def takes_walker(
-    *, systems: bool = False, ranges_over: str | None = None, or_one_value: bool = False
+    *,
+    systems: bool = False,
+    ranges_over: str | None = None,
+    or_one_value: bool = False,
+    opening: bool = False,
 ) -> Callable:
     """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
 
     With `systems`, it takes any other system too. `ranges_over` is its argument that names the
     parameter that goes from --from to --to, and has no one value; without a range it may have,
-    with `or_one_value`.
+    with `or_one_value`. With `opening`, walkers have other defaults: those of `OPENING`.
     """
 
     def decorate(command: Command) -> Command:
         vars(command).update(systems=systems, ranges_over=ranges_over, or_one_value=or_one_value)
+        vars(command).update(opening=OPENING if opening else {})
         return command
 
     return decorate
@@ -53,8 +58,6 @@ def offered_kinds(command: Command, args: Sequence[str]) -> Kinds:
     """The package's walkers, or the walker or system that the arguments of a command name."""
     name = value_of("--walker", args)
     system = value_of("--system", args) if vars(command)["systems"] else None
-    if name is not None and system is not None:
-        raise WrongUse("--walker and --system exclude each other: give one of them")
     name = DEFAULT if name is None else name
     try:
         if system is not None:
@@ -71,7 +74,8 @@ def with_walker_options(command: Command, args: Sequence[str] | None) -> Command
     """
     kinds = offered_kinds(command, args or ())
     named = value_of("--system", args or ()) or value_of("--walker", args or ()) or DEFAULT
-    offered, told = offered_options(kinds), named if args is not None else None
+    offered = offered_options(kinds, vars(command)["opening"])
+    told = named if args is not None else None
     ranges_over: str | None = vars(command)["ranges_over"]
 
     def takes(walker, list_walkers, system=None, **given):
@@ -111,14 +115,21 @@ def lowest_value(over: Parameter, low: float | None, given: Container[str]) -> d
     return {} if low is None else {over.name: low}
 
 
-def offered_options(kinds: Kinds) -> Offered:
-    """The parameters of all walkers, then what strides may be checked for."""
+def offered_options(
+    kinds: Kinds, opening: Mapping[str, Mapping[str, float]] | None = None
+) -> Offered:
+    """The parameters of all walkers, then what strides may be checked for.
+
+    Some walkers may have other defaults than their own.
+    """
     offered: Offered = {}
     checks_of = lambda kind: options(kind) if isinstance(kind, type) else ()
     for described in (parameters_of, checks_of):
         for name, kind in kinds.items():
             for one in described(kind):
-                offered.setdefault(one.name, {})[name] = one
+                default = (opening or {}).get(name, {}).get(one.name)
+                other = one if default is None else one._replace(default=default)
+                offered.setdefault(one.name, {})[name] = other
     return offered
 
 

@@ -24,13 +24,12 @@ def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
 
 def command(subject: Subject, cells: Rectangle, method: str) -> str:
     """`walker-jax basin` with the options that give the picture's data."""
-    walks = subject.offer.has_film
-    kind = "walker" if walks else "system"
+    kind = "walker" if subject.offer.is_walker else "system"
     words = ["walker-jax basin", f"--{kind} {shlex.quote(reference_of(subject.offer.kind))}"]
     words += [f"--{option(name)} {value!r}" for name, value in subject.parameters.items()]
     for name, ends in axes_of(subject, cells).items():
         fixed = is_number(ends)
-        if walks:
+        if subject.offer.has_film:
             given = repr(ends) if fixed else " ".join(map(repr, ends))
             words.append(f"--{'at-' * fixed}{option(name)} {given}")
         else:
@@ -42,7 +41,7 @@ def command(subject: Subject, cells: Rectangle, method: str) -> str:
 
 def program(subject: Subject, cells: Rectangle, method: str) -> str:
     """The same in Python."""
-    noun = "walker" if subject.offer.has_film else "system"
+    noun = "walker" if subject.offer.is_walker else "system"
     lines = [
         *begin(subject, noun),
         f"grid = {grid_in_python(subject, axes_of(subject, cells))}",

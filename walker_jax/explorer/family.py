@@ -24,7 +24,11 @@ COORDINATES = {
     "theta": ("θ", "rad", "stance leg angle θ (rad)"),
     "sum": ("θ + θ̇", "rad", "θ + θ̇ (rad, time in √(l/g))"),
     "thetadot": ("θ̇", RATE, f"stance leg rate θ̇ ({RATE})"),
-    "phidot": ("φ̇", RATE, "φ̇"),
+    "phi": ("φ", "rad", "angle between the legs φ (rad)"),
+    "phidot": ("φ̇", RATE, f"rate between the legs φ̇ ({RATE})"),
+    "yaw": ("yaw", "rad", "yaw (rad)"),
+    "yawdot": ("yaw rate", RATE, f"yaw rate ({RATE})"),
+    "leandot": ("lean rate", RATE, f"lean rate ({RATE})"),
 }
 """Symbols, units and labels of a walker's coordinates."""
 SLICES = 0.3
@@ -64,11 +68,12 @@ def describe_failure(outcome: Outcome, failures: tuple[str, ...] = ()) -> dict:
 def describe_offer(offered: Offer) -> dict:
     """A walker or a system: what it is, its section, its parameters and its own failures."""
     own, fates = offered.kind.failures, {}
-    if not offered.has_film:  # of a map also where it escapes
+    if not offered.is_walker:  # of a map also where it escapes
         fates = {int(Outcome.OUTSIDE): describe_failure(Outcome.OUTSIDE) | {"words": "infeasible"}}
     names = {name for plane in offered.planes.values() for name in plane.names}
     return {
         "about": about(offered),
+        "walker": offered.is_walker,
         "film": offered.has_film,
         "section": offered.section,
         "coordinates": {name: describe_coordinate(offered, name) for name in names},
@@ -92,7 +97,7 @@ def about(offered: Offer) -> str:
 def describe_coordinate(offered: Offer, name: str) -> dict:
     """A coordinate: how it is written, and the ends of the slider of a slice there."""
     symbol, unit, label = name.replace("_", " "), "", name.replace("_", " ")
-    if offered.has_film:
+    if offered.is_walker:
         symbol, unit, label = COORDINATES.get(name, (symbol, "rad", label))
     low, high = (-SLICES, SLICES) if offered.has_film else window_of(offered)[name]
     step = slider_step(low, high)

@@ -7,6 +7,7 @@ import io
 import math
 import tempfile
 import zipfile
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,10 @@ from walker_jax.explorer.lattice import Rectangle, home_of
 from walker_jax.explorer.offers import window_of
 from walker_jax.explorer.pictures import find_attractors, plane_of
 from walker_jax.explorer.subjects import Subject
+from walker_jax.gaits.branch_search import grow_branches
+from walker_jax.gaits.branches import Branch, float64_tolerance
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.diagrams import bifurcation_diagram
+from walker_jax.gaits.diagrams import complete_diagram
 from walker_jax.gaits.search import find_gaits, search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.disturbances import least_disturbance
@@ -32,9 +35,10 @@ SEARCHES = 2000
 """Searches for gaits in the window of a system that does not say where they are."""
 AREA_LEVELS, AREA_CHECKS = 2, 50_000
 """Levels and checks of `refine` for an area: 2 s, and a standard error of 0.1 % of the basin."""
-DIAGRAM: dict[str, Any] = {"period_max": 4, "strides": 600, "scan": 160}
-DIAGRAM |= {"exponents": 0}
-"""Of a diagram on a screen."""
+PERIOD_MAX = 4
+"""The longest period of the branches of a diagram on a screen."""
+DIAGRAM: dict[str, Any] = {"strides": 600, "scan": 160, "exponents": 0, "normal_forms": False}
+"""The attractors of such a diagram."""
 SHOWN_STATES = 24
 """States of each orbit in a diagram."""
 
@@ -111,29 +115,50 @@ def disturbance(subject: Subject) -> dict | None:
     }
 
 
-def bifurcation(subject: Subject, over: str) -> dict:
-    """Gaits and attractors over a parameter: the first coordinate at the start of a stride."""
-    ends = subject.offer.spans[over]
-    data = bifurcation_diagram(subject.walker, over, ends, **DIAGRAM)
-    branches = []
-    for number in np.unique(data["branch"].values).tolist():
-        own = data.isel(gait=np.flatnonzero(data["branch"].values == number))
-        period = int(own["period"][0])
-        branches.append(
+def bifurcation(subject: Subject, over: str) -> Generator[dict, None, dict]:
+    """Gaits and attractors over a parameter: the first coordinate at the start of a stride.
+
+    Yields the branches of gaits as they are found, and returns all of it, with attractors.
+    """
+    walker, ends = subject.walker, subject.offer.spans[over]
+    how: Any = {"tolerance": float64_tolerance(None)}
+    found, shown = ([], []), 0
+    for found in grow_branches(walker, over, ends, PERIOD_MAX, **how):
+        if len(found[0]) > shown:
+            shown = len(found[0])
+            yield describe_branches(ends, found[0])
+    data = complete_diagram(walker, over, ends, *found, **DIAGRAM, **how)
+    return describe_branches(ends, found[0]) | describe_attractors(data)
+
+
+def describe_branches(ends: tuple[float, float], branches: Sequence[Branch]) -> dict:
+    """A diagram that has branches of gaits alone."""
+    return {
+        "range": ends,
+        "whole": False,
+        "branches": [
             {
-                "period": period,
-                "value": own["value"].values.tolist(),
-                "state": own["states"].values[:, :period, 0].T.tolist(),
-                "stable": own["stable"].values.astype(int).tolist(),
+                "period": one.period,
+                "value": one.values.tolist(),
+                "state": one.states[:, :, 0].T.tolist(),
+                "stable": one.stable.astype(int).tolist(),
             }
-        )
+            for one in branches
+        ],
+        "points": [],
+        "lost": [],
+        "events": [],
+    }
+
+
+def describe_attractors(data: xr.Dataset) -> dict:
+    """The rest of a diagram: bifurcations, attractors, and where walking is lost."""
     orbit = data["orbit"].values[:, :, :SHOWN_STATES, 0]
     where = np.isfinite(orbit)
     at = np.broadcast_to(data["sample_value"].values[:, None, None], orbit.shape)[where]
     points = np.unique(np.round(np.stack([at, orbit[where]], axis=1), 6), axis=0)
     return {
-        "range": ends,
-        "branches": branches,
+        "whole": True,
         "points": points.tolist(),
         "lost": [finite(value) for value in data["lost"].values.tolist()],
         "events": [

@@ -92,13 +92,12 @@ def explore(walker: System, *, height: int = HEIGHT) -> Explorer:
 
     **Arguments:**
 
-    - `walker`: a planar one, or any other system of two coordinates or more that has a
+    - `walker`: one of two coordinates or more, or any other such system that has a
       `gait_region`, with numbers for parameters; of a class, or a map, of your own in a file.
     - `height`: of the frame, in pixels.
 
-    **Returns** what a notebook shows as the page. Raises `ValueError` for a walker in space, for a
-    section of one coordinate, and for what is in no file; `ComputationFailed` where the server does
-    not start.
+    **Returns** what a notebook shows as the page. Raises `ValueError` for a section of one
+    coordinate, and for what is in no file; `ComputationFailed` where the server does not start.
     """
     check_kind("walker", walker, System)
     check_whole("height", height, 100, 10_000)
@@ -106,7 +105,7 @@ def explore(walker: System, *, height: int = HEIGHT) -> Explorer:
         raise WrongUse(f"walker must be without {option}: the page knows parameters alone")
     offered = offer(walker)
     values = {name: float(value) for name, value in numbers_of(walker).items()}
-    noun = "walker" if offered.has_film else "system"
+    noun = "walker" if offered.is_walker else "system"
     key, options = "", []
     if offered in OTHERS.values():
         key, options = "system", ["--system", next(iter(OTHERS))]

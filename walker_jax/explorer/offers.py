@@ -15,8 +15,8 @@ from walker_jax.identity import code_fingerprint
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
-from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.family import OPENING, WALKERS
+from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import (
     Parameter,
     parameters_of,
@@ -24,6 +24,7 @@ from walker_jax.walkers.parameters import (
     with_parameter,
 )
 from walker_jax.walkers.references import place_of
+from walker_jax.walkers.spatial import SpatialWalker
 
 ADDRESS_KEYS = ("walker", "section", "method", "tab", "over", "view", "start")
 """Keys of the page's address besides parameters; state.js writes and reads them."""
@@ -63,9 +64,14 @@ class Offer:
         return self.kind.section
 
     @property
-    def has_film(self) -> bool:
-        """Whether the page draws its motion: it is a walker."""
+    def is_walker(self) -> bool:
+        """Whether it is a walker, in the plane or in space."""
         return isinstance(self.kind, type) and issubclass(self.kind, Walker)
+
+    @property
+    def has_film(self) -> bool:
+        """Whether the page draws its motion: it is a walker in the plane."""
+        return self.is_walker and is_planar(self.kind)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -81,16 +87,20 @@ class Offer:
             plain = Plane(("theta", "thetadot"), self.section)
             return {"sheared": Plane(("theta", "sum"), ("theta", "sum", *others)), "plain": plain}
         fixed = [name for name, axis in self.axes if is_number(axis)]
-        pairs = itertools.combinations(self.section, 2)
-        pairs = sorted(pairs, key=lambda pair: any(name in fixed for name in pair))
+        first = ("theta", "thetadot") if self.is_walker else ()
+        order = lambda pair: (any(name in fixed for name in pair), pair != first)
+        pairs = sorted(itertools.combinations(self.section, 2), key=order)
         return {"-".join(pair): Plane(pair, self.section) for pair in pairs}
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """The parameters over which its gaits can be followed, and the ends of their values."""
+        """The parameters over which its gaits can be followed, and the ends of their values.
+
+        None of a walker in space, of which that takes too long for a page.
+        """
         if self.has_film and isinstance(self.kind, type):
             return {"slope": slopes_of(self.kind)}
-        if not has_gait_region(self.build(self.defaults)):
+        if self.is_walker or not has_gait_region(self.build(self.defaults)):
             return {}
         return {one.name: span_around(one) for one in self.parameters}
 
@@ -133,6 +143,16 @@ def fingerprint_of(kind: type[System] | Map) -> str:
     return code_fingerprint(type(kind), code_of(kind))
 
 
+IN_SPACE = {
+    "yaw": (0.0, 0.2),
+    "theta": (0.06, 0.26),
+    "phi": (0.19, 0.39),
+    "yawdot": (-0.23, -0.03),
+    "leandot": (-0.12, 0.08),
+    "thetadot": (-0.57, -0.37),
+    "phidot": (-0.49, -0.29),
+}
+"""The window around the gait of the default walker in space, which takes long to find."""
 Offers = dict[str, Offer]
 """The offers of a page, by name: a request may name these, and no others."""
 
@@ -140,7 +160,8 @@ Offers = dict[str, Offer]
 def at_defaults(kinds: Mapping[str, type[System]]) -> Offers:
     """Offers of classes whose parameters all have defaults, and which have two coordinates."""
     defaults = {
-        name: tuple(one.default for one in parameters_of(kind)) for name, kind in kinds.items()
+        name: tuple(OPENING.get(name, {}).get(one.name, one.default) for one in parameters_of(kind))
+        for name, kind in kinds.items()
     }
     return {
         name: Offer(name, kind, defaults[name])
@@ -149,8 +170,8 @@ def at_defaults(kinds: Mapping[str, type[System]]) -> Offers:
     }
 
 
-FAMILY = at_defaults(PLANAR_WALKERS)
-"""The package's walkers in the plane, at the defaults of their parameters."""
+FAMILY = at_defaults(WALKERS)
+"""The package's walkers, at the defaults of their parameters."""
 OTHERS = at_defaults(SYSTEMS)
 """Its other systems."""
 
@@ -158,15 +179,13 @@ OTHERS = at_defaults(SYSTEMS)
 def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
     """A system for the page: one of the package's, or one with parameters and a window of its own.
 
-    Its window has these axes, by default over its `gait_region`. Raises `WrongUse` for a walker
-    that does not move in the plane, for a section of one coordinate or without a window, and for a
-    parameter whose name the page's address uses for something else.
+    Its window has these axes, by default over its `gait_region`. Raises `WrongUse` for a section of
+    one coordinate or without a window, and for a parameter whose name the page's address uses for
+    something else.
     """
     check_kind("walker", walker, System)
     check_single(walker)
-    if isinstance(walker, Walker):
-        check_planar(walker)
-    elif len(walker.section) < 2:
+    if len(walker.section) < 2:
         raise WrongUse(f"{walker.label()} has a section of one coordinate, and pictures have two")
     kind = walker if isinstance(walker, Map) else type(walker)
     described = parameters_of(kind)
@@ -191,18 +210,21 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
 
 def beside(offered: Offer) -> Offers:
     """The offers of a page that begins with one: those of the package of the same sort, and it."""
-    return (FAMILY if offered.has_film else OTHERS) | {offered.name: offered}
+    return (FAMILY if offered.is_walker else OTHERS) | {offered.name: offered}
 
 
 @functools.cache
 def window_of(offered: Offer) -> dict[str, tuple[float, float]]:
-    """The ends of each coordinate of a system: those given, else those of its `gait_region`.
+    """The ends of each coordinate of a system: those given, else those of its `gait_region`, or of
+    a `SpatialWalker` around its default gait.
 
     Empty where it has none of these. A coordinate that is fixed has ends for its slider.
     """
     walker = offered.build(offered.defaults)
     window = {}
-    if has_gait_region(walker):
+    if isinstance(walker, SpatialWalker):
+        window |= IN_SPACE
+    elif has_gait_region(walker):
         region = walker.gait_region()
         shear, origin = np.asarray(region.shear), np.asarray(region.origin)
         middle = origin + shear @ (np.asarray(region.lower) + region.upper) / 2

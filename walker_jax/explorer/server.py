@@ -126,7 +126,7 @@ def read_token() -> str:
 def run_server(
     host: str, port: int, offered: Offer, values: dict[str, float], *, browser: bool
 ) -> NoReturn:
-    """Print the link, open the browser, and serve the page until an interrupt.
+    """Print the link and how to stop, open the browser, and serve the page until an interrupt.
 
     The page shows a walker, or another system, with these parameters, and offers the package's
     beside it. It begins in the slice that the offer's axes fix.
@@ -147,6 +147,7 @@ def run_server(
     sliced = {f"at_{name}": value for name, value in at.items()}
     link = link_to(names[0], port, token, {"walker": offered.name} | values | sliced)
     print(link, flush=True)
+    print("walker-jax: Ctrl-C stops it", file=sys.stderr)
     if browser:  # whose command line others may see: so it has a path that leads to the link once
         path = f"/open/{secrets.token_urlsafe(24)}"
         guard: Any = server.config.app

@@ -11,8 +11,7 @@ import logging
 import struct
 import time
 from collections.abc import AsyncIterator, Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from functools import partial
 from importlib import resources
 from importlib.metadata import version
@@ -32,6 +31,17 @@ from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import FILES, TooLong, refuse
 from walker_jax.explorer.lattice import Rectangle, Tile, home_of, read_rectangle, read_tiles
 from walker_jax.explorer.offers import FAMILY, Offers
+from walker_jax.explorer.programs import Lane, Programs
+from walker_jax.explorer.streams import (
+    CELLS,
+    FAILED,
+    WORDS,
+    chained,
+    frame,
+    line_of,
+    reason_of,
+    unless_gone,
+)
 from walker_jax.explorer.subjects import (
     METHODS,
     Subject,
@@ -43,7 +53,7 @@ from walker_jax.explorer.subjects import (
     read_subject,
     whole,
 )
-from walker_jax.explorer.workers import SAID, Busy, Failure, Workers
+from walker_jax.explorer.workers import Busy, Failure, Workers
 
 BODY_SECONDS = 10.0
 """Seconds in which a request must have come."""
@@ -63,8 +73,6 @@ TYPES = {
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
 }
-WORDS, CELLS, FAILED = 0, 1, 2
-"""Kinds of frames of a picture: JSON, the bytes of a tile, the reason of a failure."""
 
 
 def page_files() -> dict[str, tuple[bytes, str]]:
@@ -76,39 +84,19 @@ def page_files() -> dict[str, tuple[bytes, str]]:
     }
 
 
-class Lane:
-    """One thread, which does one thing after the other, in the order of asking."""
-
-    def __init__(self, name: str) -> None:
-        self.thread = ThreadPoolExecutor(1, name)
-
-    async def run(self, function: Callable, *arguments: Any) -> Any:
-        """function(*arguments); never begun if it is cancelled before."""
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self.thread, function, *arguments)
-
-
 class Service:
-    """The service that answers requests: threads, workers, and the walkers that are compiled."""
+    """The service that answers requests, with its threads and workers."""
 
     def __init__(self, offers: Offers = FAMILY) -> None:
         self.offers = offers
-        self.quick, self.compiling = Lane("pictures"), Lane("compiling")
+        self.quick, self.programs = Lane("pictures"), Programs()
         self.workers = Workers()
-        self.compiled: dict[tuple[str, str], asyncio.Task] = {}
         self.pictures = 0
 
-    async def ready(self, subject: Subject) -> None:
-        """Wait until the programs of a kind of walker are compiled, while others go on."""
-        key = subject.offer.name, subject.section
-        if key not in self.compiled:
-            work = self.compiling.run(compile_programs, subject)
-            self.compiled[key] = asyncio.create_task(work)
-        try:
-            await asyncio.shield(self.compiled[key])
-        except Exception:  # of parameters that compile nothing: the next one tries again
-            self.compiled.pop(key, None)
-            raise
+    async def compile_time(self, request: Request) -> Response:
+        """The seconds until a kind of walker is compiled, about; null where nobody knows."""
+        subject = read_subject(await read_json(request), self.offers)
+        return JSONResponse({"seconds": self.programs.seconds_left(subject)})
 
     async def about(self, request: Request) -> Response:
         """All walkers, and words and colours."""
@@ -117,7 +105,7 @@ class Service:
     async def home(self, request: Request) -> Response:
         """The home window of a walker on a section, and the sizes in which it is drawn."""
         subject = read_subject(await read_json(request), self.offers)
-        await self.ready(subject)
+        await self.programs.ready(subject)
         return JSONResponse(home_of(subject.offer, subject.section)._asdict())
 
     async def picture(self, request: Request) -> Response:
@@ -134,7 +122,7 @@ class Service:
             if not isinstance(rectangles, list) or not 1 <= len(rectangles) <= MAX_RECTANGLES:
                 raise WrongUse(f"rectangles must be a list of 1 to {MAX_RECTANGLES}")
             work = self.rectangles(subject, list(map(read_rectangle, rectangles)))
-        await self.ready(subject)
+        await self.programs.ready(subject)
         if self.pictures >= MAX_PICTURES:
             raise Busy
         return Picture(self, work)
@@ -147,13 +135,17 @@ class Service:
             start = time.monotonic()
             found = await self.quick.run(pictures.label_tiles, subject, batch)
             spent = max(time.monotonic() - start, 1e-3)
-            known = pictures.known.get(subject)
+            known, made = pictures.known.get(subject), []
             if known is not None and len(known.mapper.attractors) != told:
                 told = len(known.mapper.attractors)
                 attractors = pictures.describe_attractors(known.mapper.attractors)
-                yield frame(WORDS, {"attractors": attractors, "at": known.at})
-            for i, cells in enumerate(found, start=done):
-                yield frame(CELLS, struct.pack("<I", i) + cells)
+                made.append(frame(WORDS, {"attractors": attractors, "at": known.at}))
+            made += [
+                frame(CELLS, struct.pack("<I", i) + cells) for i, cells in enumerate(found, done)
+            ]
+            yield b"".join(
+                made
+            )  # all at once: of many writes to a page that has gone asyncio warns
             done += len(batch)
             size = int(np.clip(len(batch) * BATCH_SECONDS / spent, 1, LARGEST_BATCH))
 
@@ -176,7 +168,7 @@ class Service:
         count = whole("strides", asked.get("strides", 20), 1, walks.MAX_STRIDES)
         impulse = asked.get("push")
         given = None if impulse is None else np.array(numbers("push", impulse, (2,)))
-        await self.ready(subject)
+        await self.programs.ready(subject)
         work = self.follow(subject, start, given, count)
         return JSONResponse(await unless_gone(request, work))
 
@@ -210,10 +202,31 @@ class Service:
         elif kind == "bifurcation":
             spans = tuple(subject.offer.spans)
             over = choice("over", asked.get("over", spans[0] if spans else None), spans)
-            work = self.workers.ask(measures.bifurcation, subject, over, long=True)
+            lines = self.grow(measures.bifurcation, subject, over)
+            first = await unless_gone(request, anext(lines))
+            return StreamingResponse(chained(first, lines), media_type="application/x-ndjson")
         else:
             return refuse(404, "there is no such measure")
         return JSONResponse(await unless_gone(request, work))
+
+    async def grow(self, function: Callable, *arguments: Any) -> AsyncIterator[bytes]:
+        """Lines of JSON: what a long measure yields, as it comes."""
+        found: asyncio.Queue = asyncio.Queue()
+        asked = self.workers.ask(function, *arguments, long=True, told=found.put_nowait)
+        task = asyncio.ensure_future(asked)
+        task.add_done_callback(lambda _: found.put_nowait(None))
+        begun = False
+        try:
+            while (part := await found.get()) is not None:
+                yield line_of(part)
+                begun = True
+            yield line_of(await task)
+        except (ComputationFailed, WrongUse, Failure, Busy) as error:
+            if not begun:
+                raise
+            yield line_of({"error": reason_of(error)})
+        finally:
+            task.cancel()
 
     async def words(self, request: Request) -> Response:
         """The command line and the program that give the data of a rectangle."""
@@ -234,20 +247,12 @@ class Service:
         subject = read_subject(asked, self.offers)
         method = choice("method", asked.get("method", METHODS[0]), METHODS)
         cells = read_rectangle(asked.get("cells"))
-        await self.ready(subject)
+        await self.programs.ready(subject)
         return subject, cells, method
 
     async def alive(self, request: Request) -> Response:
         """Answer that the server is there."""
         return JSONResponse({"alive": True})
-
-
-def compile_programs(subject: Subject) -> None:
-    """Do once what pictures and walks need, so that they need not wait for a compiler."""
-    gait = np.array(home_of(subject.offer, subject.section).gait)
-    pictures.label_cells(subject, pictures.find_attractors(subject), [Tile(-3, 0, 0)])
-    with suppress(WrongUse):  # which is said where such a walker is to walk
-        walks.follow(subject, gait, 1)
 
 
 def is_long(cells: Rectangle) -> bool:
@@ -277,25 +282,6 @@ class Picture(StreamingResponse):
             self.service.pictures -= 1
 
 
-async def unless_gone(request: Request, work: Any) -> Any:
-    """The result of a coroutine, which is cancelled if whoever asked for it has gone."""
-    task = asyncio.ensure_future(work)
-
-    async def gone() -> None:
-        while (await request.receive())["type"] != "http.disconnect":
-            pass
-
-    watch = asyncio.ensure_future(gone())
-    try:
-        await asyncio.wait([task, watch], return_when=asyncio.FIRST_COMPLETED)
-        if not task.done():
-            raise ClientDisconnect
-        return task.result()
-    finally:
-        task.cancel()
-        watch.cancel()
-
-
 async def read_json(request: Request) -> Any:
     """The JSON of a request."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
@@ -305,22 +291,6 @@ async def read_json(request: Request) -> Any:
         return json.loads(body)
     except (ValueError, RecursionError):
         raise WrongUse("a request must be JSON") from None
-
-
-def frame(kind: int, content: dict | bytes) -> bytes:
-    """A frame: its length, its kind and its content."""
-    body = content if isinstance(content, bytes) else json.dumps(content).encode()
-    return struct.pack("<IB", len(body), kind) + body
-
-
-def reason_of(error: Exception) -> str:
-    """Why a computation failed; of what the package itself has not raised, the kind alone."""
-    if isinstance(error, Failure):
-        kind, message = error.args
-        return message if kind == SAID else f"the computation failed ({kind})"
-    if isinstance(error, Busy):
-        return "too much is waiting: try again in a moment"
-    return str(error)
 
 
 def refused(request: Request, error: Exception) -> Response:
@@ -357,7 +327,7 @@ def make_app(offers: Offers = FAMILY, first: dict | None = None) -> Starlette:
 
     async def prepare(asked: dict) -> None:
         try:
-            await service.ready(read_subject(asked, offers))
+            await service.programs.ready(read_subject(asked, offers))
         except (WrongUse, ComputationFailed) as error:  # which the page will say, too
             logging.getLogger("uvicorn.error").warning("walker-jax: %s", error)
 
@@ -383,6 +353,7 @@ def make_app(offers: Offers = FAMILY, first: dict | None = None) -> Starlette:
         Route("/page/{name}", page),
         Route("/api/alive", service.alive),
         Route("/api/about", service.about),
+        post("/api/compiling", service.compile_time),
         post("/api/home", service.home),
         post("/api/picture", service.picture),
         post("/api/walk", service.walk),

@@ -45,7 +45,7 @@ def leg_of(subject: Subject) -> dict[str, float] | None:
     that. Raises `WrongUse` where it has no legs of one length.
     """
     walker = subject.walker
-    if not isinstance(walker, Walker):
+    if not isinstance(walker, Walker) or not subject.offer.has_film:
         return None
     length, radius = leg_shape(walker)
     if not (0 < length < math.inf and math.isfinite(radius)):
@@ -68,7 +68,7 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
         walker = walker_from(subject, start)
         stride = strides(walker, start[None])
         outcome, duration = Outcome(int(stride.outcome[0])), float(stride.time[0])
-        if not isinstance(walker, Walker) or outcome == Outcome.OUTSIDE:
+        if not isinstance(walker, Walker) or leg is None or outcome == Outcome.OUTSIDE:
             made.append(end(walker, start, outcome, duration if outcome == Outcome.STRIDE else 0.0))
         elif outcome != Outcome.STRIDE:
             made.append(fall(walker, start, outcome))

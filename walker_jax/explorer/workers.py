@@ -11,9 +11,10 @@ import os
 import signal
 import sys
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Generator, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
@@ -40,6 +41,10 @@ SETTINGS = (
     "jax_persistent_cache_min_compile_time_secs",
 )
 """Settings of JAX that workers take over."""
+
+
+Told = Callable[[Any], object]
+"""A function that is called with each part of a result."""
 
 
 class Busy(Exception):
@@ -72,7 +77,7 @@ def serve(connection: Connection, settings: dict[str, Any]) -> None:
         except Exception as error:  # of a user's file that can be imported no more
             connection.send((SAID, f"the walker cannot be loaded: {type(error).__name__}: {error}"))
             continue
-        connection.send(answer(function, arguments))
+        connection.send(answer(function, arguments, connection))
 
 
 def hold_interrupts(held: bool) -> None:
@@ -87,16 +92,29 @@ def quiet(unraisable: Any) -> None:
         sys.__unraisablehook__(unraisable)
 
 
-def answer(function: Callable, arguments: tuple) -> tuple[str, Any]:
-    """The result of a function, or how it fails; an interrupt ends it."""
+def answer(function: Callable, arguments: tuple, connection: Connection) -> tuple[str, Any]:
+    """The result of a function, or how it fails; an interrupt ends it.
+
+    Parts of the result, which a function yields before it returns, are sent as they come.
+    """
+    sending = False
 
     def give_up(number: int, frame: FrameType | None) -> None:
-        raise Interrupted
+        if not sending:  # the next interrupt follows, and half a message is none
+            raise Interrupted
 
     try:
         try:
             signal.signal(signal.SIGINT, give_up)
-            return "done", function(*arguments)
+            parts = returned(function(*arguments))
+            while True:
+                try:
+                    part = next(parts)
+                except StopIteration as end:
+                    return "done", end.value
+                sending = True
+                connection.send(("part", part))
+                sending = False
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
     except Interrupted:
@@ -105,6 +123,11 @@ def answer(function: Callable, arguments: tuple) -> tuple[str, Any]:
         return SAID, str(error)
     except Exception as error:
         return type(error).__name__, str(error)
+
+
+def returned(result: Any) -> Generator[Any, None, Any]:
+    """Parts of a result, and the result, of a function that yields, or of one that returns."""
+    return (yield from result) if isinstance(result, Generator) else result
 
 
 class Worker:
@@ -116,10 +139,14 @@ class Worker:
         self.connection: Connection | None = None
         self.at_work = False
 
-    async def run(self, function: Callable, *arguments: Any) -> Any:
-        """function(*arguments) in the process; a cancelled task interrupts it."""
+    async def run(self, function: Callable, *arguments: Any, told: Told) -> Any:
+        """function(*arguments) in the process; a cancelled task interrupts it.
+
+        `told` is called with all that a function yields before its result.
+        """
         loop = asyncio.get_running_loop()
-        job = loop.run_in_executor(self.thread, self.call, function, arguments)
+        tell = partial(loop.call_soon_threadsafe, told)
+        job = loop.run_in_executor(self.thread, self.call, function, arguments, tell)
         try:
             state, result = await asyncio.shield(job)
         except asyncio.CancelledError:
@@ -143,15 +170,17 @@ class Worker:
         with suppress(Exception):
             await job
 
-    def call(self, function: Callable, arguments: tuple) -> tuple[str, Any]:
-        """Send the job and wait; in the worker's thread."""
+    def call(self, function: Callable, arguments: tuple, tell: Told) -> tuple[str, Any]:
+        """Send the job and wait, and tell what comes before the result; in the worker's thread."""
         try:
             if self.process is None or not self.process.is_alive():
                 self.start()
             assert self.connection is not None
             self.connection.send((function, arguments))
             self.at_work = True
-            return self.connection.recv()
+            while (found := self.connection.recv())[0] == "part":
+                tell(found[1])
+            return found
         except (EOFError, OSError):
             self.process = None
             return SAID, "the process that computed this has died"
@@ -192,8 +221,16 @@ class Job:
     def __init__(self, function: Callable, arguments: tuple, long: bool):
         self.function, self.arguments, self.long = function, arguments, long
         self.askers = 0
+        self.told: list[Told] = []
+        self.parts: list[Any] = []
         self.result: asyncio.Future = asyncio.get_running_loop().create_future()
         self.task: asyncio.Task | None = None
+
+    def tell(self, part: Any) -> None:
+        """Tell all who ask of a part of the result."""
+        self.parts.append(part)
+        for told in self.told:
+            told(part)
 
 
 class Workers:
@@ -207,11 +244,17 @@ class Workers:
         self.answers: OrderedDict[Hashable, Any] = OrderedDict()
 
     async def ask(
-        self, function: Callable, *arguments: Any, long: bool = False, keep: bool = True
+        self,
+        function: Callable,
+        *arguments: Any,
+        long: bool = False,
+        keep: bool = True,
+        told: Told | None = None,
     ) -> Any:
         """function(*arguments), from the answers of late, or from a worker.
 
-        Two who ask for the same share a job. It ends when the last of them gives up.
+        Two who ask for the same share a job. It ends when the last of them gives up. `told` is
+        called with what a function yields before its result, from the first one on.
         """
         key = (function, arguments)
         if key in self.answers:
@@ -225,9 +268,15 @@ class Workers:
             self.assign()
         job = self.jobs[key]
         job.askers += 1
+        if told is not None:
+            for part in job.parts:
+                told(part)
+            job.told.append(told)
         try:
             result = await asyncio.shield(job.result)
         finally:
+            if told is not None:
+                job.told.remove(told)
             job.askers -= 1
             if job.askers == 0:
                 self.drop(key, job)
@@ -258,7 +307,7 @@ class Workers:
     async def work(self, worker: Worker, job: Job) -> None:
         """Have a worker do a job, and then the next."""
         try:
-            result = await worker.run(job.function, *job.arguments)
+            result = await worker.run(job.function, *job.arguments, told=job.tell)
             if not job.result.done():
                 job.result.set_result(result)
         except asyncio.CancelledError:

@@ -24,6 +24,10 @@ SWING = BASINS[1]
 """Colour of the swing leg; the stance leg is in ink."""
 GROUND, SOIL = "#6b6b6b", "#ececec"
 """Colours of the line of the slope, and of the soil below it."""
+SHORTEST = 0.9
+"""Share of its length to which a swing leg is shortened above the ground; beyond, it is turned."""
+HIP_HEIGHT = 0.045
+"""Least height of the hip above the ground, in legs: the radius of its disc in a film."""
 SHARES = (0, 0.2, 0.4, 0.6, 0.8, 1)
 """Shares of a stride at which its poses are drawn."""
 
@@ -114,16 +118,20 @@ def leg_size(data: xr.Dataset) -> float:
 def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
     """Draw hip, legs and feet of one frame. Returns the lines."""
     slope, radius = (float(pose.attrs[name]) for name in ("walker_slope", "foot_radius"))
-    hip = pose["hip"].values
     lines: list[Line2D] = []
     angles = {"stance": float(pose["theta"]), "swing": float(pose["theta"] - pose["phi"])}
     bent = "swing_knee" in pose
     if bent and "knee" in pose:
         angles["swing"] -= float(pose["knee"])
+    hip, floor = pose["hip"].values, ground_below(pose, pose["swing"].values[0])
+    hip = np.array([hip[0], max(hip[1], floor + HIP_HEIGHT * leg_size(pose))])
+    joints = [pose[name].values for name in ("swing_knee", "swing") if name in pose]
+    swing, turned = above_ground(np.stack([hip, *joints]), floor, radius)
+    angles["swing"] += turned
+    legs = {"stance": np.stack([hip, pose["stance"].values]), "swing": swing}
     for name, colour, order in (("stance", INK, 3), ("swing", SWING, 4)):
-        end = pose[name].values
-        joints = [hip, pose["swing_knee"].values] if bent and name == "swing" else [hip]
-        leg = to_level(np.stack([*joints, end]), slope)
+        end = legs[name][-1]
+        leg = to_level(legs[name], slope)
         lines += ax.plot(*leg.T, color=colour, lw=3, solid_capstyle="round", zorder=order)
         if radius:
             turn = angles[name] + np.linspace(-0.6, 0.6, 40)
@@ -139,6 +147,36 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
             lines += ax.plot(*leg[1:-1].T, "o", color=colour, mec="white", ms=7, zorder=order + 2)
     at = to_level(hip[None], slope)
     return [*lines, *ax.plot(*at.T, "o", color=INK, mec="white", mew=1.2, ms=14, zorder=7)]
+
+
+def above_ground(
+    leg: Float[np.ndarray, "joints 2"], floor: float, radius: float
+) -> tuple[Float[np.ndarray, "joints 2"], float]:
+    """A swing leg, from the hip to the centre of the foot's arc, as it is drawn, and its turn.
+
+    Models let the swing leg pass through the ground. It is drawn shorter there; where that is much,
+    as in falls, turned outwards too, until its foot lies on the ground.
+    """
+    places = (leg - leg[0]) @ np.array([1, 1j])  # from the hip
+    end, deepest = complex(places[-1]), floor + radius - leg[0, 1]
+    if end.imag >= deepest:
+        return leg, 0.0
+    deepest = min(deepest, 0.0)
+    change = complex(deepest / end.imag)
+    if change.real < SHORTEST:
+        along = np.sqrt((SHORTEST * abs(end)) ** 2 - deepest**2)
+        change = complex(np.copysign(along, end.real), deepest) / end
+    moved = places * change
+    joints = leg[0] + np.stack([moved.real, moved.imag], axis=1)
+    return np.maximum(joints, [-np.inf, floor]), float(np.angle(change))
+
+
+def ground_below(pose: xr.Dataset, along: float) -> float:
+    """The height of the ground at a place: of rough ground, that of the nearest foothold."""
+    if "footholds" not in pose:
+        return 0.0
+    x, height = pose["footholds"].values.T
+    return float(height[np.abs(x - along).argmin()])
 
 
 def to_level(places: Float[np.ndarray, "n 2"], slope: float) -> Float[np.ndarray, "n 2"]:

@@ -35,5 +35,8 @@ To add one, name it here and in `walker_jax/__init__.pyi`, and describe its para
 and one unit in all walkers.
 """
 
+OPENING = {"spring": {"hip_stiffness": 1.0}}
+"""Values with which the explorer opens a walker that is like another one at its defaults."""
+
 PLANAR_WALKERS = {name: kind for name, kind in WALKERS.items() if kind.state is State}
 """Walkers that move in the plane."""

@@ -43,37 +43,62 @@ export async function fetchBytes(path, body, signal) {
   return (await send(path, body, signal)).arrayBuffer();
 }
 
-/** The frames of a picture as they come: {words} or {index, bytes}. */
-export async function* frames(path, body, signal) {
-  const reader = (await send(path, body, signal)).body.getReader();
-  let held = new Uint8Array(0);
+/** The lines of an answer that grows, each of them JSON. */
+export async function* lines(path, body, signal) {
+  const reader = (await send(path, body, signal)).body.pipeThrough(new TextDecoderStream()).getReader();
+  let held = "";
+  for await (const text of pieces(reader)) {
+    const whole = (held + text).split("\n");
+    held = whole.pop();
+    for (const line of whole) yield parsed(line);
+  }
+  if (held) yield parsed(held);
+}
+
+function parsed(line) {
+  const found = JSON.parse(line);
+  if (found.error) throw new Refused(found, 422);
+  return found;
+}
+
+/** What a reader reads, until its end; the rest is given up. */
+async function* pieces(reader) {
   try {
     for (;;) {
       const { done, value } = await reader.read();
       if (done) return;
-      held = joined(held, value);
-      let start = 0;
-      while (held.length - start >= 5) {
-        const view = new DataView(held.buffer, held.byteOffset + start);
-        const length = view.getUint32(0, true), kind = view.getUint8(4);
-        if (held.length - start < 5 + length) break;
-        const content = held.slice(start + 5, start + 5 + length);
-        start += 5 + length;
-        if (kind === CELLS) {
-          yield { index: new DataView(content.buffer).getUint32(0, true), bytes: content.subarray(4) };
-        } else {
-          const words = JSON.parse(new TextDecoder().decode(content));
-          if (kind !== WORDS) throw new Refused(words, 422);
-          yield { words };
-        }
-      }
-      held = held.slice(start);
+      yield value;
     }
   } catch (error) {
-    if (error.name !== "AbortError" && !(error instanceof Refused)) lose();
+    if (error.name !== "AbortError") lose();
     throw error;
   } finally {
     reader.cancel().catch(() => {});
+  }
+}
+
+/** The frames of a picture as they come: {words} or {index, bytes}. */
+export async function* frames(path, body, signal) {
+  const reader = (await send(path, body, signal)).body.getReader();
+  let held = new Uint8Array(0);
+  for await (const bytes of pieces(reader)) {
+    held = joined(held, bytes);
+    let start = 0;
+    while (held.length - start >= 5) {
+      const view = new DataView(held.buffer, held.byteOffset + start);
+      const length = view.getUint32(0, true), kind = view.getUint8(4);
+      if (held.length - start < 5 + length) break;
+      const content = held.slice(start + 5, start + 5 + length);
+      start += 5 + length;
+      if (kind === CELLS) {
+        yield { index: new DataView(content.buffer).getUint32(0, true), bytes: content.subarray(4) };
+      } else {
+        const words = JSON.parse(new TextDecoder().decode(content));
+        if (kind !== WORDS) throw new Refused(words, 422);
+        yield { words };
+      }
+    }
+    held = held.slice(start);
   }
 }
 

@@ -1,6 +1,6 @@
 // The controls of a walker, or another system, from what the server says of its parameters.
 
-import { spaced } from "./words.js";
+import { spaced, unitBeside } from "./words.js";
 
 export class Controls {
   constructor(form, state) {
@@ -27,6 +27,7 @@ export class Controls {
     form.querySelector("#parameters").replaceChildren(...state.kind.parameters.map((one) => this.slider(one, {
       title: spaced(one.name),
       value: () => state.parameters[one.name],
+      placed: () => state.accepted?.[one.name],
       set: (value) => state.change("parameters", { parameters: { ...state.parameters, [one.name]: value } }),
     })));
     form.querySelector("#section").replaceChildren(...this.planeChoice());
@@ -37,8 +38,11 @@ export class Controls {
     this.update();
   }
 
-  /** A slider with a number beside it, and room for a sentence about a wrong value. */
-  slider(one, { title, value, set, digits = 8 }) {
+  /** A slider with a number beside it, and room for a sentence about a wrong value.
+   *
+   * While a number is typed the slider is where the last one was that was accepted, if `placed` tells it.
+   */
+  slider(one, { title, value, placed, set, digits = 8 }) {
     const row = document.createElement("div");
     row.className = "field";
     const id = `p-${one.name}`;
@@ -49,23 +53,25 @@ export class Controls {
     const [name, unit, error] = [".name", ".unit", ".error"].map((which) => row.querySelector(which));
     const range = row.querySelector("[type=range]"), typed = row.querySelector("[type=number]");
     name.textContent = title;
-    unit.textContent = one.unit.replace("^2", "²");
+    unit.textContent = unitBeside(title, one.unit);
     row.title = [one.meaning, one.bounds].filter(Boolean).join("; ");
-    typed.setAttribute("aria-label", [title, one.unit].filter(Boolean).join(", "));
+    typed.setAttribute("aria-label", [title, unit.textContent].filter(Boolean).join(" "));
     Object.assign(range, { min: one.low, max: one.high, step: one.step });
     range.addEventListener("input", () => set(Number(range.value)));
     typed.addEventListener("input", () => {
       if (Number.isFinite(typed.valueAsNumber)) set(typed.valueAsNumber);
       else fail("A number is needed here");
     });
-    typed.addEventListener("blur", () => typed.value === "" && show());
+    const showTyped = () => (typed.value = Number(value().toPrecision(digits)));
+    typed.addEventListener("blur", () => (typed.value === "" ? show() : showTyped()));
     const show = () => {
-      const now = value();
-      if (now > Number(range.max)) range.max = now;
-      if (now < Number(range.min)) range.min = now;
+      const typing = document.activeElement === typed;
+      const now = (typing ? placed?.() : null) ?? value();
+      range.min = Math.min(one.low, now);
+      range.max = Math.max(one.high, now);
       range.value = now;
-      if (document.activeElement !== typed) typed.value = Number(now.toPrecision(digits));
       range.setAttribute("aria-valuetext", `${now} ${one.unit}`.trim());
+      if (!typing) showTyped();
       error.textContent = "";
       row.classList.remove("wrong");
     };

@@ -1,7 +1,7 @@
 // The bifurcation diagram: gaits and attractors over a parameter, and its value as a cursor.
 
 import { css } from "./palette.js";
-import { decimals, number, spaced, ticks } from "./words.js";
+import { decimals, number, spaced, ticks, unitBeside } from "./words.js";
 
 const MARGIN = { left: 70, right: 14, top: 12, bottom: 44 };
 const STEPS = 210; // by a key, from end to end
@@ -96,7 +96,8 @@ export class Diagram extends EventTarget {
   }
 
   extent() {
-    const places = this.data?.points.map(([, place]) => place) ?? [0.1, 0.3];
+    const { points, branches } = this.data ?? { points: [], branches: [] };
+    const places = points.length ? points.map(([, place]) => place) : branches.flatMap((one) => one.state.flat());
     if (!places.length) return [0, 0.5];
     const low = Math.min(...places), high = Math.max(...places), pad = 0.06 * (high - low || 0.1);
     return [low - pad, high + pad];
@@ -151,7 +152,7 @@ export class Diagram extends EventTarget {
     c.textAlign = "center";
     c.textBaseline = "alphabetic";
     const { name, unit } = this.over, { section, coordinates } = this.state.kind;
-    c.fillText(spaced(name) + (unit && ` (${unit})`), MARGIN.left + this.width / 2, MARGIN.top + tall + 39);
+    c.fillText(`${spaced(name)} ${unitBeside(spaced(name), unit)}`, MARGIN.left + this.width / 2, MARGIN.top + tall + 39);
     c.save();
     c.translate(13, MARGIN.top + tall / 2);
     c.rotate(-Math.PI / 2);

@@ -1,6 +1,7 @@
 // The page: its parts, and what makes which of them change.
 
-import { Refused, ask, connection } from "./api.js";
+import { Refused, ask, connection, lines } from "./api.js";
+import { Compiling } from "./compiling.js";
 import { Controls } from "./controls.js";
 import { Diagram } from "./diagram.js";
 import { Facts } from "./facts.js";
@@ -32,6 +33,7 @@ async function begin() {
   const diagram = new Diagram($("#diagram"), state, palette);
   const facts = new Facts(document, state);
   const controls = new Controls($(".controls"), state);
+  const compiling = new Compiling($("#view-basin .plot"));
   let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
   let prepared = ""; // the walker that picture and facts belong to
 
@@ -43,12 +45,12 @@ async function begin() {
     homeKey = "";
     lattice = null;
     picture.stop();
-    say(`Preparing ${walkerName()}`, Infinity);
     const { walker, section } = state;
     if (walker !== prepared) clearFormer();
+    compiling.show(walkerName(), { walker, section });
     const home = await ask("/api/home", { walker, section });
     if (key !== `${state.walker} ${state.section}`) return false; // another one by now
-    say("");
+    compiling.hide();
     homeKey = key;
     prepared = walker;
     lattice = new Lattice(about.lattice, home);
@@ -62,7 +64,7 @@ async function begin() {
   function clearFormer() {
     prepared = "";
     picture.clear();
-    facts.clear("preparing…");
+    facts.clear("");
     $("#legend").replaceChildren();
     $("#hover").textContent = "\u00a0";
   }
@@ -77,7 +79,7 @@ async function begin() {
   /** The name of the walker, or of another system, in a sentence. */
   function walkerName() {
     const name = state.walker.replaceAll("-", " ");
-    return state.kind.film ? `the ${/walker$/i.test(name) ? name : `${name} walker`}` : name;
+    return state.kind.walker ? `the ${/walker$/i.test(name) ? name : `${name} walker`}` : name;
   }
 
   /** That a link names a walker which this server does not have. */
@@ -92,6 +94,7 @@ async function begin() {
     try {
       if (!(await loadHome())) return;
     } catch (error) {
+      compiling.hide();
       if (error instanceof Refused && !prepared) facts.clear("–");
       return complain(error);
     }
@@ -100,10 +103,36 @@ async function begin() {
     map.shown = (x) => state.shown(x);
     diagram.show();
     showPicture();
-    wantFacts();
+    if (picture.layer && !picture.layer.empty) accept(picture.layer.body.parameters);
+    if (state.isAccepted() || !map.box) wantFacts(); // or when the picture comes
     showGaits();
     showArrow();
     stage.draw();
+  }
+
+  /** That the picture's parameters are such as the walker takes. */
+  function accept(parameters) {
+    const before = state.isAccepted();
+    state.accepted = parameters;
+    if (before || !state.isAccepted()) return; // or others are chosen by now
+    controls.update();
+    wantFacts();
+  }
+
+  /** Say once, beside its slider, which value is refused; the picture, and all else, is that of before. */
+  function refuse(error) {
+    if (!state.isChosen(picture.layer.body.parameters)) return; // another value by now
+    clearTimeout(walking);
+    if (state.restore()) {
+      controls.update();
+      showArrow();
+      stage.draw();
+      queueMicrotask(showPicture);
+      if (state.tab === "bifurcation") showDiagram();
+    } else if (!state.accepted) {
+      facts.clear("–");
+    }
+    complain(error);
   }
 
   function complain(error) {
@@ -111,9 +140,14 @@ async function begin() {
     if (!controls.fail(error)) say(spaced(error.message));
   }
 
-  picture.addEventListener("failed", ({ detail }) => complain(detail));
+  picture.addEventListener("failed", ({ detail }) => (detail.parameter in state.parameters ? refuse(detail) : complain(detail)));
   picture.addEventListener("attractors", () => {
-    const { attractors, at } = picture.layer;
+    const { attractors, at, body } = picture.layer;
+    accept(body.parameters);
+    if (!state.start) {
+      clearTimeout(walking);
+      walking = setTimeout(walkGait, walk.subject ? WALK_REST : 0);
+    }
     controls.setPlane(at);
     facts.showAttractors(attractors);
     showLegend();
@@ -223,9 +257,22 @@ async function begin() {
     state.change("start", { start: x });
     map.path = [state.shown(x)];
     map.redraw();
+    await beginWalk(x);
+  }
+
+  async function beginWalk(x) {
     await walk.begin(state.subject(), x);
     showPath();
     if (walk.playing) stage.run();
+  }
+
+  /** Until a start is chosen the stage shows the gait; it stands still where motion is to be reduced. */
+  async function walkGait() {
+    const { layer } = picture, gait = layer?.attractors.find((one) => one.period && !one.artefact);
+    if (state.start || !state.kind.film || !gait || !state.isChosen(layer.body.parameters)) return;
+    if (state.isChosen(walk.subject?.parameters)) return; // it is shown already
+    await beginWalk(gait.states[0]);
+    if (!state.start && matchMedia("(prefers-reduced-motion: reduce)").matches) walk.toggle();
   }
 
   function showPath() {
@@ -245,7 +292,7 @@ async function begin() {
     for (const id of ["#play", "#step", "#again"]) $(id).disabled = none;
     $("#play").toggleAttribute("data-playing", walk.playing);
     $("#play").setAttribute("aria-label", walk.playing ? "Pause" : "Play");
-    $("#stage-hint").hidden = !none;
+    $("#stage-hint").hidden = Boolean(state.start);
     showPath();
     if (walk.playing) stage.run();
   });
@@ -254,7 +301,8 @@ async function begin() {
     const one = walk.current;
     if (!one) return ($("#walk-note").textContent = state.kind.film ? "\u00a0" : "Click a start on the picture");
     const ended = walk.over && walk.time >= walk.strides.at(-1).ends;
-    const text = ended ? state.failure(one.outcome, one.number) : `${state.words.stride} ${one.number + 1}`;
+    const stride = `${state.words.stride} ${one.number + 1}`;
+    const text = ended ? state.failure(one.outcome, one.number) : state.start ? stride : `the ${state.words.gait}, ${stride}`;
     if ($("#walk-note").textContent !== text) $("#walk-note").textContent = text;
   };
   for (const event of ["changed", "stride"]) walk.addEventListener(event, tellWalk);
@@ -310,12 +358,14 @@ async function begin() {
     diagramAbort = new AbortController();
     diagramKey = key;
     diagram.setData(null);
-    $("#diagram-note").textContent = `${words.followed}: some ten seconds…`;
+    $("#diagram-note").textContent = `${words.followed}…`;
     const body = { walker: state.walker, parameters: { ...others, [over]: diagram.over.default }, over };
     try {
-      diagram.setData(await ask("/api/measure/bifurcation", body, diagramAbort.signal));
-      diagram.show();
-      $("#diagram-note").textContent = diagram.note();
+      for await (const found of lines("/api/measure/bifurcation", body, diagramAbort.signal)) {
+        diagram.setData(found);
+        diagram.show();
+        $("#diagram-note").textContent = found.whole ? diagram.note() : `${words.followed}: ${count(found.branches.length, "branch", "branches")} so far…`;
+      }
     } catch (error) {
       if (error.name === "AbortError") return;
       diagramKey = "";
@@ -331,6 +381,7 @@ async function begin() {
   function showKind() {
     const spans = Object.keys(state.kind.spans), { stride } = state.words;
     document.body.toggleAttribute("data-film", state.kind.film);
+    document.body.toggleAttribute("data-walker", state.kind.walker);
     for (const name of ["aria-label", "title"]) $("#step").setAttribute(name, `One ${stride}`);
     $("#tab-bifurcation").hidden = !spans.length;
     $("#over").replaceChildren(...spans.map((name) => new Option(spaced(name), name, false, name === state.over)));
@@ -398,7 +449,7 @@ async function begin() {
     controls.update();
     update();
     if (kind === "everything" && state.start) startWalk(state.start);
-    if (kind === "parameters" && walk.subject) {
+    if (kind === "parameters" && state.start && walk.subject) {
       clearTimeout(walking);
       walking = setTimeout(() => startWalk(state.start), WALK_REST);
     }

@@ -97,7 +97,7 @@ export class BasinMap extends EventTarget {
 
   draw() {
     const { context: c, box, ratio } = this;
-    if (!box || !this.lattice) return;
+    if (!box) return;
     this.drawn = (this.drawn ?? 0) + 1;
     const style = getComputedStyle(this.canvas);
     const [ink, soft, ground] = ["--ink", "--soft", "--page"].map((name) => style.getPropertyValue(name).trim());
@@ -110,6 +110,7 @@ export class BasinMap extends EventTarget {
     c.clip();
     c.fillStyle = style.getPropertyValue("--empty").trim();
     c.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    if (!this.lattice) return c.restore(); // of the first walker, which is being compiled
     const to = (x, y) => this.toScreen(x, y).map((p) => p * ratio);
     this.picture.draw(c, to, this.view);
     c.setTransform(ratio, 0, 0, ratio, 0, 0);

@@ -1,8 +1,10 @@
 // The stage: the walker on its slope, ghosts of its last steps, and the hand that pushes its hip.
 
+import { aboveGround } from "./ground.js";
 import { css } from "./palette.js";
 
 const GHOSTS = 4; // poses at the last heel strikes
+const HIP = 9; // CSS pixels of its disc's radius
 const REACH = 26; // CSS pixels around the hip in which a hand takes hold of it
 const IMPULSE = 0.25; // of a push, for each leg's length that the hand pulls
 
@@ -56,7 +58,8 @@ export class Stage extends EventTarget {
     const state = walk.state();
     const tall = walk.leg ? walk.leg.length + walk.leg.radius : 1;
     this.scale = Math.min(size[1] / (1.38 * tall), size[0] / (1.7 * tall));
-    const places = state ? walk.places(state, walk.current.foot, walk.bent()) : null;
+    const shown = (places) => aboveGround(places, walk.leg, HIP / this.scale);
+    const places = state ? shown(walk.places(state, walk.current.foot, walk.bent())) : null;
     const target = places ? places.hip[0] : 0;
     this.camera = this.smooth(this.camera, target, tall);
     const [cos, sin] = [Math.cos(this.slope), Math.sin(this.slope)];
@@ -72,7 +75,7 @@ export class Stage extends EventTarget {
     strikes.forEach((one, k) => {
       if (one.cut || !one.frames.length) return;
       c.globalAlpha = 0.1 + 0.07 * (k + GHOSTS - strikes.length);
-      this.drawPose(c, walk.places(one.frames.at(-1), one.foot), colour("--ink"), colour("--ink"), 1.5);
+      this.drawPose(c, shown(walk.places(one.frames.at(-1), one.foot)), colour("--ink"), colour("--ink"), 1.5);
     });
     c.globalAlpha = 1;
     const swing = css(this.palette.basins[1]);
@@ -137,7 +140,7 @@ export class Stage extends EventTarget {
         this.disc(c, end, width * 0.8, colour, edge);
       }
     }
-    this.disc(c, hip, width * 2, ink, edge);
+    this.disc(c, hip, edge ? HIP : width * 2, ink, edge);
   }
 
   disc(c, at, radius, fill, edge) {

@@ -24,6 +24,7 @@ export class State extends EventTarget {
     const asked = given.get("walker") ?? names[0];
     this.unknown = names.includes(asked) ? "" : asked; // a walker of another server's
     this.walker = this.unknown ? names[0] : asked;
+    this.accepted = null; // parameters of the last picture of this walker
     this.parameters = {};
     for (const one of this.kind.parameters) {
       const value = Number((this.unknown ? null : given.get(one.name)) ?? NaN);
@@ -58,7 +59,7 @@ export class State extends EventTarget {
 
   /** The words for it. */
   get words() {
-    return this.kind.film ? WALKER : SYSTEM;
+    return this.kind.walker ? WALKER : SYSTEM;
   }
 
   /** How it may fail, by outcome: the failures that all share, and its own. */
@@ -111,7 +112,7 @@ export class State extends EventTarget {
     Object.assign(this, values);
     if (kind === "walker") {
       this.parameters = Object.fromEntries(this.kind.parameters.map((one) => [one.name, one.default]));
-      Object.assign(this, { at: {}, view: null, start: null });
+      Object.assign(this, { accepted: null, at: {}, view: null, start: null });
       if (this.sliced) this.method = "direct";
       this.choose();
       if (!this.over) this.tab = "basin";
@@ -123,8 +124,30 @@ export class State extends EventTarget {
     this.tell(kind);
   }
 
+  /** Whether these parameters are the ones that are chosen. */
+  isChosen(parameters) {
+    return JSON.stringify(parameters) === JSON.stringify(this.parameters);
+  }
+
+  /** Whether those that are chosen are known to be such as the walker takes. */
+  isAccepted() {
+    return this.isChosen(this.accepted);
+  }
+
+  /** Back to the parameters that were accepted last; false where none were, or they are chosen. */
+  restore() {
+    if (!this.accepted || this.isAccepted()) return false;
+    this.parameters = this.accepted;
+    this.writeSoon();
+    return true;
+  }
+
   tell(kind) {
     this.dispatchEvent(new CustomEvent("change", { detail: kind }));
+    this.writeSoon();
+  }
+
+  writeSoon() {
     clearTimeout(this.writing);
     this.writing = setTimeout(() => this.write(), 200);
   }

@@ -71,13 +71,18 @@ export function multipliers(gait) {
   return gait.multipliers.filter(([, imaginary]) => imaginary >= 0).map(multiplier).join(", ");
 }
 
-export function count(n, noun) {
-  return `${n} ${noun}${n === 1 ? "" : "s"}`;
+export function count(n, noun, many = `${noun}s`) {
+  return `${n} ${n === 1 ? noun : many}`;
 }
 
 /** The name of a parameter, as people write it. */
 export function spaced(name) {
   return name.replaceAll("_", " ");
+}
+
+/** A unit in parentheses, for beside a title; none where the title ends with it, as in "hip mass". */
+export function unitBeside(title, unit) {
+  return unit && !title.endsWith(unit) ? `(${unit.replace("^2", "²")})` : "";
 }
 
 /** Round steps of an axis: ticks between two ends, and the decimals that tell them apart. */
