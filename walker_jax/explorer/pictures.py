@@ -131,7 +131,7 @@ def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attra
 def in_bytes(
     fate: Int[np.ndarray, " n"], attractor: Int[np.ndarray, " n"], strides: Int[np.ndarray, " n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Label and strides of cells, a byte each."""
+    """Return the label and strides of cells, a byte each."""
     last = MAX_ATTRACTORS - 1
     walks = np.where(attractor < 0, UNMATCHED, FIRST_ATTRACTOR + np.minimum(attractor, last))
     label = np.where(fate == Outcome.STRIDE, walks, fate)

@@ -135,7 +135,7 @@ def end(
 def states_at(
     walker: Walker, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
 ) -> Any:
-    """State at times after a start, each followed from there: one program for all counts."""
+    """Return the states at times after a start, by one program for all counts of times."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
     arguments = (walker, start, times, Integrator(1e-12).in_dtype(float))
     return map_cells(state_after, arguments, (False, False, True, False))
