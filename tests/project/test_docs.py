@@ -291,7 +291,7 @@ def test_what_is_said_of_knees_and_feet_follows_from_the_table():
     said += f"{WORDS[len(smaller)]} are smaller with knees: {WORDS[len(clearly)]} by seven"
     assert said in plain and f"0.08 by {-gain[barely]:.1f}. " in plain
     straight, knees = rows[other][:2]
-    assert f"{knees} for {straight}, by {gain[other]:.1f} standard errors" in plain
+    assert f"{knees} against {straight}, by {gain[other]:.1f} standard errors" in plain
     taken = lambda *key: f"{1 - known[key][1][0] / known[key][0][0]:.0%}".replace("%", " %")
     human = [taken("human-like", slope, "points") for slope in ("0.04", "0.06")]
     assert f"masses {human[0]} at 0.04 and {human[1]} at 0.06" in plain
