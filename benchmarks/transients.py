@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.figures.layout import figure_of
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import linearise
@@ -96,7 +97,7 @@ def visits(slope: float, starts: np.ndarray) -> Visits:
     for number, (low, high) in enumerate(LEAVES):
         three = states[:, :-3, 0]
         leaf[:, 3:][near[:, 3:] & (low < three) & (three < high)] = number
-    walk, at = np.nonzero((leaf >= 0) & np.isin(np.arange(leaf.shape[1]), LOOKED_AT))
+    walk, at = np.nonzero((leaf >= 0) & np.isin(np.arange(states.shape[1]), LOOKED_AT))
     five = np.where(leaf >= 0, -inside, np.nan)[walk, at - 5], leaf[walk, at - 5]
     falls = np.isnan(states[walk, at + 12, 0])
     strides = int(np.isfinite(states[:, LOOKED_AT, 0]).sum())
@@ -226,15 +227,15 @@ def main() -> None:
     law, predicted = tell_laws(lives, crisis)
     if args.pictures is not None:
         openings = {"second fold": second, "third, before": third}
-        ax = figures.crisis_law(*lives, law, predicted, openings)
-        ax.figure.savefig(args.pictures / "crisis.png", dpi=80)
+        ax = figures.crisis_law(lives[0], lives[1], lives[2], law, predicted, openings)
+        figure_of(ax).savefig(args.pictures / "crisis.png", dpi=80)
         before = visits(0.01904, many)
         shown = {0.01904: before, **{slope: panels[slope] for slope in (0.0191, 0.0192)}}
         draw_leaves(shown).savefig(args.pictures / "leaves.png", dpi=80)
         walker = wj.SimplestWalker(0.0191)
         found = wj.transients(walker, starts, tolerance=TOLERANCE)
         ax = figures.chaotic_saddle(found, starts, gate_gait(walker))
-        ax.figure.savefig(args.pictures / "saddle.png", dpi=80)
+        figure_of(ax).savefig(args.pictures / "saddle.png", dpi=80)
     print(f"{time.process_time() - begin:.0f} s of the processor")
 
 

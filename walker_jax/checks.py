@@ -41,7 +41,9 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
     return number
 
 
-EXAMPLES = dict.fromkeys(("System", "Walker"), ", such as wj.SimplestWalker(slope=0.009)")
+EXAMPLES: dict[str, str] = dict.fromkeys(
+    ("System", "Walker"), ", such as wj.SimplestWalker(slope=0.009)"
+)
 """Added to the names of kinds that users may take for words, as on the command line."""
 
 

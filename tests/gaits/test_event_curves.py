@@ -178,14 +178,14 @@ def test_codimension_two_of_round_feet():
     np.testing.assert_allclose(flip.values, [-0.026835186984, 0.009857074822], rtol=0, atol=1e-10)
     at = fold_flip.values
     np.testing.assert_allclose(at, [-0.025251477871, 0.009121863907], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(np.sort(fold_flip.multipliers.real)[[0, 2]], [-1, 1], atol=1e-9)
+    np.testing.assert_allclose(np.sort(np.real(fold_flip.multipliers))[[0, 2]], [-1, 1], atol=1e-9)
     (fold,) = [one for one in branch.folds if one.value < -0.02]
     folds = wj.continue_event(walker, fold, names[::-1], bounds)
     np.testing.assert_allclose(the_special(folds, "fold-flip").values, at, rtol=0, atol=1e-10)
     for found, expected in ((fold_flip, 1.0), (flip, 0.928829)):
         offset, slope = found.values
         bodies, x = Bodies(wj.RoundFootWalker(slope, com_offset=offset)), found.states[0]
-        along = lambda points, bodies=bodies: np.stack([bodies.stride(one)[0] for one in points])
+        along = lambda points, bodies=bodies: np.array([bodies.stride(one)[0] for one in points])
         np.testing.assert_allclose(along(x[None])[0], x, rtol=0, atol=1e-9)
         multipliers = np.sort(np.linalg.eigvals(differences(along, x, np.full(3, 1e-4))).real)
         np.testing.assert_allclose(multipliers[[0, 2]], [-1, expected], rtol=0, atol=1e-5)

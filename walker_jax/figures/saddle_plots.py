@@ -68,7 +68,7 @@ def chaotic_saddle(
     for i, way in enumerate(ways):
         label = "on the way to a failure" if i == 0 else None
         handles += ax.plot(*place(way), "-o", color=OTHERS, lw=0.6, ms=2.5, label=label, zorder=1)
-    shown = [("saddle", found.saddle, BASINS[1], 2)]
+    shown: list[tuple[str, Any, str, int]] = [("saddle", found.saddle, BASINS[1], 2)]
     if attractor is not None:
         shown.append(("attractor before the crisis", attractor, BASINS[2], 3))
     for label, states, colour, order in shown:
