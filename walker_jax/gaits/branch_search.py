@@ -29,7 +29,7 @@ period makes every search longer."""
 SEARCH_VALUES = 16
 """Values of the parameter at which gaits are searched, equally spaced over the interval."""
 CELLS_PER_SEARCH = 32
-"""One cell in this many is the guess of a search; continuation needs only one gait of a branch."""
+"""Number of cells for each guess of a search; continuation needs only one gait of a branch."""
 
 
 def grow_branches(
@@ -41,10 +41,10 @@ def grow_branches(
     tolerance: Real,
     progress: bool = False,
 ) -> Iterator[tuple[list[Branch], list[int]]]:
-    """The branches, and the number of the one from which each doubles, or -1: as more are found.
+    """Search for branches; yield them as more are found, with the numbers of their parents.
 
-    The lists grow; the last ones hold all branches up to the period `period_max`, of which the
-    shorter ones come first.
+    The parent is the branch from which a branch doubles, or -1. The lists grow. The last ones hold
+    all branches up to the period `period_max`, in ascending order of period.
     """
     branches: list[Branch] = []
     parents: list[int] = []

@@ -180,7 +180,7 @@ def continue_gaits(
 def add_normal_forms(
     walker: System, parameter: str, branches: Sequence[Branch], *, tolerance: Real | None = None
 ) -> list[Branch]:
-    """The same branches, with the coefficients of the normal forms of all their bifurcations."""
+    """Return the branches with the coefficients of the normal forms of all their bifurcations."""
     tasks = [add_normal_form(one) for branch in branches for one in branch.events]
     integrator = Integrator(float64_tolerance(tolerance))
     found = iter(run_batched(tasks, partial(compute_responses, walker, [parameter], integrator)))

@@ -1,8 +1,8 @@
 """Charts of two parameters: curves of bifurcations, and the periods of attractors between them.
 
-The gait of period one is followed over both parameters from the system's own values, and the gaits
-that double from it. The bifurcations found on these lines begin curves. Behind them stands what
-walkers come to that start near the gait, at each cell of a grid of parameters.
+Continuation follows the gait of period one along each parameter, from the system's own values, and
+the gaits that double from it. The bifurcations on these lines are the starts of the curves. Behind
+the curves, a grid of parameter values shows the attractors of walkers that start near the gait.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ from walker_jax.walking.iteration import select_walkers, with_parameters
 from walker_jax.walking.stride import stride
 
 SAME_GAIT = 1e-6
-"""How far a stride from a gait may end from it."""
+"""Largest error of a gait after one stride, in each coordinate."""
 NO_GAIT = -1
-"""Fate of cells without a gait near which walkers could start."""
+"""Fate of cells in which no gait is found, so that no walker can start near it."""
 SAME_CURVE = 0.01
-"""Scaled distance of a bifurcation from a curve of its kind, within which it is on that: a chord of
-the longest step is nearer to its curve, and two curves of a kind are farther apart."""
+"""Scaled distance within which a bifurcation is on a curve of its kind. A chord of the longest step
+is nearer to its curve. Two curves of a kind are taken to be farther apart."""
 NEWTON_STEPS = 8
-"""From the gait of a neighbouring cell. Where they do not suffice there is none."""
+"""Newton steps from each guess. A guess that needs more has failed."""
 MOST_TRIES = 4
-"""Guesses for a cell: where one fails another neighbour may give a better one."""
+"""Most guesses for a cell. After a failure another neighbour may give a better guess."""
 NEAR = 0.5
-"""Distance, in every coordinate, within which the gait must be of where it was expected, to the
-width of what that coordinate takes on the branches: farther off it is another one."""
+"""Largest distance of a gait from its guess in each coordinate, as a share of the range of that
+coordinate over the branches. A gait farther off is another one."""
 
 
 class Found(NamedTuple):
@@ -72,37 +72,45 @@ def chart(
     tolerance: Real | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Where in two parameters a gait is stable, what bounds that, and what walkers come to beyond.
+    """Chart two parameters: where a gait is stable, its bifurcations, and the attractors.
 
-    Curves begin at the bifurcations of the gait over each parameter, while the other one has the
-    system's own value, and at those of the gaits that double from it. A curve that crosses neither
-    line is missed, and so are gaits that do not descend from this one.
+    ```python
+    walker = wj.SpringWalker(slope=0.012, hip_stiffness=0.2)
+    bounds = {"slope": (0.01, 0.04), "hip_stiffness": (0.1, 0.4)}
+    data = wj.chart(walker, bounds, period_max=1, cells=(12, 9), strides=200)
+    figures.chart(data)
+    ```
+
+    The gait, and the gaits that double from it, are followed along each parameter, while the other
+    one keeps the system's own value. The bifurcations found there are the starts of curves. The
+    chart misses a curve that crosses neither line, and gaits that do not descend from this one.
 
     **Arguments:**
 
-    - `system`: its own values of the two parameters are where the search begins.
-    - `bounds`: the lowest and the highest value of each of two parameters, by name.
-    - `gait`: of this system, of period one; by default, that of `find_gait`.
-    - `period_max`: longest period of which curves are followed.
-    - `cells`: of the grid, along each parameter.
-    - `strides`: number that a walker makes before the period is read.
-    - `tolerance`: of the integration, as in `stride`.
+    - `system`: the search begins at its own values of the two parameters.
+    - `bounds`: lowest and highest value of each of two parameters, by name.
+    - `gait`: a gait of this system, of period one; by default, the one of `find_gait`.
+    - `period_max`: longest period of the gaits whose bifurcations are followed.
+    - `cells`: number of cells of the grid along each parameter.
+    - `strides`: number of strides before the period of a walk is read.
+    - `tolerance`: tolerance of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
-    **Returns** a data set of
+    **Returns** a data set over these dimensions:
 
-    - `point`, the points of all curves, one after the other: `curve` (a number), `curve_value`,
-      `curve_states`, `curve_multipliers` and `curve_coefficient` of the normal form;
-    - `line`, the curves: `line_kind`, `line_period`, and the reasons for their ends, `line_end`, as
-      numbers of the names in the attributes `line_kinds` and `line_ends`;
-    - `special`, the points of codimension two: `special_kind`, by the attribute `special_kinds`,
-      `special_curve`, `special_value`, `special_states` and `special_multipliers`;
-    - `cell_period`, over both parameters, of the attractor from near the gait: 0 where it has
-      none; and `cell_fate`, the `Outcome` of the last stride, `UNDECIDED` where there is no answer,
-      -1 where there is no gait.
+    - `point`, the points of all curves, one curve after the other: `curve` (a number),
+      `curve_value`, `curve_states`, `curve_multipliers` and `curve_coefficient` of the normal form;
+    - `line`, the curves: `line_kind`, `line_period`, and `line_end`, the reasons why each ends.
+      Kinds and reasons are indices into the attributes `line_kinds` and `line_ends`;
+    - `special`, the points of codimension two: `special_kind`, an index into the attribute
+      `special_kinds`, `special_curve`, `special_value`, `special_states` and
+      `special_multipliers`;
+    - `first` and `second`, the parameters at the centres of the cells: `cell_period`, the period
+      of the attractor that walkers near the gait reach, 0 where it has none; and `cell_fate`, the
+      `Outcome` of the last stride, `UNDECIDED` where there is no answer, -1 where there is no gait.
 
-    Raises `ValueError` for wrong parameters, bounds or numbers, and where the system's own values
-    are outside the bounds.
+    Raises `ValueError` for wrong parameters, bounds or numbers, for a gait that is not one of this
+    system, and for a system whose own values are outside the bounds.
     """
     names, ranges = check_bounds(system, [*bounds] if isinstance(bounds, Mapping) else (), bounds)
     check_whole("period_max", period_max, most=64)
@@ -146,8 +154,10 @@ def follow_lines(
     period_max: int,
     tolerance: Real,
 ) -> tuple[list[Branch], list[Found]]:
-    """The branches of the gait over each parameter, and the bifurcations on these and on those that
-    double from them."""
+    """Follow the gait over each parameter, and the gaits that double from it.
+
+    Return the branches of period one, and the bifurcations on all branches.
+    """
     branches, found = [], []
     for i, name in enumerate(names):
         interval = float(ranges.low[i]), float(ranges.high[i])
@@ -173,7 +183,7 @@ def follow_curves(
     ranges: Ranges,
     tolerance: Real,
 ) -> list[EventCurve]:
-    """The curves through bifurcations, each once."""
+    """Follow the curves through bifurcations, each curve once."""
     curves: list[EventCurve] = []
     is_new = lambda one: not any(lies_on(curve, one, ranges) for curve in curves)
     while events := [one for one in events if is_new(one)]:
@@ -186,7 +196,7 @@ def follow_curves(
 
 
 def lies_on(curve: EventCurve, found: Found, ranges: Ranges) -> bool:
-    """Whether a bifurcation is on a curve, whichever state of its cycle comes first."""
+    """Return whether a bifurcation is on a curve, whichever state of its cycle comes first."""
     kind, states = found.event.kind, np.asarray(found.event.states)
     if kind != curve.kind or len(states) != curve.period:
         return False
@@ -222,9 +232,9 @@ def attractors_on_grid(
     strides: int,
     tolerance: Real,
 ) -> Cells:
-    """The attractors of walkers that start near the gait in each cell, in one batch.
+    """Find the attractors of walkers that start near the gait in each cell, in one batch.
 
-    Where the gait is stable it is the attractor, and no walker has to walk there.
+    A stable gait is the attractor itself, so no walk is computed in its cell.
     """
     axes = tuple(
         low + (np.arange(count) + 0.5) * (high - low) / count
@@ -248,7 +258,7 @@ def attractors_on_grid(
 def known_points(
     names: tuple[str, str], own: Float[np.ndarray, " 2"], branches: list[Branch]
 ) -> Float[np.ndarray, "n columns"]:
-    """Values of both parameters and states of the gaits on branches, stable ones last."""
+    """Return rows of both parameters and the state of the gaits on branches, stable gaits last."""
     rows = []
     for branch in branches:
         values = np.tile(own, (len(branch.values), 1))
@@ -266,10 +276,10 @@ def spread_gaits(
     ranges: Ranges,
     integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "n section"], Bool[np.ndarray, " n"]]:
-    """The gait in each cell, NaN where none is found, and whether it is stable.
+    """Find the gait in each cell, NaN where the search fails, and whether it is stable.
 
-    It spreads from the branches: first to the cells next to their points, then in rounds from cells
-    to neighbours that have none yet.
+    The gait spreads from the branches: first to the cells that hold their points, then in rounds
+    from each cell to its neighbours without a gait.
     """
     size = known.shape[1] - 2
     gaits, stable = np.full((len(values), size), np.nan), np.zeros(len(values), bool)
@@ -295,8 +305,7 @@ def spread_gaits(
 def guess_from_neighbours(
     gaits: Float[np.ndarray, "first second section"], straight: Bool[np.ndarray, "first second 1"]
 ) -> Float[np.ndarray, "first second section"]:
-    """A gait for each cell, that of the next one on any one side, or on a `straight` line with it
-    and the one behind."""
+    """Guess the gait of each cell: a neighbour's; if `straight`, extrapolated from two in line."""
     guesses = np.full_like(gaits, np.nan)
     for axis in (0, 1):
         for shift in (1, -1):
@@ -307,7 +316,7 @@ def guess_from_neighbours(
 
 
 def shifted(values: np.ndarray, by: int, axis: int) -> np.ndarray:
-    """Values moved along an axis, with NaN behind them."""
+    """Return values moved along an axis, with NaN in the places they leave."""
     moved = np.roll(values, by, axis)
     outside = np.arange(values.shape[axis])
     outside = outside < by if by > 0 else outside >= values.shape[axis] + by
@@ -317,7 +326,7 @@ def shifted(values: np.ndarray, by: int, axis: int) -> np.ndarray:
 def assemble_chart(
     system: System, names: tuple[str, str], curves: list[EventCurve], grid: Cells
 ) -> xr.Dataset:
-    """The data set that `chart` returns."""
+    """Assemble the data set that `chart` returns."""
     counts, size = [len(curve.values) for curve in curves], len(system.section)
     phases = max((curve.period for curve in curves), default=1)
     special = [(i, one) for i, curve in enumerate(curves) for one in curve.special]
@@ -380,11 +389,11 @@ def assemble_chart(
 
 
 def numbers_of(found: Sequence[str], names: Sequence[str]) -> Int[np.ndarray, " n"]:
-    """The places of names in a list of all."""
+    """Return the indices of the found names in a list of all names."""
     return np.array([names.index(one) for one in found], int)
 
 
 def words_in(data: xr.Dataset, name: str) -> list[Any]:
-    """The names that stand for the numbers of "line_kind", "line_end" or "special_kind"."""
+    """Return the names for the indices in "line_kind", "line_end" or "special_kind"."""
     words = np.array(names_in(data, f"{name}s"), object)
     return words[data[name].values].tolist()

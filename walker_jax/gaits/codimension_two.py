@@ -1,15 +1,18 @@
 """Bifurcations of codimension two: the criteria that change sign at them along a curve.
 
-With the characteristic polynomial chi of the cycle's Jacobian and the coefficient s of the normal
-form, those of the 3rd edition of Kuznetsov's Elements of Applied Bifurcation Theory, chapter 9:
+The criteria follow Kuznetsov, Elements of Applied Bifurcation Theory, 3rd edition, chapter 9. With
+the characteristic polynomial chi of the cycle's Jacobian and the coefficient s of the normal form,
+they are
 
     fold:             cusp: s chi'(1); 1:1 resonance: chi'(1); fold-flip: chi(-1)
     doubling:         generalised flip: s chi'(-1) chi(1); 1:2 resonance: chi'(-1);
                       fold-flip: chi(1)
     Neimark-Sacker:   n:m resonances, by the cosine of the angle; Chenciner: s
 
-and where a multiplier 1 or -1, or of folds and doublings a pair, is on the unit circle too. The
-factors of s cancel its poles, so that the criteria are smooth.
+Two further kinds have a multiplier 1 or -1 and a pair on the unit circle: fold-Neimark-Sacker and
+flip-Neimark-Sacker. Their criteria are the product of l_i l_j - 1 over the other multipliers (on
+folds and doublings), and the polynomial of the other multipliers at 1 or -1 (on Neimark-Sacker
+curves). The factors of s cancel its poles, so that the criteria are smooth.
 """
 
 from typing import NamedTuple
@@ -22,12 +25,12 @@ from walker_jax.gaits.events import pair_products
 
 RESONANCES = {"1:1 resonance": 1.0, "1:2 resonance": -1.0, "1:3 resonance": -0.5}
 RESONANCES |= {"1:4 resonance": 0.0}
-"""Cosines of the angle of a pair of multipliers."""
+"""Cosines of the angle of the pair of multipliers at each resonance."""
 CONFIRMED = 1e-5
-"""Distance within which multipliers must be where a point of codimension two has them. Where two
-of them coincide, they are known to the square root of rounding errors only."""
+"""Largest distance of multipliers from their values at a point of codimension two. Where two of
+them coincide, they are known to the square root of rounding errors only."""
 PAIRS = {FOLD: "fold-Neimark-Sacker", DOUBLING: "flip-Neimark-Sacker"}
-"""Points at which a further pair is on the unit circle."""
+"""Points at which a pair is on the unit circle too."""
 
 SPECIAL = ("cusp", "generalised flip", "Chenciner", "fold-flip", *RESONANCES, *PAIRS.values())
 """Names of all points."""
@@ -39,11 +42,11 @@ class CodimensionTwo(NamedTuple):
     kind: str
     """One of `SPECIAL`."""
     values: Float[np.ndarray, " 2"]
-    """Of the parameters."""
+    """Values of both parameters."""
     states: Float[np.ndarray, "period section"]
     multipliers: Complex[np.ndarray, " section"]
     criterion: float
-    """What is left of the function that is zero there."""
+    """Residual value of the criterion, which is zero at the exact point."""
     residual: float
     """Largest error in the equations of the bifurcation."""
 
@@ -54,7 +57,7 @@ def criteria(
     scalars: Float[np.ndarray, " scalars"],
     coefficient: float,
 ) -> dict[str, float]:
-    """Functions that are zero at points of codimension two, by the names of these."""
+    """Compute the criteria, which are zero at points of codimension two, by the points' names."""
     polynomial = np.real(np.poly(multipliers))
     at = lambda x: float(np.polyval(polynomial, x))
     slope = lambda x: float(np.polyval(np.polyder(polynomial), x))
@@ -80,9 +83,9 @@ def criteria(
 
 
 def is_confirmed(name: str, multipliers: Complex[np.ndarray, " section"]) -> bool:
-    """Whether the multipliers are those of a point of codimension two.
+    """Return whether the multipliers are those of a point of codimension two.
 
-    It refuses two real ones whose product is 1, and what is no zero but a pole.
+    This excludes two real multipliers whose product is 1, and sign changes at poles.
     """
     ones, minus_ones = (np.abs(multipliers - value) < CONFIRMED for value in (1, -1))
     pair = (np.abs(np.abs(multipliers) - 1) < CONFIRMED) & (np.imag(multipliers) > CONFIRMED)

@@ -109,7 +109,8 @@ def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Tas
 
 
 def passes_start(step: Float[np.ndarray, " size"], offset: Float[np.ndarray, " size"]) -> bool:
-    """Whether a step passes the start of the branch, which is at an offset from its beginning."""
+    """Return whether a step passes the start of the branch, at an offset from the step's beginning.
+    """
     length = np.linalg.norm(step)
     along = offset @ step / length
     across = np.linalg.norm(offset - along * step / length)

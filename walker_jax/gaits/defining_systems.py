@@ -1,7 +1,7 @@
 """Equations of bifurcations, for Newton's iteration to them and their continuation.
 
 The unknowns are the states x_i of a cycle, one or two vectors v_i along it, scalars, and one or two
-parameters. Of every kind the states make a cycle, S(x_i) = x_{i+1}, and
+parameters. For every kind the states form a cycle, S(x_i) = x_{i+1}, and
 
     fold, doubling:   J_i v_i = v_{i+1}, with J_k v_k = v_1 or -v_1
     Neimark-Sacker:   J_i v_i = v_{i+1} and J_i w_i = w_{i+1}, with J_k v_k = w_1 and
@@ -9,10 +9,10 @@ parameters. Of every kind the states make a cycle, S(x_i) = x_{i+1}, and
     branch point:     J_i v_i + S_p a = v_{i+1} closes for two pairs (v, a) with the first
                       parameter p, and S(x_k) + b e = x_1 with b = 0
 
-and as many linear conditions as vectors leave open. Of a Neimark-Sacker point the plane of v and w
-is invariant under the Jacobian of the cycle; it stays regular where the angle is 0 or pi and the
-pair becomes real. A branch point has no derivative to spare: in two parameters it persists only
-where the unfolding b stays zero, as by a symmetry.
+Linear conditions fix the vectors, which these equations leave free. For a Neimark-Sacker point the
+plane of v and w is invariant under the Jacobian of the cycle. The equations stay regular where the
+angle is 0 or pi and the pair becomes real. In two parameters a branch point persists only where the
+unfolding b stays zero, for example by a symmetry.
 """
 
 from typing import NamedTuple
@@ -32,11 +32,11 @@ class Unknowns(NamedTuple):
     """The unknowns of a bifurcation."""
 
     values: Float[np.ndarray, " parameters"]
-    """Of one or two parameters."""
+    """Values of one or two parameters."""
     cycle: Float[np.ndarray, "period section"]
     vectors: Float[np.ndarray, "vectors period section"]
     scalars: Float[np.ndarray, " scalars"]
-    """The cosine of a Neimark-Sacker point; a of both vectors and b of a branch point."""
+    """Cosine of a Neimark-Sacker point; for a branch point a of both vectors, and b."""
 
 
 class Frame(NamedTuple):
@@ -45,12 +45,13 @@ class Frame(NamedTuple):
     rows: Float[np.ndarray, "conditions columns"]
     """Linear functions of the vectors, then of the scalars."""
     right: Float[np.ndarray, " conditions"]
-    """Their values."""
+    """Values of these functions."""
     unfolding: Float[np.ndarray, "period section"]
+    """Direction e of the unfolding; zero for other kinds."""
 
 
 def request_of(kind: str, unknowns: Unknowns) -> Expansion:
-    """The request whose response `assemble` takes."""
+    """Return the request whose response `assemble` takes."""
     vectors, count = unknowns.vectors, len(unknowns.values)
     directions = np.concatenate([vectors, np.zeros((*vectors.shape[:2], count))], axis=2)
     if kind == BRANCH:
@@ -59,9 +60,10 @@ def request_of(kind: str, unknowns: Unknowns) -> Expansion:
 
 
 def frame_at(kind: str, unknowns: Unknowns, local: SecondDerivatives) -> tuple[Unknowns, Frame]:
-    """The unknowns with vectors that fit the cycle, of unit length, and the conditions on these.
+    """Return the unknowns with vectors that fit the cycle, and the conditions on these vectors.
 
-    Of a Neimark-Sacker point the cosine must be known. One vector alone points as before.
+    The vector v has unit length, and so has each pair (v, a) of a branch point. For a
+    Neimark-Sacker point the cosine must be known. A single vector keeps its orientation.
     """
     period, size = unknowns.cycle.shape
     count = period * size
@@ -97,7 +99,7 @@ def frame_at(kind: str, unknowns: Unknowns, local: SecondDerivatives) -> tuple[U
 
 
 def along_cycle(first: np.ndarray, jacobians: np.ndarray) -> Float[np.ndarray, "period section"]:
-    """A vector at the first state of a cycle, and its images at the others."""
+    """Return a vector at the first state of a cycle, and its images at the others."""
     vectors = [first]
     for jacobian in jacobians[:-1]:
         vectors.append(jacobian @ vectors[-1])
@@ -105,7 +107,10 @@ def along_cycle(first: np.ndarray, jacobians: np.ndarray) -> Float[np.ndarray, "
 
 
 def vector_of_pair(product: np.ndarray, cosine: float) -> Float[np.ndarray, " section"]:
-    """A vector of the plane of a pair of multipliers that the Jacobian turns as far as it can."""
+    """Choose a vector in the plane of a pair of multipliers.
+
+    Of eight directions it is the one that the Jacobian turns farthest from its own line.
+    """
     square = product @ product - 2 * cosine * product + np.eye(len(product))
     plane = np.linalg.svd(square)[2][-2:]
     candidates = np.array([[np.cos(t), np.sin(t)] for t in np.arange(8) * np.pi / 8]) @ plane
@@ -116,7 +121,8 @@ def vector_of_pair(product: np.ndarray, cosine: float) -> Float[np.ndarray, " se
 
 
 def closing(kind: str, scalars: np.ndarray) -> Float[np.ndarray, "vectors vectors"]:
-    """The matrix by which the vectors at the first state give those after the last stride."""
+    """Return the matrix that takes the vectors at the first state to those after the last stride.
+    """
     if kind == TORUS:
         return np.array([[0.0, 1.0], [-1.0, 2 * scalars[0]]])
     return np.eye(2) if kind == BRANCH else np.array([[1.0 if kind == FOLD else -1.0]])
@@ -125,10 +131,10 @@ def closing(kind: str, scalars: np.ndarray) -> Float[np.ndarray, "vectors vector
 def assemble(
     kind: str, unknowns: Unknowns, frame: Frame, local: SecondDerivatives
 ) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, "rows columns"]]:
-    """The error in the equations, and its derivatives by all unknowns in their order.
+    """Assemble the error in the equations, and its derivatives by all unknowns in their order.
 
-    Columns are the states, the vectors, the scalars and the parameters: of one parameter as many as
-    rows, of two one more.
+    Columns are the states, the vectors, the scalars and the parameters. With one parameter there
+    are as many columns as rows, with two there is one more.
     """
     values, cycle, vectors, scalars = unknowns
     (number, period, size), count = vectors.shape, cycle.size
@@ -167,7 +173,7 @@ def assemble(
 
 
 def move(unknowns: Unknowns, step: Float[np.ndarray, " columns"]) -> Unknowns:
-    """The unknowns with a step added."""
+    """Return the unknowns with a step added."""
     values, cycle, vectors, scalars = unknowns
     parts = np.split(step, np.cumsum([cycle.size, vectors.size, scalars.size]))
     return Unknowns(

@@ -128,7 +128,7 @@ def complete_diagram(
     tolerance: Real,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The diagram of these branches: which belong to the cascade, and the attractors near them."""
+    """Complete the diagram of these branches: the cascade, the loss of walking, the attractors."""
     low, high = interval
     members = find_descendants(branches, parents)
     if normal_forms:

@@ -1,11 +1,11 @@
 """Curves of bifurcations in two parameters.
 
-A fold, a doubling, a Neimark-Sacker or a branch point of a gait, located over one parameter, moves
-along a curve as a second parameter changes: the boundary of a region where the gait is stable.
-Pseudo-arclength continuation follows it, on equations whose unknowns are the gait, the vectors
-that its critical multipliers belong to, and both parameters (`defining_systems`). Along the curve
-the coefficient of the normal form is known (`normal_forms`), and points of codimension two are
-located, where curves meet, end or change what they mean (`codimension_two`).
+A fold, a doubling, a Neimark-Sacker or a branch point of a gait is located over one parameter. As a
+second parameter changes, it moves along a curve, which may bound a region where the gait is stable.
+Pseudo-arclength continuation follows the curve. The unknowns of its equations are the gait, the
+eigenvectors of its critical multipliers, and both parameters (`defining_systems`). Each point of
+the curve has the coefficient of its normal form (`normal_forms`). Points of codimension two, where
+curves meet or end or where the bifurcation changes its type, are located too (`codimension_two`).
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class EventCurve(NamedTuple):
     """Values of both parameters."""
     states: Float[np.ndarray, "points period section"]
     multipliers: Complex[np.ndarray, "points section"]
-    """Floquet multipliers, the largest first."""
+    """Floquet multipliers, the largest in modulus first."""
     coefficients: Float[np.ndarray, " points"]
-    """Of the normal forms (`normal_forms`); NaN for branch points."""
+    """Coefficients of the normal forms (`normal_forms`); NaN for branch points."""
     special: list[CodimensionTwo]
-    """The points of codimension two."""
+    """Points of codimension two."""
     ends: tuple[str, str]
-    """The reasons why the curve ends, at its first point and at its last."""
+    """Reasons why the curve ends at its first and at its last point."""
 
     @property
     def period(self) -> int:
@@ -54,7 +54,7 @@ class EventCurve(NamedTuple):
 
     @property
     def criticality(self) -> list[str]:
-        """Whether each point is "supercritical" or "subcritical"; empty for folds and the like."""
+        """ "supercritical" or "subcritical" at each point; empty for folds and branch points."""
         return [criticality(self.kind, one) for one in self.coefficients.tolist()]
 
 
@@ -67,25 +67,34 @@ def continue_event(
     *,
     tolerance: Real | None = None,
 ) -> EventCurve:
-    """The curve of a bifurcation over two parameters, in both directions.
+    """Follow a bifurcation over two parameters, in both directions.
 
-    Steps are as long as the curvature allows; two points of codimension two of one kind within one
+    ```python
+    walker = wj.SpringWalker(slope=0.012, hip_stiffness=0.2)
+    branch = wj.continue_gait(walker, "slope", (0.01, 0.04))
+    bounds = {"slope": (0.01, 0.04), "hip_stiffness": (0.1, 0.4)}
+    curve = wj.continue_event(walker, branch.doublings[0], bounds=bounds)
+    curve.values, curve.criticality
+    ```
+
+    Steps are as long as the curvature allows. Two points of codimension two of one kind within one
     step are missed. The curve ends where it leaves the bounds, where a state no longer makes a
-    stride, where it closes, where a gait returns to that of half its period, where the pair of a
-    Neimark-Sacker point becomes real, or where two branches no longer cross.
+    stride, where it closes, where a gait returns to the one of half its period, where the pair of
+    multipliers of a Neimark-Sacker point becomes real, or where two branches no longer cross.
 
     **Arguments:**
 
     - `system`: gives the value of the second parameter at the event, and those of all others.
-    - `event`: of this system, over the first parameter, as `continue_gait` locates them.
+    - `event`: a bifurcation of this system over the first parameter, as `continue_gait` finds it.
     - `parameters`: names of two parameters.
-    - `bounds`: lowest and highest value of each, by name.
-    - `tolerance`: of the integration, as in `stride`.
+    - `bounds`: lowest and highest value of each parameter, by name.
+    - `tolerance`: tolerance of the integration, as in `stride`.
 
-    **Returns** an `EventCurve`; it begins at the end to which the second parameter falls at first.
+    **Returns** an `EventCurve`. It begins at the end towards which the second parameter falls at
+    first.
 
-    Raises `ValueError` for parameters that the system does not have, bounds without the event, and
-    what is no event of this system.
+    Raises `ValueError` for parameters that the system does not have, for bounds that do not hold
+    the event, and for an event that is not one of this system.
     """
     check_kind("system", system, System)
     check_kind("event", event, Bifurcation)
@@ -107,7 +116,7 @@ def continue_event(
 
 
 def check_bounds(system: System, parameters: Any, bounds: Any) -> tuple[tuple[str, str], Ranges]:
-    """Two different parameters of a system, and their ranges, checked."""
+    """Return two different parameters of a system, and their ranges, checked."""
     names = tuple(parameters) if isinstance(parameters, Sequence) else ()
     words = all(isinstance(name, str) for name in names) and not isinstance(parameters, str)
     if not words or len(names) != 2 or names[0] == names[1]:
@@ -137,9 +146,9 @@ def continue_events(
     *,
     tolerance: Real | None = None,
 ) -> list[EventCurve | None]:
-    """The curves of many bifurcations, each at values of both parameters, all followed at once.
+    """Follow the curves of many bifurcations, each at values of both parameters, all at once.
 
-    None where there is no such bifurcation.
+    A curve is None where there is no such bifurcation.
     """
     integrator = Integrator(float64_tolerance(tolerance))
     compute = partial(compute_responses, system, names, integrator)
@@ -165,7 +174,7 @@ def continue_events(
 def join_paths(
     kind: str, names: tuple[str, str], ranges: Ranges, backward: EventPath, forward: EventPath
 ) -> EventCurve:
-    """The curve of which two paths are the two sides of its start; its ends are in the ranges.
+    """Join the two sides of a curve, from its start; all its values are in the ranges.
 
     A path that comes back to the start is the whole curve.
     """

@@ -31,7 +31,7 @@ from walker_jax.gaits.requests import Task
 
 Widths = Float[np.ndarray, " parameters"] | Sequence[float]
 UNFOLDED = 1e-8
-"""Unfolding of a branch point from which on two branches do not cross: above its rounding."""
+"""Unfolding of a branch point above which two branches do not cross; it exceeds rounding errors."""
 
 
 class Solution(NamedTuple):
@@ -39,13 +39,13 @@ class Solution(NamedTuple):
 
     unknowns: Unknowns
     frame: Frame
-    """Conditions on its vectors from which another iteration may begin."""
+    """Conditions on its vectors, for the next iteration along a curve."""
     matrix: Float[np.ndarray, "rows columns"]
     """Derivatives of the equations by scaled unknowns."""
     residual: float
     """Largest error in the equations."""
     jacobian: Float[np.ndarray, "section section"]
-    """Of the whole cycle."""
+    """Jacobian of the whole cycle."""
 
     @property
     def multipliers(self) -> Complex[np.ndarray, " section"]:
@@ -55,11 +55,11 @@ class Solution(NamedTuple):
     def vectors(
         self,
     ) -> Float[np.ndarray, "period section"] | Complex[np.ndarray, "period section"]:
-        """The eigenvectors along the cycle, to the critical multiplier; complex ones of a pair."""
+        """Eigenvector of the critical multiplier along the cycle; complex for a pair."""
         vectors, scalars = self.unknowns.vectors, self.unknowns.scalars
         if len(vectors) == 1:
             return vectors[0]
-        if len(scalars) == 3:  # of a branch point, that in which the parameter stays the same
+        if len(scalars) == 3:  # a branch point: the combination at a constant parameter
             chosen = scalars[1] * vectors[0] - scalars[0] * vectors[1]
         else:
             cosine = complex(np.clip(scalars[0], -1, 1))
@@ -74,9 +74,9 @@ def begin(
     multipliers: Complex[np.ndarray, " section"],
     widths: Widths,
 ) -> Task:
-    """The bifurcation near a gait with these multipliers; None where there is none.
+    """Find the bifurcation near a gait with these multipliers; None if there is none.
 
-    Of one parameter, or of two: then the nearest point of a curve of them.
+    With two parameters it is a nearby point of a curve of bifurcations.
     """
     number, scalars = 1, np.zeros(0)
     if kind == TORUS:
@@ -102,9 +102,9 @@ def correct(
     row: Float[np.ndarray, " columns"] | None,
     widths: Widths,
 ) -> Task:
-    """The `Solution` to which Newton's iteration converges, on the plane across `row`; or None.
+    """Iterate to a `Solution` on the plane normal to `row`; None without convergence.
 
-    Without a `row` every step is as short as it can be.
+    Without a `row` each step is the shortest solution of the linearised equations.
     """
     scales, best = scales_of(unknowns, widths), None
     smallest = float(MAX_RESIDUAL[unknowns.cycle.dtype])
@@ -135,7 +135,7 @@ def correct(
 
 
 def scales_of(unknowns: Unknowns, widths: Widths) -> Float[np.ndarray, " columns"]:
-    """Units of the unknowns."""
+    """Return the units of the unknowns."""
     states = np.full(unknowns.cycle.size, np.sqrt(len(unknowns.cycle)))
     others = np.ones(unknowns.vectors.size + unknowns.scalars.size)
     return np.concatenate([states, others, widths])

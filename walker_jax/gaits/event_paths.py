@@ -1,7 +1,7 @@
 """Continuation of a bifurcation in two parameters: pseudo-arclength on its defining system.
 
-Distances are those of scaled states and parameters (`event_newton`). Vectors and scalars, which
-depend on these, have no part in them.
+Distances are measured in scaled states and parameters (`event_newton`). They leave out the vectors
+and scalars, which depend on these.
 """
 
 from typing import NamedTuple
@@ -25,13 +25,13 @@ from walker_jax.gaits.normal_forms import VANISHING, find_coefficient
 from walker_jax.gaits.requests import Task
 
 CURVE_CLOSES = "the curve closes"
-"""The end of a path that comes back to its start."""
+"""Reason for the end of a path that comes back to its start."""
 LOCATING_STEPS = 60
-"""Trials to locate a point on a step: halving alone would need as many for all digits."""
+"""Most trials to locate a point on a step; bisection alone would need about as many."""
 LOCATED = 1e-13
-"""Length, in widths of the range, of the part of a step that then holds the point."""
+"""Change of the trial, in scaled length, below which the point is located."""
 REAL_PAIRS = "1:1 resonance", "1:2 resonance"
-"""Points beyond which a pair is real, with a product of 1, and no bifurcation is due."""
+"""Points beyond which the pair is real, with a product of 1, so that there is no bifurcation."""
 
 
 class EventPoint(NamedTuple):
@@ -40,13 +40,13 @@ class EventPoint(NamedTuple):
     unknowns: Unknowns
     frame: Frame
     tangent: Float[np.ndarray, " columns"]
-    """The tangent of the curve, in scaled states and parameters of unit length; of either sign."""
+    """Tangent of the curve in scaled states and parameters, of unit length and either sign."""
     residual: float
     multipliers: Complex[np.ndarray, " section"]
     coefficient: float
-    """The one of its normal form; NaN for branch points, and where multipliers coincide."""
+    """Coefficient of the normal form; NaN for branch points, and where multipliers coincide."""
     criteria: dict[str, float]
-    """Functions that change sign at points of codimension two, by their names."""
+    """Functions that change sign at points of codimension two, by the names of the points."""
 
 
 class EventPath(NamedTuple):
@@ -64,7 +64,7 @@ class Ranges(NamedTuple):
     high: Float[np.ndarray, " 2"]
 
     def hold(self, values: Float[np.ndarray, " 2"]) -> bool:
-        """Whether values are in the ranges, or within rounding errors of them."""
+        """Return whether values are in the ranges, or within rounding errors of them."""
         room = 1e-12 * self.widths
         return bool(np.all((values >= self.low - room) & (values <= self.high + room)))
 
@@ -73,14 +73,14 @@ class Ranges(NamedTuple):
         return self.high - self.low
 
     def step(self, one: Unknowns, other: Unknowns) -> Float[np.ndarray, " columns"]:
-        """The scaled step from one point to another, without that of vectors and scalars."""
+        """Return the scaled step from one point to another; it is 0 for vectors and scalars."""
         others = np.zeros(one.vectors.size + one.scalars.size)
         change = (other.cycle - one.cycle).ravel(), others, other.values - one.values
         return np.concatenate(change) / scales_of(one, self.widths)
 
 
 def measured(unknowns: Unknowns) -> Float[np.ndarray, " columns"]:
-    """1 for states and parameters, 0 for vectors and scalars."""
+    """Return 1 for states and parameters, 0 for vectors and scalars."""
     others = np.zeros(unknowns.vectors.size + unknowns.scalars.size)
     return np.concatenate([np.ones(unknowns.cycle.size), others, np.ones(2)])
 
@@ -92,7 +92,7 @@ def first_point(
     multipliers: Complex[np.ndarray, " section"],
     ranges: Ranges,
 ) -> Task:
-    """The point of a curve next to a bifurcation that was located; None where there is none."""
+    """Find the point of a curve next to a located bifurcation; None if there is none."""
     solution = yield from begin(kind, values, cycle, multipliers, ranges.widths)
     return None if solution is None else (yield from describe(kind, solution))
 
@@ -100,14 +100,14 @@ def first_point(
 def advance(
     kind: str, point: EventPoint, step: np.ndarray, row: np.ndarray, ranges: Ranges
 ) -> Task:
-    """The point at which a curve meets a plane across `row`, at a scaled step; or None."""
+    """Find the point where a curve meets the plane normal to `row` at a scaled step; or None."""
     unknowns = move(point.unknowns, step * scales_of(point.unknowns, ranges.widths))
     solution = yield from correct(kind, unknowns, point.frame, row, ranges.widths)
     return None if solution is None else (yield from describe(kind, solution))
 
 
 def describe(kind: str, solution: Solution) -> Task:
-    """The point of a curve that a solution is, with its tangent and its normal form."""
+    """Describe a solution as a point of a curve, with its tangent and its normal form."""
     unknowns, multipliers = solution.unknowns, solution.multipliers
     tangent = np.linalg.svd(solution.matrix)[2][-1] * measured(unknowns)
     towards = unknowns.vectors[0, 0]
@@ -126,7 +126,7 @@ def describe(kind: str, solution: Solution) -> Task:
 
 
 def follow_event(kind: str, first: EventPoint, sign: float, ranges: Ranges) -> Task:
-    """Follow a curve from a point on it, at first with a growing or falling second parameter."""
+    """Follow a curve from a point; the second parameter at first grows (sign 1) or falls (-1)."""
     path = EventPath([first], [], "too many points")
     direction = first.tangent * sign * (1 if first.tangent[-1] >= 0 else -1)
     point, length = first, FIRST_STEP
@@ -167,7 +167,7 @@ def follow_event(kind: str, first: EventPoint, sign: float, ranges: Ranges) -> T
 def shorten(
     point: EventPoint, direction: np.ndarray, length: float, ranges: Ranges
 ) -> tuple[float, np.ndarray]:
-    """The length of a step that ends in the ranges, and the plane on which it is corrected."""
+    """Shorten a step to the ranges; return its length and the normal of the corrector's plane."""
     row, part = direction, direction[-2:]
     for i in np.flatnonzero(part).tolist():
         end = (ranges.high if part[i] > 0 else ranges.low)[i]
@@ -182,7 +182,7 @@ def shorten(
 def is_good_step(
     one: EventPoint, other: EventPoint, direction: np.ndarray, length: float, ranges: Ranges
 ) -> bool:
-    """Whether a step stays near its prediction, the tangent turns little, and it ends in range."""
+    """Return whether a step is near its prediction, bends little, and ends in the ranges."""
     error = np.linalg.norm(ranges.step(one.unknowns, other.unknowns) - direction * length)
     straight = abs(other.tangent @ direction) > MIN_COSINE
     return bool(error < length / 2 and straight and ranges.hold(other.unknowns.values))
@@ -191,9 +191,9 @@ def is_good_step(
 def locate_special(
     kind: str, one: EventPoint, other: EventPoint, direction: np.ndarray, ranges: Ranges
 ) -> Task:
-    """The points of codimension two on a step, those that their multipliers confirm.
+    """Locate the points of codimension two on a step that their multipliers confirm.
 
-    Each is returned as it is told, and as a point of the curve.
+    Each is returned as a `CodimensionTwo` and as a point of the curve.
     """
     found = []
     for name, before in one.criteria.items():
@@ -219,10 +219,10 @@ def locate(
     direction: np.ndarray,
     ranges: Ranges,
 ) -> Task:
-    """The point at which a criterion is zero, between two points; None where the corrector fails.
+    """Find the point between two points at which a criterion is zero, by the Illinois method.
 
-    By the secant through the ends of the part that holds it, where an end that stays twice counts
-    half (the Illinois method).
+    A secant goes through the ends of the bracket. The value at an end that stays is halved. If the
+    corrector fails, the best point so far is returned, or None.
     """
     low, high = 0.0, float(ranges.step(one.unknowns, other.unknowns) @ direction)
     at_low, at_high, best = one.criteria[name], other.criteria[name], None

@@ -14,11 +14,11 @@ from walker_jax.gaits.requests import Request, Task
 
 
 class Bifurcation(NamedTuple):
-    """A point of a branch at which a Floquet multiplier is 1 (fold) or -1 (period doubling).
+    """A point of a branch at which Floquet multipliers are on the unit circle.
 
-    Or at which a pair of them, exp(+-i angle), is on the unit circle (Neimark-Sacker): there
-    motions without a period, on closed curves of the section, branch off. Or at which one is 1 and
-    another branch crosses (branch point).
+    One multiplier is 1 at a fold, and -1 at a period doubling. At a Neimark-Sacker point a pair is
+    exp(+-i angle): there motions without a period branch off, on closed curves of the section. At a
+    branch point one multiplier is 1 and another branch crosses.
     """
 
     kind: str
@@ -33,8 +33,8 @@ class Bifurcation(NamedTuple):
     residual: float
     """Largest error in these equations and in those of the cycle."""
     coefficient: float = np.nan
-    """The one of its normal form (`normal_forms`); NaN where multipliers coincide, and where it was
-    not asked for."""
+    """Coefficient of the normal form (`normal_forms`); NaN where multipliers coincide, for branch
+    points, and where normal forms were not requested."""
 
     @property
     def criticality(self) -> str:
@@ -45,10 +45,11 @@ class Bifurcation(NamedTuple):
 def crosses_half_period(
     one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "period section"]
 ) -> bool:
-    """Whether a branch reaches, between two of its cycles, a gait of half the period.
+    """Return whether a branch reaches, between two of its cycles, a gait of half the period.
 
-    Beyond that gait the branch retraces itself half a period later: the difference between states
-    half a period apart changes its sign. It vanishes where the corrector converges to that gait.
+    Beyond that gait the branch retraces itself, shifted by half a period: the difference between
+    states half a period apart changes its sign. The difference vanishes where the corrector
+    converges to that gait.
     """
     period = len(one)
     if period % 2:
@@ -64,7 +65,8 @@ def find_bifurcations(
     after: Float[np.ndarray, " size"],
     width: float,
 ) -> Task:
-    """The bifurcations on a step along a branch; None where the step is too long to locate them."""
+    """Find the bifurcations on a step along a branch; None if the step is too long to locate them.
+    """
     kinds = []
     if before[-1] * after[-1] < 0 and not crosses_half_period(one.cycle, other.cycle):
         kinds.append(FOLD)
@@ -92,29 +94,32 @@ def find_bifurcations(
 
 
 def branch_sign(point: Point, direction: Float[np.ndarray, " size"], width: float) -> float:
-    """The sign of det [equations of the cycle; tangent], which changes where branches cross."""
+    """Return the sign of det [equations of the cycle; tangent], which changes where branches cross.
+    """
     whole = np.concatenate([scaled_jacobian(point.local, width), direction[None]])
     return float(np.linalg.slogdet(whole)[0])
 
 
 def doubling_test_function(point: Point) -> float:
-    """The test function of a period doubling, det(M + I): its sign changes where a multiplier
-    passes -1."""
+    """Return det(M + I), the test function of a period doubling.
+
+    Its sign changes where a multiplier passes -1.
+    """
     jacobian = multiply_jacobians(point.local.jacobian)[0]
     return float(np.linalg.det(jacobian + np.eye(len(jacobian))))
 
 
 def pair_test_function(point: Point) -> float:
-    """The product of l_i l_j - 1 over all pairs of multipliers.
+    """Return the product of l_i l_j - 1 over all pairs of multipliers.
 
-    Its sign changes where a pair of conjugate ones passes the unit circle; and where the product of
-    two real ones passes 1, which is no bifurcation.
+    Its sign changes where a pair of conjugate multipliers crosses the unit circle. It also changes
+    where the product of two real multipliers passes 1, which is no bifurcation.
     """
     return float(np.real(np.prod(pair_products(multipliers_at(point)) - 1)))
 
 
 def pair_products(multipliers: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " pairs"]:
-    """l_i l_j of all pairs."""
+    """Return l_i l_j of all pairs."""
     return np.multiply(*pairs_of(multipliers).T)
 
 
@@ -123,8 +128,10 @@ def pairs_of(multipliers: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, "pai
 
 
 def has_close_pair(one: Point, other: Point) -> bool:
-    """Whether the pair that passes 1 is one of conjugates, at the end where its product is nearer
-    to 1."""
+    """Return whether the pair whose product passes 1 is a pair of conjugates.
+
+    The answer is that at the end of the step where the product is nearer to 1.
+    """
     ends = []
     for point in (one, other):
         multipliers = multipliers_at(point)
@@ -139,7 +146,10 @@ def multipliers_at(point: Point) -> Complex[np.ndarray, " section"]:
 
 
 def multiplier_distance(kind: str, point: Point) -> float:
-    """Distance of the nearest multiplier from 1 (fold) or -1 (doubling), or from the circle."""
+    """Return the distance of the nearest multiplier from its place at the bifurcation.
+
+    That place is 1 (fold, branch point), -1 (doubling), or the unit circle, for a pair.
+    """
     multipliers = multipliers_at(point)
     if kind == TORUS:
         return float(np.abs(np.abs(multipliers[np.imag(multipliers) != 0]) - 1).min(initial=np.inf))
@@ -148,21 +158,21 @@ def multiplier_distance(kind: str, point: Point) -> float:
 
 
 def locate_bifurcation(kind: str, point: Point, width: float) -> Task:
-    """The bifurcation to which Newton's iteration converges from a point of the branch, or None."""
+    """Locate a bifurcation by Newton's iteration from a point of the branch; None if it fails."""
     value = np.array([point.value])
     found = yield from begin(kind, value, point.cycle, multipliers_at(point), [width])
     if found is None or (kind == BRANCH and abs(found.unknowns.scalars[2]) > UNFOLDED):
         return None
     values, cycle, *_ = found.unknowns
     if kind == BRANCH and has_shorter_period(cycle[None])[0]:
-        return None  # it is that of the gait that doubles there
+        return None  # the gait of half the period doubles there
     return Bifurcation(
         kind, float(values[0]), cycle, found.multipliers, found.vectors, found.residual
     )
 
 
 def add_normal_form(event: Bifurcation) -> Task:
-    """A bifurcation with the coefficient of its normal form."""
+    """Return a bifurcation with the coefficient of its normal form."""
     local = yield Request(event.value, event.states)
     jacobian = multiply_jacobians(local.jacobian)[0]
     values = np.array([event.value])

@@ -1,4 +1,4 @@
-"""Normal forms of bifurcations: the coefficients that tell what branches off, and whether it lasts.
+"""Normal forms of bifurcations: the coefficients that tell super- from subcritical ones.
 
 On the centre manifold of a cycle the return map is, up to a change of coordinates,
 
@@ -7,12 +7,12 @@ On the centre manifold of a cycle the return map is, up to a change of coordinat
     Neimark-Sacker:  z -> exp(i angle) z (1 + d |z|^2),  s = Re d,
 
 with xi or z measured along the eigenvector of unit length at the first state of the cycle. At a
-doubling with s > 0 a stable cycle of twice the period is born, and at a Neimark-Sacker point with
-s < 0 a stable closed curve: these are supercritical. Otherwise they are subcritical: what is born
-is unstable and encloses the cycle while that is still stable (Kuznetsov, Elements of Applied
-Bifurcation Theory, 3rd edition, equations 5.49 to 5.53). All that holds on the centre manifold, so
-what is born is stable only where all other multipliers are inside the unit circle. Where s is zero
-two parameters are needed to tell more.
+doubling with s > 0 a stable cycle of twice the period is born. At a Neimark-Sacker point with s < 0
+a stable closed curve is born. Both bifurcations are supercritical. With the other sign they are
+subcritical: the cycle or curve is unstable, and it exists while the first cycle is still stable
+(Kuznetsov, Elements of Applied Bifurcation Theory, 3rd edition, equations 5.49 to 5.53). These
+statements hold on the centre manifold. In the full space a new cycle or curve is stable only if all
+other multipliers are inside the unit circle. If s is zero, the bifurcation has codimension two.
 """
 
 from collections.abc import Generator
@@ -24,16 +24,16 @@ from jaxtyping import Complex, Float
 from walker_jax.gaits.jets import Curves, Jet
 
 ANGLES = np.arange(4) * np.pi / 4
-"""Directions in the plane of a pair of eigenvectors. Four tell the harmonics of cubic terms apart,
-as opposite ones differ by a sign only."""
+"""Directions in the plane of a pair of eigenvectors. Four directions separate the harmonics of
+cubic terms, as opposite directions differ by a sign only."""
 SUPERCRITICAL, SUBCRITICAL = "supercritical", "subcritical"
 VANISHING = 1e-9
-"""Size of a coefficient that is zero up to rounding errors, as those of Neimark-Sacker points are
-where areas are kept."""
+"""Size of a coefficient that is zero up to rounding errors, as at a Neimark-Sacker point of a map
+that preserves areas."""
 
 
 def criticality(kind: str, coefficient: float) -> str:
-    """Whether a bifurcation is super- or subcritical; empty for a fold, and where it is neither."""
+    """Return "supercritical" or "subcritical"; empty for other kinds, and if it is neither."""
     sign = {"doubling": 1.0, "neimark-sacker": -1.0}.get(kind, 0.0) * coefficient
     return SUPERCRITICAL if sign > VANISHING else SUBCRITICAL if sign < -VANISHING else ""
 
@@ -45,10 +45,10 @@ def find_coefficient(
     jacobian: Float[np.ndarray, "section section"],
     towards: Float[np.ndarray, " section"] | None = None,
 ) -> Generator[Curves, Jet, float]:
-    """The coefficient s of a bifurcation at a cycle with this Jacobian.
+    """Find the coefficient s of a bifurcation at a cycle with this Jacobian.
 
-    NaN for other kinds, and where another multiplier coincides with the critical one. The sign of
-    s at a fold depends on that of the eigenvector: it points `towards` the same side as this.
+    It is NaN for branch points, without a pair, and where eigenvectors coincide. The sign of s at a
+    fold depends on the sign of the eigenvector, which points to the same side as `towards`.
     """
     if kind not in COEFFICIENTS:
         return np.nan
@@ -68,7 +68,10 @@ def find_coefficient(
 
 
 def critical_multiplier(kind: str, multipliers: Complex[np.ndarray, " section"]) -> int | None:
-    """The number of the multiplier that is 1, -1, or on the circle above the real axis."""
+    """Return the index of the multiplier nearest to 1, -1, or the circle above the real axis.
+
+    It is None if no multiplier is above the real axis.
+    """
     if kind != "neimark-sacker":
         return int(np.abs(multipliers - (1 if kind == "fold" else -1)).argmin())
     above = np.flatnonzero(np.imag(multipliers) > 0)
@@ -78,14 +81,14 @@ def critical_multiplier(kind: str, multipliers: Complex[np.ndarray, " section"])
 
 
 def fold_coefficient(ask, jacobian, multiplier, q, dual) -> Generator[Curves, Jet, float]:
-    """s = <p, B(q, q)> / 2."""
+    """Compute s = <p, B(q, q)> / 2."""
     curve = np.real(q)[None]
     jet = yield ask(curve, np.zeros_like(curve))
     return float(np.real(dual) @ jet.second[0]) / 2
 
 
 def doubling_coefficient(ask, jacobian, multiplier, q, dual) -> Generator[Curves, Jet, float]:
-    """s = <p, C(q, q, q) + 3 B(q, h)> / 6, with h = (I - A)^-1 B(q, q)."""
+    """Compute s = <p, C(q, q, q) + 3 B(q, h)> / 6, with h = (I - A)^-1 B(q, q)."""
     curve = np.real(q)[None]
     jet = yield ask(curve, np.zeros_like(curve))
     bend = solve(np.eye(len(jacobian)) - jacobian, jet.second[0])
@@ -94,11 +97,11 @@ def doubling_coefficient(ask, jacobian, multiplier, q, dual) -> Generator[Curves
 
 
 def torus_coefficient(ask, jacobian, multiplier, q, dual) -> Generator[Curves, Jet, float]:
-    """s = Re(<p, C(q, q, q*) + 2 B(q, h_11) + B(q*, h_20)> / multiplier) / 2.
+    """Compute s = Re(<p, C(q, q, q*) + 2 B(q, h_11) + B(q*, h_20)> / multiplier) / 2.
 
     h_11 = (I - A)^-1 B(q, q*) and h_20 = (multiplier^2 I - A)^-1 B(q, q) bend the curves
-    q exp(i angle) + its conjugate into the centre manifold; harmonics over the angle tell the terms
-    apart.
+    q exp(i angle) + its conjugate into the centre manifold. Harmonics over the angle separate the
+    terms.
     """
     turn = np.exp(1j * ANGLES)[:, None]
     curves = 2 * np.real(q * turn)
@@ -119,5 +122,5 @@ COEFFICIENTS = {
 
 
 def solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """The solution of a linear system, by least squares where it is singular."""
+    """Solve a linear system, by least squares if it is singular."""
     return np.linalg.lstsq(matrix, vector, rcond=None)[0]
