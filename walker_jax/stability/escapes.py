@@ -1,11 +1,11 @@
-"""Long transients: how fast walkers leave a chaotic saddle, and what that saddle is like.
+"""Long transients: how fast walkers leave a chaotic saddle, and the properties of that saddle.
 
 Beyond a boundary crisis (`loss_of_walking`) all walkers fall, but many only after a long chaotic
-transient, near a set that is not attracting, the chaotic saddle. Survivors decay by the escape rate
-kappa, exp(-kappa n). The middle part of long transients lies near the saddle, as starts are
-sprinkled everywhere (Kantz and Grassberger 1985, Physica D 17:75-86; Lai and Tel 2011, Transient
-Chaos). Its information dimension follows from its exponents, per stride, in one and in two
-dimensions:
+transient near the chaotic saddle, a set that is not attracting. The share of survivors after n
+strides decays as exp(-kappa n), with the escape rate kappa. If starts are sprinkled over the whole
+region, the middle parts of long transients lie near the saddle (Kantz and Grassberger 1985, Physica
+D 17:75-86; Lai and Tel 2011, Transient Chaos). The information dimension of the saddle follows from
+its Lyapunov exponents, in one and in two dimensions:
 
     D = 1 - kappa / lambda_1,    D = (lambda_1 - kappa) (1 / lambda_1 + 1 / |lambda_2|)
 """
@@ -39,36 +39,36 @@ from walker_jax.systems.system import System, check_single
 from walker_jax.walking.iteration import iterate, orbits
 
 MOST_ORBITS = 500
-"""Of the longest transients, those whose states are recorded."""
+"""Most transients whose states are recorded: the longest ones."""
 LONGEST_ORBIT = 400
-"""Strides of each of them, at most."""
+"""Most strides that are recorded of each of them."""
 MOST_ESCAPES = 100
-"""Of the transients that are no longer than that, those whose ends are recorded."""
+"""Most transients whose ends are recorded: the longest ones of at most `LONGEST_ORBIT` strides."""
 
 
 class Transients(NamedTuple):
-    """How fast walkers leave a chaotic saddle, and the saddle."""
+    """A chaotic saddle, and the rate at which walkers leave it."""
 
     rate: float
-    """The escape rate kappa, per stride; 0 where none fell."""
+    """Escape rate kappa, per stride; 0 if no walk fell."""
     low: float
     high: float
-    """Its confidence interval."""
+    """Confidence interval of the rate."""
     mean_life: float
-    """Strides that walkers make on average after they have settled."""
+    """Mean number of strides after the walkers have settled."""
     lives: Int[np.ndarray, " n"]
     """Completed strides of each walk."""
     ended: Bool[np.ndarray, " n"]
-    """Whether each walk ended in a failure, and was not left off at the limit."""
+    """Whether each walk ended in a failure, rather than at the limit."""
     saddle: Float[np.ndarray, "m section"]
-    """States near the saddle: of the longest transients, all but those at their two ends."""
+    """States near the saddle: the middle parts of the longest transients."""
     exponents: Float[np.ndarray, " section"]
-    """The Lyapunov exponents of these states, per stride, the largest first."""
+    """Lyapunov exponents along these states, per stride, the largest first."""
     dimension: float
     """Information dimension of the saddle, from the rate and the exponents; NaN in more than two
-    dimensions and where the largest exponent is not above the rate."""
+    dimensions, and if the largest exponent is not above the rate."""
     escapes: Float[np.ndarray, "k settle section"]
-    """The last states before the failure, of some of the walks."""
+    """Last states before the failure, for k of the walks."""
     section: tuple[str, ...]
     """Names of the coordinates."""
 
@@ -83,25 +83,36 @@ def transients(
     confidence: float = 0.95,
     tolerance: float | None = None,
 ) -> Transients:
-    """The escape rate of walks that fall in the end, and the chaotic saddle that they leave.
+    """Measure how fast walks leave a chaotic saddle, and find the saddle.
 
-    Walks that have made `settle` strides count, with the strides that follow: then the chance p to
-    fall in a stride is constant, kappa = -log(1 - p), and its interval is that of `steps_to_fall`.
+    ```python
+    walker = wj.SimplestWalker(slope=0.0192)
+    gait = wj.find_gait(walker)  # unstable, and on the saddle
+    starts = gait.states + np.linspace(0, 0.001, 500)[:, None]
+    found = wj.transients(walker, starts, strides=500)
+    found.mean_life, found.exponents, found.dimension
+    ```
+
+    The first `settle` strides of each walk do not count. After them the chance p to fall in a
+    stride is constant, and the escape rate is kappa = -log(1 - p). Its confidence interval is
+    computed as in `steps_to_fall`.
 
     **Arguments:**
 
-    - `system`: of one kind, with numbers for parameters.
-    - `starts`: points of the section, sprinkled over the region that holds the saddle, or on what
-      was the attractor before the crisis.
-    - `settle`: strides in which walks come close to the saddle, or leave; as many at the end of a
-      transient lead away from it.
-    - `strides`: of a walk, at most. Walks that are left off count by the strides they have made:
-      starts that converge to an attractor make the rate too small.
-    - `confidence`: of the interval.
-    - `tolerance`: of the integration, as in `stride`.
+    - `system`: one system, with numbers for parameters.
+    - `starts`: states of shape (n, section), sprinkled over the region that holds the saddle, or
+      on the former attractor.
+    - `settle`: number of strides in which walks approach the saddle, and also the number in which
+      they leave it at the end of a transient.
+    - `strides`: most strides of a walk. Walks still going then count with the strides that they
+      have made. Starts that converge to an attractor make the rate too small.
+    - `confidence`: confidence level of the interval.
+    - `tolerance`: tolerance of the integration, as in `stride`.
 
-    Raises `ValueError` for arguments out of range; `ComputationFailed` where no walk lasts for
-    three times `settle`.
+    **Returns** `Transients`.
+
+    Raises `ValueError` for arguments out of range; `ComputationFailed` if no walk lasts for three
+    times `settle`.
     """
     check_kind("system", system, System)
     check_single(system)
@@ -159,7 +170,7 @@ def last_states(
     count: int,
     integrator: Integrator,
 ) -> Float[np.ndarray, "n count section"]:
-    """States of each walk, so many, up to the last one before its failure."""
+    """Return the last `count` states of each walk before its failure."""
     states, _ = orbits(system, starts, int(lives.max(initial=0)), integrator)
     return states[np.arange(len(starts))[:, None], lives[:, None] - np.arange(count)[::-1]]
 
@@ -167,7 +178,10 @@ def last_states(
 def exponents_along(
     system: System, paths: Sequence[Float[np.ndarray, "_ section"]], integrator: Integrator
 ) -> Float[np.ndarray, " section"]:
-    """Lyapunov exponents along pieces of walks, by QR; the first fifth of each aligns the frame."""
+    """Compute Lyapunov exponents along parts of walks, by QR factorisation.
+
+    The first fifth of each part aligns the frame.
+    """
     points = np.concatenate(paths)
     matrices = linearise(system, points[:, None], integrator).jacobian[:, 0]
     longest, size = max(map(len, paths)), points.shape[1]
@@ -189,7 +203,7 @@ def exponents_along(
 
 
 def dimension_of(rate: float, exponents: Float[np.ndarray, " section"]) -> float:
-    """Information dimension of a chaotic saddle in one or two dimensions."""
+    """Compute the information dimension of a chaotic saddle in one or two dimensions, or NaN."""
     first = float(exponents[0])
     if not first > rate:
         return np.nan
@@ -207,16 +221,16 @@ class CrisisLaw(NamedTuple):
     exponent: float
     low: float
     high: float
-    """The confidence interval of the exponent, the crisis fitted too unless it was given."""
+    """Confidence interval of the exponent, with the error of the crisis if that is fitted."""
     misfit: float
-    """chi^2 per degree of freedom: far above 1 where there is no such law."""
+    """chi^2 per degree of freedom; far above 1 if the lives follow no such law."""
 
 
 SOUGHT = -12.0, 6.0
-"""Logarithms of the distances below the first value, as shares of the span of all values, at which
-a crisis is sought."""
+"""Logarithms of the least and the largest distance of a crisis below the first value, in units of
+the span of all values."""
 RESAMPLES = 400
-"""Of the lives, for the interval of an exponent."""
+"""Number of fits to resampled lives, for the interval of an exponent."""
 
 
 @refuses_tracers()
@@ -232,17 +246,27 @@ def crisis_law(
 
         log(life) = constant - exponent log(value - crisis)
 
-    By weighted least squares, the crisis by a search below the least value unless it is given. The
-    interval is that of 400 fits to lives with random errors.
+    ```python
+    distance = np.geomspace(1e-4, 1e-2, 8)
+    lives = 3 * distance**-0.5
+    law = wj.crisis_law(0.019 + distance, lives, errors=0.03 * lives)
+    law.crisis, law.exponent
+    ```
+
+    The fit is one of weighted least squares. Unless the crisis is given, it is sought below the
+    least value. The confidence interval follows from 400 fits to lives with random errors.
 
     **Arguments:**
 
-    - `values`: of the parameter, 4 or more, all beyond the crisis and ascending.
-    - `lives`, `errors`: mean lives there, and their standard errors.
-    - `crisis`: the value of the crisis, below all values.
-    - `confidence`: of the interval.
+    - `values`: values of the parameter, 4 or more, all beyond the crisis and ascending.
+    - `lives`, `errors`: mean lives at these values, and their standard errors.
+    - `crisis`: value of the parameter at the crisis, below all `values`; by default it is fitted.
+    - `confidence`: confidence level of the interval.
 
-    Raises `ValueError` for arguments out of range.
+    **Returns** a `CrisisLaw`.
+
+    Raises `ValueError` for arguments out of range; `ComputationFailed` if no crisis in the range of
+    the search fits best.
     """
     values, lives, errors = (
         numbers(name, one)
@@ -278,7 +302,7 @@ def fit_crisis(
     weights: Float[np.ndarray, " k"],
     crisis: float | None,
 ) -> tuple[float, float, float]:
-    """The crisis, the exponent and chi^2 of the best line."""
+    """Return the crisis, the exponent and chi^2 of the best fit."""
 
     def line(at: float) -> tuple[float, float]:
         x = np.log(values - at)
@@ -302,15 +326,21 @@ def crisis_exponent(
     multipliers: Sequence[Any] | ArrayLike,
     kind: Literal["heteroclinic", "homoclinic"] = "heteroclinic",
 ) -> float:
-    """The exponent of mean lives that the multipliers of an orbit predict, in two dimensions.
+    """Return the exponent of mean lives that the multipliers of an orbit predict.
 
         heteroclinic:  1/2 + log|a| / |log|b||        homoclinic:  log|b| / log|a b|^2
 
-    with a the expanding and b the contracting Floquet multiplier: in a heteroclinic crisis those of
-    the orbit on the attractor whose unstable manifold touches the stable one of another orbit; in a
-    homoclinic one those of the orbit whose own manifolds touch (Grebogi, Ott and Yorke 1987,
-    Phys. Rev. A 36:5365-5380). Raises `ValueError` unless they are those of a saddle that
-    contracts areas.
+    ```python
+    gait = wj.find_gait(wj.SimplestWalker(slope=0.019))
+    wj.crisis_exponent(gait.multipliers)
+    ```
+
+    The theory is for sections of two dimensions (Grebogi, Ott and Yorke 1987, Phys. Rev. A
+    36:5365-5380). Here a is the expanding and b the contracting Floquet multiplier of the orbit. In
+    a heteroclinic crisis the orbit lies on the attractor, and its unstable manifold touches the
+    stable manifold of another orbit. In a homoclinic crisis the orbit's own manifolds touch.
+
+    Raises `ValueError` unless the multipliers are those of a saddle that contracts areas.
     """
     try:
         sizes = np.sort(np.abs(np.asarray(multipliers, complex)))
