@@ -18,18 +18,18 @@ from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome
 
 TINTS = (0.1, *[0.45] * (len(PERIODS) - 1))
-"""Shares of the colours of periods in their cells; the rest is white."""
+"""Share of each period's colour in the tint of its cells; the rest is white."""
 NO_PERIOD, EMPTY, FALLS = "#8f8f8f", "#ffffff", "#f8ecd4"
-"""Cells without a period, or with a longer one; without a gait; and where walkers fall."""
+"""Colours of cells without a period or with a longer one, without a gait, and with falls."""
 NOT_KNOWN = SIGNS[Outcome.UNDECIDED][0]
-"""Cells where the integration gave no answer."""
+"""Colour of cells where the integration gave no answer."""
 KINDS: dict[str, dict[str, Any]] = {
     "fold": {"ls": "-", "lw": 2.0},
     "doubling": {"ls": "-", "lw": 1.4},
     "neimark-sacker": {"ls": (0, (5, 2)), "lw": 1.6},
     "branch point": {"ls": (0, (1, 1.5)), "lw": 1.6},
 }
-"""Lines of bifurcations."""
+"""Line styles of bifurcations."""
 WORDS = {
     "fold": "fold",
     "doubling": "period doubling",
@@ -37,7 +37,7 @@ WORDS = {
     "branch point": "branch point",
 }
 CIRCLES: dict[str, Any] = {"marker": "o", "ms": 3, "mfc": "white", "mew": 0.9}
-"""Circles along the part of a curve that is subcritical."""
+"""Circles along the subcritical part of a curve."""
 SPECIAL: dict[str, Any] = {
     "marker": "D",
     "ms": 5.5,
@@ -46,7 +46,7 @@ SPECIAL: dict[str, Any] = {
     "mew": 1.2,
     "ls": "",
 }
-"""Signs of points of codimension two."""
+"""Markers of points of codimension two."""
 
 
 def chart(
@@ -58,18 +58,18 @@ def chart(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Attractors and curves of bifurcations over two parameters.
+    """Draw attractors and curves of bifurcations over two parameters.
 
-    Cells have the colours of the periods of attractors, in light tints. Curves have those of the
-    gaits that are due to change there, and a line for each kind of bifurcation, with circles where
-    that is subcritical. Diamonds are points of codimension two.
+    The tint of a cell shows the period of its attractor. The colour of a curve shows the period of
+    the gait that bifurcates, and its line style the kind of bifurcation. Circles mark subcritical
+    parts. Diamonds are points of codimension two.
 
     **Arguments:**
 
     - `data`: what `walker_jax.chart` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.8 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
-      Labels are the names of axes, and those of points of codimension two.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
+      Labels are the names of axes and of points of codimension two.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -95,12 +95,12 @@ def chart(
 
 
 def tinted(period: int) -> tuple[float, ...]:
-    """The colour of a period, mixed with white."""
+    """Return the colour of a period, mixed with white."""
     return tuple(1 - TINTS[period - 1] * (1 - part) for part in to_rgb(period_style(period)[0]))
 
 
 def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
-    """Colour the cells; returns their signs in a legend."""
+    """Colour the cells; return their legend handles."""
     fate, period = data["cell_fate"].values, data["cell_period"].values
     walks = fate == Outcome.STRIDE
     image = np.full((*fate.shape, 3), to_rgb(FALLS))
@@ -138,7 +138,7 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
 
 
 def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
-    """Draw the curves; returns their signs in a legend."""
+    """Draw the curves; return their legend handles."""
     kinds, periods = words_in(data, "line_kind"), data["line_period"].values.tolist()
     seen: set[tuple[str, bool]] = set()
     for number, (kind, period) in enumerate(zip(kinds, periods, strict=True)):
@@ -161,7 +161,7 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
 
 
 def sign_of(kind: str, subcritical: bool) -> dict[str, Any]:
-    """How a curve is drawn."""
+    """Return the line style of a curve, with circles if it is subcritical."""
     return KINDS[kind] | (CIRCLES if subcritical else {})
 
 

@@ -15,13 +15,13 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.escapes import CrisisLaw, Transients
 
 ROUTES = 12
-"""Escapes that are drawn."""
+"""Most escapes that are drawn."""
 STRIDES = 6
-"""States of each of them."""
+"""Number of last states drawn for each of them."""
 AROUND = 0.3
-"""Room around the saddle, to its width."""
+"""Margin around the saddle, as a share of its width."""
 DASHES = ((0, (6, 2)), (0, (3, 2)), (0, (1, 1.5)))
-"""Lines of predicted exponents."""
+"""Line styles of predicted exponents."""
 
 
 def chaotic_saddle(
@@ -35,19 +35,20 @@ def chaotic_saddle(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """States of a chaotic saddle, the attractor that it was, and the ways on which walks leave it.
+    """Draw a chaotic saddle, the attractor before the crisis, and the ways in which walks leave.
 
-    Just after heel strike, in the first two coordinates of the section; of walkers theta, and theta
-    + thetadot, since their states lie close to a line otherwise. Each way has the last six states
-    before a failure, of which the last may be outside the picture.
+    States are just after heel strike. The axes are the first two coordinates of the section; for
+    walkers they are theta and theta + thetadot, as otherwise all states lie close to a line. Each
+    way has the last six states before a failure. The last of them may be outside the picture.
 
     **Arguments:**
 
     - `found`: what `walker_jax.transients` returns.
-    - `attractor`: states of the attractor on the other side of the crisis.
-    - `gait`: one whose states are marked, such as that which the attractor meets at the crisis.
+    - `attractor`: states of the attractor before the crisis.
+    - `gait`: a gait whose states are marked, such as the gait that the attractor meets at the
+      crisis.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
       Labels are the names of axes.
 
     **Returns** the axes. Raises `ValueError` for a section of one dimension.
@@ -109,18 +110,18 @@ def crisis_law(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """Mean lives over the distance from a crisis, both in logarithms, and the law fitted to them.
+    """Draw mean lives against the distance from a crisis, on logarithmic axes, and the fitted law.
 
     **Arguments:**
 
-    - `values`, `lives`, `errors`: as of `walker_jax.crisis_law`; bars are of two standard errors.
-    - `law`: what that returns.
-    - `predicted`: exponents of `walker_jax.crisis_exponent`, by what they are called; lines of
-      these slopes go through the middle of the lives, as the law does.
-    - `openings`: values of the parameter that are marked, by what opens there.
+    - `values`, `lives`, `errors`: as for `walker_jax.crisis_law`; bars are two standard errors.
+    - `law`: what `walker_jax.crisis_law` returns.
+    - `predicted`: exponents of `walker_jax.crisis_exponent`, by their labels. Lines with these
+      exponents go through the centre of the lives, as the fitted law does.
+    - `openings`: values of the parameter to mark, by their labels.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
-      Labels are the names of axes, and the words of openings.
+    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
+      Labels are the names of axes and of openings.
 
     **Returns** the axes. Raises `ValueError` for values that are not beyond the crisis.
     """
