@@ -1,5 +1,5 @@
 """The page in the browser that explores basins of attraction, and its server.
 
-`server` answers the requests of the page (`page/`, JavaScript by hand) by functions of `pictures`,
-`walks`, `measures` and `copies`; `guard` refuses those of others.
+`server` serves the page (`page/`, handwritten JavaScript). `service` answers its requests with
+functions of `pictures`, `walks`, `measures` and `copies`. `guard` refuses the requests of others.
 """

@@ -25,21 +25,21 @@ SECONDS = {
 
 
 class CompileTimes:
-    """Estimates from the table, scaled by what this machine has needed for longer than it says."""
+    """Estimates from the table, scaled up by how much longer this machine has taken so far."""
 
     def __init__(self) -> None:
         self.expected, self.taken = 0.0, 0.0
 
     def record(self, offered: Offer, seconds: float) -> None:
-        """Learn how long the programs of an offer took, where the table has it."""
+        """Record how long the programs of an offer took, if the table has an estimate for it."""
         expected = expected_seconds(offered)
         if expected is not None:
             self.expected, self.taken = self.expected + expected, self.taken + seconds
 
     def estimate(self, offered: Offer) -> float | None:
-        """Seconds that the programs of an offer take; None where nothing like it is in the table.
+        """Estimate the seconds that the programs of an offer take; None without an estimate.
 
-        Programs that were found in a cache say nothing of the others: the scale is at least 1.
+        The scale is at least 1, as programs found in a cache say nothing about the others.
         """
         expected = expected_seconds(offered)
         scale = max(1.0, self.taken / self.expected) if self.expected else 1.0
@@ -47,7 +47,7 @@ class CompileTimes:
 
 
 def expected_seconds(offered: Offer) -> int | None:
-    """The seconds of the table, of a user's own class those of the class that it extends."""
+    """Return the seconds in the table; for a user's own class, those of the class it extends."""
     if offered.name in SECONDS:
         return SECONDS[offered.name]
     bases = offered.kind.__mro__ if isinstance(offered.kind, type) else ()

@@ -1,4 +1,4 @@
-"""Connections that do not wait for ever: for a request that does not come, or an answer unread."""
+"""Connections with time limits: for a request to arrive, and for an answer to be read."""
 
 import asyncio
 from typing import Any
@@ -7,13 +7,13 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEADER_SECONDS = 10.0
-"""Seconds in which the headers of a request must have come, or twice as many by chance."""
+"""Seconds between checks. A connection closes if two checks in a row await the same request."""
 READING_SECONDS = 30.0
-"""Seconds in which whoever has asked must have read some of the answer that waits."""
+"""Seconds within which a client must read some of a waiting answer."""
 
 
 class Connection(H11Protocol):
-    """A connection that is closed if its other end keeps it waiting."""
+    """A connection that is closed if the client keeps it waiting."""
 
     watching: asyncio.TimerHandle | None = None
 
@@ -22,11 +22,11 @@ class Connection(H11Protocol):
         self.loop.call_later(HEADER_SECONDS, self.watch_headers, self.awaited())
 
     def awaited(self) -> tuple[Any, bool]:
-        """The last request, and whether the next one is awaited."""
+        """Return the last request, and whether the next one is awaited."""
         return self.cycle, self.conn.their_state is h11.IDLE
 
     def watch_headers(self, before: tuple[Any, bool]) -> None:
-        """Close the connection if the same request has been awaited all the time."""
+        """Close the connection if the same request was awaited at the last check already."""
         if self.transport.is_closing():
             return
         now = self.awaited()
@@ -45,7 +45,7 @@ class Connection(H11Protocol):
             self.watching.cancel()
 
     def watch_reader(self, before: int | None) -> None:
-        """Close the connection if nothing has been read of what waits since."""
+        """Close the connection if the client has read nothing since the last check."""
         waiting = self.transport.get_write_buffer_size()
         if waiting == before:
             self.transport.abort()

@@ -1,4 +1,4 @@
-"""The command, and the Python, that give the same result as the page."""
+"""The command and the Python program that give the same result as the page."""
 
 import hashlib
 import shlex
@@ -15,7 +15,7 @@ from walker_jax.walkers.references import place_of, reference_of
 
 
 def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
-    """Both of these."""
+    """Return the command and the program."""
     return {
         "command": command(subject, cells, method),
         "python": program(subject, cells, method),
@@ -23,7 +23,7 @@ def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
 
 
 def command(subject: Subject, cells: Rectangle, method: str) -> str:
-    """`walker-jax basin` with the options that give the picture's data."""
+    """Write the command `walker-jax basin` with the options that give the picture's data."""
     kind = "walker" if subject.offer.is_walker else "system"
     words = ["walker-jax basin", f"--{kind} {shlex.quote(reference_of(subject.offer.kind))}"]
     words += [f"--{option(name)} {value!r}" for name, value in subject.parameters.items()]
@@ -36,11 +36,11 @@ def command(subject: Subject, cells: Rectangle, method: str) -> str:
             words.append(f"--axis {name}={repr(ends) if fixed else ':'.join(map(repr, ends))}")
     words.append(f"--method {method}")
     name = hashlib.sha256(" ".join(words).encode()).hexdigest()[:6]
-    return " ".join([*words, f"--out basin-{name}.zarr"])  # no two pictures at one place
+    return " ".join([*words, f"--out basin-{name}.zarr"])  # one place for each picture
 
 
 def program(subject: Subject, cells: Rectangle, method: str) -> str:
-    """The same in Python."""
+    """Write the Python program that gives the same data."""
     noun = "walker" if subject.offer.is_walker else "system"
     lines = [
         *begin(subject, noun),
@@ -51,7 +51,7 @@ def program(subject: Subject, cells: Rectangle, method: str) -> str:
 
 
 def begin(subject: Subject, noun: str) -> list[str]:
-    """The beginning of the program, which makes the walker or the system."""
+    """Write the beginning of the program, which makes the walker or the system."""
     setting = ["", 'jax.config.update("jax_enable_x64", True)']
     kind, values = subject.offer.kind, subject.parameters.items()
     if isinstance(kind, type) and ":" not in reference_of(kind):
@@ -68,7 +68,7 @@ def begin(subject: Subject, noun: str) -> list[str]:
 
 
 def begin_with_own(kind: type[System] | Map, setting: list[str]) -> list[str]:
-    """The beginning of a program that uses what a user has written, loaded after the setting."""
+    """Write the beginning of a program that imports a user's own code, after the setting."""
     place, _, name = reference_of(kind).rpartition(":")
     imports = ["import jax", "import jax.numpy as jnp", "import walker_jax as wj", *setting]
     if isinstance(kind, Map):
@@ -81,7 +81,7 @@ def begin_with_own(kind: type[System] | Map, setting: list[str]) -> list[str]:
 
 
 def grid_in_python(subject: Subject, axes: dict[str, Any]) -> str:
-    """The call that makes the grid of these axes, as `grid_along` does."""
+    """Write the call that makes the grid of these axes, as `grid_along` does."""
     if "sum" in axes:
         return f"wj.Grid.sheared({in_call(axes)})"
     ranges = {name: ends for name, ends in axes.items() if not is_number(ends)}
@@ -92,15 +92,15 @@ def grid_in_python(subject: Subject, axes: dict[str, Any]) -> str:
 
 
 def in_call(axes: dict[str, Any]) -> str:
-    """Axes as arguments of a function."""
+    """Write axes as arguments of a function."""
     return ", ".join(f"{name}={ends!r}" for name, ends in axes.items())
 
 
 def axes_of(subject: Subject, cells: Rectangle) -> dict[str, Any]:
-    """The ends and the number of cells of each axis; the value of each that is fixed."""
+    """Return the ends and number of cells of each axis, or the value of a fixed coordinate."""
     return home_of(subject.offer, subject.section).axes(subject, cells, plane_of(subject))
 
 
 def option(name: str) -> str:
-    """A name as users type it."""
+    """Return a name as users type it."""
     return name.replace("_", "-")

@@ -1,4 +1,4 @@
-"""The page's walkers and systems: coordinates, parameters, units; words and colours of fates."""
+"""The page's walkers and systems: coordinates, parameters and units; names and colours of fates."""
 
 from walker_jax.explorer.lattice import FARTHEST, HOME_CELLS, LEVELS, MAX_TILES, TILE
 from walker_jax.explorer.offers import Offer, Offers, slider_range, slider_step, window_of
@@ -18,7 +18,7 @@ from walker_jax.systems.outcomes import OWN, Outcome
 from walker_jax.walkers.parameters import Parameter
 
 NOT_LOST = (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
-"""Outcomes of which none is a walker's failure on its way."""
+"""Outcomes that are no failure of a walker on its way."""
 RATE = "rad / √(l/g)"
 COORDINATES = {
     "theta": ("θ", "rad", "stance leg angle θ (rad)"),
@@ -32,11 +32,12 @@ COORDINATES = {
 }
 """Symbols, units and labels of a walker's coordinates."""
 SLICES = 0.3
-"""A walker's slices are shown from minus this to this."""
+"""Largest coordinate of a walker's slice on its slider, to either side of zero."""
 
 
 def describe_family(offers: Offers) -> dict:
-    """All that the page shows and does not compute, from where it is defined."""
+    """Describe all that the page shows without computing: walkers, fates, colours and the lattice.
+    """
     return {
         "walkers": {name: describe_offer(one) for name, one in offers.items()},
         "fates": {int(one): describe_failure(one) for one in FAILURES if one not in OWN},
@@ -56,7 +57,7 @@ def describe_family(offers: Offers) -> dict:
 
 
 def describe_failure(outcome: Outcome, failures: tuple[str, ...] = ()) -> dict:
-    """A way to fail, of a system with these failures of its own: its words and its colour."""
+    """Describe an outcome of a system with these failures of its own: its words and its colour."""
     return {
         "name": outcome.name,
         "words": failure_words(outcome, failures),
@@ -66,9 +67,9 @@ def describe_failure(outcome: Outcome, failures: tuple[str, ...] = ()) -> dict:
 
 
 def describe_offer(offered: Offer) -> dict:
-    """A walker or a system: what it is, its section, its parameters and its own failures."""
+    """Describe a walker or a system: its section, its parameters and its own failures."""
     own, fates = offered.kind.failures, {}
-    if not offered.is_walker:  # of a map also where it escapes
+    if not offered.is_walker:  # a map may escape
         fates = {int(Outcome.OUTSIDE): describe_failure(Outcome.OUTSIDE) | {"words": "infeasible"}}
     names = {name for plane in offered.planes.values() for name in plane.names}
     return {
@@ -87,7 +88,7 @@ def describe_offer(offered: Offer) -> dict:
 
 
 def about(offered: Offer) -> str:
-    """The first line of its documentation; of a map, of that of its function."""
+    """Return the first line of its documentation; for a map, that of its function."""
     kind = offered.kind.f if isinstance(offered.kind, Map) else offered.kind
     line, _, _ = (kind.__doc__ or "").strip().partition("\n")
     generated = line.startswith(f"{getattr(kind, '__name__', '')}(")  # its fields, by dataclass
@@ -95,7 +96,7 @@ def about(offered: Offer) -> str:
 
 
 def describe_coordinate(offered: Offer, name: str) -> dict:
-    """A coordinate: how it is written, and the ends of the slider of a slice there."""
+    """Describe a coordinate: its symbol, unit and label, and the slider for a slice."""
     symbol, unit, label = name.replace("_", " "), "", name.replace("_", " ")
     if offered.is_walker:
         symbol, unit, label = COORDINATES.get(name, (symbol, "rad", label))
@@ -105,7 +106,7 @@ def describe_coordinate(offered: Offer, name: str) -> dict:
 
 
 def describe_parameter(one: Parameter) -> dict:
-    """A parameter with the ends of its slider and the step between its values."""
+    """Describe a parameter, with the ends and the step of its slider."""
     low, high = slider_range(one)
     return {
         "name": one.name,

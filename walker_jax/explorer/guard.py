@@ -1,12 +1,13 @@
-"""Who may ask: the guard before every request.
+"""The guard, which checks every request before it is answered.
 
-A page of another site that is open in the same browser can send requests to this machine, also
-under a name of its own that it has made to lead here (DNS rebinding). So the guard checks the Host
-and the Origin of each request, and a token that stands only in the link that the server printed. A
-page may show this one in a frame only if it has the token. The guard also bounds the size and the
-rate of requests: of those with the token, for answers and for files of the page apart, and of those
-without, which so take nothing from a page. The page that is asked for with the token names its
-files with the token, too.
+A page of another site, open in the same browser, can send requests to this machine. It can even use
+a host name of its own that resolves to this machine (DNS rebinding). So the guard checks the Host
+and the Origin of each request, and a token that stands only in the link that the server printed.
+Another page may show this one in a frame only if it has the token.
+
+The guard also limits the size and the rate of requests. It counts requests for answers, requests
+for files with the token, and requests for files without it apart, so that strangers cannot use up
+the share of a page. A page that was opened with the token asks for its files with the token too.
 """
 
 import secrets
@@ -24,34 +25,34 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 TOKEN_HEADER = "x-walker-token"
 FILES = "/page/"
-"""Where the files of the page are; those of a page with the token in a folder of that name."""
+"""Path of the page's files; a page with the token finds them in a folder named by the token."""
 MAX_BODY = 2**16
-"""Bytes of a request; a page's own have some thousand."""
+"""Most bytes of a request; the page's own requests have about a thousand."""
 RATE, BURST = 300.0, 600.0
-"""Requests a second in the long run, and at once: ten pages in which a hand drags."""
+"""Most requests per second in the long run, and most at once: enough to drag on ten pages."""
 POLICY = (
     b"default-src 'self'; img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; "
     b"object-src 'none'"
 )
-"""Of what the page may load: nothing from other hosts."""
+"""Policy for what the page may load: nothing from other hosts."""
 HEADERS = (
     (b"cache-control", b"no-store"),
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"referrer-policy", b"no-referrer"),
     (b"x-content-type-options", b"nosniff"),
 )
-"""Of every answer: no word to other hosts."""
+"""Headers of every answer: other hosts learn nothing."""
 
 
 class Bucket:
-    """A bound on a rate: as many as `burst` at once, and `rate` a second."""
+    """A rate limit: at most `burst` at once, and `rate` per second in the long run."""
 
     def __init__(self, rate: float, burst: float, clock: Callable[[], float] = time.monotonic):
         self.rate, self.burst, self.clock = rate, burst, clock
         self.left, self.last = burst, clock()
 
     def take(self) -> bool:
-        """Whether one more may pass now."""
+        """Return whether one more may pass now, and count it."""
         now = self.clock()
         self.left = min(self.burst, self.left + self.rate * (now - self.last))
         self.last = now
@@ -62,9 +63,9 @@ class Bucket:
 
 
 class Guard:
-    """Refuses requests that are not of the page, and passes on the others.
+    """Refuses requests that are not from the page, and passes on the others.
 
-    This machine goes by `names`, and by the address at which a request comes.
+    Requests may call this machine by `names`, or by the address at which they arrive.
     """
 
     def __init__(self, app: Any, *, token: str, names: tuple[str, ...], port: int):
@@ -72,7 +73,7 @@ class Guard:
         self.names = {name.lower() for name in names}
         self.requests, self.files, self.others = (Bucket(RATE, BURST) for _ in range(3))
         self.links: dict[str, str] = {}
-        """By path, where each leads: once."""
+        """Links that work once, by their paths."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: MutableMapping[str, Any]) -> None:
@@ -88,20 +89,20 @@ class Guard:
             refusal = self.refusal(scope)
             answer = self.app if refusal is None else refusal
             await answer(scope, limited(receive), send_with_headers)
-        else:  # WebSockets, which the page has none of
+        else:  # a WebSocket, which the page does not use
             await send({"type": "websocket.close", "code": 1008})
 
     def policy(self, scope: Scope) -> bytes:
-        """The policy of an answer. A notebook, which may be anywhere, has the token."""
+        """Return the policy of an answer; a link with the token may be framed, as in a notebook."""
         return POLICY if self.is_linked(scope) else POLICY + b"; frame-ancestors 'none'"
 
     def is_linked(self, scope: Scope) -> bool:
-        """Whether a request has the token as the printed link has it."""
+        """Return whether a request has the token in its query, as the printed link has."""
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
         return self.is_token(given.encode())
 
     def without_token(self, scope: Scope) -> Scope:
-        """The request for what it asks for; `files` is where the page finds its files."""
+        """Return the request with the token removed from its path, and the folder of its files."""
         folder, _, name = scope["path"].removeprefix(FILES).rpartition("/")
         named = scope["path"].startswith(FILES) and self.is_token(folder.encode())
         path = FILES + name if named else scope["path"]
@@ -113,12 +114,12 @@ class Guard:
         return secrets.compare_digest(given, self.token)
 
     def hosts(self, scope: Scope) -> set[str]:
-        """The names by which a request may call this machine, as in Host."""
+        """Return the names by which a request may call this machine in its header Host."""
         names = self.names | {in_link(scope["server"][0])}
         return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
 
     def refusal(self, scope: Scope) -> Response | None:
-        """The answer to a request that is not passed on."""
+        """Return the answer to a refused request; None if the request is passed on."""
         headers: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:
             if headers.setdefault(name, value) != value:
@@ -129,7 +130,7 @@ class Guard:
             return refuse(403, "this server is not the Host that was asked for")
         origin = text(b"origin").lower()
         crossed = text(b"sec-fetch-site") in ("cross-site", "same-site")
-        loaded = crossed and text(b"sec-fetch-mode") != "navigate"  # as by links and notebooks
+        loaded = crossed and text(b"sec-fetch-mode") != "navigate"  # links and notebooks navigate
         if loaded or (origin and origin.removeprefix("http://") not in hosts):
             return refuse(403, "requests from other sites are refused")
         if scope["path"] in self.links:
@@ -147,7 +148,7 @@ class Guard:
 
 
 def in_link(host: str) -> str:
-    """A host as it stands in links and in Host: of addresses the shortest form."""
+    """Return a host as it stands in links and in Host; an address in its shortest form."""
     try:
         address = ip_address(host)
     except ValueError:
@@ -158,11 +159,11 @@ def in_link(host: str) -> str:
 
 
 class TooLong(Exception):
-    """A request has more bytes than may be."""
+    """A request has more than `MAX_BODY` bytes."""
 
 
 def limited(receive: Receive) -> Receive:
-    """The same, up to `MAX_BODY` bytes: also of a request that does not tell its length."""
+    """Limit a request to `MAX_BODY` bytes, even if it does not tell its length."""
     total = 0
 
     async def receive_some() -> MutableMapping[str, Any]:
@@ -177,5 +178,5 @@ def limited(receive: Receive) -> Receive:
 
 
 def refuse(status: int, reason: str, headers: dict[str, str] | None = None) -> JSONResponse:
-    """An answer that says why there is none."""
+    """Return an answer that gives the reason for a refusal."""
     return JSONResponse({"error": reason}, status, headers)

@@ -1,8 +1,8 @@
-"""The lattice of cells that pictures are made of: levels, each twice as fine, and square tiles.
+"""The lattice of cells in pictures: levels, each twice as fine as the one before, and square tiles.
 
-At level 0 the home window of a walker has `HOME_CELLS` cells. At level k cells are 2^k times as
-small. Tile (k, i, j) has the cells i * TILE ... (i + 1) * TILE - 1 along the first axis, counted
-from the lower corner of the home window, and likewise j along the second.
+At level 0 the home window of a walker has `HOME_CELLS` cells. At level k cells are smaller by a
+factor of 2^k. Tile (k, i, j) has the cells i * TILE ... (i + 1) * TILE - 1 along the first axis,
+counted from the lower corner of the home window, and likewise j along the second.
 """
 
 import functools
@@ -21,17 +21,17 @@ from walker_jax.systems.system import has_gait_region
 from walker_jax.walkers.simplest import SimplestWalker
 
 HOME_CELLS = (200, 250)
-"""Those of the paper's grid."""
+"""Cells of the home window along each axis, as in the paper's grid."""
 TILE = 50
-"""Cells along an edge of a tile: 2500 take some 7 ms."""
+"""Cells along an edge of a tile; its 2500 cells take about 7 ms."""
 LEVELS = (-3, 34)
-"""Coarsest and finest level; beyond, cells would be narrower than float64 tells states apart."""
+"""Coarsest and finest level; in finer cells float64 could not separate states."""
 FARTHEST = 2**20
-"""Home windows to either side that can be shown."""
+"""Farthest place that can be shown, in home windows to either side."""
 MAX_TILES = 600
-"""Tiles in a request, more than a large screen has."""
+"""Most tiles in a request, more than a large screen shows."""
 MAX_CELLS = 2**20
-"""Cells in a rectangle."""
+"""Most cells in a rectangle."""
 
 
 class Tile(NamedTuple):
@@ -55,10 +55,10 @@ class Home(NamedTuple):
     lower: tuple[float, float]
     upper: tuple[float, float]
     gait: tuple[float, ...]
-    """The first state of its gait there; of a system without a known one, a point there."""
+    """First state of its default gait; for a system without a known gait, the window's middle."""
 
     def axes(self, subject: Subject, cells: Rectangle, at: tuple[float, ...]) -> dict[str, Any]:
-        """The axes of a rectangle of cells, and the coordinates of the plane that are fixed."""
+        """Return the axes of a rectangle of cells, with the fixed coordinates of the plane."""
         plane = subject.plane
         axes: dict[str, Any] = dict(zip(plane.others, at, strict=True))
         for k, name in enumerate(plane.axes):
@@ -69,15 +69,16 @@ class Home(NamedTuple):
         return {name: axes[name] for name in plane.names}
 
     def grid(self, subject: Subject, cells: Rectangle, at: tuple[float, ...]) -> Grid:
-        """The grid of a rectangle of cells, in the plane at the other coordinates."""
+        """Return the grid of a rectangle of cells, in the plane at these other coordinates."""
         return grid_along(self.axes(subject, cells, at))
 
 
 @functools.cache
 def home_of(offered: Offer, section: str) -> Home:
-    """The paper's window for the simplest walker, around the default gait of any other.
+    """Return the home window of an offer on a section.
 
-    Of a system that is no walker, the plane of its `window_of`.
+    For the simplest walker in the sheared plane it is the paper's window. For any other walker in
+    the plane it lies around the default gait. For other systems it is that of `window_of`.
     """
     gait = first_state(offered)
     if not offered.has_film:
@@ -97,7 +98,7 @@ def home_of(offered: Offer, section: str) -> Home:
 
 @functools.cache
 def first_state(offered: Offer) -> tuple[float, ...]:
-    """The first state of the default gait; of a system without one, the middle of its window."""
+    """Return the first state of the default gait; without a gait, the middle of the window."""
     walker = offered.build(offered.defaults)
     if offered.has_film:
         gait = require_gait(walker, ["another walker"])
@@ -107,7 +108,7 @@ def first_state(offered: Offer) -> tuple[float, ...]:
 
 
 def read_tiles(asked: Any) -> list[Tile]:
-    """The tiles of a request."""
+    """Return the tiles of a request, checked."""
     if not isinstance(asked, list) or not 1 <= len(asked) <= MAX_TILES:
         raise WrongUse(f"tiles must be a list of 1 to {MAX_TILES}, not {short(asked)}")
     tiles = []
@@ -120,7 +121,7 @@ def read_tiles(asked: Any) -> list[Tile]:
 
 
 def read_rectangle(asked: Any) -> Rectangle:
-    """The rectangle of a request, [level, i, j, cells along i, cells along j]."""
+    """Return the rectangle of a request, [level, i, j, cells along i, cells along j], checked."""
     if not isinstance(asked, list) or len(asked) != 5:
         raise WrongUse(f"cells must be [level, i, j, columns, rows], not {short(asked)}")
     level = whole("level", asked[0], *LEVELS)
@@ -132,11 +133,11 @@ def read_rectangle(asked: Any) -> Rectangle:
 
 
 def read_place(value: Any, level: int, cells: int) -> int:
-    """The number of a cell, or of a tile of so many, along an axis."""
+    """Return the number, along an axis, of a cell or of a tile that is `cells` wide; checked."""
     most = int(FARTHEST * max(HOME_CELLS) * 2.0**level) // cells
     return whole("place", value, -most, most)
 
 
 def cells_of(tile: Tile) -> Rectangle:
-    """The cells of a tile."""
+    """Return the cells of a tile."""
     return Rectangle(tile.level, (tile.i * TILE, tile.j * TILE), (TILE, TILE))

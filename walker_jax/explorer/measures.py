@@ -1,6 +1,6 @@
 """Measures that take longer than a picture: gaits, area, least disturbance, bifurcations, data.
 
-A worker computes these, in a process of its own (`workers`). Answers are what JSON holds, or bytes.
+A worker computes them in a process of its own (`workers`). Answers are JSON values, or bytes.
 """
 
 import io
@@ -30,23 +30,23 @@ from walker_jax.stability.disturbances import least_disturbance
 from walker_jax.systems.system import has_gait_region
 
 PERIODS = (1, 2)
-"""Periods of which all gaits are searched."""
+"""Periods for which all gaits are sought."""
 SEARCHES = 2000
-"""Searches for gaits in the window of a system that does not say where they are."""
+"""Number of searches for gaits in the window of a system without a `gait_region`."""
 AREA_LEVELS, AREA_CHECKS = 2, 50_000
 """Levels and checks of `refine` for an area: 2 s, and a standard error of 0.1 % of the basin."""
 PERIOD_MAX = 4
-"""The longest period of the branches of a diagram on a screen."""
+"""Longest period of the branches of a diagram on the page."""
 DIAGRAM: dict[str, Any] = {"strides": 600, "scan": 160, "exponents": 0, "normal_forms": False}
-"""The attractors of such a diagram."""
+"""Settings for the attractors of such a diagram."""
 SHOWN_STATES = 24
-"""States of each orbit in a diagram."""
+"""Number of states of each orbit in a diagram."""
 
 
 def gaits(subject: Subject) -> list[dict]:
-    """The gaits of the first periods, the most stable first, with their multipliers.
+    """Find the gaits of periods one and two, the most stable gait of each period first.
 
-    Where none of them is stable, those of the attractors too.
+    If none of them is stable, the gaits of the attractors are added.
     """
     walker, region = subject.walker, region_of(subject)
     found = [gait for period in PERIODS for gait in find_gaits(walker, period, region)]
@@ -62,7 +62,10 @@ def gaits(subject: Subject) -> list[dict]:
 
 
 def main_gait(subject: Subject) -> Gait | None:
-    """The gait of period one that is found by default; the most stable one of the window."""
+    """Find the default gait of period one; without a `gait_region`, the window's most stable gait.
+
+    The result is None if there is no such gait.
+    """
     region = region_of(subject)
     if region is None:
         gait = search_gait(subject.walker)
@@ -72,7 +75,7 @@ def main_gait(subject: Subject) -> Gait | None:
 
 
 def region_of(subject: Subject) -> Grid | None:
-    """Where gaits are searched for: the window, of a system that has no `gait_region`."""
+    """Return the window as the region of searches, or None for a system with a `gait_region`."""
     if has_gait_region(subject.walker):
         return None
     window = window_of(subject.offer)
@@ -81,7 +84,7 @@ def region_of(subject: Subject) -> Grid | None:
 
 
 def describe_gait(gait: Gait) -> dict:
-    """A gait for the page; each multiplier as its real and its imaginary part."""
+    """Describe a gait for the page; each multiplier is a pair, its real and its imaginary part."""
     return {
         "period": len(gait.states),
         "states": np.asarray(gait.states).tolist(),
@@ -92,7 +95,7 @@ def describe_gait(gait: Gait) -> dict:
 
 
 def area(subject: Subject, cells: Rectangle) -> dict:
-    """The area of the basins in a rectangle, and its standard error, by `refine`."""
+    """Compute the area of the basins in a rectangle, and its standard error, by `refine`."""
     found = refine(subject.walker, grid_of(subject, cells), AREA_LEVELS, check=AREA_CHECKS)
     return {
         "area": float(found["total_area"]),
@@ -101,7 +104,7 @@ def area(subject: Subject, cells: Rectangle) -> dict:
 
 
 def disturbance(subject: Subject) -> dict | None:
-    """The least disturbance of the stable gait of period one; none where there is no such gait."""
+    """Find the least disturbance of the stable gait of period one; None without such a gait."""
     gait = main_gait(subject)
     if gait is None or not gait.stable:
         return None
@@ -116,9 +119,9 @@ def disturbance(subject: Subject) -> dict | None:
 
 
 def bifurcation(subject: Subject, over: str) -> Generator[dict, None, dict]:
-    """Gaits and attractors over a parameter: the first coordinate at the start of a stride.
+    """Compute gaits and attractors over a parameter, by the first coordinate at a stride's start.
 
-    Yields the branches of gaits as they are found, and returns all of it, with attractors.
+    Yield the branches of gaits as they are found; return the whole diagram, with attractors.
     """
     walker, ends = subject.walker, subject.offer.spans[over]
     how: Any = {"tolerance": float64_tolerance(None)}
@@ -132,7 +135,7 @@ def bifurcation(subject: Subject, over: str) -> Generator[dict, None, dict]:
 
 
 def describe_branches(ends: tuple[float, float], branches: Sequence[Branch]) -> dict:
-    """A diagram that has branches of gaits alone."""
+    """Describe a diagram that has only branches of gaits."""
     return {
         "range": ends,
         "whole": False,
@@ -152,7 +155,7 @@ def describe_branches(ends: tuple[float, float], branches: Sequence[Branch]) -> 
 
 
 def describe_attractors(data: xr.Dataset) -> dict:
-    """The rest of a diagram: bifurcations, attractors, and where walking is lost."""
+    """Describe the rest of a diagram: bifurcations, attractors, and where walking is lost."""
     orbit = data["orbit"].values[:, :, :SHOWN_STATES, 0]
     where = np.isfinite(orbit)
     at = np.broadcast_to(data["sample_value"].values[:, None, None], orbit.shape)[where]
@@ -174,18 +177,18 @@ def describe_attractors(data: xr.Dataset) -> dict:
 
 
 def finite(value: float) -> float | None:
-    """The number; none for NaN and infinities, which JSON has no words for."""
+    """Return the number; None for NaN and infinities, which JSON lacks."""
     return value if math.isfinite(value) else None
 
 
 def data(subject: Subject, cells: Rectangle, method: str) -> bytes:
-    """The data set of a rectangle, as `wj.basin` returns it: a Zarr store in a zip archive."""
+    """Compute the data set of a rectangle by `wj.basin`: a Zarr store in a zip archive."""
     found = basin(subject.walker, grid_of(subject, cells), method)
     return zipped(found)
 
 
 def zipped(found: xr.Dataset) -> bytes:
-    """A data set as a Zarr store in a zip archive, which `xarray.open_zarr` reads as it is."""
+    """Pack a data set as a Zarr store in a zip archive, which `xarray.open_zarr` reads directly."""
     packed = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "basin.zarr"
@@ -198,6 +201,6 @@ def zipped(found: xr.Dataset) -> bytes:
 
 
 def grid_of(subject: Subject, cells: Rectangle) -> Grid:
-    """The grid of a rectangle of cells."""
+    """Return the grid of a rectangle of cells."""
     home = home_of(subject.offer, subject.section)
     return home.grid(subject, cells, plane_of(subject))

@@ -16,11 +16,11 @@ from walker_jax.walkers.parameters import chosen_options
 from walker_jax.walkers.references import reference_of
 
 HEIGHT = 760
-"""Pixels in which walker, basin and sliders have room."""
+"""Pixels that the walker, the basin and the sliders need."""
 
 
 class PageServer:
-    """A server of the page in a process of its own, which ends with this one."""
+    """A server of the page in a process of its own, which ends with this process."""
 
     def __init__(self, options: Sequence[str], code: str) -> None:
         self.code = code
@@ -46,11 +46,11 @@ class PageServer:
 
     @property
     def serves(self) -> bool:
-        """Whether it has not ended."""
+        """Whether the server is still running."""
         return self.process.poll() is None
 
     def close(self) -> None:
-        """End it."""
+        """End the server."""
         self.process.terminate()
         self.process.wait()
         if self.process.stdout is not None:
@@ -59,17 +59,17 @@ class PageServer:
 
 
 started: dict[str, PageServer] = {}
-"""The servers of this process's pages, by what stands for a walker of one's own: the command of the
-family has no option, that of the package's other systems names one of them."""
+"""The servers of this process's pages. Keys are "" for the package's walkers, "system" for its
+other systems, and otherwise the reference of a user's class or map."""
 
 
 class Explorer:
-    """A page, as a notebook shows it: in a frame."""
+    """A page of the explorer, which a notebook shows in a frame."""
 
     def __init__(self, server: PageServer, state: dict[str, str | float], height: int):
         self.server, self.height = server, height
         self.link = f"{server.link.partition('#')[0]}#{urlencode(state)}"
-        """The link that opens the page in any browser on this machine."""
+        """Link that opens the page in any browser on this machine."""
 
     def _repr_html_(self) -> str:
         return (
@@ -78,26 +78,34 @@ class Explorer:
         )
 
     def close(self) -> None:
-        """End the server, and with it all pages that it serves."""
+        """End the server, and so all pages that it serves."""
         self.server.close()
 
 
 def explore(walker: System, *, height: int = HEIGHT) -> Explorer:
-    """The page of `walker-jax explore` in a notebook: a basin that follows sliders, and walks.
+    """Show the page of `walker-jax explore` in a notebook: a basin that follows sliders, and walks.
 
-    One server, in a process of its own on this machine's loopback interface, serves all pages of
-    the package's walkers, another one those of its other systems, and one those of a class or a map
-    of your own, until its code changes. They end with this process, or by `.close()`. The
-    notebook's browser must be on the same machine; elsewhere, forward the port of `.link`.
+    ```python
+    page = wj.explore(wj.SimplestWalker(slope=0.004))
+    page  # in the last line of a cell, it shows the page
+    page.close()
+    ```
+
+    A server runs in a process of its own, on this machine's loopback interface. One server serves
+    all pages of the package's walkers, and another one those of its other systems. A class or a map
+    of your own has its own server, until its code changes. Servers end with this process, or by
+    `.close()`. The browser must be on the same machine; otherwise forward the port of `.link`.
 
     **Arguments:**
 
-    - `walker`: one of two coordinates or more, or any other such system that has a
-      `gait_region`, with numbers for parameters; of a class, or a map, of your own in a file.
-    - `height`: of the frame, in pixels.
+    - `walker`: a walker, or any other system with a `gait_region`, with numbers for parameters and
+      a section of two coordinates or more. A class or a map of your own must be in a file.
+    - `height`: height of the frame in pixels.
 
-    **Returns** what a notebook shows as the page. Raises `ValueError` for a section of one
-    coordinate, and for what is in no file; `ComputationFailed` where the server does not start.
+    **Returns** the page, which a notebook shows in a frame; `.link` opens it in a browser.
+
+    Raises `ValueError` for a section of one coordinate, and for code that is in no file;
+    `ComputationFailed` if the server does not start.
     """
     check_kind("walker", walker, System)
     check_whole("height", height, 100, 10_000)

@@ -1,4 +1,4 @@
-"""Offers of the page: walkers in the plane, or other systems, each with planes and a window."""
+"""Offers of the page: walkers and other systems, each with the planes and a window to show."""
 
 import dataclasses
 import functools
@@ -31,7 +31,7 @@ ADDRESS_KEYS = ("walker", "section", "method", "tab", "over", "view", "start")
 
 
 class Plane(NamedTuple):
-    """Two axes of the section, along which the page shows it."""
+    """A plane in which the page shows the section, along two axes."""
 
     axes: tuple[str, str]
     names: tuple[str, ...]
@@ -48,15 +48,15 @@ class Offer:
     """A walker, or another system, that the page offers."""
 
     name: str
-    """By which requests name it."""
+    """Name in requests."""
     kind: type[System] | Map = dataclasses.field(compare=False)
-    """Its class; a map itself, whose class does not say what it is."""
+    """Its class; for a `Map` the map itself, as all maps share one class."""
     defaults: tuple[float, ...]
-    """Values of its parameters until others are chosen, in the order of `parameters`."""
+    """Initial values of its parameters, in the order of `parameters`."""
     code: str = ""
-    """The fingerprint of its code when the server started; empty for a class of the package."""
+    """Fingerprint of its code when the server started; empty for a class of the package."""
     axes: tuple[tuple[str, Any], ...] = ()
-    """(low, high, count), or one value, of each coordinate, where the command has named them."""
+    """Coordinates that the command has named, each with (low, high, count) or with one value."""
 
     @property
     def section(self) -> tuple[str, ...]:
@@ -65,23 +65,23 @@ class Offer:
 
     @property
     def is_walker(self) -> bool:
-        """Whether it is a walker, in the plane or in space."""
+        """Whether the offer is a walker, in the plane or in space."""
         return isinstance(self.kind, type) and issubclass(self.kind, Walker)
 
     @property
     def has_film(self) -> bool:
-        """Whether the page draws its motion: it is a walker in the plane."""
+        """Whether the page draws its motion, as for walkers in the plane."""
         return self.is_walker and is_planar(self.kind)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its parameters, with these defaults."""
+        """Its parameters, with the defaults of this offer."""
         described = zip(parameters_of(self.kind), self.defaults, strict=True)
         return tuple(one._replace(default=value) for one, value in described)
 
     @property
     def planes(self) -> dict[str, Plane]:
-        """The planes in which the page shows it, by name, first that of the beginning."""
+        """The planes in which the page shows it, by name; the page opens in the first one."""
         if self.has_film:
             others = self.section[2:]
             plain = Plane(("theta", "thetadot"), self.section)
@@ -94,9 +94,9 @@ class Offer:
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
-        """The parameters over which its gaits can be followed, and the ends of their values.
+        """The parameters over which its gaits can be followed, each with its range.
 
-        None of a walker in space, of which that takes too long for a page.
+        It is empty for a walker in space, whose gaits take too long to follow for a page.
         """
         if self.has_film and isinstance(self.kind, type):
             return {"slope": slopes_of(self.kind)}
@@ -105,9 +105,9 @@ class Offer:
         return {one.name: span_around(one) for one in self.parameters}
 
     def build(self, values: tuple[float, ...]) -> System:
-        """The system with values of its parameters, in their order.
+        """Build the system with values of its parameters, in their order.
 
-        Raises `WrongUse` in a process that has loaded other code than the server has.
+        Raises `WrongUse` in a process whose code of the system differs from the server's.
         """
         if self.code and fingerprint_of(self.kind) != self.code:
             raise WrongUse(f"the code of {self.name} has changed: start the server anew")
@@ -121,7 +121,7 @@ class Offer:
         return made
 
     def __reduce__(self) -> tuple:
-        """To other processes: a map goes by its name in a file, as its functions may have none."""
+        """Pickle a map by its name in a file, as its functions may have no name."""
         kind = self.kind
         if not isinstance(kind, type):
             module, name = place_of(kind)
@@ -130,14 +130,14 @@ class Offer:
 
 
 def loaded_offer(name: str, kind: type[System] | tuple[str, str], *others: Any) -> Offer:
-    """An offer that has come from another process."""
+    """Restore an offer that comes from another process."""
     if isinstance(kind, tuple):
         return Offer(name, vars(importlib.import_module(kind[0]))[kind[1]], *others)
     return Offer(name, kind, *others)
 
 
 def fingerprint_of(kind: type[System] | Map) -> str:
-    """The fingerprint of the code of a class or of a map; empty for a class of the package."""
+    """Return the fingerprint of the code of a class or a map; empty for a class of the package."""
     if isinstance(kind, type):
         return code_fingerprint(kind)
     return code_fingerprint(type(kind), code_of(kind))
@@ -152,13 +152,13 @@ IN_SPACE = {
     "thetadot": (-0.57, -0.37),
     "phidot": (-0.49, -0.29),
 }
-"""The window around the gait of the default walker in space, which takes long to find."""
+"""Window around the gait of the default walker in space; to find that gait takes long."""
 Offers = dict[str, Offer]
-"""The offers of a page, by name: a request may name these, and no others."""
+"""The offers of a page, by name; a request may name these only."""
 
 
 def at_defaults(kinds: Mapping[str, type[System]]) -> Offers:
-    """Offers of classes whose parameters all have defaults, and which have two coordinates."""
+    """Make offers of the classes with defaults for all parameters and two coordinates or more."""
     defaults = {
         name: tuple(OPENING.get(name, {}).get(one.name, one.default) for one in parameters_of(kind))
         for name, kind in kinds.items()
@@ -171,17 +171,17 @@ def at_defaults(kinds: Mapping[str, type[System]]) -> Offers:
 
 
 FAMILY = at_defaults(WALKERS)
-"""The package's walkers, at the defaults of their parameters."""
+"""Offers of the package's walkers, with default parameters."""
 OTHERS = at_defaults(SYSTEMS)
-"""Its other systems."""
+"""Offers of the package's other systems, with default parameters."""
 
 
 def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
-    """A system for the page: one of the package's, or one with parameters and a window of its own.
+    """Make the offer of a system: one of the package's, or a new one with its parameters.
 
-    Its window has these axes, by default over its `gait_region`. Raises `WrongUse` for a section of
-    one coordinate or without a window, and for a parameter whose name the page's address uses for
-    something else.
+    The window has these axes; by default it covers the `gait_region`. Raises `WrongUse` for a
+    section of one coordinate, for a system without a window, and for a parameter whose name the
+    page's address uses for something else.
     """
     check_kind("walker", walker, System)
     check_single(walker)
@@ -209,16 +209,17 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
 
 
 def beside(offered: Offer) -> Offers:
-    """The offers of a page that begins with one: those of the package of the same sort, and it."""
+    """Return the offers of a page that opens with one offer: it and the package's of its sort."""
     return (FAMILY if offered.is_walker else OTHERS) | {offered.name: offered}
 
 
 @functools.cache
 def window_of(offered: Offer) -> dict[str, tuple[float, float]]:
-    """The ends of each coordinate of a system: those given, else those of its `gait_region`, or of
-    a `SpatialWalker` around its default gait.
+    """Return the window of an offer: the ends of each coordinate.
 
-    Empty where it has none of these. A coordinate that is fixed has ends for its slider.
+    They are those given; otherwise those of the `gait_region`, or for a `SpatialWalker` those
+    around its default gait. The window is empty without any of these. A fixed coordinate has ends
+    for its slider.
     """
     walker = offered.build(offered.defaults)
     window = {}
@@ -240,10 +241,10 @@ def window_of(offered: Offer) -> dict[str, tuple[float, float]]:
 
 
 def slider_range(parameter: Parameter) -> tuple[float, float]:
-    """The ends of a parameter's slider; a value beyond them may be typed.
+    """Return the ends of a parameter's slider; the user may type a value beyond them.
 
-    From zero, or a little below its default where it may be negative, to a few times its default.
-    The parameter may have both values.
+    The slider goes from zero, or a little below the default if the parameter may be negative, to a
+    few times the default. Both ends are allowed values.
     """
     scale = 5 * abs(parameter.default) or 1.0
     above = 0.2 * scale if parameter.low == -math.inf or not parameter.default else 0.8 * scale
@@ -260,12 +261,15 @@ def slider_range(parameter: Parameter) -> tuple[float, float]:
 
 
 def span_around(parameter: Parameter) -> tuple[float, float]:
-    """From half its default to half more, as far as its slider goes; all of that about zero."""
+    """Return the range within half of a parameter's default, cut at the ends of its slider.
+
+    For a default of zero it is the whole slider.
+    """
     low, high = slider_range(parameter)
     half = abs(parameter.default) / 2 or high - low
     return max(low, parameter.default - half), min(high, parameter.default + half)
 
 
 def slider_step(low: float, high: float) -> float:
-    """The step between the values of a slider: a power of ten."""
+    """Return the step between the values of a slider, a power of ten."""
     return 10.0 ** math.floor(math.log10((high - low) / 150))

@@ -1,12 +1,12 @@
 """Pictures: the fates of the cells of tiles, in bytes for the page.
 
-A cell has two bytes. The first is its label: the `Outcome` of a failure; `UNMATCHED` where it walks
-on without coming near a known attractor; or `FIRST_ATTRACTOR` and the number of its attractor. The
-second is its number of strides, up to `MOST_STRIDES`.
+A cell has two bytes. The first byte is its label: the `Outcome` of a failure; `UNMATCHED` if it
+walks on without coming near a known attractor; or `FIRST_ATTRACTOR` plus the number of its
+attractor. The second byte is its number of strides, up to `MOST_STRIDES`.
 
-The attractors of a walker are those to which walkers converge from a sample of its home window, in
-the order in which `wj.basin` numbers them, and then those of walkers that remain. One thread alone
-calls `label_tiles`, which remembers them.
+The first attractors of a walker are found from a sample of its home window, and numbered in the
+order of `wj.basin`. Attractors of walkers that remain in later pictures follow. Only one thread
+calls `label_tiles`, which remembers the attractors.
 """
 
 from collections import OrderedDict
@@ -34,34 +34,34 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import has_gait_region
 
 UNMATCHED, FIRST_ATTRACTOR = 32, 64
-"""Labels beyond those of all outcomes."""
+"""Labels above all values of `Outcome`."""
 MOST_STRIDES = 255
 STRIDES = 200
-"""Strides for which a walker is followed, as by `wj.basin`."""
+"""Most strides for which a walker is followed, as by `wj.basin`."""
 INTEGRATOR = integrator_of(float)
 SAMPLE = (30, 40)
-"""Starts in the home window from which attractors are found first: these take some 20 ms."""
+"""Starts along each axis of the home window that give the first attractors, in about 20 ms."""
 LATER_SAMPLE = 64
-"""Remaining walkers of a batch from which more attractors are found."""
+"""Most remaining walkers of a batch that give further attractors."""
 MAX_ATTRACTORS = 32
-"""Attractors that are told apart; one that has no period takes all that remain."""
+"""Most attractors with labels of their own; the last label stands for all further ones."""
 REMEMBERED = 256
-"""Subjects whose attractors are remembered."""
+"""Most subjects whose attractors are remembered."""
 
 
 class Known(NamedTuple):
-    """All that is known of a subject."""
+    """The known attractors of a subject, and the plane that is shown."""
 
     mapper: Mapper
     at: tuple[float, ...]
-    """The other coordinates of the plane that is shown."""
+    """Fixed coordinates of the plane."""
 
 
 known: OrderedDict[Subject, Known] = OrderedDict()
 
 
 def find_attractors(subject: Subject) -> Known:
-    """The attractors of a subject, from the sample of its home window, and its plane."""
+    """Find the attractors of a subject from the sample of its home window, and its plane."""
     at = plane_of(subject)
     home = home_of(subject.offer, subject.section)
     grid = home.grid(subject, Rectangle(0, (0, 0), HOME_CELLS), at)
@@ -72,7 +72,7 @@ def find_attractors(subject: Subject) -> Known:
 
 
 def plane_of(subject: Subject) -> tuple[float, ...]:
-    """The coordinates that are fixed in the plane; those of the gait where none are given."""
+    """Return the fixed coordinates of the plane; those not given are the gait's."""
     if None in subject.at:
         gait = dict(zip(subject.offer.section, gait_state(subject).tolist(), strict=True))
         given = zip(subject.plane.others, subject.at, strict=True)
@@ -81,9 +81,9 @@ def plane_of(subject: Subject) -> tuple[float, ...]:
 
 
 def gait_state(subject: Subject) -> Float[np.ndarray, " section"]:
-    """The first state of the gait; where there is none, of that of the default parameters.
+    """Find the first state of the gait; if there is none, take the gait at default parameters.
 
-    It depends on the subject alone: so pictures, copies and data of all who ask are of one plane.
+    The state depends on the subject only, so all pictures, copies and data show the same plane.
     """
     guess, walker = np.array(home_of(subject.offer, subject.section).gait), subject.walker
     found = search_gait(walker, guess)
@@ -93,9 +93,9 @@ def gait_state(subject: Subject) -> Float[np.ndarray, " section"]:
 
 
 def label_tiles(subject: Subject, tiles: Sequence[Tile]) -> list[bytes]:
-    """The labels of the cells of tiles, then their strides, by direct iteration.
+    """Compute the bytes of tiles by direct iteration, and remember the attractors.
 
-    The last axis is the fastest. The attractors are remembered.
+    Each tile has the labels of its cells, then their strides. The last axis is the fastest.
     """
     before = known[subject] if subject in known else find_attractors(subject)
     found, known[subject] = label_cells(subject, before, tiles)
@@ -108,7 +108,7 @@ def label_tiles(subject: Subject, tiles: Sequence[Tile]) -> list[bytes]:
 def label_cells(
     subject: Subject, before: Known, tiles: Sequence[Tile]
 ) -> tuple[list[bytes], Known]:
-    """The same, from what is known of the subject; and what is known then."""
+    """Compute the bytes of tiles with known attractors; return the attractors known then too."""
     home, (mapper, at) = home_of(subject.offer, subject.section), before
     grids = [home.grid(subject, cells_of(tile), at) for tile in tiles]
     indices = np.arange(TILE * TILE)
@@ -121,7 +121,7 @@ def label_cells(
 
 
 def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attractor]]:
-    """The same bytes of a rectangle of cells, by cell mapping, and its attractors."""
+    """Compute the bytes of a rectangle of cells by cell mapping; return its attractors too."""
     home, at = home_of(subject.offer, subject.section), plane_of(subject)
     found = cell_mapping(subject.walker, home.grid(subject, cells, at), INTEGRATOR)
     label, strides = in_bytes(found.fate, found.attractor, found.strides)
@@ -131,7 +131,7 @@ def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attra
 def in_bytes(
     fate: Int[np.ndarray, " n"], attractor: Int[np.ndarray, " n"], strides: Int[np.ndarray, " n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the label and strides of cells, a byte each."""
+    """Return the labels and the strides of cells, one byte each."""
     last = MAX_ATTRACTORS - 1
     walks = np.where(attractor < 0, UNMATCHED, FIRST_ATTRACTOR + np.minimum(attractor, last))
     label = np.where(fate == Outcome.STRIDE, walks, fate)
@@ -139,7 +139,7 @@ def in_bytes(
 
 
 def describe_attractors(attractors: Sequence[Attractor]) -> list[dict]:
-    """The attractors for the page; a motion without a period has one state."""
+    """Describe the attractors for the page; a motion without a period has one state."""
     return [
         {"period": one.period, "states": one.states.tolist(), "artefact": one.artefact}
         for one in attractors[:MAX_ATTRACTORS]

@@ -1,4 +1,4 @@
-"""The programs of each kind of walker: compiled once, one kind after the other."""
+"""The programs of each kind of walker, compiled once, one kind after another."""
 
 import asyncio
 import math
@@ -19,32 +19,32 @@ from walker_jax.explorer.subjects import Subject
 
 
 class Lane:
-    """One thread, which does one thing after the other, in the order of asking."""
+    """One thread, which runs functions one after another, in the order of requests."""
 
     def __init__(self, name: str) -> None:
         self.thread = ThreadPoolExecutor(1, name)
 
     async def run(self, function: Callable, *arguments: Any) -> Any:
-        """function(*arguments); never begun if it is cancelled before."""
+        """Return function(*arguments); a call that is cancelled while it waits never begins."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self.thread, function, *arguments)
 
 
 class Programs:
-    """Programs that are compiled, or about to be, and how long the others take."""
+    """Programs that are compiled or waiting, and estimates of the time that is left."""
 
     def __init__(self) -> None:
         self.lane, self.times = Lane("compiling"), CompileTimes()
         self.tasks: dict[tuple[Offer, str], asyncio.Task] = {}
 
     async def ready(self, subject: Subject) -> None:
-        """Wait until the programs of a kind of walker are compiled, while others go on."""
+        """Wait until the programs of a kind of walker are compiled; other requests go on."""
         key = subject.offer, subject.section
         if key not in self.tasks:
             self.tasks[key] = asyncio.create_task(self.compile(subject))
         try:
             await asyncio.shield(self.tasks[key])
-        except Exception:  # of parameters that compile nothing: the next one tries again
+        except Exception:  # for these parameters nothing compiles: the next request tries again
             self.tasks.pop(key, None)
             raise
 
@@ -56,13 +56,13 @@ class Programs:
             self.times.record(subject.offer, seconds)
 
     def has(self, offered: Offer) -> bool:
-        """Whether a kind of walker is compiled, for one of its planes at least."""
+        """Return whether a kind of walker is compiled, for one of its planes at least."""
         return any(task.done() for (one, _), task in self.tasks.items() if one == offered)
 
     def seconds_left(self, subject: Subject) -> float | None:
-        """The seconds until a kind of walker is compiled, about, with those that come before it.
+        """Estimate the seconds until a kind of walker is compiled, with those waiting before it.
 
-        0 where it is; None where nobody knows.
+        The result is 0 if it is compiled, and None without an estimate.
         """
         if self.has(subject.offer):
             return 0.0
@@ -73,13 +73,13 @@ class Programs:
 
 
 def compile_programs(subject: Subject) -> float:
-    """Do once what pictures and walks need, so that they need not wait for a compiler.
+    """Run once what pictures and walks need, so that they need not wait for the compiler.
 
-    Returns the seconds that it took.
+    Returns the seconds that this took.
     """
     start = time.monotonic()
     gait = np.array(home_of(subject.offer, subject.section).gait)
     pictures.label_cells(subject, pictures.find_attractors(subject), [Tile(-3, 0, 0)])
-    with suppress(WrongUse):  # which is said where such a walker is to walk
+    with suppress(WrongUse):  # a request for a walk will report it
         walks.follow(subject, gait, 1)
     return time.monotonic() - start

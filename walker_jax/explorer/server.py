@@ -1,4 +1,4 @@
-"""The server of the page: its address, its link, and how it is started and ended."""
+"""The server of the page: its address, its link, its start and its end."""
 
 import logging
 import os
@@ -20,18 +20,18 @@ from walker_jax.explorer.offers import FAMILY, Offer, Offers, beside
 from walker_jax.explorer.service import make_app
 
 TOKEN_VARIABLE = "WALKER_JAX_TOKEN"
-"""The environment variable that sets the token, so that links outlive the server; else random."""
+"""Environment variable that sets the token, so that links outlive the server; random by default."""
 LEAST_TOKEN = 22
-"""Characters of a token, each one of 64: 128 bits, if they are random."""
+"""Fewest characters of a token, each one of 64: over 128 bits if they are random."""
 TOKEN = re.compile(rf"[A-Za-z0-9_-]{{{LEAST_TOKEN},}}")
 MAX_CONNECTIONS = 256
-"""Connections at once; more are refused."""
+"""Most connections at once; more are refused."""
 CLOSING_SECONDS = 1
-"""Seconds that answers under way have when the server ends."""
+"""Seconds left for unfinished answers when the server ends."""
 
 
 class Server(uvicorn.Server):
-    """A server that ends without words: what it cancels then is nobody's error."""
+    """A server that ends silently, as requests cancelled then are no errors."""
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
@@ -39,7 +39,7 @@ class Server(uvicorn.Server):
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens there; on a free port for 0."""
+    """Open a socket that listens on a host and a port; on a free port if that is 0."""
     try:
         (family, kind, protocol, _, address), *_ = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM
@@ -48,7 +48,7 @@ def listen(host: str, port: int) -> socket.socket:
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind(address)
-            listener.listen()  # whoever comes before the server is ready waits
+            listener.listen()  # early requests wait until the server is ready
         except OSError:
             listener.close()
             raise
@@ -60,9 +60,9 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def names_of(host: str, listener: socket.socket) -> tuple[str, ...]:
-    """The names by which a page may call this machine, that of its link first.
+    """Return the names by which a page may call this machine, the name in the link first.
 
-    The host as it was given, and localhost; of all interfaces the machine's own name, too.
+    They are the given host and localhost. A server on all interfaces has the machine's names too.
     """
     given = in_link(host)
     if ip_address(listener.getsockname()[0]).is_unspecified:
@@ -73,7 +73,7 @@ def names_of(host: str, listener: socket.socket) -> tuple[str, ...]:
 
 
 def can_be_found(name: str) -> bool:
-    """Whether a name has an address."""
+    """Return whether a host name resolves to an address."""
     try:
         return bool(socket.getaddrinfo(name, None))
     except OSError:
@@ -81,7 +81,7 @@ def can_be_found(name: str) -> bool:
 
 
 def link_to(host: str, port: int, token: str, state: dict[str, Any]) -> str:
-    """The link that opens the page, in a state."""
+    """Return the link that opens the page in a state."""
     fragment = f"#{urlencode(state)}" if state else ""
     return f"http://{host}:{port}/?{urlencode({'token': token})}{fragment}"
 
@@ -93,15 +93,15 @@ def make_server(
     offers: Offers = FAMILY,
     first: dict | None = None,
 ) -> Server:
-    """The server of the page on a socket, to be run with it.
+    """Make the server of the page on a socket; run it with that socket.
 
-    See `names_of` for the names, and `make_app` for the rest.
+    See `names_of` for the names, and `make_app` for the offers and `first`.
     """
     guard = Guard(make_app(offers, first), token=token, names=names, port=listener.getsockname()[1])
     config = uvicorn.Config(
         guard,
         http=Connection,
-        log_config=None,  # or handlers of other libraries would be closed, and streams with them
+        log_config=None,  # otherwise handlers and streams of other libraries would be closed
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -113,7 +113,7 @@ def make_server(
 
 
 def read_token() -> str:
-    """The token that the environment sets, or a random one."""
+    """Return the token that the environment sets, or a random one."""
     token = os.environ.get(TOKEN_VARIABLE)
     if token and not TOKEN.fullmatch(token):
         raise WrongUse(
@@ -128,8 +128,8 @@ def run_server(
 ) -> NoReturn:
     """Print the link and how to stop, open the browser, and serve the page until an interrupt.
 
-    The page shows a walker, or another system, with these parameters, and offers the package's
-    beside it. It begins in the slice that the offer's axes fix.
+    The page opens with these parameters, in the slice that the offer's axes fix. Beside this offer
+    it has the package's walkers, or its other systems.
     """
     token = read_token()
     listener = listen(host, port)
@@ -148,10 +148,10 @@ def run_server(
     link = link_to(names[0], port, token, {"walker": offered.name} | values | sliced)
     print(link, flush=True)
     print("walker-jax: Ctrl-C stops it", file=sys.stderr)
-    if browser:  # whose command line others may see: so it has a path that leads to the link once
+    if browser:  # others may see its command line, so it gets a path that works only once
         path = f"/open/{secrets.token_urlsafe(24)}"
         guard: Any = server.config.app
         guard.links[path] = link
         webbrowser.open(f"http://{names[0]}:{port}{path}")
     server.run(sockets=[listener])
-    raise KeyboardInterrupt  # nothing else ends it; on its way out it may have been lost
+    raise KeyboardInterrupt  # only an interrupt ends the server, which may have swallowed it

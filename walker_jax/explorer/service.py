@@ -1,8 +1,8 @@
 """The answers to the page's requests, as an ASGI application (Starlette).
 
-Pictures and walks are computed in one thread, a batch of cells at a time, so that all who ask take
-turns; what takes longer is left to workers. A request whose page has gone, or has asked for
-something newer, is cancelled: between two batches, or by an interrupt of the worker.
+One thread computes pictures and walks, a batch of cells at a time, so that all pages take turns.
+Workers compute longer measures. A request is cancelled if its page has gone or has sent a newer
+one: between two batches, or by an interrupt of the worker.
 """
 
 import asyncio
@@ -56,17 +56,18 @@ from walker_jax.explorer.subjects import (
 from walker_jax.explorer.workers import Busy, Failure, Workers
 
 BODY_SECONDS = 10.0
-"""Seconds in which a request must have come."""
+"""Seconds within which the body of a request must arrive."""
 FIRST_BATCH, LARGEST_BATCH = 4, 24
-"""Tiles that are computed together: those of the first batch of a picture, and of any."""
+"""Tiles in the first batch of a picture, and most tiles in any batch."""
 BATCH_SECONDS = 0.06
-"""Seconds that a batch should take: others wait as long, and larger ones fill two cores better."""
+"""Seconds that a batch should take. Other requests wait that long; larger batches use two cores
+better."""
 MAX_PICTURES = 64
-"""Pictures at once; more are refused."""
+"""Most pictures at once; more are refused."""
 MAX_RECTANGLES = 4
-"""Grids of cell mapping in a request, coarse ones first."""
+"""Most grids of cell mapping in a request, coarse ones first."""
 MANY_CELLS = 2**17
-"""Cells of a rectangle, beyond which it is long: a stride of each takes 0.15 s."""
+"""Cells above which a rectangle counts as long; one stride of all of these takes 0.15 s."""
 TYPES = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -76,7 +77,7 @@ TYPES = {
 
 
 def page_files() -> dict[str, tuple[bytes, str]]:
-    """The files of the page by name, with their types. No other name is ever looked for."""
+    """Return the files of the page by name, with their types; no other file is ever served."""
     folder = resources.files("walker_jax.explorer") / "page"
     return {
         file.name: (file.read_bytes(), TYPES[file.name.rpartition(".")[2]])
@@ -85,7 +86,7 @@ def page_files() -> dict[str, tuple[bytes, str]]:
 
 
 class Service:
-    """The service that answers requests, with its threads and workers."""
+    """The answers to requests, with the threads and workers that compute them."""
 
     def __init__(self, offers: Offers = FAMILY) -> None:
         self.offers = offers
@@ -94,22 +95,22 @@ class Service:
         self.pictures = 0
 
     async def compile_time(self, request: Request) -> Response:
-        """The seconds until a kind of walker is compiled, about; null where nobody knows."""
+        """Answer the estimated seconds until a kind of walker is compiled; null if unknown."""
         subject = read_subject(await read_json(request), self.offers)
         return JSONResponse({"seconds": self.programs.seconds_left(subject)})
 
     async def about(self, request: Request) -> Response:
-        """All walkers, and words and colours."""
+        """Answer all walkers and systems, with words and colours."""
         return JSONResponse(describe_family(self.offers) | {"version": version("walker-jax")})
 
     async def home(self, request: Request) -> Response:
-        """The home window of a walker on a section, and the sizes in which it is drawn."""
+        """Answer the home window of a walker on a section, and its default gait."""
         subject = read_subject(await read_json(request), self.offers)
         await self.programs.ready(subject)
         return JSONResponse(home_of(subject.offer, subject.section)._asdict())
 
     async def picture(self, request: Request) -> Response:
-        """A stream of frames: the attractors, then tiles, in the order of asking."""
+        """Answer a stream of frames: the attractors, then the tiles in the order of the request."""
         asked = mapping("request", await read_json(request))
         subject = read_subject(asked, self.offers)
         method = choice("method", asked.get("method", METHODS[0]), METHODS)
@@ -128,7 +129,7 @@ class Service:
         return Picture(self, work)
 
     async def tiles(self, subject: Subject, tiles: list[Tile]) -> AsyncIterator[bytes]:
-        """Frames of a picture by direct iteration."""
+        """Yield frames of a picture by direct iteration."""
         told, done, size = -1, 0, FIRST_BATCH
         while done < len(tiles):
             batch = tiles[done : done + size]
@@ -145,12 +146,12 @@ class Service:
             ]
             yield b"".join(
                 made
-            )  # all at once: of many writes to a page that has gone asyncio warns
+            )  # in one write: asyncio warns of several writes to a page that has gone
             done += len(batch)
             size = int(np.clip(len(batch) * BATCH_SECONDS / spent, 1, LARGEST_BATCH))
 
     async def rectangles(self, subject: Subject, rectangles: list) -> AsyncIterator[bytes]:
-        """Frames of a picture by cell mapping."""
+        """Yield frames of a picture by cell mapping."""
         for i, cells in enumerate(rectangles):
             asked = pictures.map_rectangle, subject, cells
             if is_long(cells):
@@ -161,7 +162,7 @@ class Service:
             yield frame(CELLS, struct.pack("<I", i) + found)
 
     async def walk(self, request: Request) -> Response:
-        """Strides from a start, or from a state in mid-stride after a push."""
+        """Answer strides from a start, or from a state in mid-stride after a push."""
         asked = mapping("request", await read_json(request))
         subject = read_subject(asked, self.offers)
         start = read_start(subject, asked.get("start"))
@@ -175,7 +176,7 @@ class Service:
     async def follow(
         self, subject: Subject, start: np.ndarray, impulse: np.ndarray | None, count: int
     ) -> dict:
-        """Strides after a push, some at a time."""
+        """Follow strides, after a push if one is given, some at a time."""
         if impulse is not None:
             start = await self.quick.run(walks.push, subject, start, impulse)
         made = []
@@ -188,7 +189,7 @@ class Service:
             start = np.array(found["next"])
 
     async def measure(self, request: Request) -> Response:
-        """Measure what takes longer than a picture; see `measures`."""
+        """Answer a measure that takes longer than a picture; see `measures`."""
         asked = mapping("request", await read_json(request))
         subject = read_subject(asked, self.offers)
         kind = request.path_params["kind"]
@@ -210,7 +211,7 @@ class Service:
         return JSONResponse(await unless_gone(request, work))
 
     async def grow(self, function: Callable, *arguments: Any) -> AsyncIterator[bytes]:
-        """Lines of JSON: what a long measure yields, as it comes."""
+        """Yield the parts of a long measure as they come, then its result, as lines of JSON."""
         found: asyncio.Queue = asyncio.Queue()
         asked = self.workers.ask(function, *arguments, long=True, told=found.put_nowait)
         task = asyncio.ensure_future(asked)
@@ -229,20 +230,20 @@ class Service:
             task.cancel()
 
     async def words(self, request: Request) -> Response:
-        """The command line and the program that give the data of a rectangle."""
+        """Answer the command line and the program that give the data of a rectangle."""
         subject, cells, method = await self.wanted(request)
         make = partial(copies.describe, subject, cells, method)
         return JSONResponse(await self.quick.run(make))
 
     async def data(self, request: Request) -> Response:
-        """The data of a rectangle, a Zarr store in a zip archive."""
+        """Answer the data of a rectangle, a Zarr store in a zip archive."""
         subject, cells, method = await self.wanted(request)
         asked = measures.data, subject, cells, method
         work = self.workers.ask(*asked, long=is_long(cells), keep=False)
         return Response(await unless_gone(request, work), media_type="application/zip")
 
     async def wanted(self, request: Request) -> tuple[Subject, Any, str]:
-        """The files that a request takes away."""
+        """Return the subject, the rectangle and the method of a request for a copy."""
         asked = mapping("request", await read_json(request))
         subject = read_subject(asked, self.offers)
         method = choice("method", asked.get("method", METHODS[0]), METHODS)
@@ -256,12 +257,12 @@ class Service:
 
 
 def is_long(cells: Rectangle) -> bool:
-    """Whether a rectangle has so many cells that one worker alone takes it."""
+    """Return whether a rectangle has so many cells that only the first worker takes it."""
     return cells.shape[0] * cells.shape[1] > MANY_CELLS
 
 
 class Picture(StreamingResponse):
-    """A stream of frames, counted while it lasts; a failure becomes a frame."""
+    """A stream of frames, which counts as a picture while it lasts; a failure becomes a frame."""
 
     def __init__(self, service: Service, frames: AsyncIterator[bytes]):
         super().__init__(self.whole(frames), media_type="application/octet-stream")
@@ -283,7 +284,7 @@ class Picture(StreamingResponse):
 
 
 async def read_json(request: Request) -> Any:
-    """The JSON of a request."""
+    """Return the JSON of a request."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise WrongUse("a request must be of the type application/json")
     body = await asyncio.wait_for(request.body(), BODY_SECONDS)
@@ -294,7 +295,7 @@ async def read_json(request: Request) -> Any:
 
 
 def refused(request: Request, error: Exception) -> Response:
-    """The answer where a request is wrong, or a computation fails."""
+    """Return the answer to a wrong request, or to one whose computation fails."""
     if isinstance(error, WrongParameter):
         return JSONResponse({"error": str(error), "parameter": error.args[1]}, 400)
     if isinstance(error, WrongUse):
@@ -309,7 +310,7 @@ def refused(request: Request, error: Exception) -> Response:
         return refuse(408, "the request did not come")
     if isinstance(error, HTTPException):
         return refuse(error.status_code, error.detail.lower())
-    return Response(status_code=499)  # gone
+    return Response(status_code=499)  # the client has gone
 
 
 HANDLED = (
@@ -319,16 +320,16 @@ HANDLED = (
 
 
 def make_app(offers: Offers = FAMILY, first: dict | None = None) -> Starlette:
-    """The application, with the page and all answers, for the walkers that it offers.
+    """Make the application, with the page and all answers, for the walkers that it offers.
 
-    What it is likely to be asked for `first` is compiled while the browser opens.
+    The programs for the likely `first` request are compiled while the browser opens.
     """
     service, files = Service(offers), page_files()
 
     async def prepare(asked: dict) -> None:
         try:
             await service.programs.ready(read_subject(asked, offers))
-        except (WrongUse, ComputationFailed) as error:  # which the page will say, too
+        except (WrongUse, ComputationFailed) as error:  # the page will report it too
             logging.getLogger("uvicorn.error").warning("walker-jax: %s", error)
 
     async def page(request: Request) -> Response:

@@ -1,4 +1,4 @@
-"""The pieces of answers that come while they are computed: frames, and lines of JSON."""
+"""Streams: parts of answers sent while the rest is computed, as frames or lines of JSON."""
 
 import asyncio
 import json
@@ -11,11 +11,11 @@ from starlette.requests import ClientDisconnect, Request
 from walker_jax.explorer.workers import SAID, Busy, Failure
 
 WORDS, CELLS, FAILED = 0, 1, 2
-"""Kinds of frames of a picture: JSON, the bytes of a tile, the reason of a failure."""
+"""Kinds of frames in a picture: JSON, the bytes of a tile, the reason for a failure."""
 
 
 async def unless_gone(request: Request, work: Any) -> Any:
-    """The result of a coroutine, which is cancelled if whoever asked for it has gone."""
+    """Return the result of a coroutine, or cancel it when the client disconnects."""
     task = asyncio.ensure_future(work)
 
     async def gone() -> None:
@@ -34,25 +34,25 @@ async def unless_gone(request: Request, work: Any) -> Any:
 
 
 async def chained(first: bytes, others: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-    """The first piece of a stream, and the others."""
+    """Yield the first part of a stream, then the others."""
     yield first
     async for one in others:
         yield one
 
 
 def line_of(content: dict) -> bytes:
-    """A line of JSON."""
+    """Return a line of JSON."""
     return json.dumps(content).encode() + b"\n"
 
 
 def frame(kind: int, content: dict | bytes) -> bytes:
-    """A frame: its length, its kind and its content."""
+    """Return a frame: its length, its kind and its content."""
     body = content if isinstance(content, bytes) else json.dumps(content).encode()
     return struct.pack("<IB", len(body), kind) + body
 
 
 def reason_of(error: Exception) -> str:
-    """Why a computation failed; of what the package itself has not raised, the kind alone."""
+    """Return why a computation failed; for errors of other packages, only their kind."""
     if isinstance(error, Failure):
         kind, message = error.args
         return message if kind == SAID else f"the computation failed ({kind})"

@@ -1,7 +1,7 @@
-"""The subject of a request, checked: a walker or another system, its section, places on it.
+"""The subject of a request, checked: a walker or another system, its plane, and its parameters.
 
-A request is JSON from a stranger. Every number in it is bounded, every name is looked up among
-those that there are, and `WrongUse` says in one sentence what is wrong.
+A request is JSON from a stranger. Every number in it is bounded, and every name must be a known
+one. `WrongUse` says in one sentence what is wrong.
 """
 
 from collections.abc import Mapping
@@ -17,19 +17,19 @@ from walker_jax.walking.starts import sizes_of_starts
 
 METHODS = ("direct", "cell-map")
 LARGEST = 1e6
-"""Largest absolute value of a number in a request, far beyond any that a walker walks with."""
+"""Largest absolute value of a number in a request, far beyond any useful value."""
 
 
 class Subject(NamedTuple):
-    """The walker, or other system, that a request is about, and the plane that is shown."""
+    """The walker, or other system, of a request, and the plane that is shown."""
 
     offer: Offer
     values: tuple[float, ...]
-    """Of its parameters, in the order of `parameters`."""
+    """Values of its parameters, in the order of `parameters`."""
     section: str
-    """The name of one of its planes."""
+    """Name of one of its planes."""
     at: tuple[float | None, ...]
-    """The other coordinates of the plane; None for those of the gait."""
+    """Fixed coordinates of the plane; None for those of the gait."""
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -39,7 +39,7 @@ class Subject(NamedTuple):
 
     @property
     def walker(self) -> System:
-        """The walker, or system, itself."""
+        """The walker, or other system, with these parameters."""
         return self.offer.build(self.values)
 
     @property
@@ -49,14 +49,14 @@ class Subject(NamedTuple):
 
 
 class WrongParameter(WrongUse):
-    """A value of a slider is refused; the second argument is the slider's name."""
+    """The value of a slider is refused; the second argument is the slider's name."""
 
     def __str__(self):
         return str(self.args[0])
 
 
 def read_subject(asked: Any, offers: Offers = FAMILY) -> Subject:
-    """The subject of a request; raises `WrongUse` for one that there is not."""
+    """Return the subject of a request; raise `WrongUse` for a request that is wrong."""
     asked = mapping("request", asked)
     name = choice("walker", asked.get("walker"), tuple(offers))
     offered = offers[name]
@@ -83,7 +83,7 @@ def read_subject(asked: Any, offers: Offers = FAMILY) -> Subject:
 
 
 def read_slice(others: tuple[str, ...], asked: Any) -> tuple[float | None, ...]:
-    """The coordinates that are fixed; None where the gait's are asked for."""
+    """Return the fixed coordinates of a request; None for those of the gait."""
     given = mapping("at", asked)
     for name in given:
         if name not in others:
@@ -94,33 +94,33 @@ def read_slice(others: tuple[str, ...], asked: Any) -> tuple[float | None, ...]:
 
 
 def read_start(subject: Subject, asked: Any) -> Float[np.ndarray, " coordinates"]:
-    """A start on the section, or a full state."""
+    """Return the start of a request: a state on the section, or a full state."""
     return np.array(numbers("start", asked, sizes_of_starts(subject.walker)))
 
 
 def mapping(name: str, value: Any) -> Mapping[str, Any]:
-    """The value, where it is a JSON object."""
+    """Return the value if it is a JSON object."""
     if not isinstance(value, dict):
         raise WrongUse(f"{name} must be an object, not {short(value)}")
     return value
 
 
 def choice(name: str, value: Any, among: tuple[str, ...]) -> str:
-    """The value, where it is one of some words."""
+    """Return the value if it is one of some words."""
     if not isinstance(value, str) or value not in among:
         raise WrongUse(f"{name} must be one of {', '.join(among)}, not {short(value)}")
     return value
 
 
 def number(name: str, value: Any) -> float:
-    """The value, where it is a number of a reasonable size."""
-    if not is_number(value) or not abs(value) <= LARGEST:  # nor so for NaN
+    """Return the value if it is a number of a reasonable size."""
+    if not is_number(value) or not abs(value) <= LARGEST:  # True for NaN
         raise WrongUse(f"{name} must be a number of at most {LARGEST:g}, not {short(value)}")
     return float(value)
 
 
 def slider_number(name: str, value: Any) -> float:
-    """The same; a refusal names the slider."""
+    """Return the number of a slider; a refusal names the slider."""
     try:
         return number(name, value)
     except WrongUse as error:
@@ -128,14 +128,14 @@ def slider_number(name: str, value: Any) -> float:
 
 
 def whole(name: str, value: Any, least: int, most: int) -> int:
-    """The value, where it is a whole number between two others."""
+    """Return the value if it is a whole number from `least` to `most`."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise WrongUse(f"{name} must be a whole number from {least} to {most}, not {short(value)}")
     return value
 
 
 def numbers(name: str, value: Any, lengths: tuple[int, ...]) -> list[float]:
-    """The values of a list of one of some lengths."""
+    """Return the numbers of a list that has one of some lengths."""
     if not isinstance(value, list) or len(value) not in lengths:
         raise WrongUse(
             f"{name} must be {' or '.join(map(str, lengths))} numbers, not {short(value)}"

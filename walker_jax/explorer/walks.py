@@ -1,7 +1,7 @@
-"""Walks for the page: every frame of some strides, and pushes.
+"""Walks for the page: the frames of some strides, and pushes.
 
-A frame is a full state, of angles and then their rates, and frames are evenly spaced over each
-stride, its start and its end among them. The page draws the walker between them, so it needs few.
+A frame is a full state, angles first and then their rates. Frames are evenly spaced over each
+stride, with its start and its end among them. The page interpolates between them, so few suffice.
 """
 
 import math
@@ -31,18 +31,18 @@ from walker_jax.walking.starts import full_state
 from walker_jax.walking.trajectories import legs, state_after
 
 MAX_STRIDES = 60
-"""Strides of one answer."""
+"""Most strides in one answer."""
 STRIDES_AT_ONCE = 6
-"""Strides between which others take their turn."""
+"""Strides computed before other requests take their turn."""
 FRAME = 0.06
-"""Time between frames, 60 in a stride: a cubic through states and rates is exact enough between."""
+"""Time between frames, about 60 in a stride. A cubic through states and rates interpolates them."""
 
 
 def leg_of(subject: Subject) -> dict[str, float] | None:
-    """The sizes in which to draw a walker; None for a system that is not drawn.
+    """Return the sizes for drawing a walker; None for a system that is not drawn.
 
     They are the length of its legs, from the hip to the centre of the foot's arc, and the radius of
-    that. Raises `WrongUse` where it has no legs of one length.
+    that arc. Raises `WrongUse` if its clearance and reach are not those of a leg.
     """
     walker = subject.walker
     if not isinstance(walker, Walker) or not subject.offer.has_film:
@@ -56,12 +56,12 @@ def leg_of(subject: Subject) -> dict[str, float] | None:
 
 
 def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: int) -> dict:
-    """Strides from a start on the section, or from a full state, and the start of the next one.
+    """Follow strides from a start on the section, or from a full state.
 
-    There is no next one after a failure. Each stride has its `start`, `outcome`, `duration` (of a
-    failure, of what there is to see) and `frames`, rows of theta, phi, thetadot and phidot. Those
-    of a `KneedWalker` are of a `BentState`; a state of the legs alone has its knees locked.
-    `leg` has the sizes in which the walker is drawn.
+    Each of the `strides` has its `start`, `outcome`, `duration` (for a failing stride, of the part
+    to be shown) and `frames`, rows of theta, phi, thetadot and phidot. The rows of a `KneedWalker`
+    are of a `BentState`; a full state of the legs alone starts with locked knees. `next` is the
+    start of the next stride, None after a failure. `leg` has the sizes for drawing the walker.
     """
     made, leg = [], leg_of(subject)
     for _ in range(count):
@@ -83,7 +83,7 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
 
 
 def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> System:
-    """The walker whose stride begins at a start: with its knees locked, where these are."""
+    """Return the walker whose stride begins at a start; its knees are locked if the start's are."""
     walker = subject.walker
     if isinstance(walker, KneedWalker) and len(start) == len(State._fields):
         return lock_knees(walker)
@@ -91,7 +91,7 @@ def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> S
 
 
 def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outcome) -> dict:
-    """The stride in which a walker fails: to the ground, or to where it runs or stops."""
+    """Describe the stride in which a walker fails, until it is on the ground, runs or stops."""
     length, radius = leg_shape(walker)
     ends = np.minimum(find_ends(walker, start), FALL_TIME * np.sqrt(length + radius))
     times = np.linspace(0, ends[-1], 1 + max(8, round(ends[-1] / FRAME)))
@@ -110,10 +110,10 @@ def end(
     duration: float,
     states: Any = None,
 ) -> dict:
-    """A stride for the page; without states, as of a system that is not drawn, of no frames.
+    """Describe a stride for the page; without states it has no frames.
 
-    Where a leg has a knee: `bent`, the places of the knee and of the leg's end from the hip, and
-    `locks`, the time of knee strike.
+    If a leg has a knee, `bent` has the places of the knee and of the leg's end relative to the hip,
+    and `locks` is the time of knee strike.
     """
     shown = states if states is None or isinstance(walker, KneedWalker) else legs(states)
     rows = np.zeros((0, 4)) if shown is None else np.stack(shown, axis=1)
@@ -135,7 +135,7 @@ def end(
 def states_at(
     walker: Walker, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
 ) -> Any:
-    """Return the states at times after a start, by one program for all counts of times."""
+    """Return the states at times after a start; one program serves any number of times."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
     arguments = (walker, start, times, Integrator(1e-12).in_dtype(float))
     return map_cells(state_after, arguments, (False, False, True, False))
@@ -144,9 +144,9 @@ def states_at(
 def push(
     subject: Subject, start: Float[np.ndarray, " coordinates"], impulse: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " state"]:
-    """The full state after a push at the hip: an impulse along the slope and normal to it.
+    """Compute the full state after a push at the hip: an impulse along the slope and normal to it.
 
-    In units of the walker's mass at the hip, or of mass, times speed.
+    The unit is that of mass (or the mass at the hip) times speed.
     """
     leg = np.asarray(leg_shape(check_push(subject.walker, subject.offer.name)))
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker_from(subject, start))
@@ -155,7 +155,7 @@ def push(
 
 
 def check_push(walker: System, name: str) -> MultibodyWalker | AbstractMasslessFootWalker:
-    """Refuse to push a walker of which it is not known what moves with its hip."""
+    """Refuse to push a walker if it is not known which masses move with its hip."""
     if not isinstance(walker, MultibodyWalker | AbstractMasslessFootWalker):
         raise WrongUse(f"{name} cannot be pushed: it does not say where its masses are")
     if walker.phases() and not isinstance(walker, KneedWalker):
@@ -169,12 +169,12 @@ def after_push(
     impulse: Float[Array, " 2"],
     leg: Float[Array, " 2"],
 ) -> Float[Array, " state"]:
-    """The state after an impulse P at the hip, which changes rates by M^{-1} (d hip / dq)^T P.
+    """Return the state after an impulse P at the hip; rates change by M^{-1} (d hip / dq)^T P.
 
     The hip of a leg of length l on a foot of radius r is at (-r theta - l sin theta, l cos theta).
-    A leg that carries a vanishing mass at its foot alone turns so that the foot's speed across it
-    stays: then thetadot changes by P . (d hip / d theta) / l^2, and phidot by 1 - cos(phi) times
-    that.
+    If the swing leg has only a vanishing mass, at its foot, the foot keeps its speed across the
+    leg: then thetadot changes by P . (d hip / d theta) / l^2, and phidot by (1 - cos phi) times as
+    much.
     """
     state = full_state(walker, start)
     count = len(state) // 2

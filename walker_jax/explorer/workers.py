@@ -1,8 +1,8 @@
-"""Processes for what takes long, so that it blocks no picture, and can be given up.
+"""Worker processes for long computations, which then block no picture and can be cancelled.
 
-A worker is a process of low priority with a JAX of its own. It works on one thing at a time, which
-an interrupt ends; the worker stays, with what it has compiled. The first worker takes every job,
-the others short ones: so nobody's bifurcation diagram keeps others from their gaits.
+A worker is a process of low priority with a JAX of its own. It works on one job at a time. An
+interrupt ends the job; the worker stays, with its compiled programs. The first worker takes every
+job, the others only short ones, so that a bifurcation diagram does not delay gaits.
 """
 
 import asyncio
@@ -24,17 +24,17 @@ import jax
 from walker_jax.checks import ComputationFailed, WrongUse
 
 WORKERS = 2
-"""Processes: one for what is long, and one more for what is short."""
+"""Number of processes: one for all jobs, and one more for short jobs."""
 GRACE = 5.0
-"""Seconds in which an interrupted worker must answer before it is killed."""
+"""Seconds within which an interrupted worker must answer; later it is killed."""
 REMEMBERED = 64
-"""Answers that are kept."""
+"""Most results that are kept."""
 MAX_WAITING = 64
-"""Jobs that wait; more are refused."""
+"""Most waiting jobs; more are refused."""
 NICENESS = 10
-"""By how much the priority of workers is lower than that of pictures."""
+"""Niceness of workers, so that pictures come first."""
 SAID = "said"
-"""The kind of a failure whose message is for those who ask."""
+"""Kind of a failure whose message is shown to the user."""
 SETTINGS = (
     "jax_enable_x64",
     "jax_compilation_cache_dir",
@@ -48,11 +48,11 @@ Told = Callable[[Any], object]
 
 
 class Busy(Exception):
-    """More is waiting than may."""
+    """Too many jobs or pictures are waiting."""
 
 
 class Interrupted(BaseException):
-    """The job was given up."""
+    """The job was cancelled."""
 
 
 class Failure(Exception):
@@ -63,7 +63,7 @@ def serve(connection: Connection, settings: dict[str, Any]) -> None:
     """Work on jobs until the other end closes: the main function of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     hold_interrupts(False)
-    sys.unraisablehook = quiet  # of an interrupt that comes while Python collects garbage
+    sys.unraisablehook = quiet  # for an interrupt while Python collects garbage
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     for name, value in settings.items():
@@ -74,33 +74,33 @@ def serve(connection: Connection, settings: dict[str, Any]) -> None:
             function, arguments = connection.recv()
         except (EOFError, OSError):
             return
-        except Exception as error:  # of a user's file that can be imported no more
+        except Exception as error:  # a user's file cannot be imported any more
             connection.send((SAID, f"the walker cannot be loaded: {type(error).__name__}: {error}"))
             continue
         connection.send(answer(function, arguments, connection))
 
 
 def hold_interrupts(held: bool) -> None:
-    """Keep interrupts from this thread and the processes that it starts, or let them come."""
+    """Block interrupts in this thread and the processes that it starts, or unblock them."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_BLOCK if held else signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def quiet(unraisable: Any) -> None:
-    """Say nothing of an interrupt that nobody could catch: the next one follows."""
+    """Ignore an interrupt that could not be caught, as the next one follows."""
     if not isinstance(unraisable.exc_value, Interrupted):
         sys.__unraisablehook__(unraisable)
 
 
 def answer(function: Callable, arguments: tuple, connection: Connection) -> tuple[str, Any]:
-    """The result of a function, or how it fails; an interrupt ends it.
+    """Return the result of a function, or how it fails; an interrupt ends it.
 
-    Parts of the result, which a function yields before it returns, are sent as they come.
+    If the function yields parts before its result, each part is sent as it comes.
     """
     sending = False
 
     def give_up(number: int, frame: FrameType | None) -> None:
-        if not sending:  # the next interrupt follows, and half a message is none
+        if not sending:  # a message must be sent whole; the next interrupt follows
             raise Interrupted
 
     try:
@@ -126,12 +126,12 @@ def answer(function: Callable, arguments: tuple, connection: Connection) -> tupl
 
 
 def returned(result: Any) -> Generator[Any, None, Any]:
-    """Parts of a result, and the result, of a function that yields, or of one that returns."""
+    """Yield the parts that a function yields, if any, and return its result."""
     return (yield from result) if isinstance(result, Generator) else result
 
 
 class Worker:
-    """A process, started when it is first needed, and anew where it has died."""
+    """A process that starts when it is first needed, and again if it has died."""
 
     def __init__(self) -> None:
         self.thread = ThreadPoolExecutor(1, "worker")
@@ -140,9 +140,9 @@ class Worker:
         self.at_work = False
 
     async def run(self, function: Callable, *arguments: Any, told: Told) -> Any:
-        """function(*arguments) in the process; a cancelled task interrupts it.
+        """Return function(*arguments) from the process; to cancel the task interrupts it.
 
-        `told` is called with all that a function yields before its result.
+        `told` is called with each part that the function yields before its result.
         """
         loop = asyncio.get_running_loop()
         tell = partial(loop.call_soon_threadsafe, told)
@@ -157,10 +157,10 @@ class Worker:
         return result
 
     async def give_up(self, job: asyncio.Future) -> None:
-        """End the job, by an interrupt if the worker heeds it."""
+        """End the job by interrupts, or end the process if these do not help."""
         waited, step = 0.0, 0.1
-        while not job.done() and waited < GRACE:  # again and again, as one may come too soon
-            if self.at_work:  # and not while the process starts
+        while not job.done() and waited < GRACE:  # repeatedly, as an interrupt may come too soon
+            if self.at_work:  # not while the process starts
                 with suppress(ProcessLookupError):
                     os.kill(self.process.pid, signal.SIGINT)
                 waited += step
@@ -171,7 +171,7 @@ class Worker:
             await job
 
     def call(self, function: Callable, arguments: tuple, tell: Told) -> tuple[str, Any]:
-        """Send the job and wait, and tell what comes before the result; in the worker's thread."""
+        """Send the job, tell its parts, and wait for the result; in the worker's thread."""
         try:
             if self.process is None or not self.process.is_alive():
                 self.start()
@@ -193,16 +193,16 @@ class Worker:
         self.connection, other = context.Pipe()
         settings = {name: getattr(jax.config, name) for name in SETTINGS}
         self.process = context.Process(target=serve, args=(other, settings), daemon=True)
-        hold_interrupts(True)  # also those of a terminal, until the process can heed them
+        hold_interrupts(True)  # until the process can handle them, those of a terminal too
         try:
             self.process.start()
         finally:
             hold_interrupts(False)
         other.close()
-        self.connection.recv()  # that it is ready
+        self.connection.recv()  # the message that it is ready
 
     def stop_process(self) -> None:
-        """End the process, whatever it is at."""
+        """Kill the process, whatever it is doing."""
         if self.process is not None:
             self.process.kill()
             self.process.join()
@@ -216,7 +216,7 @@ class Worker:
 
 
 class Job:
-    """Something to compute, for one who asks or several."""
+    """A computation for one request, or for several that ask for the same."""
 
     def __init__(self, function: Callable, arguments: tuple, long: bool):
         self.function, self.arguments, self.long = function, arguments, long
@@ -227,14 +227,14 @@ class Job:
         self.task: asyncio.Task | None = None
 
     def tell(self, part: Any) -> None:
-        """Tell all who ask of a part of the result."""
+        """Pass a part of the result to all requests."""
         self.parts.append(part)
         for told in self.told:
             told(part)
 
 
 class Workers:
-    """Workers, the jobs that wait for them, and the answers of late."""
+    """Workers, the jobs that wait for them, and the recent results."""
 
     def __init__(self, count: int = WORKERS) -> None:
         self.all = [Worker() for _ in range(count)]
@@ -251,10 +251,10 @@ class Workers:
         keep: bool = True,
         told: Told | None = None,
     ) -> Any:
-        """function(*arguments), from the answers of late, or from a worker.
+        """Return function(*arguments), from the recent results or from a worker.
 
-        Two who ask for the same share a job. It ends when the last of them gives up. `told` is
-        called with what a function yields before its result, from the first one on.
+        Requests for the same share a job, which ends when the last of them is cancelled. `told` is
+        called with each part that the function yields before its result, from the first part on.
         """
         key = (function, arguments)
         if key in self.answers:
@@ -287,7 +287,7 @@ class Workers:
         return result
 
     def drop(self, key: Hashable, job: Job) -> None:
-        """Forget a job for which nobody waits any more."""
+        """Drop a job for which no request waits any more."""
         if self.jobs.get(key) is job:
             del self.jobs[key]
         if job in self.waiting:
@@ -305,7 +305,7 @@ class Workers:
                 fits[0].task = asyncio.create_task(self.work(worker, fits[0]))
 
     async def work(self, worker: Worker, job: Job) -> None:
-        """Have a worker do a job, and then the next."""
+        """Have a worker do a job, then give it the next one."""
         try:
             result = await worker.run(job.function, *job.arguments, told=job.tell)
             if not job.result.done():
@@ -315,13 +315,13 @@ class Workers:
         except Exception as error:
             if not job.result.done():
                 job.result.set_exception(error)
-                job.result.exception()  # seen, even where nobody waits for it any more
+                job.result.exception()  # marks it as retrieved, even if no request waits for it
         finally:
             self.idle.append(worker)
             self.idle.sort(key=self.all.index, reverse=True)  # short jobs leave the first one free
             self.assign()
 
     def stop(self) -> None:
-        """End all processes."""
+        """Stop all workers."""
         for worker in self.all:
             worker.stop()
