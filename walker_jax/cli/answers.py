@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 
 
 PICTURES = (".png", ".svg", ".pdf")
-"""Formats that carry a title, which tells whether a picture is of the same request."""
+"""Formats with a title, which holds the signature of the request."""
 
 
 def request_for(
     command: str, system: System, /, *, without: Container[str] = (), **asked: Any
 ) -> dict[str, Any]:
-    """All that the answer of a command about a system depends on.
+    """Return all that the answer of a command about a system depends on.
 
-    The system is described `without` the parameters over which the command goes.
+    The description of the system is `without` the parameters that the command varies.
     """
     about = {name: one for name, one in describe_walker(system).items() if name not in without}
     code = code_fingerprint(type(system), code_of(system))
@@ -44,18 +44,18 @@ def request_for(
 
 
 def slope_of(about: dict[str, Any]) -> dict[str, float]:
-    """The slope of a walker that is described in a request, if it has one."""
+    """Return the slope of a walker that is described in a request, if it has one."""
     return {name: value for name, value in about.items() if name == "slope"}
 
 
 def walker_in_words(about: dict[str, Any], form: str = "g") -> str:
-    """A walker that is described in a request: its name, and its parameters."""
+    """Write a walker that is described in a request: its name and its parameters."""
     name, *values = about.items()
     return ", ".join([name[1], *(f"{key} {value:{form}}" for key, value in values)])
 
 
 def check_suffix(figure: Path) -> None:
-    """Refuse a name of a picture that is not of one of the `PICTURES`."""
+    """Refuse a picture whose name ends in none of the `PICTURES`."""
     if figure.suffix not in PICTURES:
         raise WrongPlace(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
 
@@ -75,7 +75,7 @@ def check_film(path: Path, request: dict, *, overwrite: bool) -> None:
 
 
 def draw(axes, path: Path, request: dict) -> None:
-    """Save the picture to which axes belong, signed with the request."""
+    """Save the picture of these axes, signed with the request."""
     picture = axes.get_figure(root=True)
     with storage.atomic_file(path) as draft:
         picture.savefig(draft, dpi=150, metadata={"Title": storage.signature(request)})
@@ -83,7 +83,7 @@ def draw(axes, path: Path, request: dict) -> None:
 
 @dataclass(frozen=True)
 class Output:
-    """Where the data set and the picture of a command go, and how its answer is printed."""
+    """The places of a command's data set and picture, and the form of its answer."""
 
     theme = "Output"
     out: Path = option(Path(), "Where the data set goes.")
@@ -93,11 +93,11 @@ class Output:
 
     @property
     def picture(self) -> Path:
-        """Where the picture goes."""
+        """The place of the picture."""
         return self.figure or self.out.with_suffix(".png")
 
     def check(self) -> None:
-        """Refuse places that are no names, or one place for both."""
+        """Refuse places without a name or with a wrong ending, and one place for both."""
         if not self.out.name:
             raise WrongPlace(
                 f"--out {self.out} is not the name of a data set: give one, such as a.zarr"
@@ -108,11 +108,11 @@ class Output:
             raise WrongPlace(f"--figure {self.picture} must be another place than --out {self.out}")
 
     def find(self, request: dict) -> "xarray.Dataset | None":
-        """The data set that the same command has completed; refuses places that are taken."""
+        """Find the data set that the same command has completed; refuse places that are taken."""
         self.check()
         found = storage.find(
             self.out, request, overwrite=self.overwrite
-        )  # first: it says what differs
+        )  # first, as it says what differs
         earlier = request if found is None else storage.request_in(found.attrs)
         storage.check_picture(self.picture, request, earlier, overwrite=self.overwrite)
         if earlier["version"] != request["version"]:
@@ -120,11 +120,11 @@ class Output:
         return found
 
     def draw(self, axes: Any, request: dict) -> None:
-        """Save the picture to which axes belong."""
+        """Save the picture of these axes."""
         draw(axes, self.picture, request)
 
     def place(self, request: dict) -> dict[str, Any]:
-        """Arguments for functions of the library that save what they compute."""
+        """Return the arguments of library functions that save their results."""
         return {"out": self.out, "request": request, "overwrite": self.overwrite}
 
     def produce(
@@ -134,9 +134,9 @@ class Output:
         picture: str,
         kept: bool = False,
     ) -> "xarray.Dataset":
-        """The data set of a request, computed unless it stands there, and its picture.
+        """Return the data set of a request, computed unless it exists, and draw its picture.
 
-        `picture` is the name of a function in `figures`; with `kept`, `compute` saves by itself.
+        `picture` is the name of a function in `figures`. With `kept`, `compute` itself saves.
         """
         data = self.find(request)
         if data is None:
@@ -149,14 +149,14 @@ class Output:
         return data
 
     def tell(self, answer: dict, lines: Iterable[str], film: Path | None = None) -> None:
-        """Print the answer, and the places."""
+        """Print the answer and the places of the files."""
         shot = f", film {film}" if film is not None else ""
         places = f"  data set {self.out}, picture {self.picture}{shot}"
         tell(answer, chain(lines, [places]), as_json=self.as_json)
 
 
 class Stopwatch:
-    """Wall-clock time, and how much of it JAX spent on tracing and compiling."""
+    """Wall-clock time, and the part of it that JAX spent on tracing and compiling."""
 
     def __init__(self):
         self.compiling: list[tuple[float, float]] = []
@@ -169,7 +169,7 @@ class Stopwatch:
             self.compiling.append((max(now - duration_secs, self.start), now))
 
     def seconds(self) -> dict[str, float]:
-        """Seconds so far; compilations in several threads at once count once."""
+        """Return the seconds so far; simultaneous compilations in several threads count once."""
         total, end = 0.0, self.start
         for begin, finish in sorted(self.compiling):
             total += max(0.0, finish - max(begin, end))
@@ -186,7 +186,7 @@ def tell(answer: dict, lines: Iterable[str], *, as_json: bool) -> None:
 
 
 def jsonable(value: Any) -> Any:
-    """The same value in the types of JSON: null for NaN and infinities."""
+    """Convert a value to the types of JSON; NaN and infinities become null."""
     if isinstance(value, dict):
         return {key: jsonable(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -199,11 +199,11 @@ def jsonable(value: Any) -> Any:
 
 
 def listed(numbers: Iterable[Any], form: str = ".6f") -> str:
-    """Numbers with commas between them."""
+    """Write numbers with commas between them."""
     return ", ".join(f"{number:{form}}" for number in numbers)
 
 
 def points_listed(points: Sequence[Any]) -> str:
-    """Some points, the first four of many."""
+    """Write the first four of some points."""
     more = ", ..." if len(points) > 4 else ""
     return ", ".join(f"({listed(point)})" for point in points[:4]) + more

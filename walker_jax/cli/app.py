@@ -1,6 +1,6 @@
-"""The application: a group of commands, each loaded once its arguments are right.
+"""The application: a group of commands, each loaded only after its arguments have been checked.
 
-So no help loads JAX or the module of a command, and no misspelt option does.
+So neither a help page nor a misspelt option loads JAX or the module of a command.
 """
 
 import inspect
@@ -50,11 +50,11 @@ COMMANDS = {
 
 
 class Interrupted(BaseException):
-    """The command was interrupted; its arguments say how the work is resumed."""
+    """The command was interrupted; the arguments say how to resume the work."""
 
 
 class Commands(TyperGroup):
-    """The commands, of which only names and first lines of help are known until one is loaded."""
+    """The group of commands; until one is loaded, only names and first lines of help are known."""
 
     def __init__(self, **settings):
         super().__init__(**settings)
@@ -64,7 +64,7 @@ class Commands(TyperGroup):
     def resolve_command(self, ctx, args):
         name, _, rest = super().resolve_command(ctx, args)
         check_known(str(name), rest, ctx)
-        from walker_jax.cli.startup import configure_jax  # which loads JAX
+        from walker_jax.cli.startup import configure_jax  # loads JAX
 
         configure_jax()
         return name, load(str(name), rest), rest
@@ -72,14 +72,15 @@ class Commands(TyperGroup):
     def invoke(self, ctx):
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt as interruption:  # typer would keep the exit code alone
+        except KeyboardInterrupt as interruption:  # typer would keep only the exit code
             raise Interrupted(*resume_notes(interruption)) from interruption
 
 
 def load(name: str, args: Sequence[str] | None = None):
-    """The command of that name, with its options.
+    """Load the command of that name, with its options.
 
-    Its help has those of the walker that its arguments name; without any, those of all walkers.
+    Its help lists the options of the walker that its arguments name. If `args` is None it lists
+    those of all walkers.
     """
     function = ungrouped(getattr(import_module(f"walker_jax.cli.{name}_command"), name))
     if "ranges_over" in vars(function):  # a walker is its first argument
@@ -93,7 +94,7 @@ def load(name: str, args: Sequence[str] | None = None):
 
 
 def check_flags(command: TyperCommand) -> None:
-    """Refuse a walker with a parameter whose option the command has for something else."""
+    """Refuse a walker if one of its parameters has the same option as the command itself."""
     taken = {"--help"}
     for one in command.params:
         for flag in (*one.opts, *one.secondary_opts):
@@ -104,10 +105,10 @@ def check_flags(command: TyperCommand) -> None:
 
 
 def with_quiet(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option `--quiet`, which acts by its callback."""
+    """Return the command with the option `--quiet`, which acts by its callback."""
 
     def takes(quiet, **given):
-        refuse_both(given)  # of walkers and systems that are not the package's
+        refuse_both(given)  # not yet checked for walkers and systems outside the package
         return command(**given)
 
     own = [*arguments_of(command), argument("quiet", Quiet, False)]
@@ -130,16 +131,16 @@ Quiet = Annotated[
 
 
 def flowing(text: str) -> str:
-    """The same paragraphs, each on one line."""
+    """Put each paragraph on one line."""
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 def resume_notes(interruption: BaseException) -> list[str]:
-    """How the work is resumed: notes that the library left on an interruption, reworded."""
+    """Return how to resume the work: the library's notes on an interruption, reworded."""
     notes = getattr(interruption, "__notes__", [])
     if not notes:
         return []
-    from walker_jax.storage import RESUME_HINT  # loaded already by what left the notes
+    from walker_jax.storage import RESUME_HINT  # loaded already, as it left the notes
 
     hints = [note for note in notes if note.startswith(RESUME_HINT)]
     return [hint.replace("without overwrite", "without --overwrite", 1) for hint in hints]

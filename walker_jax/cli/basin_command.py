@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import xarray
 
 UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
-"""Of the sizes of basins."""
+"""Units of the sizes of basins."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,10 @@ class BasinWindow(Window):
         super().check(walker)
 
     def whole(self, walker: System, axes: dict[str, Any]) -> dict[str, Any]:
-        """The axes, on a section of three dimensions with those of the whole, but for a slice."""
+        """Return the axes; on a three-dimensional section, missing ones cover the whole section.
+
+        For a slice they stay as they are.
+        """
         if self.axis or not isinstance(walker, Walker) or "phidot" not in axes:
             return axes
         if self.at_phidot is not None:
@@ -99,7 +102,7 @@ class Options:
     frames: int = option(120, "Pictures of the film.", min=2)
 
     def check(self, window: BasinWindow) -> None:
-        """Refuse options that are for another one, which is not given."""
+        """Refuse options that need another option, which is not given."""
         if self.levels is None:
             refuse("is for --levels alone: give it too", seed=self.seed)
         if self.zoom is None:
@@ -112,8 +115,8 @@ class Options:
             check_finite(near=value)
 
     def settings(self, window: BasinWindow, axes: dict[str, Any]) -> dict[str, Any]:
-        """The method, and what is asked of it on these axes."""
-        direct = ""  # why the method must be
+        """Return the method and its settings on these axes."""
+        direct = ""  # the reason why the method must be direct
         if self.levels is not None:
             direct = "with --levels, not cell-map"
         elif self.zoom is not None:
@@ -183,7 +186,7 @@ def basin(
 def compute(
     walker: System, request: dict, output: Output, cluster: int | str | None
 ) -> "xarray.Dataset":
-    """The data set of a request, which goes on where an interrupted run has ended."""
+    """Compute the data set of a request, resuming an interrupted run."""
     with bar("search for a gait", True):
         grid = grid_along(fill_around_gait(walker, request["axes"]))
     strides = {name: request[name] for name in ("strides",) if name in request}
@@ -202,7 +205,7 @@ def compute(
 
 
 def draw_basin(walker: System, data: "xarray.Dataset", request: dict):
-    """The picture of a basin, in two dimensions or three; of a zoom with what is around it."""
+    """Draw a basin in two or three dimensions, a zoom together with its surroundings."""
     from walker_jax import figures
 
     if "zoom" in request and data["fate"].ndim == 2:
@@ -217,7 +220,7 @@ def draw_basin(walker: System, data: "xarray.Dataset", request: dict):
 
 
 def coarsen(axis: Any) -> Any:
-    """A range with half as many cells, for a map of where a window lies; a value as it is."""
+    """Halve the number of cells of a range, for a map around a window; keep a single value."""
     if is_number(axis):
         return axis
     low, high, count = axis
@@ -237,7 +240,7 @@ def draw_film(walker: System, data: "xarray.Dataset", shots: dict, film: Path) -
 def basin_in_words(
     data: "xarray.Dataset", answer: dict, counts: Tally, request: dict
 ) -> Iterator[str]:
-    """The answer of `basin`."""
+    """Write the answer of `basin`."""
     yield f"Basin of attraction, {walker_in_words(request['walker'])}, {answer['method']}"
     if "zoom" in request:
         centre = listed(data.attrs["origin"], ".17g")
@@ -253,7 +256,7 @@ def basin_in_words(
 
 
 def conclusion(answer: dict, request: dict) -> str:
-    """The share of starts that converge, and what to do next."""
+    """Write the share of starts that converge, and what to do next."""
     cells = sum(one["cells"] for one in answer["attractors"] if not one["artefact"])
     return conclude_basin(
         cells / max(1, sum(answer["fates"].values())),
@@ -264,7 +267,7 @@ def conclusion(answer: dict, request: dict) -> str:
 
 
 def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:
-    """How many strides were made, in which time."""
+    """Write the number of strides and the time they took."""
     made = answer["cells"] if answer["method"] == "cell-map" else counts.strides
     made = int(data["strides_made"]) if "strides_made" in data else made
     compiling, running = answer["seconds"]["compile"], answer["seconds"]["run"]
@@ -273,9 +276,9 @@ def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:
 
 
 def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> Iterator[str]:
-    """The attractors and fates of a basin; `measure` is the kind of its size.
+    """Write the attractors and fates of a basin; `measure` is "area" or "volume".
 
-    That a basin goes on beyond the grid is not said of a window within it.
+    A zoomed window lies within the basin's surroundings, so its border is not mentioned.
     """
     for i, one in enumerate(answer["attractors"]):
         period = f"period {one['period']}" if one["period"] else "no period"
@@ -294,7 +297,7 @@ def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> It
 
 
 def fates_in_words(fates: dict[str, int]) -> Iterator[str]:
-    """A line for each fate that cells have: its share, and how many they are."""
+    """Write a line for each fate: its share and number of cells."""
     whole = max(1, sum(fates.values()))
     for name, count in fates.items():
         if count:

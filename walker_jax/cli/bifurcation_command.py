@@ -35,7 +35,7 @@ TITLES = {
 
 
 def help_of_end(which: str, end: int) -> str:
-    """The help of an option for one end of the slopes, with its default values."""
+    """Write the help of an option for one end of the slopes, with its default values."""
     usual = SLOPE.span[end]
     own = {name: slopes_of(kind)[end] for name, kind in WALKERS.items()}
     others = [f", {name}: {value:g}" for name, value in own.items() if value != usual]
@@ -50,10 +50,10 @@ class Options:
     high: float | None = option(None, help_of_end("Highest", 1), "--to")
     period_max: int = option(8, "Longest period of the gaits that are followed.", min=1, max=64)
     strides: int = option(3000, "Strides after which a walker counts as walking for ever.", min=1)
-    normal_forms: bool = option(False, "Tell which are supercritical, ten seconds later.")
+    normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more.")
 
     def range(self, walker: System) -> tuple[str, float, float]:
-        """The parameter that changes, and its values at the ends."""
+        """Return the parameter that changes, and its lowest and highest values."""
         over, low, high = underscored(self.over), self.low, self.high
         check_parameter(walker, over)
         if over == "slope" and isinstance(walker, Walker):
@@ -92,7 +92,7 @@ def bifurcation(
 
 
 def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str]:
-    """The answer of `bifurcation`."""
+    """Write the answer of `bifurcation`."""
     for key, title in TITLES.items():
         if key == "neimark_sackers" and not answer[key]:
             continue

@@ -52,7 +52,7 @@ def boundary(
 
 
 def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
-    """The answer of `boundary`."""
+    """Write the answer of `boundary`."""
     yield f"Boundary between fates, {describe_in_words(walker)}"
     yield f"  basin entropy {answer['basin_entropy']:.5f} (0: every fate is certain)"
     entropy = answer["boundary_entropy"]
@@ -74,7 +74,7 @@ def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
 
 
 def edge_in_words(edge: dict) -> str:
-    """An edge state in words."""
+    """Write an edge state in words."""
     regions, between = (
         " / ".join(map(outcome_in_words, edge[pair])) for pair in ("regions", "between")
     )

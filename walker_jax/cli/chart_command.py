@@ -30,7 +30,7 @@ class Options:
     strides: int = option(1000, "Strides before the period is read.", min=1)
 
     def ranges(self, system: System) -> dict[str, tuple[float, float, int]]:
-        """The ends and the number of cells of two parameters."""
+        """Return the ends and the number of cells of each of two parameters."""
         found: dict[str, tuple[float, float, int]] = {}
         for text in self.over or ():
             name, low, high, count = read_range("--over", text)
@@ -82,7 +82,7 @@ def chart(
 
 
 def chart_in_words(answer: dict, names: list[str]) -> Iterator[str]:
-    """The answer of `chart`."""
+    """Write the answer of `chart`."""
     for curve in answer["curves"]:
         told = ", ".join(curve["criticality"])
         yield f"  {curve['kind']} of period {curve['period']}{f', {told}' if told else ''}:"

@@ -1,7 +1,7 @@
-"""Errors of typer in the package's own words: what is wrong, with what value, and what to do.
+"""Errors of typer in the package's own words: what is wrong, with which value, and what to do.
 
-typer has its texts from click or, in later versions, from pydantic; both are read here. A text of
-neither kind stays as it is.
+The texts of typer come from click or, in later versions, from pydantic; this module reads both. A
+text of another kind stays as it is.
 """
 
 import difflib
@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 LONGEST = 60
-"""Characters of a value that are shown."""
+"""Most characters of a value that are shown."""
 
 
 def complaint(error: Any) -> str:
-    """One line for an error of typer's own."""
+    """Write one line for an error of typer."""
     if hasattr(error, "possibilities"):
         bare = {one.strip("-"): one for one in error.possibilities or ()}
         similar = difflib.get_close_matches(error.option_name.strip("-"), bare)
@@ -39,7 +39,7 @@ def complaint(error: Any) -> str:
 
 
 def no_command(error: Any, name: str) -> str:
-    """The commands that may be meant, or where all are listed."""
+    """Suggest the commands that may be meant, or the list of all."""
     similar = difflib.get_close_matches(name, error.ctx.command.list_commands(error.ctx))
     return (
         f"{shown(name)} is not a command: {did_you_mean(similar) or 'walker-jax --help lists all'}"
@@ -47,7 +47,7 @@ def no_command(error: Any, name: str) -> str:
 
 
 def extra_argument(error: Any, words: str) -> str:
-    """The option that may be meant by the first of the words that are too many."""
+    """Suggest the option that may be meant by the first unexpected word."""
     first = (words.split() or [""])[0]
     known = [name for one in error.ctx.command.params for name in one.opts]
     similar = difflib.get_close_matches(f"--{first}", known, cutoff=0.8)
@@ -56,12 +56,12 @@ def extra_argument(error: Any, words: str) -> str:
 
 
 def did_you_mean(similar: Sequence[str]) -> str:
-    """The question; empty without any."""
+    """Ask whether one of these names is meant; empty without any."""
     return f"did you mean {' or '.join(similar)}?" if similar else ""
 
 
 def wrong_count(error: Any) -> str:
-    """Describe an option with too few values, or a flag that is given one."""
+    """Describe an option with too few values, or a flag with a value."""
     option, count = shown(error.option_name), re.search(r"requires (\w+) argument", error.message)
     if count is None:
         return f"{option} must be given without a value"
@@ -70,11 +70,11 @@ def wrong_count(error: Any) -> str:
 
 
 def wrong_value(error: Any) -> str:
-    """Describe what the value of an option or argument must be, and what it is."""
+    """Describe which value an option or argument must have, and which it has."""
     name, message = name_of(error.param), error.message.rstrip(".")
     by_pydantic = getattr(error.__cause__, "errors", None)
     value = by_pydantic()[0]["input"] if by_pydantic else message.partition(" is not ")[0]
-    end = message.removeprefix(str(value))  # in which a value of many words cannot mislead
+    end = message.removeprefix(str(value))  # so that the words of the value cannot mislead
     choices = re.search(r" is not one of (.+)$", end)
     if choices:
         must = f"one of {choices[1]}".replace("'", "")
@@ -93,19 +93,19 @@ QUOTE = "'"
 
 
 def in_bounds(param: Any) -> str:
-    """The bounds of an option in words."""
+    """Write the bounds of an option in words."""
     at = param if hasattr(param, "min") else param.type
     bounds = {"at least": at.min, "at most": at.max}
     return " and ".join(f"{limit} {value}" for limit, value in bounds.items() if value is not None)
 
 
 def name_of(param: Any) -> str:
-    """An option as it is typed, an argument as the help names it."""
+    """Return an option as it is typed, or an argument as the help names it."""
     return param.opts[0] if param.param_type_name == "option" else param.opts[0].upper()
 
 
 def help_for(error: Any) -> str:
-    """Where to look."""
+    """Write where to find help."""
     if error.ctx is None:
         return "see --help of the command"
     command = "" if error.ctx.parent is None else f" {error.ctx.info_name}"
@@ -113,5 +113,5 @@ def help_for(error: Any) -> str:
 
 
 def shown(value: str, longest: int = LONGEST) -> str:
-    """A value on one line, the beginning of a long one; quotes show an empty one."""
+    """Return the beginning of a value, on one line; quotes stand for an empty value."""
     return " ".join(value.split())[:longest] or "''"

@@ -1,4 +1,4 @@
-"""The last sentence of a command's answer: what it means, and what to do next."""
+"""The last sentence of a command's answer: what the answer means, and what to do next."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,7 +7,7 @@ from walker_jax.systems.outcomes import outcome_in_words
 
 
 def conclude_walk(outcomes: Sequence[str]) -> str:
-    """The conclusion of `walk`, from the outcomes of its strides."""
+    """Write the conclusion of `walk` from the outcomes of its strides."""
     last, count = outcomes[-1], len(outcomes)
     if last == "STRIDE":
         made = "all its strides" if count > 1 else "this stride"
@@ -17,7 +17,7 @@ def conclude_walk(outcomes: Sequence[str]) -> str:
 
 
 def conclude_explanation(outcome: str, complaints: Sequence[str]) -> str:
-    """The conclusion of `explain`."""
+    """Write the conclusion of `explain`."""
     if complaints:
         return "The model does not fit together: mend what the lines with ! say, and explain again."
     if outcome == "STRIDE":
@@ -27,7 +27,7 @@ def conclude_explanation(outcome: str, complaints: Sequence[str]) -> str:
 
 
 def conclude_gaits(stable: int, count: int) -> str:
-    """The conclusion of `gait`."""
+    """Write the conclusion of `gait`."""
     if not stable:
         return (
             "Walks leave an unstable gait: walker-jax bifurcation shows for which parameters one "
@@ -38,7 +38,7 @@ def conclude_gaits(stable: int, count: int) -> str:
 
 
 def conclude_basin(share: float, *, at_border: bool, refined: bool, zoomed: bool) -> str:
-    """The conclusion of `basin`, from the share of its cells that belong to a basin."""
+    """Write the conclusion of `basin` from the share of its cells that belong to a basin."""
     if not share:
         return (
             "No start in this window converges: walker-jax gait tells where a gait is, to put the "
@@ -55,7 +55,7 @@ def conclude_basin(share: float, *, at_border: bool, refined: bool, zoomed: bool
 
 
 def conclude_boundary(fractal: bool | None) -> str:
-    """The conclusion of `boundary`."""
+    """Write the conclusion of `boundary`."""
     if fractal:
         return (
             "Near a fractal boundary hardly any accuracy of the start foretells its fate: "
@@ -65,7 +65,7 @@ def conclude_boundary(fractal: bool | None) -> str:
 
 
 def conclude_robustness(rows: Sequence[Mapping[str, Any]], name: str) -> str:
-    """The conclusion of `robustness`, from its measures at values of a parameter of this name."""
+    """Write the conclusion of `robustness` from its measures at values of the named parameter."""
     known = [row for row in rows if row["gait"] is not None]
     sized = [row for row in known if row["least_disturbance"]["failure"] is not None]
     if not known:
@@ -87,14 +87,15 @@ def conclude_robustness(rows: Sequence[Mapping[str, Any]], name: str) -> str:
 
 
 def conclude_fall(*, filmed: bool) -> str:
-    """The conclusion of `fall`."""
+    """Write the conclusion of `fall`."""
     return "On slightly rough ground nearly all falls are like this one" + (
         "." if filmed else ": --animate fall.gif shows it."
     )
 
 
 def conclude_bifurcations(doublings: Sequence[float], over: str) -> str:
-    """The conclusion of `bifurcation`, from values at which the most stable gait doubles."""
+    """Write the conclusion of `bifurcation` from the values at which the most stable gait doubles.
+    """
     if not doublings:
         return (
             f"The most stable gait does not double its period for any {over} in this range: a "
@@ -107,7 +108,7 @@ def conclude_bifurcations(doublings: Sequence[float], over: str) -> str:
 
 
 def conclude_chart(curves: int) -> str:
-    """The conclusion of `chart`."""
+    """Write the conclusion of `chart`."""
     if not curves:
         return "One kind of motion has all of this chart: wider ranges may hold others."
     return (
@@ -117,7 +118,7 @@ def conclude_chart(curves: int) -> str:
 
 
 def conclude_continuation(attractors: Sequence[Mapping[str, Any]]) -> str:
-    """The conclusion of `continuation`."""
+    """Write the conclusion of `continuation`."""
     if not attractors:
         return "No start converges: try another --over, or a region that holds a gait."
     best = max(attractors, key=lambda one: one["largest_fraction"])
@@ -128,7 +129,7 @@ def conclude_continuation(attractors: Sequence[Mapping[str, Any]]) -> str:
 
 
 def conclude_sweep(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
-    """The conclusion of `sweep`, from the rows of its table."""
+    """Write the conclusion of `sweep` from the rows of its table."""
     known = [row for row in rows if row["total_area"] > 0]
     if not known:
         return "No basin has any area: try other values, or a region that holds a gait."
@@ -138,7 +139,7 @@ def conclude_sweep(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> s
 
 
 def conclude_optimum(answer: Mapping[str, Any]) -> str:
-    """The conclusion of `optimise`."""
+    """Write the conclusion of `optimise`."""
     if answer["out_of_time"]:
         return "The search is not over: the same command goes on with it."
     if answer["at_bound"]:
@@ -148,14 +149,14 @@ def conclude_optimum(answer: Mapping[str, Any]) -> str:
 
 
 def conclude_proof(*, proved: bool) -> str:
-    """The conclusion of `prove`."""
+    """Write the conclusion of `prove`."""
     if proved:
         return "All of it is proved, whatever the rounding: proofs.md says what a proof rests on."
     return "Open cells are neither proved to walk nor to fall: more --levels decide more of them."
 
 
 def conclude_kernel(area: float, passive: float) -> str:
-    """The conclusion of `viable`, from the areas of the kernel and of the passive basin."""
+    """Write the conclusion of `viable` from the areas of the kernel and of the passive basin."""
     if not area:
         return "No choice of these actions walks for ever: try a wider range of them."
     factor = f", {area / passive:.3g} times that of the passive basin" if passive else ""

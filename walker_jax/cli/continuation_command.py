@@ -63,7 +63,7 @@ def continuation(
 
 
 def attractors_in_words(answer: dict) -> Iterator[str]:
-    """The answer of `continuation`."""
+    """Write the answer of `continuation`."""
     for one in answer["attractors"]:
         period = f"period {one['period']}" if one["period"] else "no period"
         span = f"from {one['first']:g} to {one['last']:g}"

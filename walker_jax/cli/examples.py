@@ -1,4 +1,4 @@
-"""Examples for the help of each command, and how long it takes."""
+"""Examples for the help of each command, and the time it takes."""
 
 EXAMPLES = {
     "walk": (
@@ -79,7 +79,7 @@ EXAMPLES = {
     "export": ("export basin.zarr basin.nc",),
     "reproduce": ("reproduce --quick --out quick", "reproduce --out report"),
 }
-"""Some lines to type for each command, without the name of the program."""
+"""Lines to type for each command, without the name of the program."""
 DURATIONS = {
     "explain": "3 s, of a kneed walker 20 s.",
     "walk": "A few seconds; a film half a minute.",
@@ -100,4 +100,4 @@ DURATIONS = {
     "export": "A second.",
     "reproduce": "Forty seconds; with --quick less.",
 }
-"""How long each takes on two cores, as its help says."""
+"""Time of each command on two cores, as its help says."""

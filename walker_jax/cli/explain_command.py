@@ -39,6 +39,6 @@ def explain(walker: System, start: Start, as_json: Json = False) -> None:
 
 
 def in_words(text: str) -> str:
-    """An explanation with outcomes in words, in the place of their names."""
+    """Write an explanation with words in the places of the names of outcomes."""
     text = re.sub(r"condition (\w+):", r"condition (\1):", text.replace("ended by ", "the end: "))
     return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: outcome_in_words(name[0]), text)

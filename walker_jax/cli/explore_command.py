@@ -20,7 +20,7 @@ PAGE: Any = {"rich_help_panel": "Page"}
 
 @dataclass(frozen=True)
 class Shown:
-    """The window of a system's page."""
+    """Options for the window of a system's page."""
 
     theme = "Page"
     axis: list[str] | None = AXES
@@ -33,7 +33,7 @@ def explore(
     port: Annotated[
         int,
         typer.Option(
-            min=0, max=65535, metavar="N", help="Where it listens; 0 for a free one.", **PAGE
+            min=0, max=65535, metavar="N", help="Port of the server; 0 for a free one.", **PAGE
         ),
     ] = 0,
     host: Annotated[
@@ -66,9 +66,9 @@ def explore(
     axes = axes_from(walker, axis) if axis else {}
     if axes:
         check_ranges(axes, len(axes))
-        grid_along(axes)  # raises for ends that are none
+        grid_along(axes)  # raises for wrong ends
     offered = offer(walker, axes)
-    reference_of(offered.kind)  # raises for what worker processes cannot import
+    reference_of(offered.kind)  # raises for code that worker processes cannot import
     for option in chosen_options(walker):
         raise WrongUse(f"{option_of(option)} must be left out: the page knows parameters alone")
     values = {name: float(value) for name, value in numbers_of(walker).items()}
@@ -76,9 +76,9 @@ def explore(
 
 
 def check_host(host: str) -> None:
-    """Refuse what can be no name of a machine."""
+    """Refuse a host that cannot be the name of a machine."""
     try:
-        encoded = host.encode("idna")  # as the network does
+        encoded = host.encode("idna")  # the encoding of host names
     except UnicodeError:
         encoded = b""
     if not encoded.strip():

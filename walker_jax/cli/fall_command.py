@@ -25,24 +25,24 @@ from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import describe_in_words
 
 CONVERGED = 1e-6
-"""Angle of a sequence to the least one, above which the answer says so (rad)."""
+"""Residual (rad) above which the answer warns that the search has not converged."""
 
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Standard deviations of what disturbs each stride."""
+    """Standard deviations of the disturbances in each stride."""
 
     theme = "Disturbances"
     ground: float | None = option(None, "Standard deviation of steps (default: 0.0002).", min=0)
-    tilt: float = option(0.0, "That of changes of the slope, rad.", min=0)
-    push: float = option(0.0, "That of pushes, changes of thetadot.", min=0)
-    strides: int = option(12, "Disturbed strides.", min=1, max=32)
+    tilt: float = option(0.0, "Standard deviation of changes of the slope, rad.", min=0)
+    push: float = option(0.0, "Standard deviation of pushes, changes of thetadot.", min=0)
+    strides: int = option(12, "Number of disturbed strides.", min=1, max=32)
     way: Literal["forward", "backward", "running", "stopped"] | None = option(
         None, "The fall that counts (default: any)."
     )
 
     def deviations(self) -> wj.Disturbance:
-        """Deviations of steps, slopes and pushes: of steps alone where none is given."""
+        """Return the deviations of steps, slopes and pushes; by default there are only steps."""
         check_finite(ground=self.ground, tilt=self.tilt, push=self.push)
         none = self.ground is None and not (self.tilt or self.push)
         ground = 2e-4 if none else self.ground or 0.0
@@ -64,8 +64,8 @@ class Pictures:
 def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None:
     """Find the most probable fall: the least disturbances that topple the walker.
 
-    On ground that is a little rough nearly all falls are like that one. How many strides pass until
-    then, on average, follows from its action.
+    On slightly rough ground nearly all falls are like this one. The mean number of strides until a
+    fall follows from its action.
     """
     check_planar(walker)
     deviations = disturbances.deviations()
@@ -99,7 +99,7 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
 
 
 def draw_film(walker: Walker, found: ProbableFall, place: Path, request: dict) -> None:
-    """Save the film of the fall that is told: on steps beyond the least ones by a hair."""
+    """Save the film of this fall, on steps just above the least ones."""
     from walker_jax import figures
 
     heights = np.zeros(found.strides + 1)
@@ -114,7 +114,7 @@ def draw_film(walker: Walker, found: ProbableFall, place: Path, request: dict) -
 def fall_in_words(
     walker: Walker, found: ProbableFall, deviations: wj.Disturbance, *, chosen: bool
 ) -> Iterator[str]:
-    """The answer of `fall`."""
+    """Write the answer of `fall`."""
     yield f"Most probable fall, {describe_in_words(walker)}"
     words = outcome_in_words(found.outcome.name)
     yield f"  {words} after {found.strides} strides; action {found.action:.6g}"

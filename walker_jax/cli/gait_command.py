@@ -20,7 +20,7 @@ from walker_jax.walkers.parameters import describe_briefly
 
 @dataclass(frozen=True)
 class Search:
-    """The gaits that are searched for, and where the search begins."""
+    """The kind of gaits to search for, and the start of the search."""
 
     theme = "Search"
     period: int = option(1, "Strides in a cycle.", min=1)
@@ -32,7 +32,7 @@ class Search:
     start: list[str] | None = START
 
     def coordinates(self, walker: System) -> dict[str, float]:
-        """The coordinates of the state in which the search begins, if it is given."""
+        """Return the coordinates of the state in which the search begins, if it is given."""
         start = self.start or None
         refuse_own(walker, guess=self.guess, phidot=self.phidot)
         if start is not None:
@@ -47,7 +47,7 @@ class Search:
         return given | ({} if self.phidot is None else {"phidot": self.phidot})
 
     def instead(self, walker: System) -> str:
-        """Advice where no gait is found."""
+        """Return the advice to give if no gait is found."""
         if self.guess is not None or self.start:
             return f"try another {'--start' if self.start else '--guess'}"
         form = "--guess THETA THETADOT" if has_own_options(walker) else "--start NAME=VALUE"
@@ -89,7 +89,7 @@ def gait(walker: System, search: Search, picture: Picture) -> None:
 
 
 def gait_in_words(walker: System, about: dict, gait: Gait) -> Iterator[str]:
-    """A gait: its stability, and a line for each stride."""
+    """Write the stability of a gait, and a line for each stride."""
     kind, period = "stable" if gait.stable else "unstable", len(gait.states)
     where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
     multipliers = listed(gait.multipliers, ".8g")

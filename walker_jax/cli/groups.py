@@ -1,4 +1,4 @@
-"""Options of commands in groups: dataclasses, whose fields are options by the same names."""
+"""Groups of options: dataclasses whose fields are the options of a command, by the same names."""
 
 import dataclasses
 import functools
@@ -13,16 +13,16 @@ from walker_jax.cli.rewording import option_of
 
 Command = Callable[..., None]
 PLACEHOLDERS = {int: "N", float: "X", Path: "FILE", str: "NAME"}
-"""What stands for a value in the help, by its type."""
+"""Word that stands for a value in the help, by its type."""
 
 
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
-    """A field of a group: an option with this help, and what else `typer.Option` takes."""
+    """Make a field of a group: an option with this help and other settings of `typer.Option`."""
     return dataclasses.field(default=default, metadata={"option": (flags, help, settings)})
 
 
 def placeholder(kind: Any) -> str | None:
-    """A word for a value of this type, in the help; that of a flag has none."""
+    """Return the word for a value of this type in the help; None for a flag."""
     if get_origin(kind) is Literal:
         return "|".join(get_args(kind))
     inner = (placeholder(one) for one in get_args(kind))  # of a union, or of a list
@@ -30,19 +30,19 @@ def placeholder(kind: Any) -> str | None:
 
 
 def argument(name: str, annotation: Any, default: Any) -> inspect.Parameter:
-    """An argument of a command, which typer makes an option of."""
+    """Make an argument of a command, which typer turns into an option."""
     keyword = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
 def is_group(kind: Any) -> bool:
-    """Whether a class is a group of options; walkers are dataclasses too."""
+    """Return whether a class is a group of options; walkers are dataclasses too."""
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     return any("option" in field.metadata for field in fields)
 
 
 def arguments_of(command: Command) -> list[inspect.Parameter]:
-    """The arguments of a command, with the fields of groups in their places."""
+    """Return the arguments of a command, with each group replaced by its fields."""
     found = []
     for one in inspect.signature(command).parameters.values():
         if not is_group(one.annotation):
@@ -63,7 +63,7 @@ def arguments_of(command: Command) -> list[inspect.Parameter]:
 
 
 def ungrouped(command: Command) -> Command:
-    """The command with the options of its groups one by one."""
+    """Return the command with the options of its groups as single arguments."""
     groups = {
         one.name: one.annotation
         for one in inspect.signature(command).parameters.values()
@@ -80,8 +80,8 @@ def ungrouped(command: Command) -> Command:
 
 
 def with_arguments(own: Iterable[inspect.Parameter], command: Command, takes: Command) -> Command:
-    """`takes` as the command: it has these arguments, and calls the command with its own."""
+    """Return `takes` under the name of the command, with these arguments for typer to read."""
     functools.update_wrapper(takes, command)
-    vars(takes)["__signature__"] = inspect.Signature([*own])  # which typer reads
+    vars(takes)["__signature__"] = inspect.Signature([*own])  # typer reads it
     takes.__annotations__ = {one.name: one.annotation for one in own}
     return takes

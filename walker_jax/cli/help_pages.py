@@ -1,4 +1,4 @@
-"""The help of a command: what it does, examples, then its options, theme by theme."""
+"""The help of a command: its purpose, examples, then its options, theme by theme."""
 
 import textwrap
 from collections.abc import Callable
@@ -11,9 +11,9 @@ from typer.main import get_command
 from walker_jax.cli.examples import DURATIONS, EXAMPLES
 
 FLAGS = 21
-"""Width of the column of options; what they mean stands beside it."""
+"""Width of the column of options; their meanings stand beside it."""
 OTHERS = "Output"
-"""The theme of options of no group."""
+"""Theme of the options without a group."""
 
 
 class HelpfulCommand(TyperCommand):
@@ -34,7 +34,7 @@ class HelpfulCommand(TyperCommand):
         formatter.write("\n\n".join(parts) + "\n")
 
     def themes(self, ctx) -> dict[str, list[Any]]:
-        """The arguments and the options that are not hidden, by their theme."""
+        """Return the arguments and the visible options, by their themes."""
         found: dict[str, list[Any]] = {}
         for one in self.get_params(ctx):
             if not getattr(one, "hidden", False):
@@ -44,30 +44,30 @@ class HelpfulCommand(TyperCommand):
 
 
 def command_of(name: str, text: str, function: Callable[..., None]) -> TyperCommand:
-    """The command that calls a function, with this text in its help."""
+    """Make the command that calls a function, with this text in its help."""
     single = typer.Typer(add_completion=False)
     single.command(name, cls=HelpfulCommand, help=text)(function)
     command = get_command(single)
-    assert isinstance(command, TyperCommand)  # as it holds one command
+    assert isinstance(command, TyperCommand)  # and no group, as there is one command
     return command
 
 
 def fill(text: str, width: int, indent: int = 0) -> str:
-    """A text in lines, with an indent from the second one on; no word or option is broken."""
+    """Break a text into lines, indented from the second one on; words and options stay whole."""
     spaces = " " * indent
     how: Any = {"break_on_hyphens": False, "break_long_words": False}
     return textwrap.fill(text, width, subsequent_indent=spaces, **how)
 
 
 def row(param: Any, width: int) -> str:
-    """An option and what it means, side by side, or below where the option is long."""
+    """Write an option and its meaning side by side, or one below the other if it is long."""
     typed, indent = f"  {as_typed(param)}", FLAGS + 2
     text = fill(" " * indent + meaning(param), width, indent)
     return f"{typed:{indent}}{text.lstrip()}" if len(typed) <= FLAGS else f"{typed}\n{text}"
 
 
 def as_typed(param: Any) -> str:
-    """An option as it is typed, with what stands for its values."""
+    """Write an option as it is typed, with the placeholder of its value."""
     if param.param_type_name != "option":
         return param.name.upper()
     flags = "/".join([", ".join(sorted(param.opts, key=len)), *param.secondary_opts])
@@ -75,7 +75,7 @@ def as_typed(param: Any) -> str:
 
 
 def meaning(param: Any) -> str:
-    """The help of an option, and its default."""
+    """Write the help of an option, and its default."""
     text, default = param.help or "", param.default
     if param.required:
         return f"{text.removesuffix('.')} (required)."

@@ -1,8 +1,8 @@
 """The options of the package's own commands and walkers as data, which load without JAX.
 
-Help, misspelt options and values of a wrong kind are answered from `options.json` at once; what a
-command computes with is loaded once its arguments are right. `tests/cli/test_known_options.py`
-writes the file and holds it against the commands.
+`options.json` answers requests for help, misspelt options and values of a wrong kind at once. JAX
+and the module of a command are loaded only after its arguments have been checked.
+`tests/cli/test_known_options.py` writes the file and compares it with the commands.
 """
 
 import functools
@@ -23,15 +23,15 @@ from walker_jax.cli.rewording import option_of
 from walker_jax.refusals import WrongUse
 
 PLACE = "options.json"
-"""The name of the file, which is beside this one."""
+"""Name of the file, in the folder of this module."""
 PARAMETERS = "parameters"
-"""It stands in a list of options for those of walkers."""
+"""Placeholder in a list of options for the options of walkers."""
 DEFAULT = "simplest"
-"""The walker of a command that names none."""
+"""Default walker of all commands."""
 PREFIX = "walker_"
-"""Of the arguments for a walker's parameters: those of commands may have the same names."""
+"""Prefix of arguments for a walker's parameters, as a command's arguments may have their names."""
 PANEL: Any = {"rich_help_panel": "Walker"}
-"""The panel of the help that holds a walker's options."""
+"""Theme of the help that holds a walker's options."""
 KINDS: dict[str, Any] = {
     "flag": bool,
     "flag or none": bool | None,
@@ -48,7 +48,7 @@ KINDS: dict[str, Any] = {
     "point": tuple[float, float] | None,
     "named number": tuple[str, float] | None,
 }
-"""Types of options, by their names in the file; a list there has the choices of a `Literal`."""
+"""Types of options, by their names in the file; a list in the file holds choices of a `Literal`."""
 ONE_OF: Any = Literal
 EXCLUSIVE = (
     *(("workers", "scheduler"), ("zoom", "levels")),
@@ -58,13 +58,13 @@ EXCLUSIVE = (
     *(("start", one) for one in ("theta", "thetadot", "phidot")),
     *(("radius", one) for one in ("theta", "sum", "at_phidot", "axis")),
 )
-"""Pairs of options that exclude each other, in all commands that have both."""
+"""Pairs of options that exclude each other in every command that has both."""
 SETTINGS = "help", "metavar", "rich_help_panel", "show_default", "min", "max", "is_eager", "hidden"
-"""What else the file has of an option. Callbacks act when the command itself is loaded."""
+"""Further settings of an option in the file. Callbacks act when the command itself is loaded."""
 
 
 def read(said: Mapping[str, Any]) -> inspect.Parameter:
-    """An argument of a command, from what the file has of it."""
+    """Make an argument of a command from its entry in the file."""
     kind, default = said["kind"], said.get("default", inspect.Parameter.empty)
     settings = {name: said[name] for name in SETTINGS if name in said}
     flags = said.get("flags")
@@ -77,14 +77,14 @@ def read(said: Mapping[str, Any]) -> inspect.Parameter:
 
 @functools.cache
 def table() -> dict[str, Any]:
-    """The file: options of each command, and what those of walkers are for, walker by walker."""
+    """Read the file: the options of each command, and the meaning of each walker's options."""
     return json.loads(files("walker_jax.cli").joinpath(PLACE).read_text())
 
 
 def check_known(name: str, args: Sequence[str], parent: Any) -> None:
-    """Print the help of a command, or refuse its arguments, as far as the file tells.
+    """Print the help of a command, or refuse its arguments, as far as the file knows them.
 
-    It tells nothing of systems that are no walkers, nor of walkers that are not the package's.
+    The file has no walkers outside the package, and no systems that are not walkers.
     """
     walker, system = value_of("--walker", args), value_of("--system", args)
     if system is not None and any(said["name"] == "system" for said in own_options(name)):
@@ -106,7 +106,7 @@ def check_known(name: str, args: Sequence[str], parent: Any) -> None:
 
 
 def own_options(name: str) -> list[dict[str, Any]]:
-    """The options that the file has of a command, but those of walkers."""
+    """Return a command's options in the file, without those of walkers."""
     return [said for said in table()["commands"][name]["options"] if said != PARAMETERS]
 
 
@@ -120,7 +120,7 @@ def refuse_both(given: Mapping[str, Any]) -> None:
 
 
 def read_command(name: str, walker: str) -> TyperCommand:
-    """A command that does nothing; its help has the parameters of this walker."""
+    """Make a command that does nothing; its help lists the parameters of this walker."""
     own: list[inspect.Parameter] = []
     for said in table()["commands"][name]["options"]:
         own += parameters_of(walker) if said == PARAMETERS else [read(said)]
@@ -132,7 +132,7 @@ def do_nothing() -> None: ...
 
 
 def parameters_of(walker: str) -> Iterator[inspect.Parameter]:
-    """Options for the parameters of all walkers, of which the help has those of one."""
+    """Yield options for the parameters of all walkers; the help lists those of this walker."""
     for name, kind in table()["parameters"].items():
         meaning = table()["walkers"][walker].get(name)
         said = {"name": PREFIX + name, "kind": kind, "default": None, "flags": [option_of(name)]}
@@ -141,7 +141,7 @@ def parameters_of(walker: str) -> Iterator[inspect.Parameter]:
 
 
 def value_of(option: str, args: Sequence[str]) -> str | None:
-    """The last value that arguments give to an option, if any."""
+    """Return the last value that arguments give to an option, if any."""
     value = None
     for one, following in zip_longest(args, args[1:]):
         if one == option:
@@ -157,7 +157,7 @@ def refuse_foreign(
     owners: Mapping[str, Collection[str]],
     flags: Container[str],
 ) -> None:
-    """Refuse parameters and options of other walkers than the one that is named."""
+    """Refuse parameters and options that belong only to other walkers."""
     has = [one for one, whose in owners.items() if walker in whose and one not in flags]
     for one in given:
         if walker in owners[one]:

@@ -10,10 +10,11 @@ from walker_jax.refusals import WrongUse
 
 
 def list_walkers(requested: bool) -> bool:
-    """Print all walkers and systems with their parameters, those of other packages too, and end."""
+    """Print all walkers and systems with their parameters, other packages' walkers too, and exit.
+    """
     if not requested:
         return False
-    from walker_jax.systems.family import SYSTEMS  # which loads JAX, as what follows
+    from walker_jax.systems.family import SYSTEMS  # loads JAX, as do the next imports
     from walker_jax.walkers.family import WALKERS
     from walker_jax.walkers.references import installed_walkers, load_installed
 
@@ -31,7 +32,7 @@ def list_walkers(requested: bool) -> bool:
 
 
 def print_walker(name: str, kind: type) -> None:
-    """A walker, its section and its parameters."""
+    """Print a walker, its section and its parameters."""
     from walker_jax.walkers.parameters import options, parameters
 
     lines = (kind.__doc__ or kind.__name__).strip().splitlines()

@@ -18,16 +18,16 @@ from walker_jax.cli.rewording import message_of
 from walker_jax.refusals import Refusal, WrongUse
 
 FEW_COLLECTIONS = 50_000
-"""New objects after which Python looks for garbage: traces are many objects, of which most live on,
-and at its default of 700 a sixth of a short command is spent on looking."""
+"""Number of new objects after which Python looks for garbage. Tracing makes many objects, and most
+of them live on. With the default of 700 a short command spends a sixth of its time on looking."""
 
 
 LONGEST = 180
-"""Characters of a reason: with the name of the program, a line has less than 200."""
+"""Most characters of a reason, so that a line with the program's name has less than 200."""
 
 
 class Terminated(BaseException):
-    """The process was told to end; what it has begun to write is removed on the way out."""
+    """The process was told to end; unfinished files are removed on the way out."""
 
 
 def main() -> NoReturn:
@@ -45,14 +45,14 @@ def main() -> NoReturn:
         stop(143, ": ".join(["terminated", *resume_notes(error)]))
     except Exception as error:
         stop(*verdict(error))
-    if code == 130:  # what typer makes of Ctrl-C before a command begins
+    if code == 130:  # Ctrl-C before a command begins
         stop(130, "interrupted")
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def verdict(error: Exception) -> tuple[int, str]:
-    """The exit code for an error, and the reason that is printed."""
-    if hasattr(error, "format_message"):  # an error of typer's own
+    """Return the exit code for an error, and the reason to print."""
+    if hasattr(error, "format_message"):  # an error of typer
         return 2, complaint(error)
     if not isinstance(error, Refusal):
         return 1, f"{type(error).__name__}: {error}"
@@ -69,9 +69,9 @@ def stop(code: int, reason: str) -> NoReturn:
 
 
 def on_one_line(reason: str) -> str:
-    """The reason, of which the middles of long words, and of all, go where it is too long.
+    """Put a reason on one line; cut the middles of long words, then of the line, if it is too long.
 
-    Its beginning says what is wrong, and its end what to do.
+    The beginning, which says what is wrong, and the end, which says what to do, stay.
     """
     line = " ".join(reason.split())
     if len(line) > LONGEST:

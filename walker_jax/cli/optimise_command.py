@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import xarray
 
 SAVED_EVERY = 2.0
-"""Seconds after which the trace is saved again, at a tenth of a second each; also at the end."""
+"""Seconds between saves of the trace; a save takes a tenth of a second. The end is saved too."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Problem:
     )
 
     def limits(self) -> dict[str, dict[str, float]]:
-        """The limits by their arguments."""
+        """Return the limits, by the arguments of `optimise`."""
         given = {"at_least": self.at_least, "at_most": self.at_most}
         return {
             side: {} if limit is None else {hyphenated(limit[0]): limit[1]}
@@ -83,7 +83,7 @@ class Options:
     )
     strides: int = option(200, "Strides a walker is followed for.", min=1)
     scan: int = option(15, "Values of each parameter at which the objective is drawn.", min=0)
-    seed: int = option(0, "Of the starts.", min=0)
+    seed: int = option(0, "Seed of the random starts.", min=0)
 
 
 @dataclass(frozen=True)
@@ -131,14 +131,14 @@ def optimise(
 
 
 def is_done(data: "xarray.Dataset | None") -> "TypeGuard[xarray.Dataset]":
-    """Whether there is an optimum, of a run that nothing has interrupted, its time neither."""
+    """Return whether there is an optimum of a complete run, not interrupted and not out of time."""
     return data is not None and "found" in data and not data.get("out_of_time", False)
 
 
 def computed(
     compute: "Callable[..., xarray.Dataset]", output: Output, request: dict
 ) -> "xarray.Dataset":
-    """The optimum, its trace saved as it grows; nobody else writes there meanwhile."""
+    """Compute the optimum and save its trace as it grows; no other process may write there."""
     out, overwrite = output.out, output.overwrite
     with storage.rewritable(out, request) as save:
         known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
@@ -168,7 +168,7 @@ def computed(
 
 
 def bounds_of(walker: System, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
-    """The bounds of the parameters that are free."""
+    """Read the bounds of the free parameters."""
     names = [*map(underscored, over)]
     bounds: dict[str, tuple[float, float]] = {}
     for text in bound:
@@ -190,7 +190,7 @@ def bounds_of(walker: System, over: list[str], bound: list[str]) -> dict[str, tu
 
 
 def objective_of(texts: list[str]) -> str | dict[str, float]:
-    """One objective by name, or the weights of several."""
+    """Read one objective by name, or the weights of several."""
     if len(texts) == 1 and "=" not in texts[0]:
         return hyphenated(texts[0])
     weights: dict[str, float] = {}
@@ -207,7 +207,7 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
 
 
 def optimum_in_words(walker: System, answer: dict, objective: str) -> Iterator[str]:
-    """The answer of `optimise`."""
+    """Write the answer of `optimise`."""
     yield f"{objective}, {describe_in_words(walker)}"
     for end in ENDS:
         values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())

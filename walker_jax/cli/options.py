@@ -1,4 +1,4 @@
-"""Options that several commands have, and checks of what is given for them."""
+"""Options that several commands share, and checks of their values."""
 
 import math
 from collections.abc import Callable, Container
@@ -17,48 +17,48 @@ from walker_jax.walkers.parameters import check_parameter
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 OUTPUT = {"rich_help_panel": "Output"}
-"""Of options in another group, which the help has beside those of output."""
+"""Setting that puts an option among those of output in the help, whatever its group."""
 RANGE_FORM = "NAME=LO:HI:N"
 PHIDOT_HELP = "Rate between the legs, on sections that have it"
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """Who computes the pieces of a data set."""
+    """The processes that compute the pieces of a data set."""
 
     theme = "Processes"
     workers: int | None = option(None, "Processes that share the cores (Dask).", min=1)
     scheduler: str | None = option(
-        None, "Of a Dask cluster, to compute pieces there.", metavar="ADDRESS"
+        None, "Scheduler of a Dask cluster, to compute pieces there.", metavar="ADDRESS"
     )
 
     def cluster(self) -> int | str | None:
-        """Worker processes, the scheduler's, or, by None, this process."""
+        """Return the number of workers or the scheduler's address; None stands for this process."""
         return self.scheduler if self.workers is None else self.workers
 
 
 def refuse(reason: str, **options: Any) -> None:
-    """Refuse the first of these options that is given, for a reason."""
+    """Refuse the first of these options that is given, for this reason."""
     for name, given in options.items():
         if given is not None:
             raise WrongUse(f"{option_of(name)} {reason}")
 
 
 def refuse_for_systems(walker: System, **options: Any) -> None:
-    """Refuse options that only walkers have."""
+    """Refuse options that are only for walkers."""
     if not isinstance(walker, Walker):
         refuse(f"is for walkers, not for {walker.label()}: leave it out", **options)
 
 
 def check_finite(**options: float | None) -> None:
-    """Refuse NaN and infinity for options of these names."""
+    """Refuse NaN and infinity as values of these options."""
     for name, value in options.items():
         if value is not None and not math.isfinite(value):
             raise WrongUse(f"{option_of(name)} must be finite, not {value}")
 
 
 def check_range(walker: System, name: str, low: float, high: float) -> None:
-    """Refuse values that the parameter cannot have, and those that --from and --to do not order."""
+    """Refuse values that the parameter cannot have, and a range that does not rise."""
     check_parameter(walker, name, low, high)
     if not low < high:
         raise WrongUse(f"--from {low:g} must be below --to {high:g}")
@@ -67,7 +67,7 @@ def check_range(walker: System, name: str, low: float, high: float) -> None:
 def read_numbers(
     option: str, form: str, kinds: tuple[Callable, ...], text: str
 ) -> tuple[str, list[Any]]:
-    """The name of a parameter and the numbers in a text like NAME=LO:HI, numbers of these kinds.
+    """Read a text like NAME=LO:HI: the name of a parameter, and numbers of these kinds.
 
     The name may have hyphens or underscores.
     """
@@ -80,7 +80,7 @@ def read_numbers(
 
 
 def read_range(option: str, text: str) -> tuple[str, float, float, int]:
-    """The name of a parameter, the ends of its range, and how many values it has there."""
+    """Read the name of a parameter, the ends of its range, and the number of its values."""
     kinds = float, float, int
     name, (low, high, count) = read_numbers(option, RANGE_FORM, kinds, text)
     if not low < high or count < 2 or not math.isfinite(high - low):
@@ -89,16 +89,16 @@ def read_range(option: str, text: str) -> tuple[str, float, float, int]:
 
 
 def refuse_again(option: str, name: str, earlier: Container[str]) -> None:
-    """Refuse an option that was given for a name before."""
+    """Refuse an option that is given twice for the same name."""
     if name in earlier:
         raise WrongUse(f"{option} is given twice for {hyphenated(name)}")
 
 
 def hyphenated(name: str) -> str:
-    """A name of the library as users type it."""
+    """Return a name of the library as users type it."""
     return name.replace("_", "-")
 
 
 def underscored(name: str) -> str:
-    """A name as users type it, as the library has it."""
+    """Return a typed name as it is in the library."""
     return name.replace("-", "_")

@@ -20,9 +20,9 @@ from walker_jax.walkers.parameters import describe_in_words
 class Disc:
     theme = "Theorem"
     radius: float | None = option(
-        None, "Of a disc about the gait, in (theta, thetadot), in place of a window."
+        None, "Radius of a disc about the gait, in (theta, thetadot), instead of a window."
     )
-    levels: int = option(12, "Halve cells of which nothing is proved this many times.", min=0)
+    levels: int = option(12, "Halve undecided cells this many times.", min=0)
 
 
 @takes_walker()
@@ -52,7 +52,7 @@ def prove(
 
 
 def proof_in_words(walker: System, answer: dict) -> Iterator[str]:
-    """The theorem, or what is proved of the window."""
+    """Write the theorem, or the bounds that are proved."""
     cells = answer["cells"]
     yield f"Proof, {describe_in_words(walker)}"
     if answer["radius"] and answer["all_walk"]:

@@ -1,4 +1,4 @@
-"""Messages of the library in the words of the command line."""
+"""Messages of the library with command-line options in the places of arguments."""
 
 from typing import Any
 
@@ -7,12 +7,12 @@ OPTIONS = {"parameter": "--over", "bounds": "--bound", "grid": "--axis"}
 
 
 def option_of(argument: str) -> str:
-    """The option that sets an argument of the same name."""
+    """Return the option that sets an argument of the same name."""
     return f"--{argument.replace('_', '-')}"
 
 
 def message_of(error: Any) -> str:
-    """The message of a `Refusal`, with options in the places of its arguments."""
+    """Return the message of a `Refusal`, with options in the places of its arguments."""
     *before, last = map(str, error.args)
     words = last.split(" ")
     for argument in error.arguments:

@@ -43,7 +43,10 @@ class BasinRegion(Region):
     )
 
     def grid(self, walker: System) -> Grid | None:
-        """The default is the library's for walkers, and the region of gaits for other systems."""
+        """Return the grid of the region; None for the library's default, which is for walkers.
+
+        The default for other systems is the region of their gaits.
+        """
         grid = super().grid(walker)
         if isinstance(walker, Walker):
             return grid
@@ -54,7 +57,7 @@ class BasinRegion(Region):
 @dataclass(frozen=True)
 class Options:
     theme = "Measures"
-    levels: int = option(4, "Times that cells on a boundary are cut in two.", min=0, max=8)
+    levels: int = option(4, "Halve boundary cells this many times.", min=0, max=8)
     disturbances: float = option(
         0.1, "Largest disturbance for basin stability, as a share of the gait's state."
     )
@@ -67,7 +70,7 @@ class Options:
     seed: int = option(0, "Seed of random numbers.", min=0)
 
     def settings(self, walker: System) -> dict[str, Any]:
-        """Arguments of `robustness`."""
+        """Return the arguments of the library's `robustness`."""
         check_finite(disturbances=self.disturbances, ground=self.ground)
         if self.disturbances <= 0:
             raise WrongUse(f"--disturbances must be above 0, not {self.disturbances}")
@@ -87,7 +90,7 @@ class Table:
     count: int | None = option(None, "Rows of the table (default: 20).", min=2)
 
     def values(self, walker: System) -> list[float] | None:
-        """The values of the parameter; None without a table."""
+        """Return the values of the parameter; None without a table."""
         name = underscored(self.over)
         if (self.low is None) != (self.high is None):
             raise WrongUse("--from and --to are for a table: give both or none")
@@ -144,7 +147,7 @@ def robustness(
 
 
 def measures_in_words(row: dict, where: str) -> Iterator[str]:
-    """The answer of `robustness` on one slope."""
+    """Write the answer of `robustness` at one value of the parameter."""
     yield f"  {where}area {row['area']:.7g} +- {row['area_error']:.1g}"
     if row["at_border"]:
         yield f"    the basin reaches the border of the grid, in {row['at_border']} cells"
@@ -160,7 +163,7 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
         fall = row["least_fall"]
         words = "none found" if fall["failure"] is None else disturbance_in_words(fall)
         yield f"    least one from which it falls {words}"
-    if np.isfinite(row["step_down"]):  # it is not known of walkers in space
+    if np.isfinite(row["step_down"]):  # it is not computed for walkers in space
         down = f"{row['step_down']:.8f}"
         if row["step_down_failure"] == "STRIDE":
             down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
@@ -174,7 +177,7 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
 
 
 def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
-    """Describe which disturbances are survived, and how soon they are over."""
+    """Describe which disturbances are survived, and how soon they decay."""
     yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "
@@ -190,7 +193,7 @@ def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
 
 
 def walks_in_words(walks: dict) -> str:
-    """How long walks last on rough ground."""
+    """Write how long walks last on rough ground."""
     mean, low, high = (
         "inf" if value is None or not np.isfinite(value) else f"{value:.4g}"
         for value in (walks["mean"], walks["low"], walks["high"])
@@ -202,7 +205,7 @@ def walks_in_words(walks: dict) -> str:
 
 
 def disturbance_in_words(disturbance: dict) -> str:
-    """A least disturbance."""
+    """Write a least disturbance."""
     end = "leads to another motion"
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"

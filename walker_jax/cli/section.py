@@ -23,7 +23,7 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 
 Axis = tuple[float, float, int]
-"""The ends of an axis, and its number of cells."""
+"""Ends of an axis, and its number of cells."""
 AXIS = {"metavar": "LO HI N"}
 AXES: Any = option(
     None,
@@ -33,17 +33,17 @@ AXES: Any = option(
 START: Any = option(None, "A coordinate of the start, by name: one for each.", metavar="NAME=VALUE")
 AXIS_FORM = "NAME=LO:HI:N or NAME=VALUE"
 WINDOW_CELLS = 200
-"""Along each axis of a window that no option gives."""
+"""Cells along each axis of a default window."""
 
 
 class Section:
-    """Axes by options of their own, or all of them by --axis."""
+    """Axes from options of their own, or all axes from --axis."""
 
     axis: list[str] | None
 
     @property
     def own(self) -> dict[str, Any]:
-        """The axes that are given by options of their own."""
+        """The options for single axes, with their values."""
         return {name: given for name, given in vars(self).items() if name != "axis"}
 
     def check(self, walker: System) -> None:
@@ -68,9 +68,9 @@ class Window(Section):
     axis: list[str] | None = AXES
 
     def axes(self, walker: System, most: int = 2) -> dict[str, Any]:
-        """The axes, of which those of a walker may be None; `most` of them may be ranges.
+        """Return the axes; at most `most` of them may be ranges.
 
-        The default of any other system is the region in which its gaits are searched for.
+        For a walker an axis may be None. The default for any other system is its `gait_region`.
         """
         self.check(walker)
         if self.axis:
@@ -84,7 +84,8 @@ class Window(Section):
         return axes
 
     def own_axes(self, walker: Walker) -> dict[str, Any]:
-        """The axes of a walker's section that options of their own give, or None."""
+        """Return the axes that options of their own give, for a walker's section; None if missing.
+        """
         axes: dict[str, Any] = {"theta": self.theta, "sum": self.sum}
         axes |= {"phidot": self.at_phidot} if "phidot" in walker.section else {}
         joints = walker.section[3:] if walker.section[0] == "theta" else ()
@@ -102,7 +103,7 @@ class Region(Section):
     axis: list[str] | None = AXES
 
     def grid(self, walker: System) -> Grid | None:
-        """The grid of these axes, with phidot at one value or over a range; None for no axes."""
+        """Return the grid of these axes; None if no axes are given."""
         self.check(walker)
         grid = grid_along(axes_from(walker, self.axis)) if self.axis else self.own_grid(walker)
         if grid is not None:
@@ -110,7 +111,7 @@ class Region(Section):
         return grid
 
     def own_grid(self, walker: System) -> Grid | None:
-        """The grid of the axes that options of their own give."""
+        """Return the grid of the axes that options of their own give."""
         axes = {"theta": self.theta, "sum": self.sum}
         if "phidot" in walker.section:
             ranged = self.own.get("phidot")
@@ -127,7 +128,7 @@ class Region(Section):
 
 @dataclass(frozen=True)
 class Volume(Region):
-    """The same, of two dimensions or three."""
+    """A region of two dimensions or three."""
 
     phidot: Axis | None = option(None, "The rate between the legs, for volumes.", **AXIS)
 
@@ -143,7 +144,7 @@ class Start:
     start: list[str] | None = START
 
     def coordinates(self, walker: System) -> dict[str, float]:
-        """The coordinates that are given, by --start or by options of their own."""
+        """Return the given coordinates, from --start or from options of their own."""
         own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
         check_finite(**own)
         refuse_own(walker, **own)
@@ -152,12 +153,12 @@ class Start:
 
 
 def has_own_options(walker: System) -> bool:
-    """Whether all coordinates of a section have options of their own."""
+    """Return whether all coordinates of a section have options of their own."""
     return {*walker.section} <= {"theta", "thetadot", "phidot"}
 
 
 def refuse_own(walker: System, **own: Any) -> None:
-    """Refuse options of a walker's coordinates for a section that has others."""
+    """Refuse options for single coordinates on a section with other coordinates."""
     if not has_own_options(walker):
         whose = "walkers in the plane" if isinstance(walker, Walker) else "walkers"
         section = ", ".join(walker.section)
@@ -165,7 +166,7 @@ def refuse_own(walker: System, **own: Any) -> None:
 
 
 def start_from(walker: System, texts: list[str]) -> dict[str, float]:
-    """The coordinates that --start names."""
+    """Read the coordinates that --start names."""
     given: dict[str, float] = {}
     for text in texts:
         name, (value,) = read_numbers("--start", "NAME=VALUE", (float,), text)
@@ -179,14 +180,14 @@ def start_from(walker: System, texts: list[str]) -> dict[str, float]:
 
 
 def begin_at(walker: System, given: dict[str, float]) -> Float[np.ndarray, " section"]:
-    """The state of these coordinates, or of the gait without any."""
+    """Return the state with these coordinates, or the gait's if none are given."""
     instead = walker.section if has_own_options(walker) else ["--start NAME=VALUE"]
     state = state_from(walker, given) if given else require_gait(walker, instead).states[0]
     return np.asarray(state)
 
 
 def state_from(walker: System, given: dict[str, float]) -> Float[np.ndarray, " section"]:
-    """A state on the section from its coordinates, by name."""
+    """Return the state on the section with these coordinates, by name."""
     section = ", ".join(walker.section)
     for name in walker.section:
         if name not in given:
@@ -198,7 +199,7 @@ def state_from(walker: System, given: dict[str, float]) -> Float[np.ndarray, " s
 
 
 def axes_from(walker: System, texts: list[str]) -> dict[str, Any]:
-    """The axes that --axis names, in the order of the section."""
+    """Read the axes that --axis names, in the order of the section."""
     axes: dict[str, Any] = {}
     for text in texts:
         kinds = (float, float, int) if ":" in text else (float,)
@@ -213,7 +214,7 @@ def axes_from(walker: System, texts: list[str]) -> dict[str, Any]:
 
 
 def axes_of_region(system: System) -> dict[str, Any]:
-    """The axes of the region in which a system's gaits are searched for."""
+    """Return the axes of the region in which a system's gaits are sought."""
     axes = window_of_region(system, WINDOW_CELLS)
     if axes is None:
         names = ", ".join(system.section)
@@ -222,7 +223,7 @@ def axes_of_region(system: System) -> dict[str, Any]:
 
 
 def check_coordinate(option: str, walker: System, name: str, earlier: Container[str]) -> None:
-    """Refuse a name that the section lacks, or that an option was given for before."""
+    """Refuse a name that is not on the section, or that the option has named before."""
     refuse_again(option, name, earlier)
     if name not in walker.section:
         section = ", ".join(walker.section)
@@ -245,7 +246,7 @@ def check_section(walker: System, axis: list[str] | None) -> None:
 
 
 def check_ranges(axes: dict[str, Any], most: int) -> None:
-    """Refuse axes of which too few, or too many, are ranges for a picture."""
+    """Refuse axes if too few or too many of them are ranges, for a picture."""
     count = sum(not is_number(axis) for axis in axes.values())
     if not 2 <= count <= most:
         numbers = "two" if most == 2 else "two or three"
@@ -260,7 +261,7 @@ def check_drawable(grid: Grid) -> None:
 
 
 def asked_of(grid: Grid | None) -> dict[str, Any]:
-    """The part of a request about a grid: its axes, and the point through which a slice goes."""
+    """Return the part of a request about a grid: its axes, and the point a slice goes through."""
     if grid is None:
         return {}
     origin = np.asarray(grid.origin)

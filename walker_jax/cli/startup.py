@@ -11,7 +11,7 @@ from walker_jax.kernels.object_cache import private_folder
 from walker_jax.kernels.private_files import FILE_MODE, is_own, is_private
 
 SUFFIXES = "-cache", "-atime"
-"""Of JAX's files."""
+"""Suffixes of JAX's files."""
 
 
 def configure_jax() -> None:
@@ -37,12 +37,12 @@ def keep_compiled() -> None:
 
 
 def programs(folder: Path) -> list[Path]:
-    """JAX's files."""
+    """Return JAX's files in a folder."""
     return [path for path in folder.iterdir() if path.name.endswith(SUFFIXES)]
 
 
 def remove_foreign(folder: Path) -> None:
-    """Remove programs that others can have written, as JAX looks at neither owner nor mode."""
+    """Remove programs that others may have written, as JAX checks neither owner nor mode."""
     for path in programs(folder):
         with suppress(FileNotFoundError):  # another process removed it
             if not is_private(path.lstat()):
@@ -50,8 +50,8 @@ def remove_foreign(folder: Path) -> None:
 
 
 def close_to_others(folder: Path) -> None:
-    """Let nobody else read or write the programs, which JAX writes as the umask has it."""
-    with suppress(OSError):  # as of a folder that is gone
+    """Let nobody else read or write the programs; JAX writes them with the mode of the umask."""
+    with suppress(OSError):  # the folder may be gone
         for path in programs(folder):
             if is_own(path.lstat()) and not path.is_symlink():
                 path.chmod(FILE_MODE)

@@ -69,7 +69,7 @@ def sweep(
 
 
 def rows_in_words(rows: "pandas.DataFrame", names: list[str]) -> Iterator[str]:
-    """The table of `sweep` over these parameters, and its notes."""
+    """Write the table of `sweep` over these parameters, and its notes."""
     shown = [name for name in (*names, *SHOWN) if name in rows]
     yield rows[shown].map("{:.6g}".format).to_string(index=False)
     for row in rows.to_dict(orient="records"):
@@ -82,7 +82,7 @@ def rows_in_words(rows: "pandas.DataFrame", names: list[str]) -> Iterator[str]:
 
 
 def values_of(over: list[str]) -> dict[str, list[float]]:
-    """The values of each parameter that --over names."""
+    """Read the values of each parameter that --over names."""
     values: dict[str, list[float]] = {}
     for text in over:
         name, low, high, count = read_range("--over", text)

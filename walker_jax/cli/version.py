@@ -1,4 +1,4 @@
-"""The option `--version`: what a report of a bug needs to know."""
+"""The option `--version`, which prints all that a bug report needs."""
 
 import os
 import platform
@@ -9,14 +9,14 @@ from typing import Annotated
 import typer
 
 PACKAGES = "jax", "jaxlib", "diffrax", "equinox", "optimistix", "numpy", "scipy", "xarray", "zarr"
-"""On which results depend; llvmlite is named with its LLVM."""
+"""Packages on which results depend; llvmlite is named separately, with its LLVM."""
 
 
 def print_version(requested: bool) -> bool:
-    """Print the versions of the package and of what it computes with, and end."""
+    """Print the versions of the package, its dependencies and the machine, and exit."""
     if not requested:
         return False
-    import jax  # which takes a second, and only this option and the commands need it
+    import jax  # takes a second, and only this option and the commands need it
     import llvmlite
     import llvmlite.binding as llvm
 
@@ -48,7 +48,7 @@ def print_version(requested: bool) -> bool:
 
 
 def processor_name() -> str:
-    """The name of the processor."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:  # not Linux
@@ -58,7 +58,7 @@ def processor_name() -> str:
 
 
 def vector_extensions() -> str:
-    """The extensions it has that decide how many numbers it works on at once."""
+    """Return the processor's vector extensions, which set how many numbers it handles at once."""
     import llvmlite.binding as llvm
 
     features = llvm.get_host_cpu_features()

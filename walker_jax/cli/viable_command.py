@@ -41,7 +41,7 @@ class Options:
     no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
     levels: int = option(
         0,
-        "Times that cells between the bounds are halved: narrows the bounds.",
+        "Halve cells between the bounds this many times: narrows the bounds.",
         min=0,
         max=8,
     )
@@ -85,7 +85,7 @@ def viable(
 
 
 def actions_of(walker: System, texts: list[str]) -> dict[str, tuple[float, float, int]]:
-    """The range of each parameter that --action names."""
+    """Read the range of each parameter that --action names."""
     if not texts:
         raise WrongUse(f"--action {RANGE_FORM} is required, such as --action push-off=0:0.1:16")
     actions: dict[str, tuple[float, float, int]] = {}
@@ -101,7 +101,7 @@ def actions_of(walker: System, texts: list[str]) -> dict[str, tuple[float, float
 
 
 def kernel_in_words(walker: System, answer: dict) -> Iterator[str]:
-    """The answer of `viable`."""
+    """Write the answer of `viable`."""
     yield f"Viability kernel, {describe_in_words(walker)}"
     ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in answer["actions"].items()]
     yield f"  actions: {', '.join(ranges)}"

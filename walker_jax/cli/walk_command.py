@@ -42,7 +42,7 @@ class Options:
     as_json: bool = option(False, "Print the answer as JSON.", "--json", **OUTPUT)
 
     def heights(self) -> Float[np.ndarray, " strides"] | None:
-        """The heights of the steps of rough ground."""
+        """Return the heights of the steps of rough ground, if it is rough."""
         if self.ground is None:
             return None
         return self.ground * np.random.default_rng(self.seed).normal(size=self.strides)
@@ -101,7 +101,7 @@ def draw_film(walker: Walker, begin: Any, options: Options, place: Path, signatu
 
 
 def walk_in_words(answer: dict, coordinates: tuple[str, ...]) -> Iterator[str]:
-    """A line for each stride."""
+    """Write a line for each stride."""
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
     heads = "  ".join(f"{name:>10}" for name in coordinates)
     yield f"{'stride':>6}  {heads}  {'time':>8}  outcome"
@@ -114,11 +114,11 @@ def walk_in_words(answer: dict, coordinates: tuple[str, ...]) -> Iterator[str]:
 
 
 def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoReturn:
-    """Raise `WrongUse` for a start that is not feasible, with the condition for that."""
+    """Raise `WrongUse` for a start that is not feasible, with the condition that it violates."""
     form = "--{}" if has_own_options(walker) else "--start {}=VALUE"
     options = " and ".join(map(form.format, walker.section))
     feasible = type(walker).feasible
-    about = feasible.__doc__ if feasible is not System.feasible else None  # not one of above
+    about = feasible.__doc__ if feasible is not System.feasible else None
     condition = (about or "").strip().partition("\n")[0].rstrip(".")
     why = f": {condition}" if condition else ""
     raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}{why}")

@@ -1,4 +1,4 @@
-"""The options that say which walker, or other system, a command is about."""
+"""The options that choose the walker, or other system, of a command, and set its parameters."""
 
 import inspect
 import math
@@ -25,11 +25,11 @@ from walker_jax.walkers.parameters import (
 from walker_jax.walkers.references import find_system, find_walker, installed_walkers
 
 OF_WALKERS = {"theta", "thetadot", "sum", "phidot", "at_phidot", "guess"}
-"""Options of commands for coordinates that walkers alone have."""
+"""Options of commands for coordinates that only walkers have."""
 Kinds = Mapping[str, type[System] | System]
-"""The walkers, or the system, that a command offers, by their names."""
+"""The walkers, or the one system, that a command offers, by their names."""
 Offered = dict[str, dict[str, Any]]
-"""Names of options, each with the `Parameter` or `Option` of each walker that has it."""
+"""For each name of an option, the `Parameter` or `Option` of each walker that has it."""
 
 
 def takes_walker(
@@ -41,9 +41,9 @@ def takes_walker(
 ) -> Callable:
     """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
 
-    With `systems`, it takes any other system too. `ranges_over` is its argument that names the
-    parameter that goes from --from to --to, and has no one value; without a range it may have,
-    with `or_one_value`. With `opening`, walkers have other defaults: those of `OPENING`.
+    With `systems` the command takes any other system too. The argument `ranges_over` names a
+    parameter that goes from --from to --to, so its own option is refused; with `or_one_value` that
+    option is allowed if there is no range. With `opening`, walkers have the defaults of `OPENING`.
     """
 
     def decorate(command: Command) -> Command:
@@ -55,7 +55,7 @@ def takes_walker(
 
 
 def offered_kinds(command: Command, args: Sequence[str]) -> Kinds:
-    """The package's walkers, or the walker or system that the arguments of a command name."""
+    """Return the package's walkers, or the one walker or system that the arguments name."""
     name = value_of("--walker", args)
     system = value_of("--system", args) if vars(command)["systems"] else None
     name = DEFAULT if name is None else name
@@ -68,9 +68,10 @@ def offered_kinds(command: Command, args: Sequence[str]) -> Kinds:
 
 
 def with_walker_options(command: Command, args: Sequence[str] | None) -> Command:
-    """The command with options for the walkers that it offers, in the place of its walker.
+    """Replace the walker of a command by options for the walkers that it offers.
 
-    Its help has those of the walker that its arguments name; without any, those of all walkers.
+    The help lists the options of the walker that `args` name. If `args` is None it lists those of
+    all walkers.
     """
     kinds = offered_kinds(command, args or ())
     named = value_of("--system", args or ()) or value_of("--walker", args or ()) or DEFAULT
@@ -100,14 +101,14 @@ def with_walker_options(command: Command, args: Sequence[str] | None) -> Command
 
 
 def hidden(one: inspect.Parameter) -> inspect.Parameter:
-    """An option that the help leaves out."""
+    """Hide an option from the help."""
     _, flag = get_args(one.annotation)
     flag.hidden = True
     return one
 
 
 def lowest_value(over: Parameter, low: float | None, given: Container[str]) -> dict[str, float]:
-    """The value from which a parameter goes up, if one is given; refuses one value of it."""
+    """Return the lowest value of a varied parameter, if it is given; refuse its own option."""
     if over.name in given:
         raise WrongUse(f"{option_of(over.name)} is not for this command: give --from and --to")
     if low is None and math.isnan(over.default):
@@ -118,9 +119,9 @@ def lowest_value(over: Parameter, low: float | None, given: Container[str]) -> d
 def offered_options(
     kinds: Kinds, opening: Mapping[str, Mapping[str, float]] | None = None
 ) -> Offered:
-    """The parameters of all walkers, then what strides may be checked for.
+    """Return the parameters of all walkers, then their options for the checks of strides.
 
-    Some walkers may have other defaults than their own.
+    `opening` has defaults of some walkers that replace their own.
     """
     offered: Offered = {}
     checks_of = lambda kind: options(kind) if isinstance(kind, type) else ()
@@ -134,14 +135,17 @@ def offered_options(
 
 
 def first(owners: Mapping[str, Any]) -> Any:
-    """The parameter or option of the first walker that has it."""
+    """Return the parameter or option of the first walker that has it."""
     return next(iter(owners.values()))
 
 
 def option_for(
     name: str, owners: Mapping[str, Any], count: int, told: str | None
 ) -> inspect.Parameter:
-    """The option for what some of a number of walkers have; help is of the one that is told of."""
+    """Make the option for a parameter of the `owners` among `count` walkers.
+
+    The help is that of the walker `told`; if this is None, it covers all owners.
+    """
     if told is None:
         panel = PANEL
     elif told in owners:
@@ -164,7 +168,7 @@ def option_for(
 
 
 def names_that_begin(incomplete: str) -> list[str]:
-    """The walkers, those of other packages too, whose names begin so; for a shell to complete."""
+    """Return the walkers whose names begin so, other packages' too, for completion in a shell."""
     return [name for name in (*WALKERS, *installed_walkers()) if name.startswith(incomplete)]
 
 
@@ -190,7 +194,7 @@ SYSTEM = Annotated[
 def build_walker(
     kind: type[System] | System, name: str, offered: Offered, values: dict[str, float]
 ) -> System:
-    """The walker of that name, with default values for parameters that are not given."""
+    """Build the walker of that name, with defaults for the parameters that are not given."""
     own = {one: owners[name] for one, owners in offered.items() if name in owners}
     numbers = {one: each.default for one, each in own.items() if isinstance(each, Parameter)}
     flags = [one for one, whose in offered.items() if isinstance(first(whose), Option)]
