@@ -94,8 +94,7 @@ def conclude_fall(*, filmed: bool) -> str:
 
 
 def conclude_bifurcations(doublings: Sequence[float], over: str) -> str:
-    """Write the conclusion of `bifurcation` from the values at which the most stable gait doubles.
-    """
+    """Write the conclusion of `bifurcation` from the values where the most stable gait doubles."""
     if not doublings:
         return (
             f"The most stable gait does not double its period for any {over} in this range: a "

@@ -10,8 +10,7 @@ from walker_jax.refusals import WrongUse
 
 
 def list_walkers(requested: bool) -> bool:
-    """Print all walkers and systems with their parameters, other packages' walkers too, and exit.
-    """
+    """Print all walkers and systems with their parameters, also of other packages, and exit."""
     if not requested:
         return False
     from walker_jax.systems.family import SYSTEMS  # loads JAX, as do the next imports

@@ -84,8 +84,7 @@ class Window(Section):
         return axes
 
     def own_axes(self, walker: Walker) -> dict[str, Any]:
-        """Return the axes that options of their own give, for a walker's section; None if missing.
-        """
+        """Return the axes that options of their own give, for a walker; None if missing."""
         axes: dict[str, Any] = {"theta": self.theta, "sum": self.sum}
         axes |= {"phidot": self.at_phidot} if "phidot" in walker.section else {}
         joints = walker.section[3:] if walker.section[0] == "theta" else ()

@@ -36,8 +36,7 @@ SLICES = 0.3
 
 
 def describe_family(offers: Offers) -> dict:
-    """Describe all that the page shows without computing: walkers, fates, colours and the lattice.
-    """
+    """Describe all that the page shows without computing: walkers, fates and the lattice."""
     return {
         "walkers": {name: describe_offer(one) for name, one in offers.items()},
         "fates": {int(one): describe_failure(one) for one in FAILURES if one not in OWN},

@@ -109,8 +109,7 @@ def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Tas
 
 
 def passes_start(step: Float[np.ndarray, " size"], offset: Float[np.ndarray, " size"]) -> bool:
-    """Return whether a step passes the start of the branch, at an offset from the step's beginning.
-    """
+    """Return whether a step passes the branch's start, at an offset from the step's beginning."""
     length = np.linalg.norm(step)
     along = offset @ step / length
     across = np.linalg.norm(offset - along * step / length)

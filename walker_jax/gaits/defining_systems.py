@@ -121,8 +121,7 @@ def vector_of_pair(product: np.ndarray, cosine: float) -> Float[np.ndarray, " se
 
 
 def closing(kind: str, scalars: np.ndarray) -> Float[np.ndarray, "vectors vectors"]:
-    """Return the matrix that takes the vectors at the first state to those after the last stride.
-    """
+    """Return the matrix from the vectors at the first state to those after the last stride."""
     if kind == TORUS:
         return np.array([[0.0, 1.0], [-1.0, 2 * scalars[0]]])
     return np.eye(2) if kind == BRANCH else np.array([[1.0 if kind == FOLD else -1.0]])

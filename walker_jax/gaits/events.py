@@ -65,8 +65,7 @@ def find_bifurcations(
     after: Float[np.ndarray, " size"],
     width: float,
 ) -> Task:
-    """Find the bifurcations on a step along a branch; None if the step is too long to locate them.
-    """
+    """Find the bifurcations on a step along a branch; None if the step is too long for that."""
     kinds = []
     if before[-1] * after[-1] < 0 and not crosses_half_period(one.cycle, other.cycle):
         kinds.append(FOLD)
@@ -94,8 +93,7 @@ def find_bifurcations(
 
 
 def branch_sign(point: Point, direction: Float[np.ndarray, " size"], width: float) -> float:
-    """Return the sign of det [equations of the cycle; tangent], which changes where branches cross.
-    """
+    """Return the sign of det [cycle equations; tangent], which changes where branches cross."""
     whole = np.concatenate([scaled_jacobian(point.local, width), direction[None]])
     return float(np.linalg.slogdet(whole)[0])
 
