@@ -16,7 +16,8 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.provable import check_provable
-from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS, Cells, Window, subdivide
+from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
+from walker_jax.proofs.subdivision import Cells, subdivide
 from walker_jax.proofs.traps import find_trap
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.system import System
@@ -89,10 +90,7 @@ def prove_basin(
         wanted = disc(window, centre, radius)
     trap = find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
     with bar("proof", progress) as update:
-        report = lambda found: update(found.level)
-        found = subdivide(
-            walker, window, trap, levels=levels, strides=strides, wanted=wanted, report=report
-        )
+        found = subdivide(walker, window, trap, levels=levels, strides=strides, wanted=wanted)
     return dataset_of(walker, axes, window, trap, found, period, radius)
 
 
