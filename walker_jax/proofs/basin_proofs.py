@@ -1,6 +1,7 @@
 """Starts that walk for ever, by proof: all of a disc about the gait, or cells of a grid."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,16 +9,16 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers, short
-from walker_jax.execution.progress import bar
 from walker_jax.gaits.cycles import Gait, check_found, multiply_jacobians
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
+from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.provable import check_provable
-from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
-from walker_jax.proofs.subdivision import Cells, subdivide
+from walker_jax.proofs.stores import prove_in_batches
+from walker_jax.proofs.subdivision import BATCH, Cells, Keep, subdivide
 from walker_jax.proofs.traps import find_trap
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.system import System
@@ -42,12 +43,16 @@ def prove_basin(
     levels: int = 12,
     strides: int = 60,
     progress: bool = False,
+    out: Path | str | None = None,
+    request: dict | None = None,
+    overwrite: bool = False,
 ) -> xr.Dataset:
-    """Prove which starts walk for ever, converging to a gait's trap, and which fall.
+    """Prove which starts walk for ever, converging to a gait's trap, and which do not.
 
     First an ellipse about the gait is proved to be a trap: strides lead all of it into itself. Then
     cells are carried from stride to stride, in arithmetic with rigorous bounds, until all of a cell
-    is in the trap, or all of it has fallen. What is neither is split in four, up to `levels` times,
+    is in the trap or in cells that walk, or all of it has fallen or is in cells that fall; starts
+    that are not feasible count as fallen. What is neither is split in four, up to `levels` times,
     and is `OPEN` at last. On a boundary something always is.
 
     The theorem is about the equations of motion and the events as `docs/method.md` has them, for
@@ -61,7 +66,9 @@ def prove_basin(
     - `gait`: a stable gait; by default that of `find_gait`.
     - `levels`: how often a cell is split at most.
     - `strides`: that a cell is carried at most.
-    - `progress`: show a line on a terminal.
+    - `progress`: whether to show progress bars on a terminal.
+    - `out`, `request`, `overwrite`: as in `basin`. A piece holds the fates of some cells of a
+      level. An interrupted proof is resumed from there, with the same result to the last bit.
 
     **Returns** a data set of the kind `proof`: `proved` says of each cell what is proved of it; the
     attribute `all_walk`, whether that is a theorem about all of the disc; `area_lower` and
@@ -88,10 +95,25 @@ def prove_basin(
         radius = float(region)
         window = about(centre, radius)
         wanted = disc(window, centre, radius)
-    trap = find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
-    with bar("proof", progress) as update:
-        found = subdivide(walker, window, trap, levels=levels, strides=strides, wanted=wanted)
-    return dataset_of(walker, axes, window, trap, found, period, radius)
+    find = lambda: find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
+
+    def prove(trap: Trap, keep: Keep) -> xr.Dataset:
+        how = {"levels": levels, "strides": strides, "wanted": wanted, "progress": progress}
+        found = subdivide(walker, window, trap, keep=keep, **how)
+        return dataset_of(walker, axes, window, trap, found, period, radius)
+
+    if out is None:
+        return prove(find(), lambda level, number, find: find())
+    asked = {"radius": radius, "levels": levels, "strides": strides, "batch": BATCH}
+    asked |= {"gait": np.asarray(gait.states).tolist(), **request_of_window(window)}
+    request = request or {"command": "prove", "walker": type(walker).__name__} | asked | {
+        **attributes_of(walker)
+    }
+    return prove_in_batches(Path(out), request, levels, find, prove, overwrite=overwrite)
+
+
+def request_of_window(window: Window) -> dict[str, Any]:
+    return {name: np.asarray(one).tolist() for name, one in window._asdict().items()}
 
 
 def dataset_of(

@@ -24,7 +24,7 @@ from walker_jax.proofs.enclosures import (
     outward,
 )
 from walker_jax.proofs.flows import ORDER
-from walker_jax.proofs.landings import PARTLY, enclose_landings
+from walker_jax.proofs.landings import enclose_landings
 from walker_jax.proofs.provable import parameters_of
 from walker_jax.proofs.strides import STRIDE, TOLERANCE, verify_stride
 

@@ -29,6 +29,10 @@ class Fates(NamedTuple):
     strides: Int[np.ndarray, " boxes"]
     """Verified strides of each, before its fate was known or it was given up."""
 
+    def first(self, count: int) -> "Fates":
+        """Those of the first boxes."""
+        return Fates(self.fates[:count], self.strides[:count])
+
 
 def guess_fates(walker, boxes: Boxes, trap: Trap, most: int) -> Int[np.ndarray, " boxes"]:
     """The fate that a few starts of each box share, `OPEN` if they share none; not proved."""

@@ -181,7 +181,7 @@ def joined(reach: Reach, landing: tuple, any_strike) -> tuple[Reach, Any]:
     for one in found:
         within = within & (one.lower > -FARTHEST) & (one.upper < FARTHEST)
     take = lambda best, old, new: choose(any_strike, best(old, new), old)
-    low = tuple(take(least, *both) for both in zip(reach.low, (one.lower for one in found)))
-    high = tuple(take(greatest, *both) for both in zip(reach.high, (one.upper for one in found)))
-    axis = tuple(choose(any_strike, *both) for both in zip(axis, reach.axis))
+    low = tuple(take(least, old, one.lower) for old, one in zip(reach.low, found, strict=True))
+    high = tuple(take(greatest, old, one.upper) for old, one in zip(reach.high, found, strict=True))
+    axis = tuple(take(lambda old, new: new, *both) for both in zip(reach.axis, axis, strict=True))
     return Reach(axis, low, high), ~any_strike | within

@@ -5,17 +5,23 @@ level. What is proved of the cells of a level is known to those of the next.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
+from walker_jax.execution.progress import track
 from walker_jax.proofs.atlas import OPEN, Atlas, Index, Window
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.following import Fates, follow_boxes
 
 BATCH = 2**16
 """Cells that are followed together."""
+
+
+Keep = Callable[[int, int, Callable[[], Fates]], Fates]
+"""From a level, the number of a batch there, and a function that finds its fates, to these."""
 
 
 class Cells(NamedTuple):
@@ -41,32 +47,27 @@ def subdivide(
     levels: int,
     strides: int,
     wanted: Callable[[int, np.ndarray], Bool[np.ndarray, " cells"]] | None = None,
-    batch: Callable[[int, int, int, Callable[[], Fates]], Fates] = lambda level, number, of, find: (
-        find()
-    ),
+    keep: Keep = lambda level, number, find: find(),
+    progress: bool = False,
 ) -> list[Cells]:
     """The proved fates of a window's cells, level by level; those of the last are left open.
 
     **Arguments:**
 
     - `wanted`: cells that are not are left out.
-    - `batch`: from a level, the number of a batch there, how many it has, and a function that finds
-      the fates of its cells, to these; so they may be kept.
+    - `keep`: returns the fates of a batch, which it keeps, or has kept.
+    - `progress`: whether to show progress bars on a terminal.
     """
     found, cells = [], np.indices(window.counts).reshape(2, -1).T
     atlas = Atlas.empty(window)
     for level in range(levels + 1):
         cells = cells if wanted is None else cells[wanted(level, cells)]
         index, parts = Index(atlas), np.split(cells, range(BATCH, len(cells), BATCH))
-        fates = [
-            batch(
-                level,
-                i,
-                len(parts),
-                lambda: follow_boxes(walker, window.boxes(level, part), trap, index, strides),
-            )
-            for i, part in enumerate(parts)
-        ]
+        fates = []
+        for number, part in enumerate(track(parts, f"level {level} of {levels}", progress)):
+            boxes = window.boxes(level, part)
+            find = partial(follow_boxes, walker, boxes, trap, index, strides)
+            fates.append(keep(level, number, find).first(len(part)))
         joined = Fates(*(np.concatenate(one) for one in zip(*fates, strict=True)))
         found.append(Cells(level, cells, *joined))
         atlas = atlas.entered(level, cells, joined.fates)
