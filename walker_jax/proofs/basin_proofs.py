@@ -72,7 +72,7 @@ def prove_basin(
 
     **Returns** a data set of the kind `proof`: `proved` says of each cell what is proved of it; the
     attribute `all_walk`, whether that is a theorem about all of the disc; `area_lower` and
-    `area_upper` bound the area of the starts in a window that walk for ever.
+    `area_upper` bound the area of the starts in the disc or window that walk for ever.
 
     **Raises** `ComputationFailed` where no trap is proved, as there is none about an unstable gait;
     `WrongUse` for another walker, for float32, and for arguments that are none of these.
@@ -131,10 +131,9 @@ def dataset_of(
     joined = lambda values: np.concatenate([value[which] for value, which in values])
     fates = joined((one.fates, which) for one, which in kept)
     levels = np.concatenate([np.full(which.sum(), one.level) for one, which in kept])
-    areas = {
-        fate: sum(np.sum(one.fates[which] == fate) * window.area(one.level) for one, which in kept)
-        for fate in (WALKS, OPEN)
-    }
+    low, high = areas_of(window, kept)
+    if radius:
+        low, high = areas_in_disc(window, kept, trap.centre, radius)
     variables = {
         "proved": ("cell", fates),
         "strides": ("cell", joined((one.strides, which) for one, which in kept)),
@@ -152,14 +151,47 @@ def dataset_of(
         "period": period,
         "radius": radius,
         "all_walk": int(np.all(fates == WALKS)),
-        "area_lower": float(areas[WALKS] * (1 - ROUNDING_OF_AREA)),
-        "area_upper": float((areas[WALKS] + areas[OPEN]) * (1 + ROUNDING_OF_AREA)),
+        "area_lower": float(low * (1 - ROUNDING_OF_AREA)),
+        "area_upper": float(high * (1 + ROUNDING_OF_AREA)),
         "verified_strides": sum(int(one.strides.sum()) for one in found),
         "section": list(walker.section),
         "walker": type(walker).__name__,
         **attributes_of(walker),
     }
     return xr.Dataset(variables, {"axis": ("axis", np.array(axes, object))}, attributes)
+
+
+Kept = list[tuple[Cells, Bool[np.ndarray, " cells"]]]
+"""Cells of each level, and which of them are not split further."""
+
+
+def areas_of(window: Window, kept: Kept) -> tuple[float, float]:
+    """Bounds of the area of all starts that walk: of cells that do, and of those and open ones."""
+    areas = {
+        fate: sum(np.sum(one.fates[which] == fate) * window.area(one.level) for one, which in kept)
+        for fate in (WALKS, OPEN)
+    }
+    return areas[WALKS], areas[WALKS] + areas[OPEN]
+
+
+def areas_in_disc(
+    window: Window, kept: Kept, centre: Float[np.ndarray, " 2"], radius: float
+) -> tuple[float, float]:
+    """The same for starts of a disc: cells that reach beyond it count above alone."""
+    whole = np.pi * radius**2
+    if all(np.all(one.fates[which] == WALKS) for one, which in kept):
+        return whole, whole
+    inside = [(one, which & in_disc(window, one, centre, radius)) for one, which in kept]
+    return areas_of(window, inside)[0], min(areas_of(window, kept)[1], whole)
+
+
+def in_disc(
+    window: Window, cells: Cells, centre: Float[np.ndarray, " 2"], radius: float
+) -> Bool[np.ndarray, " cells"]:
+    """Whether all of a cell certainly lies in a disc."""
+    widths = window.widths(cells.level)
+    apart = np.abs(window.centres(cells.level, cells.cells) - centre) + widths / 2
+    return np.hypot(*apart.T) <= radius * (1 - REACH) - LEAST_REACH
 
 
 def summarise_proof(data: xr.Dataset) -> dict[str, Any]:
