@@ -6,10 +6,10 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.proofs.atlas import FALLS, OPEN, WALKS
 from walker_jax.proofs.basin_proofs import summarise_proof
 from walker_jax.proofs.boxes import Boxes, Trap, carry
 from walker_jax.proofs.provable import check_provable
-from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS
 from walker_jax.proofs.traps import is_trap
 from walker_jax.storage.schema import check_dataset
 
@@ -26,7 +26,8 @@ def test_half_of_the_least_disturbance_walks_for_ever(disc):
     assert disc.attrs["all_walk"] and np.all(disc["proved"] == WALKS)
     assert disc.attrs["radius"] == 0.5 * RADIUS
     low, high = disc.attrs["area_lower"], disc.attrs["area_upper"]
-    assert np.pi * (0.5 * RADIUS) ** 2 < low <= high < 6 * (0.5 * RADIUS) ** 2
+    area = np.pi * (0.5 * RADIUS) ** 2
+    assert low < area < high < low * (1 + 1e-9)
 
 
 def test_the_whole_least_disturbance_is_proved():
@@ -41,6 +42,9 @@ def test_at_the_steeper_slope_too():
 def test_more_than_the_least_disturbance_is_not_proved():
     found = wj.prove_basin(WALKER, 1.01 * RADIUS, levels=6)
     assert not found.attrs["all_walk"] and np.any(found["proved"] == OPEN)
+    low, high = found.attrs["area_lower"], found.attrs["area_upper"]
+    area = np.pi * (1.01 * RADIUS) ** 2
+    assert 0.5 * area < low < area < high * (1 + 1e-9) and high < area * (1 + 1e-9)
 
 
 def trap_of(data) -> Trap:

@@ -153,10 +153,10 @@ def pieces_of_strikes(parameters, step: Step, at_start) -> tuple:
         none = none | fallen_by(found) | (at_start & (i == 0) & (found.rate.lower > 0))
         for one in found.admits:
             none = none | (one.upper < 0)
-        i = 0 * first + i
-        return choose(none, first, least(first, i)), choose(none, last, greatest(last, i))
+        here = zero + i
+        return choose(none, first, least(first, here)), choose(none, last, greatest(last, here))
 
-    zero = whole(0 * step.length)
+    zero = 0.0 * step.length
     return lax.fori_loop(0, PIECES, look, (zero + PIECES, zero - 1))
 
 
