@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from interruptions import stop_writes
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
@@ -130,3 +131,34 @@ def test_wrong_use_of_basins_is_refused():
         wj.prove_basin(WALKER, -0.1)
     with pytest.raises(WrongUse, match="both coordinates of the section"):
         wj.prove_basin(WALKER, wj.Grid.plain(theta=(0, 0.3, 4), thetadot=-0.1))
+
+
+def test_an_interrupted_proof_goes_on_with_the_same_bits(tmp_path, monkeypatch, cells):
+    for module in ("subdivision", "stores", "basin_proofs"):
+        monkeypatch.setattr(f"walker_jax.proofs.{module}.BATCH", 2048)
+    path, stops = tmp_path / "a.zarr", {0, 3}
+    stop_writes(monkeypatch, stops, arrays=1)
+    while stops:
+        with pytest.raises(KeyboardInterrupt):
+            wj.prove_basin(WALKER, cells[0], levels=3, out=path)
+    found, plain = wj.prove_basin(WALKER, cells[0], levels=3, out=path), cells[1]
+    assert found.load().drop_attrs().identical(plain.drop_attrs())
+    assert {name: found.attrs[name] for name in plain.attrs} == plain.attrs
+    assert {one.name for one in path.iterdir() if one.is_dir()} == {*map(str, found.variables)}
+
+
+def test_functions_with_derivatives_of_their_own_are_refused():
+    class Stopped(wj.SimplestWalker):
+        def vector_field(self, state):
+            rates = super().vector_field(state)
+            return rates._replace(phidot=jax.lax.stop_gradient(rates.phidot))
+
+    class Named(wj.SimplestWalker):
+        def vector_field(self, state):
+            sincos = jax.custom_jvp(lambda x: (x, x))
+            sincos.defjvp(lambda x, dx: (sincos(*x), (0.0 * dx[0], 0.0 * dx[0])))
+            return super().vector_field(state._replace(phi=sincos(state.phi)[0]))
+
+    for kind, what in ((Stopped, "stop_gradient"), (Named, "custom_jvp_call")):
+        with pytest.raises(WrongUse, match=f"no derivatives of their own, and no {what}"):
+            check_provable(kind(0.004))
