@@ -7,6 +7,7 @@ fall must make a stride less: fall, or be no start of a stride.
 """
 
 from collections import Counter
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -90,7 +91,7 @@ def check_stride(slope, x) -> Any:
         while (box := box_over(slope, y, between(arb(0), length))) is None:
             length /= 2
         series, rest = coefficients(slope, y, ORDER - 1), coefficients(slope, box, ORDER)
-        states = lambda time, known=(series, rest): at(*known, time)
+        states = partial(at, series, rest)
         low = first_rise(states, length, at_start=step == 0)
         if low is not None:
             return strike(slope, states, low, length)

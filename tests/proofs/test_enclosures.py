@@ -198,7 +198,7 @@ def test_numbers_that_are_not_finite_prove_nothing():
         assert not (cube.lower > 0) and not (cube.upper < 0)
 
 
-def test_whole_numbers_and_other_functions_of_a_name_are_refused():
+def test_integers_and_stopped_gradients_are_refused():
     """An integer is a float cut off; and another `sincos` is not the package's own."""
     x = ball(np.array([0.5]), 0.0)
     with pytest.raises(UnsupportedPrimitive, match="proofs need float64 throughout, not int"):

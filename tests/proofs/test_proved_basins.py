@@ -147,6 +147,14 @@ def test_an_interrupted_proof_goes_on_with_the_same_bits(tmp_path, monkeypatch, 
     assert {one.name for one in path.iterdir() if one.is_dir()} == {*map(str, found.variables)}
 
 
+def test_more_cells_than_are_kept_are_refused(tmp_path, monkeypatch, cells):
+    for module in ("subdivision", "stores", "basin_proofs"):
+        monkeypatch.setattr(f"walker_jax.proofs.{module}.BATCH", 2048)
+    monkeypatch.setattr("walker_jax.proofs.stores.MOST_BATCHES", 1)
+    with pytest.raises(ComputationFailed, match="a level has more than 2048 cells"):
+        wj.prove_basin(WALKER, cells[0], levels=3, out=tmp_path / "a.zarr")
+
+
 def test_functions_with_derivatives_of_their_own_are_refused():
     class Stopped(wj.SimplestWalker):
         def vector_field(self, state):

@@ -119,7 +119,7 @@ def power_of(bound, order: int):
     return power
 
 
-def step_length(series, tolerance: float):
+def step_length(series, tolerance):
     """The step in which the last two terms stay below a tolerance (Jorba and Zou 2005).
 
     Any number would do: what is proved does not rest on it.

@@ -23,14 +23,14 @@ SAMPLES = np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
 
 
 class Fates(NamedTuple):
-    """What is proved of boxes."""
+    """Fates of boxes, as far as they are proved."""
 
     fates: Int[np.ndarray, " boxes"]
     strides: Int[np.ndarray, " boxes"]
     """Verified strides of each, before its fate was known or it was given up."""
 
     def first(self, count: int) -> "Fates":
-        """Those of the first boxes."""
+        """Fates of the first boxes."""
         return Fates(self.fates[:count], self.strides[:count])
 
 

@@ -32,12 +32,12 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
             of="walker",
         )
     check_precision(jax.numpy.asarray(0.0).dtype, "a proof")
-    walker = jax.tree.map(np.float64, walker)
-    check_derivatives(walker)
-    return walker
+    float64 = jax.tree.map(np.float64, walker)
+    check_derivatives(float64)
+    return float64
 
 
-def check_derivatives(walker: AbstractMasslessFootWalker) -> None:
+def check_derivatives(walker: Any) -> None:
     """Refuse equations with derivatives of their own, or none: proofs would take them for true."""
     state = walker.lift((0.1, -0.1))
     *_, mode = walker.modes()

@@ -81,7 +81,7 @@ BASINS = {
         | {
             "period": "strides from the trap into itself",
             "radius": "of the disc about the gait that the cells cover; 0 for a window",
-            "all_walk": "whether nothing in the cells is open or falls: a theorem if it is",
+            "all_walk": "whether all cells are proved to walk, which is then a theorem",
             "area_lower": f"starts of the disc or window that walk have at least this; {AREA}",
             "area_upper": "and at most this: cells left open count too",
             "verified_strides": "made for the cells",
