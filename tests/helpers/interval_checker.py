@@ -1,69 +1,60 @@
-# mpmath has no types: its intervals are numbers to nobody but itself.
-# pyright: basic, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportOperatorIssue=false, reportIndexIssue=false, reportCallIssue=false
-"""A slow, independent checker of proofs: plain Python and `mpmath.iv`, no code of the package.
+"""A slow, independent checker of proofs: plain Python and Arb's balls, no code of the package.
 
-It follows one start of the simplest walker, given in decimal or binary digits, in interval
-arithmetic of 40 digits: equations, series, steps, events and impact are typed anew. A start that is
-proved to walk must reach the trap, and one that is proved to fall must fall.
+It follows one start of the simplest walker, given by its binary digits, in interval arithmetic of
+`BITS` bits: equations, series, steps, events and impact are typed anew. So many bits outlast the
+growth of intervals. A start that is proved to walk must reach the trap, and one that is proved to
+fall must make a stride less: fall, or be no start of a stride.
 """
 
 from collections import Counter
+from functools import partial
+from typing import Any
 
 import numpy as np
-from mpmath import iv, mp, mpf
+from flint import arb, arb_series, ctx
 
-DIGITS, ORDER, STEP = 40, 30, mpf("0.25")
-
-
-def coefficients(slope, y, order):
-    """Taylor coefficients of theta, phi and their rates, from those of sines and cosines."""
-    theta, phi, w, v = ([one] for one in y)
-    sa, ca = [iv.sin(y[0] - slope)], [iv.cos(y[0] - slope)]
-    sp, cp = [iv.sin(y[1])], [iv.cos(y[1])]
-
-    def convolve(a, b, n):
-        return sum((a[i] * b[n - i] for i in range(n + 1)), iv.mpf(0))
-
-    def chain(rate, other, k):
-        return sum((rate[i] * other[k - 1 - i] for i in range(k)), iv.mpf(0)) / k
-
-    pull = []
-    for k in range(order):
-        pull.append(convolve(w, w, k) - ca[k])
-        rates = w[k], v[k], sa[k], convolve(sp, pull, k) + sa[k]
-        for series, rate in zip((theta, phi, w, v), rates, strict=True):
-            series.append(rate / (k + 1))
-        # sin' = cos y', with the rates of the angles, theta' = w and phi' = v
-        next_sa, next_ca = chain(w, ca, k + 1), -chain(w, sa, k + 1)
-        next_sp, next_cp = chain(v, cp, k + 1), -chain(v, sp, k + 1)
-        for series, value in zip(
-            (sa, ca, sp, cp), (next_sa, next_ca, next_sp, next_cp), strict=True
-        ):
-            series.append(value)
-    return theta, phi, w, v
+BITS, ORDER, STEP = 320, 36, arb(1) / 4
+PIECES, DEEPEST = 4, 12
+"""Of a step, each halved so many times at most where it is open whether a strike is in it."""
 
 
 def field(slope, y):
-    sa, ca = iv.sin(y[0] - slope), iv.cos(y[0] - slope)
-    return y[2], y[3], sa, iv.sin(y[1]) * (y[2] ** 2 - ca) + sa
+    theta, phi, w, v = y
+    turn, balance = (theta - slope).sin(), (theta - slope).cos()
+    return w, v, turn, phi.sin() * (w * w - balance) + turn
 
 
-def box_over(slope, y, length):
-    """A box that no solution leaves within a step, by Picard's iteration."""
-    time = iv.mpf([0, length])
+def coefficients(slope, y, order) -> list[list]:
+    """Taylor coefficients of theta, phi and their rates: each integral makes one more right."""
+    series = [arb_series([one], prec=1) for one in y]
+    for n in range(1, order + 1):
+        ctx.cap = n + 1
+        longer = [arb_series(one.coeffs(), prec=n) for one in series]
+        rates = field(slope, longer)
+        series = [
+            arb_series([first, *padded(rate.integral().coeffs(), n + 1)[1:]], prec=n + 1)
+            for first, rate in zip(y, rates, strict=True)
+        ]
+    return [padded(one.coeffs(), order + 1) for one in series]
+
+
+def padded(values: list, length: int) -> list:
+    return [*values, *[arb(0)] * (length - len(values))]
+
+
+def box_over(slope, y, time):
+    """A box that no solution leaves within a time from 0 on, by Picard's iteration."""
     box = [a + time * f for a, f in zip(y, field(slope, y), strict=True)]
     for _ in range(60):
-        wide = [widened(one) for one in box]
+        wide = [one + arb(0, one.rad() / 20 + arb("1e-9")) for one in box]
         box = [a + time * f for a, f in zip(y, field(slope, wide), strict=True)]
-        if all(b.a > w.a and b.b < w.b for b, w in zip(box, wide, strict=True)):
+        if all(w.contains_interior(b) for b, w in zip(box, wide, strict=True)):
             return box
     return None
 
 
-def widened(one):
-    room = one.delta.b / 20 + mpf(10) ** -9
-    return one + iv.mpf([-room, room])
+def between(low, high):
+    return low.union(high)
 
 
 def at(series, rest, time):
@@ -77,67 +68,95 @@ def at(series, rest, time):
     return found
 
 
-def check_stride(slope, x):
+def contact(y):
+    """The value that strikes where it rises through zero, and its rate."""
+    return y[1] - 2 * y[0], y[3] - 2 * y[2]
+
+
+def pushes(slope, theta, w):
+    """Above zero where the ground pushes, which over a stride is so if it is at both its ends."""
+    return (theta - slope).cos() - w * w
+
+
+def check_stride(slope, x) -> Any:
     """What a stride leads to: the next theta and thetadot, "falls", or None where that is open."""
     theta, w = x
-    if not (theta.a > 0 and w.b < 0 and (iv.cos(theta - slope) - w**2).a > 0):
+    if theta < 0 or theta > arb.pi() / 4 or w > 0 or pushes(slope, theta, w) < 0:
+        return "falls"
+    if not (theta > 0 and theta < arb.pi() / 4 and w < 0 and pushes(slope, theta, w) > 0):
         return None
-    y = [theta, 2 * theta, w, (1 - iv.cos(2 * theta)) * w]
-    for _ in range(400):
+    y = [theta, 2 * theta, w, (1 - (2 * theta).cos()) * w]
+    for step in range(400):
         length = STEP
-        while (box := box_over(slope, y, length)) is None:
+        while (box := box_over(slope, y, between(arb(0), length))) is None:
             length /= 2
-        series, rest = coefficients(slope, y, ORDER), coefficients(slope, box, ORDER)
-        pieces = 8
-        for i in range(pieces):
-            part = iv.mpf([length * i / pieces, length * (i + 1) / pieces])
-            z = at(series, rest, part)
-            g, rate = z[1] - 2 * z[0], z[3] - 2 * z[2]
-            safe = z[0].a > 0 or g.b < 0 or g.a > 0 or rate.b < 0
-            if not safe:
-                return strike(slope, series, rest, part, length) if z[2].b < 0 else None
-        y = at(series, rest, iv.mpf(length))
-        if y[2].a > 0 or y[0].b < -mp.pi / 2:
+        series, rest = coefficients(slope, y, ORDER - 1), coefficients(slope, box, ORDER)
+        states = partial(at, series, rest)
+        low = first_rise(states, length, at_start=step == 0)
+        if low is not None:
+            return strike(slope, states, low, length)
+        y = states(length)
+        if y[2] > 0 or y[0] < -arb.pi() / 2:
             return "falls"
     return None
 
 
-def strike(slope, series, rest, part, length):
-    """Heel strike from the first piece in which it may be, while the value rises throughout."""
-    value = lambda t: (lambda z: z[1] - 2 * z[0])(at(series, rest, iv.mpf(t)))
-    low, high = part.a, part.b
-    while high < length and not value(high).a > 0:
-        high = min(mpf(length), high + (part.b - part.a))
-    over = at(series, rest, iv.mpf([low, high]))
-    if not (value(low).b < 0 < value(high).a and (over[3] - 2 * over[2]).a > 0 and over[0].b < 0):
-        return None
-    for _ in range(200):
+def first_rise(states, length, at_start):
+    """The begin of the first piece that may hold a strike; None if none does.
+
+    A stride starts at zero of the contact's value: while that rises from there, it is above zero.
+    """
+    parts = [(length * i / PIECES, length * (i + 1) / PIECES, 0) for i in range(PIECES)][::-1]
+    while parts:
+        low, high, depth = parts.pop()
+        z = states(between(low, high))
+        g, rate = contact(z)
+        begins = at_start and low == 0 and rate > 0
+        if z[0] > 0 or g < 0 or g > 0 or rate < 0 or begins or z[2] > 0:
+            continue
+        if depth == DEEPEST:
+            return low
         middle = (low + high) / 2
+        parts += [(middle, high, depth + 1), (low, middle, depth + 1)]
+    return None
+
+
+def strike(slope, states, low, length) -> Any:
+    """Where the heel strike after a time leads, while the contact's value rises throughout."""
+    value = lambda time: contact(states(time))[0]
+    high, part = low, length / 2**DEEPEST
+    while high < length and not value(high) > 0:
+        high, part = min(length, high + part), 2 * part
+    over = states(between(low, high))
+    if not (value(low) < 0 and value(high) > 0 and contact(over)[1] > 0 and over[0] < 0):
+        return None
+    for _ in range(BITS):
+        middle = ((low + high) / 2).mid()
         sign = value(middle)
-        if sign.a > 0:
+        if sign > 0:
             high = middle
-        elif sign.b < 0:
+        elif sign < 0:
             low = middle
         else:
             break
-    theta, _, w, _ = at(series, rest, iv.mpf([low, high]))
-    if not (w.b < 0 and (iv.cos(theta - slope) - w**2).a > 0 and theta.a > -mp.pi / 4):
-        return None
-    return -theta, iv.cos(2 * theta) * w
+    theta, _, w, _ = states(between(low, high))
+    if not (w < 0 and pushes(slope, theta, w) > 0):
+        return "falls" if w > 0 or pushes(slope, theta, w) < 0 else None
+    return -theta, (2 * theta).cos() * w
 
 
 def follow(slope, x, centre, factor, size, most=60):
     """What a start certainly does: "walks", into the trap, or "falls"; None where that is open."""
-    iv.dps = mp.dps = DIGITS
-    slope, x = iv.mpf(slope), tuple(iv.mpf(float(one)) for one in x)
+    ctx.prec = BITS
+    slope, x = arb(slope), tuple(arb(float(one)) for one in x)
     for _ in range(most):
         x = check_stride(slope, x)
         if x is None or x == "falls":
             return x
-        a, b = (one - iv.mpf(float(c)) for one, c in zip(x, centre, strict=True))
-        first = iv.mpf(float(factor[0][0])) * a + iv.mpf(float(factor[1][0])) * b
-        second = iv.mpf(float(factor[1][1])) * b
-        if (first**2 + second**2).b <= mpf(float(size)) ** 2:
+        a, b = (one - arb(float(c)) for one, c in zip(x, centre, strict=True))
+        first = arb(float(factor[0][0])) * a + arb(float(factor[1][0])) * b
+        second = arb(float(factor[1][1])) * b
+        if first**2 + second**2 <= arb(float(size)) ** 2:
             return "walks"
     return None
 

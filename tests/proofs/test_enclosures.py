@@ -8,11 +8,15 @@ import mpmath
 import numpy as np
 import pytest
 
+import walker_jax as wj
+from walker_jax.integrators.series import sincos as own_sincos
 from walker_jax.kernels import kernel
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.proofs import elementary, enclosures
 from walker_jax.proofs.elementary import sine_and_cosine
 from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, ball, monomials
 from walker_jax.proofs.evaluation import evaluate
+from walker_jax.proofs.provable import check_provable, parameters_of
 
 PLANE = Space(2, 2)
 OPERATIONS = {
@@ -192,3 +196,27 @@ def test_numbers_that_are_not_finite_prove_nothing():
     with np.errstate(all="ignore"):
         cube = one * one * one
         assert not (cube.lower > 0) and not (cube.upper < 0)
+
+
+def test_integers_and_stopped_gradients_are_refused():
+    """An integer is a float cut off; and another `sincos` is not the package's own."""
+    x = ball(np.array([0.5]), 0.0)
+    with pytest.raises(UnsupportedPrimitive, match="proofs need float64 throughout, not int"):
+        evaluate(lambda x: x.astype(int).astype(float), x)
+    with pytest.raises(UnsupportedPrimitive, match="stop_gradient"):
+        evaluate(jax.lax.stop_gradient, x)
+
+    @jax.jit
+    def sincos(x):
+        return 2 * x, 3 * x
+
+    double, triple = evaluate(sincos, x)
+    assert double.middle == 1.0 and triple.middle == 1.5
+    sine, _ = evaluate(own_sincos, x)
+    assert abs(sine.middle - np.sin(0.5)) < 1e-15
+
+
+def test_whole_parameters_are_rounded_too():
+    """A parameter of 1 stands for all numbers that round to it, in kernels and in NumPy."""
+    known = parameters_of(check_provable(wj.SpringWalker(0.004, 1.0)), BALLS)
+    assert known.hip_stiffness.radius >= 2.0**-53

@@ -3,13 +3,14 @@
 import jax
 import numpy as np
 import pytest
+from interruptions import stop_writes
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.proofs.atlas import FALLS, OPEN, WALKS
 from walker_jax.proofs.basin_proofs import summarise_proof
 from walker_jax.proofs.boxes import Boxes, Trap, carry
 from walker_jax.proofs.provable import check_provable
-from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS
 from walker_jax.proofs.traps import is_trap
 from walker_jax.storage.schema import check_dataset
 
@@ -26,7 +27,8 @@ def test_half_of_the_least_disturbance_walks_for_ever(disc):
     assert disc.attrs["all_walk"] and np.all(disc["proved"] == WALKS)
     assert disc.attrs["radius"] == 0.5 * RADIUS
     low, high = disc.attrs["area_lower"], disc.attrs["area_upper"]
-    assert np.pi * (0.5 * RADIUS) ** 2 < low <= high < 6 * (0.5 * RADIUS) ** 2
+    area = np.pi * (0.5 * RADIUS) ** 2
+    assert low < area < high < low * (1 + 1e-9)
 
 
 def test_the_whole_least_disturbance_is_proved():
@@ -41,6 +43,9 @@ def test_at_the_steeper_slope_too():
 def test_more_than_the_least_disturbance_is_not_proved():
     found = wj.prove_basin(WALKER, 1.01 * RADIUS, levels=6)
     assert not found.attrs["all_walk"] and np.any(found["proved"] == OPEN)
+    low, high = found.attrs["area_lower"], found.attrs["area_upper"]
+    area = np.pi * (1.01 * RADIUS) ** 2
+    assert 0.5 * area < low < area < high * (1 + 1e-9) and high < area * (1 + 1e-9)
 
 
 def trap_of(data) -> Trap:
@@ -126,3 +131,42 @@ def test_wrong_use_of_basins_is_refused():
         wj.prove_basin(WALKER, -0.1)
     with pytest.raises(WrongUse, match="both coordinates of the section"):
         wj.prove_basin(WALKER, wj.Grid.plain(theta=(0, 0.3, 4), thetadot=-0.1))
+
+
+def test_an_interrupted_proof_goes_on_with_the_same_bits(tmp_path, monkeypatch, cells):
+    for module in ("subdivision", "stores", "basin_proofs"):
+        monkeypatch.setattr(f"walker_jax.proofs.{module}.BATCH", 2048)
+    path, stops = tmp_path / "a.zarr", {0, 3}
+    stop_writes(monkeypatch, stops, arrays=1)
+    while stops:
+        with pytest.raises(KeyboardInterrupt):
+            wj.prove_basin(WALKER, cells[0], levels=3, out=path)
+    found, plain = wj.prove_basin(WALKER, cells[0], levels=3, out=path), cells[1]
+    assert found.load().drop_attrs().identical(plain.drop_attrs())
+    assert {name: found.attrs[name] for name in plain.attrs} == plain.attrs
+    assert {one.name for one in path.iterdir() if one.is_dir()} == {*map(str, found.variables)}
+
+
+def test_more_cells_than_are_kept_are_refused(tmp_path, monkeypatch, cells):
+    for module in ("subdivision", "stores", "basin_proofs"):
+        monkeypatch.setattr(f"walker_jax.proofs.{module}.BATCH", 2048)
+    monkeypatch.setattr("walker_jax.proofs.stores.MOST_BATCHES", 1)
+    with pytest.raises(ComputationFailed, match="a level has more than 2048 cells"):
+        wj.prove_basin(WALKER, cells[0], levels=3, out=tmp_path / "a.zarr")
+
+
+def test_functions_with_derivatives_of_their_own_are_refused():
+    class Stopped(wj.SimplestWalker):
+        def vector_field(self, state):
+            rates = super().vector_field(state)
+            return rates._replace(phidot=jax.lax.stop_gradient(rates.phidot))
+
+    class Named(wj.SimplestWalker):
+        def vector_field(self, state):
+            sincos = jax.custom_jvp(lambda x: (x, x))
+            sincos.defjvp(lambda x, dx: (sincos(*x), (0.0 * dx[0], 0.0 * dx[0])))
+            return super().vector_field(state._replace(phi=sincos(state.phi)[0]))
+
+    for kind, what in ((Stopped, "stop_gradient"), (Named, "custom_jvp_call")):
+        with pytest.raises(WrongUse, match=f"no derivatives of their own, and no {what}"):
+            check_provable(kind(0.004))

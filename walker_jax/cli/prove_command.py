@@ -37,16 +37,18 @@ def prove(
     Arithmetic with rigorous bounds carries cells of starts from stride to stride, until all of a
     cell is in a trap about the gait, or has fallen. The page proofs.md says what the theorems are,
     and what must be trusted. For the walkers simplest, spring and powered. A window bounds the area
-    of its starts that walk for ever; --levels 4 is then enough for a picture.
+    of its starts that walk for ever; --levels 4 is then enough for a picture. What is interrupted
+    is resumed by the same command.
     """
     axes = window.axes(walker) if disc.radius is None else {}
     request = request_for("prove", walker, radius=disc.radius, axes=axes, levels=disc.levels)
 
     def compute():
         region = grid_along(axes) if disc.radius is None else disc.radius
-        return wj.prove_basin(walker, region, levels=disc.levels)
+        how = {"levels": disc.levels, "progress": True, **output.place(request)}
+        return wj.prove_basin(walker, region, **how)
 
-    data = output.produce(request, compute, "proof")
+    data = output.produce(request, compute, "proof", kept=True)
     answer = {"walker": request["walker"]} | summarise_proof(data)
     output.tell(answer, proof_in_words(walker, answer))
 

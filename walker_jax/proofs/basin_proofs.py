@@ -1,6 +1,7 @@
 """Starts that walk for ever, by proof: all of a disc about the gait, or cells of a grid."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,15 +9,16 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers, short
-from walker_jax.execution.progress import bar
 from walker_jax.gaits.cycles import Gait, check_found, multiply_jacobians
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
+from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.provable import check_provable
-from walker_jax.proofs.subdivision import FALLS, OPEN, WALKS, Cells, Window, subdivide
+from walker_jax.proofs.stores import prove_in_batches
+from walker_jax.proofs.subdivision import BATCH, Cells, Keep, subdivide
 from walker_jax.proofs.traps import find_trap
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.system import System
@@ -41,12 +43,16 @@ def prove_basin(
     levels: int = 12,
     strides: int = 60,
     progress: bool = False,
+    out: Path | str | None = None,
+    request: dict | None = None,
+    overwrite: bool = False,
 ) -> xr.Dataset:
-    """Prove which starts walk for ever, converging to a gait's trap, and which fall.
+    """Prove which starts walk for ever, converging to a gait's trap, and which do not.
 
     First an ellipse about the gait is proved to be a trap: strides lead all of it into itself. Then
     cells are carried from stride to stride, in arithmetic with rigorous bounds, until all of a cell
-    is in the trap, or all of it has fallen. What is neither is split in four, up to `levels` times,
+    is in the trap or in cells that walk, or all of it has fallen or is in cells that fall; starts
+    that are not feasible count as fallen. What is neither is split in four, up to `levels` times,
     and is `OPEN` at last. On a boundary something always is.
 
     The theorem is about the equations of motion and the events as `docs/method.md` has them, for
@@ -60,11 +66,13 @@ def prove_basin(
     - `gait`: a stable gait; by default that of `find_gait`.
     - `levels`: how often a cell is split at most.
     - `strides`: that a cell is carried at most.
-    - `progress`: show a line on a terminal.
+    - `progress`: whether to show progress bars on a terminal.
+    - `out`, `request`, `overwrite`: as in `basin`. A piece holds the fates of some cells of a
+      level. An interrupted proof is resumed from there, with the same result to the last bit.
 
     **Returns** a data set of the kind `proof`: `proved` says of each cell what is proved of it; the
     attribute `all_walk`, whether that is a theorem about all of the disc; `area_lower` and
-    `area_upper` bound the area of the starts in a window that walk for ever.
+    `area_upper` bound the area of the starts in the disc or window that walk for ever.
 
     **Raises** `ComputationFailed` where no trap is proved, as there is none about an unstable gait;
     `WrongUse` for another walker, for float32, and for arguments that are none of these.
@@ -87,13 +95,25 @@ def prove_basin(
         radius = float(region)
         window = about(centre, radius)
         wanted = disc(window, centre, radius)
-    trap = find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
-    with bar("proof", progress) as update:
-        report = lambda found: update(found.level)
-        found = subdivide(
-            walker, window, trap, levels=levels, strides=strides, wanted=wanted, report=report
-        )
-    return dataset_of(walker, axes, window, trap, found, period, radius)
+    find = lambda: find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
+
+    def prove(trap: Trap, keep: Keep) -> xr.Dataset:
+        how = {"levels": levels, "strides": strides, "wanted": wanted, "progress": progress}
+        found = subdivide(walker, window, trap, keep=keep, **how)
+        return dataset_of(walker, axes, window, trap, found, period, radius)
+
+    if out is None:
+        return prove(find(), lambda level, number, find: find())
+    asked = {"radius": radius, "levels": levels, "strides": strides, "batch": BATCH}
+    asked |= {"gait": np.asarray(gait.states).tolist(), **request_of_window(window)}
+    request = request or {"command": "prove", "walker": type(walker).__name__} | asked | {
+        **attributes_of(walker)
+    }
+    return prove_in_batches(Path(out), request, levels, find, prove, overwrite=overwrite)
+
+
+def request_of_window(window: Window) -> dict[str, Any]:
+    return {name: np.asarray(one).tolist() for name, one in window._asdict().items()}
 
 
 def dataset_of(
@@ -111,10 +131,9 @@ def dataset_of(
     joined = lambda values: np.concatenate([value[which] for value, which in values])
     fates = joined((one.fates, which) for one, which in kept)
     levels = np.concatenate([np.full(which.sum(), one.level) for one, which in kept])
-    areas = {
-        fate: sum(np.sum(one.fates[which] == fate) * window.area(one.level) for one, which in kept)
-        for fate in (WALKS, OPEN)
-    }
+    low, high = areas_of(window, kept)
+    if radius:
+        low, high = areas_in_disc(window, kept, trap.centre, radius)
     variables = {
         "proved": ("cell", fates),
         "strides": ("cell", joined((one.strides, which) for one, which in kept)),
@@ -132,14 +151,47 @@ def dataset_of(
         "period": period,
         "radius": radius,
         "all_walk": int(np.all(fates == WALKS)),
-        "area_lower": float(areas[WALKS] * (1 - ROUNDING_OF_AREA)),
-        "area_upper": float((areas[WALKS] + areas[OPEN]) * (1 + ROUNDING_OF_AREA)),
+        "area_lower": float(low * (1 - ROUNDING_OF_AREA)),
+        "area_upper": float(high * (1 + ROUNDING_OF_AREA)),
         "verified_strides": sum(int(one.strides.sum()) for one in found),
         "section": list(walker.section),
         "walker": type(walker).__name__,
         **attributes_of(walker),
     }
     return xr.Dataset(variables, {"axis": ("axis", np.array(axes, object))}, attributes)
+
+
+Kept = list[tuple[Cells, Bool[np.ndarray, " cells"]]]
+"""Cells of each level, and which of them are not split further."""
+
+
+def areas_of(window: Window, kept: Kept) -> tuple[float, float]:
+    """Bounds of the area of all starts that walk: of cells that do, and of those and open ones."""
+    areas = {
+        fate: sum(np.sum(one.fates[which] == fate) * window.area(one.level) for one, which in kept)
+        for fate in (WALKS, OPEN)
+    }
+    return areas[WALKS], areas[WALKS] + areas[OPEN]
+
+
+def areas_in_disc(
+    window: Window, kept: Kept, centre: Float[np.ndarray, " 2"], radius: float
+) -> tuple[float, float]:
+    """The same for starts of a disc: cells that reach beyond it count above alone."""
+    whole = np.pi * radius**2
+    if all(np.all(one.fates[which] == WALKS) for one, which in kept):
+        return whole, whole
+    inside = [(one, which & in_disc(window, one, centre, radius)) for one, which in kept]
+    return areas_of(window, inside)[0], min(areas_of(window, kept)[1], whole)
+
+
+def in_disc(
+    window: Window, cells: Cells, centre: Float[np.ndarray, " 2"], radius: float
+) -> Bool[np.ndarray, " cells"]:
+    """Whether all of a cell certainly lies in a disc."""
+    widths = window.widths(cells.level)
+    apart = np.abs(window.centres(cells.level, cells.cells) - centre) + widths / 2
+    return np.hypot(*apart.T) <= radius * (1 - REACH) - LEAST_REACH
 
 
 def summarise_proof(data: xr.Dataset) -> dict[str, Any]:

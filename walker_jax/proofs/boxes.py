@@ -5,6 +5,7 @@ enclosed in a rectangle that is turned along the longer side of its image, or el
 would grow where the box turns (Lohner 1987): from stride to stride they keep only what is linear.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -17,13 +18,15 @@ from walker_jax.proofs.enclosures import (
     ROUNDING,
     Enclosure,
     Space,
+    between,
     choose,
     exactly,
     outward,
 )
 from walker_jax.proofs.flows import ORDER
+from walker_jax.proofs.landings import enclose_landings
 from walker_jax.proofs.provable import parameters_of
-from walker_jax.proofs.strides import STRIDE, TOLERANCE, UNDECIDED, verify_stride
+from walker_jax.proofs.strides import STRIDE, TOLERANCE, verify_stride
 
 PLANE = Space(2, 2)
 """Polynomials of second degree of two coordinates: a box of size r is enclosed up to r^3."""
@@ -66,8 +69,6 @@ class Carried(NamedTuple):
 
     boxes: Boxes
     verdicts: Int[np.ndarray, " boxes"]
-    widths: Float[np.ndarray, " boxes"]
-    """Half the longer side."""
 
 
 def boxes_of(theta: Enclosure, thetadot: Enclosure) -> Boxes:
@@ -87,18 +88,26 @@ def sides(centres, halves) -> tuple[Enclosure, ...]:
     )
 
 
-def carry(walker, boxes: Boxes, trap: Trap, *, widest: float = np.inf) -> Carried:
+def carry(walker, boxes: Boxes, trap: Trap) -> Carried:
     """One stride of each box."""
+    return in_chunks(lambda some: carry_chunk(walker, some, trap), boxes)
+
+
+def carry_partly(walker, boxes: Boxes) -> Carried:
+    """One stride of those starts of each box that make one."""
+    return in_chunks(lambda some: land_chunk(walker, some), boxes)
+
+
+def in_chunks(call: Callable[[Boxes], tuple], boxes: Boxes) -> Carried:
+    """The results of calls with some boxes each."""
     found = []
     for first in range(0, boxes.count, CHUNK):
         places = np.arange(first, min(first + CHUNK, boxes.count))
         size = CHUNK if boxes.count > CHUNK // 8 else CHUNK // 8
         padded = np.concatenate([places, np.repeat(places[-1:], size - len(places))])
-        result = carry_chunk(walker, boxes.at(padded), trap)
-        found.append([np.asarray(one)[: len(places)] for one in result])
-    terms, radii, verdicts, widths = (np.concatenate(part) for part in zip(*found, strict=True))
-    verdicts = np.where((verdicts == STRIDE) & ~(widths < widest), UNDECIDED, verdicts)
-    return Carried(Boxes(terms, radii), verdicts, widths)
+        found.append([np.asarray(one)[: len(places)] for one in call(boxes.at(padded))])
+    terms, radii, verdicts = (np.concatenate(part) for part in zip(*found, strict=True))
+    return Carried(Boxes(terms, radii), verdicts)
 
 
 @jax.jit
@@ -108,14 +117,34 @@ def carry_chunk(walker, boxes: Boxes, trap: Trap) -> tuple:
 
 @kernel
 def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], trap: Trap) -> tuple:
-    """The terms and radii after a stride, the verdict, and half the longer side."""
+    """The terms and radii after a stride, and the verdict."""
     model = parameters_of(walker, PLANE)
     box = lambda i: Enclosure([*terms[i], None, None, None], radii[i], PLANE)
     found = verify_stride(model, (box(0), box(1)), order=ORDER, tolerance=TOLERANCE)
     inside = is_trapped(found.state, trap)
-    new, new_radii, width = rectangle_of(found.state)
+    new, new_radii = rectangle_of(found.state)
     verdict = choose((found.verdict == STRIDE) & inside, TRAPPED, found.verdict)
-    return new, new_radii, verdict.astype(jnp.int8), width
+    return new, new_radii, verdict.astype(jnp.int8)
+
+
+@jax.jit
+def land_chunk(walker, boxes: Boxes) -> tuple:
+    return jax.vmap(land_box, (None, 0, 0))(walker, boxes.terms, boxes.radii)
+
+
+@kernel
+def land_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"]) -> tuple:
+    """As `carry_box`, of the starts that make a stride."""
+    model = parameters_of(walker, PLANE)
+    box = lambda i: Enclosure([*terms[i], None, None, None], radii[i], PLANE)
+    verdict, (axis, low, high) = enclose_landings(model, (box(0), box(1)))
+    known = [between(*both) for both in zip(low, high, strict=True)]
+    s, t = sides([one.middle for one in known], [one.radius for one in known])
+    a, b = (exactly(one, PLANE) for one in axis)
+    scale = 1.0 / (a * a + b * b)
+    theta, thetadot = (a * s - b * t) * scale, (a * t + b * s) * scale
+    new = jnp.stack([jnp.stack(one.terms[:3]) for one in (theta, thetadot)])
+    return new, jnp.stack([theta.radius, thetadot.radius]), verdict.astype(jnp.int8)
 
 
 def is_trapped(x: tuple, trap: Trap) -> Any:
@@ -131,7 +160,7 @@ def is_trapped(x: tuple, trap: Trap) -> Any:
 
 
 def rectangle_of(x: tuple) -> tuple:
-    """A rectangle that holds an enclosure: its terms, radii, and half the longer side.
+    """A rectangle that holds an enclosure: its terms and radii.
 
     With axes (a, b) and (-b, a), x - c = s (a, b) + t (-b, a) has s = (a x + b y) / (a^2 + b^2).
     """
@@ -157,4 +186,4 @@ def rectangle_of(x: tuple) -> tuple:
     )
     rounding = lambda p, q: outward(ROUNDING * (jnp.abs(p) + jnp.abs(q)))
     radii = jnp.stack([rounding(a * s, b * t), rounding(b * s, a * t)])
-    return terms, radii, jnp.maximum(s, t)
+    return terms, radii

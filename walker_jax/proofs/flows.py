@@ -34,6 +34,8 @@ from walker_jax.proofs.evaluation import evaluate
 ORDER = 12
 """Order of the remainder: the package's own."""
 LONGEST_STEP = 1.0
+PART_LOST = 1e-5
+"""Of a wide box, terms of this part of its width may be left out: its steps are longer."""
 ROOM = 1e-3, 2.0**-40
 """How much wider than the polynomials a box is, relative to them and at least."""
 
@@ -92,7 +94,8 @@ def interval(one: Enclosure) -> Enclosure:
 def step_from(walker, flow: Flow, factor, *, order: int = ORDER, tolerance: float) -> Step:
     """The step that begins in a flow, `factor` times as long as the series suggests."""
     series = evaluate(series_to(order - 1), walker, flow)
-    length = factor * step_length(series.state, tolerance)
+    width = highest([one.spread for one in numbers_of(flow.state)])
+    length = factor * step_length(series.state, greatest(tolerance, PART_LOST * width))
     time = ball(length / 2, length / 2)
     way = map_series(lambda known: polynomial([one.range() for one in known], time), series)
     box = map_enclosures(lambda one: one.widened(ROOM[0] * one.radius + ROOM[1]), way)
@@ -116,7 +119,7 @@ def power_of(bound, order: int):
     return power
 
 
-def step_length(series, tolerance: float):
+def step_length(series, tolerance):
     """The step in which the last two terms stay below a tolerance (Jorba and Zou 2005).
 
     Any number would do: what is proved does not rest on it.

@@ -5,15 +5,18 @@ from typing import Any
 import jax
 import numpy as np
 from jax.core import Tracer
+from jax.extend.core import jaxprs_in_params
 
 from walker_jax.checks import WrongUse, check_precision, short
-from walker_jax.proofs.enclosures import Space, rounded_once
+from walker_jax.proofs.enclosures import ROUNDING, Space, exactly
 from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import Walker
 
 OWN_HOOKS = "phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"
 """Methods that a stride rests on, and that proofs have in another form."""
+
+OWN_DERIVATIVES = {"custom_jvp_call", "custom_vjp_call", "call_hi_primitive", "stop_gradient"}
 
 
 def check_provable(walker: System) -> AbstractMasslessFootWalker:
@@ -29,10 +32,37 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
             of="walker",
         )
     check_precision(jax.numpy.asarray(0.0).dtype, "a proof")
-    return jax.tree.map(np.float64, walker)
+    float64 = jax.tree.map(np.float64, walker)
+    check_derivatives(float64)
+    return float64
+
+
+def check_derivatives(walker: Any) -> None:
+    """Refuse equations with derivatives of their own, or none: proofs would take them for true."""
+    state = walker.lift((0.1, -0.1))
+    *_, mode = walker.modes()
+    values = lambda state: [one.value(state) for one in (*mode.guards, *mode.conditions)]
+    after = lambda state: walker.exchange_legs(walker.impact(state)[1])
+    for function in (walker.vector_field, mode.rates, values, after, walker.project):
+        found = names_in(jax.make_jaxpr(function)(state).jaxpr) & OWN_DERIVATIVES
+        if found:
+            raise WrongUse(
+                "walker must have equations with no derivatives of their own, and no "
+                f"{sorted(found)[0]}",
+                of="walker",
+            )
+
+
+def names_in(jaxpr) -> set[str]:
+    """The primitives of a function, and of all that it calls."""
+    inner = (names_in(one) for equation in jaxpr.eqns for one in jaxprs_in_params(equation.params))
+    return {equation.primitive.name for equation in jaxpr.eqns}.union(*inner)
 
 
 def parameters_of(walker: Walker, space: Space) -> Any:
-    """A walker with enclosures of its parameters: all numbers that round to these."""
+    """A walker with enclosures of its parameters: all numbers that round to these, also to whole
+    ones."""
     number = lambda leaf: leaf if isinstance(leaf, Tracer) else np.float64(leaf)
-    return jax.tree.map(lambda leaf: rounded_once(number(leaf), space), walker)
+    return jax.tree.map(
+        lambda leaf: exactly(number(leaf), space).widened(abs(number(leaf)) * ROUNDING), walker
+    )

@@ -42,7 +42,7 @@ class Accuracy(NamedTuple):
     tolerance: float
 
 
-POINTS = Accuracy(24, 1e-17)
+POINTS = Accuracy(20, 1e-17)
 """For points, whose enclosures are as narrow as rounding allows."""
 LINEAR = Accuracy(12, 1e-12)
 """For boxes, whose derivatives vary by more than that."""

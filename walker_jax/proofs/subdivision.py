@@ -1,54 +1,27 @@
 """Starts that walk for ever, or fall, by proof: cells are carried until they do, and split if not.
 
-A cell walks if strides lead all of it into a trap, and falls if all of it falls at one stride. One
-of which neither is proved, as it is too wide or on a boundary, is split in four, level by level.
+A cell of which neither is proved, as it is too wide or on a boundary, is split in four, level by
+level. What is proved of the cells of a level is known to those of the next.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from walker_jax.proofs.boxes import TRAPPED, Boxes, Trap, boxes_of, carry, sides
-from walker_jax.proofs.enclosures import exactly
-from walker_jax.proofs.strides import FALL, STRIDE
+from walker_jax.execution.progress import track
+from walker_jax.proofs.atlas import OPEN, Atlas, Index, Window
+from walker_jax.proofs.boxes import Trap
+from walker_jax.proofs.following import Fates, follow_boxes
 
-WALKS, FALLS, OPEN = 1, -1, 0
-"""Fates of cells, by proof; `OPEN`: neither is proved."""
-WIDEST = 0.02
-"""Half the side of a box from which on it is split rather than carried."""
-OVERLAP = 1e-10
-"""Cells are taken larger by this part, and by the rounding of their corners."""
+BATCH = 2**16
+"""Cells that are followed together."""
 
 
-class Window(NamedTuple):
-    """Cells of the section: x = shear w, for w in a box that is cut along both axes."""
-
-    low: Float[np.ndarray, " 2"]
-    high: Float[np.ndarray, " 2"]
-    counts: tuple[int, int]
-    shear: Float[np.ndarray, "2 2"]
-
-    def widths(self, level: int) -> Float[np.ndarray, " 2"]:
-        """Sides of cells that were split `level` times."""
-        return (self.high - self.low) / (np.asarray(self.counts) * 2**level)
-
-    def area(self, level: int) -> float:
-        """The area of one cell."""
-        return float(np.prod(self.widths(level)) * abs(np.linalg.det(self.shear)))
-
-    def centres(self, level: int, cells: Int[np.ndarray, "cells 2"]) -> np.ndarray:
-        return self.low + self.widths(level) * (cells + 0.5)
-
-    def boxes(self, level: int, cells: Int[np.ndarray, "cells 2"]) -> Boxes:
-        """Boxes that hold the cells."""
-        rounding = 8 * 2.0**-53 * (np.abs(self.low) + np.abs(self.high))
-        half = self.widths(level) / 2 * (1 + OVERLAP) + rounding
-        w = sides(self.centres(level, cells).T, np.broadcast_to(half, cells.shape).T)
-        number = lambda value: exactly(np.float64(value), w[0].space)
-        theta, thetadot = (number(p) * w[0] + number(q) * w[1] for p, q in self.shear)
-        return boxes_of(theta, thetadot)
+Keep = Callable[[int, int, Callable[[], Fates]], Fates]
+"""From a level, the number of a batch there, and a function that finds its fates, to these."""
 
 
 class Cells(NamedTuple):
@@ -58,26 +31,7 @@ class Cells(NamedTuple):
     cells: Int[np.ndarray, "cells 2"]
     fates: Int[np.ndarray, " cells"]
     strides: Int[np.ndarray, " cells"]
-    """Made before the trap, or the fall."""
-
-
-def follow_cells(
-    walker, window: Window, level: int, cells: Int[np.ndarray, "cells 2"], trap: Trap, most: int
-) -> Cells:
-    """The fates of cells, after up to some number of strides."""
-    fates = np.full(len(cells), OPEN, np.int8)
-    strides = np.zeros(len(cells), np.int32)
-    active, boxes = np.arange(len(cells)), window.boxes(level, cells)
-    for stride in range(1, most + 1):
-        if not len(active):
-            break
-        found = carry(walker, boxes, trap, widest=WIDEST)
-        fates[active[found.verdicts == TRAPPED]] = WALKS
-        fates[active[found.verdicts == FALL]] = FALLS
-        strides[active] = stride
-        going = found.verdicts == STRIDE
-        active, boxes = active[going], found.boxes.at(going)
-    return Cells(level, cells, fates, strides)
+    """Verified strides of each."""
 
 
 def children(cells: Int[np.ndarray, "cells 2"]) -> Int[np.ndarray, "more 2"]:
@@ -93,19 +47,31 @@ def subdivide(
     levels: int,
     strides: int,
     wanted: Callable[[int, np.ndarray], Bool[np.ndarray, " cells"]] | None = None,
-    report: Callable[[Cells], None] = lambda found: None,
+    keep: Keep = lambda level, number, find: find(),
+    progress: bool = False,
 ) -> list[Cells]:
     """The proved fates of a window's cells, level by level; those of the last are left open.
 
-    Cells that are not `wanted` are left out.
+    **Arguments:**
+
+    - `wanted`: cells that are not are left out.
+    - `keep`: returns the fates of a batch, which it keeps, or has kept.
+    - `progress`: whether to show progress bars on a terminal.
     """
     found, cells = [], np.indices(window.counts).reshape(2, -1).T
+    atlas = Atlas.empty(window)
     for level in range(levels + 1):
         cells = cells if wanted is None else cells[wanted(level, cells)]
-        last = follow_cells(walker, window, level, cells, trap, strides)
-        found.append(last)
-        report(last)
-        cells = children(cells[last.fates == OPEN])
+        index, parts = Index(atlas), np.split(cells, range(BATCH, len(cells), BATCH))
+        fates = []
+        for number, part in enumerate(track(parts, f"level {level} of {levels}", progress)):
+            boxes = window.boxes(level, part)
+            find = partial(follow_boxes, walker, boxes, trap, index, strides)
+            fates.append(keep(level, number, find).first(len(part)))
+        joined = Fates(*(np.concatenate(one) for one in zip(*fates, strict=True)))
+        found.append(Cells(level, cells, *joined))
+        atlas = atlas.entered(level, cells, joined.fates)
+        cells = children(cells[joined.fates == OPEN])
         if not len(cells):
             break
     return found

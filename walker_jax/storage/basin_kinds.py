@@ -61,8 +61,10 @@ BASINS = {
     "proof": Kind(
         "Starts that walk for ever, by proof, and that fall (`prove_basin`).",
         {
-            "proved": V("cell", "integer", "", "1: all of it walks for ever, -1: falls, 0: open"),
-            "strides": V("cell", "integer", "", "before the trap or the fall"),
+            "proved": V(
+                "cell", "integer", "", "1: all of it walks for ever, -1: none of it, 0: open"
+            ),
+            "strides": V("cell", "integer", "", "made before that was known, or given up"),
             "level": V("cell", "integer", "", "how often the first cells were halved"),
             "place": V("cell axis", "integer", "", "the cell's number along each axis"),
             "axis": V("axis", "text", "", "names of the axes"),
@@ -80,8 +82,8 @@ BASINS = {
             "period": "strides from the trap into itself",
             "radius": "of the disc about the gait that the cells cover; 0 for a window",
             "all_walk": "whether all cells are proved to walk, which is then a theorem",
-            "area_lower": f"of the cells that walk; {AREA}",
-            "area_upper": "of these, and of the cells left open",
+            "area_lower": f"starts of the disc or window that walk have at least this; {AREA}",
+            "area_upper": "and at most this: cells left open count too",
             "verified_strides": "made for the cells",
         },
     ),

@@ -1,0 +1,79 @@
+"""Proofs of basins that are kept on disk while they are made, batch by batch, and resumed."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from walker_jax import storage
+from walker_jax.checks import ComputationFailed
+from walker_jax.proofs.boxes import Trap
+from walker_jax.proofs.following import Fates
+from walker_jax.proofs.subdivision import BATCH, Keep
+
+MOST_BATCHES = 2**12
+"""Of a level."""
+KEPT = {"fates": "batch_fates", "strides": "batch_strides"}
+"""Names of what is kept of a batch, until the proof is complete."""
+
+
+def prove_in_batches(
+    out: Path,
+    request: dict,
+    levels: int,
+    find: Callable[[], Trap],
+    prove: Callable[[Trap, Keep], xr.Dataset],
+    *,
+    overwrite: bool,
+) -> xr.Dataset:
+    """The data set of a proof that is kept at a place on disk, complete or as far as it has come.
+
+    **Arguments:**
+
+    - `find`: finds the trap, once: a proof that is resumed keeps its own.
+    - `prove`: from the trap, and a function that keeps what is proved of each batch, to the proof.
+    """
+    found = storage.find(out, request, overwrite=overwrite)
+    if found is not None:
+        return found
+    empty = {"fates": np.int8(0), "strides": np.int32(0)}
+    shape = levels + 1, MOST_BATCHES * BATCH
+    arrays = {
+        KEPT[name]: xr.Variable(("from_level", "cell_of_level"), np.broadcast_to(one, shape))
+        for name, one in empty.items()
+    }
+    notes = lambda: [np.asarray(one).tolist() for one in find()]
+    with storage.open_pieces(
+        out,
+        request,
+        xr.Dataset(),
+        arrays,
+        (1, BATCH),
+        notes,
+        aside=[*arrays],
+        overwrite=overwrite,
+    ) as place:
+        centre, factor, size = place.notes
+        missing = set(place.missing())
+        keep = lambda level, number, find: kept_batch(place, missing, level, number, find)
+        place.finish(prove(Trap(np.array(centre), np.array(factor), size), keep))
+    return storage.open_dataset(out)
+
+
+def kept_batch(
+    place: storage.Pieces, missing: set[int], level: int, number: int, find: Callable[[], Fates]
+) -> Fates:
+    """The fates of a batch: read if they are there, else found and written."""
+    if number >= MOST_BATCHES:
+        raise ComputationFailed(
+            f"a level has more than {MOST_BATCHES * BATCH} cells: levels must be fewer"
+        )
+    piece = level * MOST_BATCHES + number
+    if piece in missing:
+        found = find()
+        room = BATCH - len(found.fates)
+        values = {KEPT[name]: np.pad(one, (0, room)) for name, one in found._asdict().items()}
+        place.write(piece, values, done=True)
+        return found
+    return Fates(*(place.read(KEPT[name], piece)[0] for name in Fates._fields))
