@@ -41,11 +41,11 @@ def test_classes_that_can_touch_are_told_apart(vision):
 
 
 @pytest.mark.parametrize("vision", VISIONS)
-def test_undecided_cells_of_charts_are_told_apart(vision):
+def test_cells_of_charts_are_told_apart(vision):
     tints = [chart_plots.tinted(n) for n in range(1, len(style.PERIODS) + 1)]
-    others = [*tints, chart_plots.NO_PERIOD, chart_plots.EMPTY, chart_plots.FALLS]
-    own = lab(chart_plots.NOT_KNOWN, vision)
-    assert min(ciede2000(own, lab(one, vision)) for one in others) > APART
+    cells = [*tints, chart_plots.NO_PERIOD, chart_plots.FALLS, chart_plots.NOT_KNOWN]
+    pairs = combinations([lab(one, vision) for one in cells], 2)
+    assert min(ciede2000(*pair) for pair in pairs) > APART
 
 
 @pytest.mark.parametrize("vision", VISIONS)

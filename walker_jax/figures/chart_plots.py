@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from walker_jax.figures.layout import Shown, cell_edges, dress, new_axes
 from walker_jax.figures.style import INK, PERIODS, SIGNS, SMALL, period_style
@@ -17,10 +18,14 @@ from walker_jax.gaits.normal_forms import SUBCRITICAL, criticality
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome
 
-TINTS = (0.1, *[0.45] * (len(PERIODS) - 1))
+TINTS = 0.05, 0.85, 0.825, 0.7, 0.65, 0.775, 0.55, 0.6
 """Share of each period's colour in the tint of its cells; the rest is white."""
-NO_PERIOD, EMPTY, FALLS = "#8f8f8f", "#ffffff", "#f8ecd4"
-"""Colours of cells without a period or with a longer one, without a gait, and with falls."""
+NO_PERIOD, FALLS = "#787878", "#fbe6c0"
+"""Colours of cells without a period or with a longer one, and with falls."""
+EMPTY: dict[str, Any] = {"facecolor": "white", "hatch": "xxx", "edgecolor": "#b0b0b0"}
+"""Cells without a gait: crossed lines, as no further colour is apart from all others."""
+CASING = [withStroke(linewidth=3.5, foreground="white")]
+"""White on both sides of curves, as cells may have nearly their colour."""
 NOT_KNOWN = SIGNS[Outcome.UNDECIDED][0]
 """Colour of cells where the integration gave no answer."""
 KINDS: dict[str, dict[str, Any]] = {
@@ -104,7 +109,6 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     fate, period = data["cell_fate"].values, data["cell_period"].values
     walks = fate == Outcome.STRIDE
     image = np.full((*fate.shape, 3), to_rgb(FALLS))
-    image[fate == NO_GAIT] = to_rgb(EMPTY)
     undecided = fate == Outcome.UNDECIDED
     image[undecided] = to_rgb(NOT_KNOWN)
     handles = []
@@ -120,12 +124,18 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
         ("no period, or a longer one", others, NO_PERIOD),
         (fails, ~walks & ~undecided & (fate != NO_GAIT), FALLS),
         ("undecided", undecided, NOT_KNOWN),
-        ("no gait", fate == NO_GAIT, EMPTY),
     )
     for name, cells, colour in further:
         if cells.any():
             handles.append(Patch(fc=colour, ec=INK, lw=0.3, label=name))
+    without = fate == NO_GAIT
     edges = [cell_edges(data[name].values) for name in ("first", "second")]
+    if without.any():
+        corners = [np.linspace(*ends, n + 1) for ends, n in zip(edges, without.shape, strict=True)]
+        shown = np.ma.masked_where(~without.T, np.ones(without.T.shape))
+        look = {"hatch": EMPTY["hatch"], "edgecolors": EMPTY["edgecolor"], "linewidth": 0}
+        ax.pcolor(*corners, shown, cmap=ListedColormap([EMPTY["facecolor"]]), zorder=2, **look)
+        handles.append(Patch(**EMPTY, lw=0.3, label="no gait"))
     ax.imshow(
         image.swapaxes(0, 1),
         origin="lower",
@@ -147,7 +157,7 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
         coefficients = data["curve_coefficient"].values[own].tolist()
         subcritical = np.array([criticality(kind, one) == SUBCRITICAL for one in coefficients])
         colour = period_style(period)[0]
-        ax.plot(x, y, color=colour, zorder=4, **KINDS[kind])
+        ax.plot(x, y, color=colour, zorder=4, path_effects=CASING, **KINDS[kind])
         if subcritical.any():
             part = x[subcritical], y[subcritical]
             ax.plot(*part, color=colour, ls="", zorder=5, markevery=3, **CIRCLES)

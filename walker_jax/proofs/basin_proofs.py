@@ -49,6 +49,11 @@ def prove_basin(
 ) -> xr.Dataset:
     """Prove which starts walk for ever, converging to a gait's trap, and which do not.
 
+    ```python
+    data = wj.prove_basin(wj.SimplestWalker(slope=0.004), 0.001)
+    data.attrs["all_walk"]  # every start within 0.001 of the gait walks for ever
+    ```
+
     First an ellipse about the gait is proved to be a trap: strides lead all of it into itself. Then
     cells are carried from stride to stride, in arithmetic with rigorous bounds, until all of a cell
     is in the trap or in cells that walk, or all of it has fallen or is in cells that fall; starts

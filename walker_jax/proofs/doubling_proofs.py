@@ -61,6 +61,11 @@ def prove_doubling(
 ) -> ProvedDoubling:
     """Prove that a gait doubles its period, and between which values of a parameter.
 
+    ```python
+    found = wj.prove_doubling(wj.SimplestWalker(slope=0.015), 0.0145, 0.0155)
+    found.low, found.high
+    ```
+
     The doubling is found by secants between `low` and `high`; at both, the gait must be the one
     that `find_gait` finds by itself, once with multipliers above -1 and once with one below.
 

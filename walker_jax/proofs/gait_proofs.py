@@ -41,6 +41,11 @@ class ProvedGait(NamedTuple):
 def prove_gait(walker: System, guess: Any = None, period: int = 1) -> ProvedGait:
     """Prove that a walker has a gait, where it is, and whether it is stable.
 
+    ```python
+    proved = wj.prove_gait(wj.SimplestWalker(slope=0.004))
+    proved.states, proved.radii, proved.stable
+    ```
+
     `find_gait` finds the gait; then Krawczyk's operator on all states of the cycle proves, in
     arithmetic with rigorous bounds, that exactly one gait is near by. Each stride of it is a stride
     by all definitions: no event before heel strike, the ground pushes, the trailing foot lifts.
