@@ -2,6 +2,7 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -155,3 +156,27 @@ def test_wrong_ranges_of_the_command(run, over, message):
     given = [text for one in over for text in ("--over", one)]
     code, _, err = run("chart", "--system", "henon", "--a", "0.1", *given)
     assert code == 2 and message in err and err.count("\n") == 1
+
+
+class Invariant(wj.System):
+    """The logistic map, and a second coordinate that stays at zero."""
+
+    r: float = 2.5
+    pull: float = 0.5
+    section = "x", "y"
+
+    def advance(self, x):
+        return jnp.stack([self.r * x[0] * (1 - x[0]), self.pull * x[1]]), 0, 1.0
+
+    def gait_region(self):
+        return wj.Grid.plain(x=(0.1, 0.9, 4), y=(-0.1, 0.1, 2))
+
+
+def test_a_coordinate_that_never_changes_hides_no_gait():
+    system = Invariant()
+    gait = wj.find_gait(system, [[0.6, 0.0]])
+    bounds = {"r": (2.2, 3.2), "pull": (0.3, 0.7)}
+    data = wj.chart(system, bounds, gait, period_max=1, cells=(10, 4), strides=400)
+    r = np.broadcast_to(data["first"].values[:, None], (10, 4))
+    period = data["cell_period"].values
+    assert (period[r < 2.95] == 1).all() and (period[r > 3.05] == 2).all()

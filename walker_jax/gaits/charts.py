@@ -287,7 +287,7 @@ def spread_gaits(
     index = np.ravel_multi_index(np.clip(place.astype(int), 0, np.array(cells) - 1).T, cells)
     guesses = np.full((len(values), size), np.nan)
     guesses[index] = known[:, 2:]
-    near = NEAR * np.ptp(known[:, 2:], axis=0)
+    near = NEAR * np.maximum(np.ptp(known[:, 2:], axis=0), SAME_GAIT)
     tries, gap = np.zeros(len(values), int), np.full(len(values), True)
     while len(chosen := np.flatnonzero(np.isfinite(guesses[:, 0]) & gap & (tries < MOST_TRIES))):
         tries[chosen] += 1

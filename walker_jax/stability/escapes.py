@@ -103,7 +103,7 @@ def transients(
     - `starts`: states of shape (n, section), sprinkled over the region that holds the saddle, or
       on the former attractor.
     - `settle`: number of strides in which walks approach the saddle, and also the number in which
-      they leave it at the end of a transient.
+      they leave it at the end of a transient; 100 at most.
     - `strides`: most strides of a walk. Walks still going then count with the strides that they
       have made. Starts that converge to an attractor make the rate too small.
     - `confidence`: confidence level of the interval.
@@ -120,7 +120,7 @@ def transients(
     if starts.ndim != 2 or starts.shape[1] != len(system.section) or len(starts) == 0:
         size = len(system.section)
         raise WrongUse(f"starts must have shape (n, {size}), not {starts.shape}")
-    check_whole("settle", settle)
+    check_whole("settle", settle, most=LONGEST_ORBIT // 4)
     check_whole("strides", strides)
     check_confidence(confidence)
     integrator = integrator_of(starts.dtype, tolerance)
