@@ -1,5 +1,9 @@
 """Proved basins: discs and cells, against plain strides."""
 
+import sys
+from fractions import Fraction
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -7,15 +11,27 @@ from interruptions import stop_writes
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.proofs.atlas import FALLS, OPEN, WALKS
+from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
 from walker_jax.proofs.basin_proofs import summarise_proof
 from walker_jax.proofs.boxes import Boxes, Trap, carry
+from walker_jax.proofs.evaluation import evaluate
+from walker_jax.proofs.following import Fates
 from walker_jax.proofs.provable import check_provable
+from walker_jax.proofs.stores import MOST_BATCHES, kept_batch
 from walker_jax.proofs.traps import is_trap
 from walker_jax.storage.schema import check_dataset
 
 WALKER = wj.SimplestWalker(0.004)
 RADIUS = 0.0022562
+BRAKE = 0.0
+
+
+class Braked(wj.SimplestWalker):
+    """Of which the equations read a number that may change."""
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        return free._replace(phidot=free.phidot - BRAKE * state.phi)
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +186,62 @@ def test_functions_with_derivatives_of_their_own_are_refused():
     for kind, what in ((Stopped, "stop_gradient"), (Named, "custom_jvp_call")):
         with pytest.raises(WrongUse, match=f"no derivatives of their own, and no {what}"):
             check_provable(kind(0.004))
+
+
+def test_walkers_with_a_start_of_their_own_are_refused():
+    class Lifted(wj.SimplestWalker):
+        def lift(self, x):
+            return super().lift(x)._replace(phi=2 * x[0] - 0.004)
+
+    class Fallen(wj.SimplestWalker):
+        def falls(self, state):
+            return super().falls(state) | {"SIDEWAYS": state.phi - 0.1}
+
+    for kind in (Lifted, Fallen):
+        with pytest.raises(WrongUse, match="that changes its equations alone"):
+            check_provable(kind(0.004))
+
+
+def test_equations_are_those_of_now(monkeypatch):
+    rate = lambda: evaluate(Braked(0.004).vector_field, wj.State(0.1, 0.2, 0.0, 0.0)).phidot.middle
+    first = rate()
+    monkeypatch.setattr(sys.modules[__name__], "BRAKE", 1e-7)
+    assert first - rate() == pytest.approx(2e-8, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_proof_is_about_equations_as_they_are_now(monkeypatch):
+    walker, plain = Braked(0.004), wj.prove_gait(WALKER).states
+    np.testing.assert_allclose(wj.prove_gait(walker).states, plain, rtol=0, atol=1e-13)
+    monkeypatch.setattr(sys.modules[__name__], "BRAKE", 1e-7)
+    proved, found = wj.prove_gait(walker), wj.find_gait(walker)
+    assert np.all(np.abs(proved.states - found.states) < proved.radii + 1e-12)
+    assert np.abs(proved.states - plain).max() > 1e-10
+
+
+def test_later_batches_are_found_anew_after_one_that_was_missing():
+    """The cells of a level follow from the fates of the level before."""
+    made = []
+
+    class Place:
+        count = 3 * MOST_BATCHES
+
+        def write(self, piece, values, done):
+            made.append(piece)
+
+        def read(self, name, piece):
+            return (np.zeros(1),)
+
+    fates = Fates(np.zeros(5, np.int8), np.zeros(5, np.int32))
+    missing: set[int] = {MOST_BATCHES}  # the first batch of level 1; those of level 2 are there
+    place: Any = Place()
+    for level in range(3):
+        kept_batch(place, missing, level, 0, lambda: fates)
+    assert made == [MOST_BATCHES, 2 * MOST_BATCHES]
+
+
+def test_the_area_of_a_cell_is_right_for_axes_that_are_nearly_parallel():
+    shear = np.array([[0.1, 0.3], [0.1 + 2.0**-30, 0.3]])
+    window = Window(np.zeros(2), np.ones(2), (1, 1), shear)
+    (a, b), (c, d) = ([Fraction(float(one)) for one in row] for row in shear)
+    assert window.area(0) == float(abs(a * d - b * c))

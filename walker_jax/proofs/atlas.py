@@ -4,6 +4,7 @@ A box that lies in cells that all walk walks too, and so does one in cells that 
 need to follow it to the trap, or to the ground.
 """
 
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,8 @@ class Window(NamedTuple):
 
     def area(self, level: int) -> float:
         """The area of one cell."""
-        return float(np.prod(self.widths(level)) * abs(np.linalg.det(self.shear)))
+        (a, b), (c, d) = ([Fraction(float(one)) for one in row] for row in self.shear)
+        return float(np.prod(self.widths(level))) * abs(float(a * d - b * c))
 
     def centres(self, level: int, cells: Int[np.ndarray, "cells 2"]) -> np.ndarray:
         return self.low + self.widths(level) * (cells + 0.5)

@@ -1,6 +1,7 @@
 """Starts that walk for ever, by proof: all of a disc about the gait, or cells of a grid."""
 
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +73,10 @@ def prove_basin(
     - `levels`: how often a cell is split at most.
     - `strides`: that a cell is carried at most.
     - `progress`: whether to show progress bars on a terminal.
-    - `out`, `request`, `overwrite`: as in `basin`. A piece holds the fates of some cells of a
-      level. An interrupted proof is resumed from there, with the same result to the last bit.
+    - `out`, `overwrite`: as in `basin`. A piece holds the fates of some cells of a level. An
+      interrupted proof is resumed from there, on the same machine with the same result to the last
+      bit.
+    - `request`: further entries by which the stored proof is recognised.
 
     **Returns** a data set of the kind `proof`: `proved` says of each cell what is proved of it; the
     attribute `all_walk`, whether that is a theorem about all of the disc; `area_lower` and
@@ -111,10 +114,9 @@ def prove_basin(
         return prove(find(), lambda level, number, find: find())
     asked = {"radius": radius, "levels": levels, "strides": strides, "batch": BATCH}
     asked |= {"gait": np.asarray(gait.states).tolist(), **request_of_window(window)}
-    request = request or {"command": "prove", "walker": type(walker).__name__} | asked | {
-        **attributes_of(walker)
-    }
-    return prove_in_batches(Path(out), request, levels, find, prove, overwrite=overwrite)
+    asked |= {"command": "prove", "walker": type(walker).__name__, **attributes_of(walker)}
+    asked |= {"version": version("walker-jax"), **(request or {})}
+    return prove_in_batches(Path(out), asked, levels, find, prove, overwrite=overwrite)
 
 
 def request_of_window(window: Window) -> dict[str, Any]:

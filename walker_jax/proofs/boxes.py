@@ -5,7 +5,8 @@ enclosed in a rectangle that is turned along the longer side of its image, or el
 would grow where the box turns (Lohner 1987): from stride to stride they keep only what is linear.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from walker_jax.kernels import kernel
+from walker_jax.kernels.program_cache import user_code_states
 from walker_jax.proofs.enclosures import (
     ROUNDING,
     Enclosure,
@@ -90,12 +92,19 @@ def sides(centres, halves) -> tuple[Enclosure, ...]:
 
 def carry(walker, boxes: Boxes, trap: Trap) -> Carried:
     """One stride of each box."""
-    return in_chunks(lambda some: carry_chunk(walker, some, trap), boxes)
+    code = code_of(carry_box, walker)
+    return in_chunks(lambda some: carry_chunk(walker, some, trap, code), boxes)
 
 
 def carry_partly(walker, boxes: Boxes) -> Carried:
     """One stride of those starts of each box that make one."""
-    return in_chunks(lambda some: land_chunk(walker, some), boxes)
+    code = code_of(land_box, walker)
+    return in_chunks(lambda some: land_chunk(walker, some, code), boxes)
+
+
+def code_of(function: Callable, walker) -> Hashable:
+    """Describe the user's own code that a function of a walker runs, as it is now."""
+    return user_code_states(function, jax.tree.structure((walker,)))
 
 
 def in_chunks(call: Callable[[Boxes], tuple], boxes: Boxes) -> Carried:
@@ -110,8 +119,8 @@ def in_chunks(call: Callable[[Boxes], tuple], boxes: Boxes) -> Carried:
     return Carried(Boxes(terms, radii), verdicts)
 
 
-@jax.jit
-def carry_chunk(walker, boxes: Boxes, trap: Trap) -> tuple:
+@partial(jax.jit, static_argnames="code")
+def carry_chunk(walker, boxes: Boxes, trap: Trap, code: Hashable) -> tuple:
     return jax.vmap(carry_box, (None, 0, 0, None))(walker, boxes.terms, boxes.radii, trap)
 
 
@@ -127,8 +136,8 @@ def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], tra
     return new, new_radii, verdict.astype(jnp.int8)
 
 
-@jax.jit
-def land_chunk(walker, boxes: Boxes) -> tuple:
+@partial(jax.jit, static_argnames="code")
+def land_chunk(walker, boxes: Boxes, code: Hashable) -> tuple:
     return jax.vmap(land_box, (None, 0, 0))(walker, boxes.terms, boxes.radii)
 
 

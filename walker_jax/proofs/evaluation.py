@@ -5,7 +5,8 @@ are enclosed as they stand in the package, and are not written a second time.
 
 Numbers in the jaxpr, such as 1/3, are roundings of the numbers that are meant: each is an interval
 that holds every real number it may be the rounding of. All numbers in the functions of walkers
-with a proof are whole, or were rounded once.
+with a proof are whole, or were rounded once. In a class of a user's own, a number that Python or
+NumPy computed before JAX saw it is taken for one that was rounded once.
 """
 
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from walker_jax.kernels.jaxprs import (
     UnsupportedPrimitive,
     called_function,
 )
+from walker_jax.kernels.program_cache import user_code_states
 from walker_jax.proofs.elementary import sine_and_cosine
 from walker_jax.proofs.enclosures import (
     BALLS,
@@ -48,14 +50,17 @@ def evaluate(function: Callable, *args):
     leaves, structure = jax.tree.flatten(args, is_leaf=is_enclosure)
     spaces = [one.space for one in leaves if is_enclosure(one)]
     space = max(spaces, default=BALLS)
-    closed, results = traced(function, structure)
+    closed, results = traced(function, structure, user_code_states(function, structure))
     values = Evaluation(space).interpret(closed, [as_enclosure(one, space) for one in leaves])
     return jax.tree.unflatten(results, values)
 
 
 @cache
-def traced(function: Callable, structure):
-    """The jaxpr of a function of scalars, and the structure of its results."""
+def traced(function: Callable, structure, code):
+    """The jaxpr of a function of scalars, and the structure of its results.
+
+    `code` describes the user's own code that it runs: other code is traced anew.
+    """
     flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
     number = jax.ShapeDtypeStruct((), jnp.float64)
     count = structure.num_leaves

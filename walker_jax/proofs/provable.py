@@ -13,8 +13,12 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import Walker
 
-OWN_HOOKS = "phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"
-"""Methods that a stride rests on, and that proofs have in another form."""
+OWN_HOOKS = (
+    *("phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"),
+    *("section", "lift", "contact", "is_ahead", "falls", "margin"),
+)
+"""Methods that a stride rests on, of which proofs know more than their values: another form, or
+that the swing foot is on the ground at the start, and that no start has fallen."""
 
 OWN_DERIVATIVES = {"custom_jvp_call", "custom_vjp_call", "call_hi_primitive", "stop_gradient"}
 

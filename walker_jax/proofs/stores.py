@@ -64,7 +64,11 @@ def prove_in_batches(
 def kept_batch(
     place: storage.Pieces, missing: set[int], level: int, number: int, find: Callable[[], Fates]
 ) -> Fates:
-    """The fates of a batch: read if they are there, else found and written."""
+    """Return the fates of a batch: read if they are there, else found and written.
+
+    The fates of a level decide which cells the next one has. So where a batch is found, all that
+    is kept of later levels counts as missing.
+    """
     if number >= MOST_BATCHES:
         raise ComputationFailed(
             f"a level has more than {MOST_BATCHES * BATCH} cells: levels must be fewer"
@@ -75,5 +79,6 @@ def kept_batch(
         room = BATCH - len(found.fates)
         values = {KEPT[name]: np.pad(one, (0, room)) for name, one in found._asdict().items()}
         place.write(piece, values, done=True)
+        missing.update(range((level + 1) * MOST_BATCHES, place.count))
         return found
     return Fates(*(place.read(KEPT[name], piece)[0] for name in Fates._fields))
