@@ -278,7 +278,8 @@ def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:
 def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> Iterator[str]:
     """Write the attractors and fates of a basin; `measure` is "area" or "volume".
 
-    A zoomed window lies within the basin's surroundings, so its border is not mentioned.
+    A zoomed window lies within the basin's surroundings, so its border is not mentioned, and the
+    border means nothing for artefacts alone.
     """
     for i, one in enumerate(answer["attractors"]):
         period = f"period {one['period']}" if one["period"] else "no period"
@@ -291,7 +292,9 @@ def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> It
         yield f"  {measure} {size:.7g} +- {error:.1g} {unit}".rstrip() + " in all"
     else:
         yield f"  {measure} {answer['area']:.6g} in all"
-    if answer.get("at_border") and not zoomed:
+    made_up = [one["artefact"] for one in answer["attractors"]]
+    only_artefacts = bool(made_up) and all(made_up)
+    if answer.get("at_border") and not zoomed and not only_artefacts:
         yield f"  the basin reaches the border of the grid, in {answer['at_border']} cells"
     yield from fates_in_words(answer["fates"])
 

@@ -88,11 +88,13 @@ def bifurcation(
     units = {one.name: f" {one.unit}".rstrip() for one in described_by(walker, Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
     title = f"Gaits of {walker_in_words(request['walker'], '')}, {span}"
-    output.tell(answer, [title, *bifurcations_in_words(answer, over, options.strides)])
+    found = bool(data["on_cascade"].any())
+    lines = bifurcations_in_words(answer, over, options.strides, found=found)
+    output.tell(answer, [title, *lines])
 
 
-def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str]:
-    """Write the answer of `bifurcation`."""
+def bifurcations_in_words(answer: dict, over: str, strides: int, *, found: bool) -> Iterator[str]:
+    """Write the answer of `bifurcation`; whether a gait of period one was found."""
     for key, title in TITLES.items():
         if key == "neimark_sackers" and not answer[key]:
             continue
@@ -113,5 +115,5 @@ def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str
     for interval in answer["stable_beyond"]:
         ends = f"from {interval['from']:.9f} to {interval['to']:.9f}"
         yield f"  a gait of period {interval['period']} is stable beyond that, {ends}"
-    doublings = [event[value_key(over)] for event in answer["doublings"]]
-    yield f"  {conclude_bifurcations(doublings, hyphenated(over))}"
+    doublings = [(event[value_key(over)], event["to"]) for event in answer["doublings"]]
+    yield f"  {conclude_bifurcations(doublings, hyphenated(over), found=found)}"

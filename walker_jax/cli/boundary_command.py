@@ -70,7 +70,8 @@ def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
         yield "    it tends to nothing on finer grids if the boundary is Wada's"
     for one in answer["edges"]:
         yield f"  {edge_in_words(one)}"
-    yield f"  {conclude_boundary(entropy['fractal'])}"
+    found = entropy["value"] is not None
+    yield f"  {conclude_boundary(found=found, fractal=entropy['fractal'])}"
 
 
 def edge_in_words(edge: dict) -> str:

@@ -95,4 +95,4 @@ def chart_in_words(answer: dict, names: list[str]) -> Iterator[str]:
         yield f"  no bifurcation over {' or '.join(map(hyphenated, names))}"
     shares = ", ".join(f"{name} {share:.1%}" for name, share in answer["cells"].items())
     yield f"  cells: {shares}"
-    yield f"  {conclude_chart(len(answer['curves']))}"
+    yield f"  {conclude_chart(len(answer['curves']), len(answer['cells']))}"

@@ -51,9 +51,10 @@ def explore(
 
     Prints the link to the page, and serves it until Ctrl-C. The page needs no network. Its address
     holds what it shows; buttons copy the command and the Python that give the same data. The spring
-    walker opens with a stiffness of 1. A system that is no walker has no film: a click shows its
-    iterates. Its window has the axes of --axis, in cells of the page's own, by default over its
-    gait_region.
+    walker opens with a stiffness of 1. Walkers in space and other systems have no film: a click
+    shows their iterates. Their window has the axes of --axis, in cells of the page's own, by
+    default over the gait_region. Walkers in space have no tab of bifurcations, nor have systems
+    without a gait_region.
     """
     from walker_jax.explorer.offers import offer
     from walker_jax.explorer.server import run_server

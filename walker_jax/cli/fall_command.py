@@ -64,8 +64,8 @@ class Pictures:
 def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None:
     """Find the most probable fall: the least disturbances that topple the walker.
 
-    On slightly rough ground nearly all falls are like this one. The mean number of strides until a
-    fall follows from its action.
+    Under slight disturbances nearly all falls are like this one, or with --way all of that kind.
+    The mean number of strides until such a fall follows from its action.
     """
     check_planar(walker)
     deviations = disturbances.deviations()
@@ -92,7 +92,13 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
     answer |= {"mean_strides": found.mean_strides(), "actions": found.actions}
     answer["log_mean_strides"] = found.log_mean_strides()
     lines = [*fall_in_words(walker, found, deviations, chosen=way is not None)]
-    lines.append(f"  {conclude_fall(filmed=pictures.animate is not None)}")
+    told = conclude_fall(
+        converged=found.residual < CONVERGED,
+        chosen=way is not None,
+        steps_only=not (deviations.slope or deviations.push),
+        filmed=pictures.animate is not None,
+    )
+    lines.append(f"  {told}")
     shown = {"picture": pictures.figure, "film": pictures.animate}
     lines += [f"{name} {place}" for name, place in shown.items() if place is not None]
     tell(answer, lines, as_json=pictures.as_json)

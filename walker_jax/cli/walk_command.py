@@ -64,8 +64,8 @@ def walk(walker: System, start: Start, options: Options) -> None:
     given = start.coordinates(walker)
     if moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
-    rough = {} if options.ground is None else {"ground": options.ground, "seed": options.seed}
-    request = request_for("walk", walker, start=given, strides=options.strides, **rough)
+    ground = {} if options.ground is None else {"ground": options.ground, "seed": options.seed}
+    request = request_for("walk", walker, start=given, strides=options.strides, **ground)
     if options.animate is not None:
         check_film(options.animate, request, overwrite=options.overwrite)
     with bar("walk", True):
@@ -83,8 +83,9 @@ def walk(walker: System, start: Start, options: Options) -> None:
     }
     if options.animate is not None and isinstance(walker, Walker):
         draw_film(walker, begin, options, options.animate, storage.signature(request))
-    coordinates = walker.section if options.ground is None else State._fields
-    lines = [*walk_in_words(answer, coordinates)]
+    rough = options.ground is not None
+    coordinates = State._fields if rough else walker.section
+    lines = [*walk_in_words(answer, coordinates, rough=rough)]
     lines += [f"film {options.animate}"] * (options.animate is not None)
     tell(answer, lines, as_json=options.as_json)
 
@@ -100,7 +101,7 @@ def draw_film(walker: Walker, begin: Any, options: Options, place: Path, signatu
     figures.film(motion, place, data, signature=signature, progress=True)
 
 
-def walk_in_words(answer: dict, coordinates: tuple[str, ...]) -> Iterator[str]:
+def walk_in_words(answer: dict, coordinates: tuple[str, ...], *, rough: bool) -> Iterator[str]:
     """Write a line for each stride."""
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
     heads = "  ".join(f"{name:>10}" for name in coordinates)
@@ -110,7 +111,7 @@ def walk_in_words(answer: dict, coordinates: tuple[str, ...]) -> Iterator[str]:
         yield f"{i:6}  {row(state)}  {duration:8.4f}  {outcome_in_words(name)}"
     if len(answer["states"]) > len(answer["outcomes"]):
         yield f"{'next':>6}  {row(answer['states'][-1])}"
-    yield conclude_walk(answer["outcomes"])
+    yield conclude_walk(answer["outcomes"], rough=rough)
 
 
 def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoReturn:
