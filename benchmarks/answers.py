@@ -3,7 +3,8 @@
 Each command, and each question in Python, is asked of this checkout and of another, one after the
 other, in processes and folders of their own: first with an empty cache of programs ("cold"), then
 with it ("cached"); in Python a second time in the same process too ("warm"). Processor time
-compares best on a machine that others use too. `--only` chooses among them.
+compares best on a machine that others use too. `--only` chooses among them. A question that the
+other checkout does not know is nan; one that fails in this checkout ends the comparison.
 
     python benchmarks/answers.py OTHER_CHECKOUT --only import basin kneed
 """
@@ -17,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+THIS = Path(__file__).resolve().parent.parent
 COMMANDS = {
     "help": "basin --help",
     "basin": "basin",
@@ -108,11 +110,12 @@ def measure(checkout: Path, name: str, cache: Path) -> list[tuple[float, float]]
             [sys.executable, *(command or program)],
             cwd=folder,
             env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            capture_output=True,
             text=True,
         )
         whole = used() - before, time.perf_counter() - begun
+    if ended.returncode and checkout == THIS:
+        raise RuntimeError(f"this checkout fails at {name}:\n{ended.stderr}")
     if ended.returncode:  # the other checkout may not know the question
         return [(float("nan"), float("nan"))] * (1 if command else 2)
     if command:
@@ -127,7 +130,7 @@ def main() -> None:
     known = [*COMMANDS, *PROGRAMS]
     parser.add_argument("--only", nargs="+", choices=known, default=known)
     given = parser.parse_args()
-    checkouts = given.other.resolve(), Path(__file__).resolve().parent.parent
+    checkouts = given.other.resolve(), THIS
     print("seconds of processor and of wall-clock time, of the other checkout and of this one")
     with tempfile.TemporaryDirectory() as folder:
         for name in given.only:

@@ -16,8 +16,10 @@ import pytest
 from explorer_subjects import FIRST, GRID, WHOLE, joined
 
 import walker_jax as wj
-from walker_jax.explorer import measures, service, workers
+from walker_jax.explorer import measures, programs, service, workers
+from walker_jax.explorer.compile_times import SECONDS
 from walker_jax.explorer.guard import MAX_BODY, Bucket
+from walker_jax.explorer.subjects import read_subject
 
 # ---------------------------------------------------------------------------- measures, copies
 
@@ -71,16 +73,17 @@ def test_a_worker_is_interrupted_and_stays():
     asyncio.run(use())
 
 
-def test_all_who_ask_are_told_of_the_same_parts():
+def test_all_who_ask_are_told_of_the_last_part_and_the_next():
     async def use():
         crew, told = workers.Workers(1), []
         job = crew.jobs[roots_of, (25.0,)] = workers.Job(roots_of, (25.0,), long=True)
         job.tell(1.0)
+        job.tell(1.5)
         later = asyncio.create_task(crew.ask(roots_of, 25.0, told=told.append))
         await asyncio.sleep(0)
         job.tell(2.0)
         job.result.set_result(1)
-        assert await later == 1 and told == [1.0, 2.0] and job.told == []
+        assert await later == 1 and told == [1.5, 2.0] and job.told == []
 
     asyncio.run(use())
 
@@ -109,6 +112,39 @@ def test_a_measure_that_grows_is_lines(running, client, monkeypatch):
 
     monkeypatch.setattr(crew, "ask", busy)
     assert client.ask("/api/measure/bifurcation", asked).status == 503
+
+
+def test_the_seconds_left_are_of_what_compiles_before(monkeypatch):
+    go = threading.Event()
+    monkeypatch.setattr(programs, "compile_programs", lambda _: go.wait())
+    kinds = {
+        name: read_subject({"walker": name}) for name in ("kneed", "spring", "spatial", "powered")
+    }
+
+    async def use():
+        made = programs.Programs()
+        left = lambda: [made.seconds_left(one) for one in kinds.values()]
+        waiting = [asyncio.create_task(made.ready(kinds[name])) for name in ("kneed", "spring")]
+        await until(lambda: made.begun)
+        made.begun[kinds["kneed"].offer] -= 10.0
+        a, b, c, d = (SECONDS[name] for name in kinds)
+        assert left() == pytest.approx(
+            [t - 10.0 for t in (a, a + b, a + b + c, a + b + d)], abs=1.0
+        )
+        made.begun[kinds["kneed"].offer] -= 1000.0  # it takes longer than was estimated
+        assert left()[:2] == [programs.LEAST_LEFT, programs.LEAST_LEFT + b]
+        go.set()
+        await asyncio.gather(*waiting)
+        assert made.begun == {} and left() == [0.0, 0.0, c, d]
+        go.clear()
+        plain = read_subject({"walker": "kneed", "section": "plain"})
+        waiting = asyncio.create_task(made.ready(plain))  # another plane of what is compiled
+        await until(lambda: made.begun)
+        assert left() == [0.0, 0.0, c, d]
+        go.set()
+        await waiting
+
+    asyncio.run(use())
 
 
 # ---------------------------------------------------------------------------- strangers

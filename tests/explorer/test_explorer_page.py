@@ -107,6 +107,11 @@ def test_the_stage_shows_the_gait_until_a_start_is_chosen(opened):
     gait = wj.find_gait(wj.SimplestWalker(0.005)).states[0]
     np.testing.assert_allclose(page.value("explorer.walk.start"), gait, atol=1e-6)
     assert "start=" not in page.value("location.hash")
+    page.set_slope(0.03)  # where there is no gait
+    page.wait("!explorer.walk.strides.length && explorer.stage.slope === 0.03")
+    assert page.shown("#walk-note").strip() == "" and page.value("explorer.map.path") == []
+    page.set_slope(0.005)
+    page.wait("explorer.walk.subject?.parameters.slope === 0.005")
     # a fall, of which nothing is drawn below the ground
     page.page.mouse.click(*page.screen(0.3, -0.035))
     page.walks_from_start()

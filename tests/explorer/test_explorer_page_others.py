@@ -106,6 +106,35 @@ def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
     page.wait("location.hash.includes('over=b')")
 
 
+@pytest.mark.slow
+def test_a_walker_that_compiles_is_asked_for_once(opened):
+    page = opened("walker=simplest&slope=0.004")
+    held, note = Held(page, "**/api/home"), "Compiling the Own walker, about 8 s the first time"
+    page.page.route("**/api/compiling", partial(fulfil, {"seconds": 7.2}))
+    page.page.select_option("#walker", "Own")
+    held.wait(1)
+    page.wait("document.querySelector('#compiling').textContent !== ''")
+    asked = len(page.addresses)
+    for slope in ("0.005", "0.006", "0.004"):
+        page.page.fill("#parameters .typed", slope)
+    held.wait(1)
+    assert len(page.addresses) == asked and page.shown("#compiling") == note
+    # a failure of another walker says nothing of this one
+    page.page.select_option("#walker", "spring")
+    held.wait(2)
+    page.page.select_option("#walker", "Own")
+    held.wait(2)
+    held.routes.pop().fulfill(status=422, json={"error": "no gait"})
+    page.page.wait_for_timeout(200)
+    assert page.shown("#compiling") == note and page.shown("#toast") != "no gait"
+    page.said.clear()  # Chromium's own words on the status 422
+    held.let_go()
+    page.finished()
+    assert page.shown("#compiling") == ""
+    assert page.value("explorer.picture.layer.body.walker") == "Own"
+    assert page.value("explorer.picture.layer.body.parameters.slope") == 0.004
+
+
 def test_a_label_says_nothing_twice(opened):
     page = opened("walker=simplest&slope=0.004")
     Held(page, "**/api/home")  # or all walkers would be compiled

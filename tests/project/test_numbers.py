@@ -9,6 +9,7 @@ import pytest
 from reference import ROOT
 
 SCRIPT = ROOT / "benchmarks" / "verify_readme.py"
+ANSWERS = ROOT / "benchmarks" / "answers.py"
 
 
 TABLE = """
@@ -85,3 +86,13 @@ def test_numbers_are_found_in_what_programs_print(script):
     assert agree.count(False) == 1  # the basin, of which there is no row
     table = "| strides | 50000 | 18000 |\n| largest error | 1.8e-10 | 5.3e-12 |"
     assert script["numbers_of"](run(table, 1.0), "strides") == [50000, 18000]
+
+
+def test_a_failure_of_this_checkout_ends_a_comparison(tmp_path):
+    names: dict[str, Any] = {"__name__": "answers", "__file__": str(ANSWERS)}
+    exec(compile(ANSWERS.read_text(), str(ANSWERS), "exec"), names)
+    names["PROGRAM"] = "raise SystemExit('it is broken')"
+    unknown = names["measure"](tmp_path, "import", tmp_path)
+    assert np.isnan(unknown).all() and len(unknown) == 2
+    with pytest.raises(RuntimeError, match="this checkout fails at import:\nit is broken"):
+        names["measure"](ROOT, "import", tmp_path)

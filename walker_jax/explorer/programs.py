@@ -1,7 +1,6 @@
 """The programs of each kind of walker, compiled once, one kind after another."""
 
 import asyncio
-import math
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,9 @@ from walker_jax.explorer.compile_times import CompileTimes
 from walker_jax.explorer.lattice import Tile, home_of
 from walker_jax.explorer.offers import Offer
 from walker_jax.explorer.subjects import Subject
+
+LEAST_LEFT = 1.0
+"""Seconds left, at least, for a kind of walker that takes longer to compile than was estimated."""
 
 
 class Lane:
@@ -36,6 +38,7 @@ class Programs:
     def __init__(self) -> None:
         self.lane, self.times = Lane("compiling"), CompileTimes()
         self.tasks: dict[tuple[Offer, str], asyncio.Task] = {}
+        self.begun: dict[Offer, float] = {}  # when what is being compiled began
 
     async def ready(self, subject: Subject) -> None:
         """Wait until the programs of a kind of walker are compiled; other requests go on."""
@@ -51,9 +54,18 @@ class Programs:
     async def compile(self, subject: Subject) -> None:
         """Compile a kind of walker, after those that were asked for before."""
         first = not self.has(subject.offer)
-        seconds = await self.lane.run(compile_programs, subject)
+        seconds = await self.lane.run(self.compile_timed, subject)
         if first:
             self.times.record(subject.offer, seconds)
+
+    def compile_timed(self, subject: Subject) -> float:
+        """Compile a kind of walker in this thread; return the seconds that this took."""
+        start = self.begun[subject.offer] = time.monotonic()
+        try:
+            compile_programs(subject)
+        finally:
+            del self.begun[subject.offer]
+        return time.monotonic() - start
 
     def has(self, offered: Offer) -> bool:
         """Return whether a kind of walker is compiled, for one of its planes at least."""
@@ -66,20 +78,20 @@ class Programs:
         """
         if self.has(subject.offer):
             return 0.0
-        waiting = [one for (one, _), task in self.tasks.items() if not task.done()]
-        found = map(self.times.estimate, dict.fromkeys([*waiting, subject.offer]))
-        total = sum(math.nan if one is None else one for one in found)
-        return None if math.isnan(total) else total
+        asked = [one for one, _ in self.tasks if not self.has(one)]
+        kinds = list(dict.fromkeys([*asked, subject.offer]))
+        now, total = time.monotonic(), 0.0
+        for one in kinds[: kinds.index(subject.offer) + 1]:
+            estimate = self.times.estimate(one)
+            if estimate is None:
+                return None
+            total += max(LEAST_LEFT, estimate - (now - self.begun.get(one, now)))
+        return total
 
 
-def compile_programs(subject: Subject) -> float:
-    """Run once what pictures and walks need, so that they need not wait for the compiler.
-
-    Returns the seconds that this took.
-    """
-    start = time.monotonic()
+def compile_programs(subject: Subject) -> None:
+    """Run once what pictures and walks need, so that they need not wait for the compiler."""
     gait = np.array(home_of(subject.offer, subject.section).gait)
     pictures.label_cells(subject, pictures.find_attractors(subject), [Tile(-3, 0, 0)])
     with suppress(WrongUse):  # a request for a walk will report it
         walks.follow(subject, gait, 1)
-    return time.monotonic() - start

@@ -222,13 +222,13 @@ class Job:
         self.function, self.arguments, self.long = function, arguments, long
         self.askers = 0
         self.told: list[Told] = []
-        self.parts: list[Any] = []
+        self.part: Any = None  # the last one, which holds all that was found so far
         self.result: asyncio.Future = asyncio.get_running_loop().create_future()
         self.task: asyncio.Task | None = None
 
     def tell(self, part: Any) -> None:
         """Pass a part of the result to all requests."""
-        self.parts.append(part)
+        self.part = part
         for told in self.told:
             told(part)
 
@@ -254,7 +254,7 @@ class Workers:
         """Return function(*arguments), from the recent results or from a worker.
 
         Requests for the same share a job, which ends when the last of them is cancelled. `told` is
-        called with each part that the function yields before its result, from the first part on.
+        called with each part that the function yields before its result, from the last one so far.
         """
         key = (function, arguments)
         if key in self.answers:
@@ -269,8 +269,8 @@ class Workers:
         job = self.jobs[key]
         job.askers += 1
         if told is not None:
-            for part in job.parts:
-                told(part)
+            if job.part is not None:
+                told(job.part)
             job.told.append(told)
         try:
             result = await asyncio.shield(job.result)

@@ -35,12 +35,16 @@ async function begin() {
   const controls = new Controls($(".controls"), state);
   const compiling = new Compiling($("#view-basin .plot"));
   let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
+  const loading = new Set(); // the keys of the homes that are awaited
   let prepared = ""; // the walker that picture and facts belong to
 
   // ---------------------------------------------------------------- the picture
 
+  const chosenHome = () => `${state.walker} ${state.section}`;
+
+  /** Whether the chosen home is there; false too where an earlier call awaits it, and goes on. */
   async function loadHome() {
-    const key = `${state.walker} ${state.section}`;
+    const key = chosenHome();
     if (key === homeKey) return true;
     homeKey = "";
     lattice = null;
@@ -48,8 +52,10 @@ async function begin() {
     const { walker, section } = state;
     if (walker !== prepared) clearFormer();
     compiling.show(walkerName(), { walker, section });
-    const home = await ask("/api/home", { walker, section });
-    if (key !== `${state.walker} ${state.section}`) return false; // another one by now
+    if (loading.has(key)) return false;
+    loading.add(key);
+    const home = await ask("/api/home", { walker, section }).finally(() => loading.delete(key));
+    if (key !== chosenHome()) return false; // another one by now
     compiling.hide();
     homeKey = key;
     prepared = walker;
@@ -91,9 +97,11 @@ async function begin() {
   }
 
   async function update() {
+    const key = chosenHome();
     try {
       if (!(await loadHome())) return;
     } catch (error) {
+      if (key !== chosenHome()) return; // another one by now
       compiling.hide();
       if (error instanceof Refused && !prepared) facts.clear("–");
       return complain(error);
@@ -146,7 +154,7 @@ async function begin() {
     accept(body.parameters);
     if (!state.start) {
       clearTimeout(walking);
-      walking = setTimeout(walkGait, walk.subject ? WALK_REST : 0);
+      walking = setTimeout(walkGait, walk.subject ? WALK_REST : 0, picture.layer);
     }
     controls.setPlane(at);
     facts.showAttractors(attractors);
@@ -266,13 +274,23 @@ async function begin() {
     if (walk.playing) stage.run();
   }
 
-  /** Until a start is chosen the stage shows the gait; it stands still where motion is to be reduced. */
-  async function walkGait() {
-    const { layer } = picture, gait = layer?.attractors.find((one) => one.period && !one.artefact);
-    if (state.start || !state.kind.film || !gait || !state.isChosen(layer.body.parameters)) return;
+  /**
+   * Until a start is chosen the stage shows the gait, and no walker where there is none; it stands
+   * still where motion is to be reduced.
+   */
+  async function walkGait({ attractors, body }) {
+    if (state.start || !state.kind.film || !state.isChosen(body.parameters)) return;
     if (state.isChosen(walk.subject?.parameters)) return; // it is shown already
+    const gait = attractors.find((one) => one.period && !one.artefact);
+    if (!gait) return clearWalk();
     await beginWalk(gait.states[0]);
     if (!state.start && matchMedia("(prefers-reduced-motion: reduce)").matches) walk.toggle();
+  }
+
+  function clearWalk() {
+    map.path = [];
+    walk.clear();
+    walk.tell();
   }
 
   function showPath() {
@@ -431,9 +449,7 @@ async function begin() {
       controls.build();
       showKind();
       showTab();
-      walk.clear();
-      walk.tell();
-      map.path = [];
+      clearWalk();
     }
     if (kind === "everything") {
       if (lattice) map.view = state.view ??= lattice.whole();
