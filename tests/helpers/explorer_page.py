@@ -138,7 +138,7 @@ class Page:
         self.finished()
 
     def close(self):
-        assert not self.said
+        assert not self.said, self.said
         own = (f"http://127.0.0.1:{self.port}/", "blob:", "data:")
         assert all(address.startswith(own) for address in self.addresses)
         self.context.close()

@@ -63,6 +63,7 @@ def test_random_strides_lie_in_their_enclosures(name):
     assert off.max() <= 1 and off.max() > 0.05  # and the enclosures are close
 
 
+@pytest.mark.slow
 def test_starts_of_the_window_have_the_proved_fates():
     rng = np.random.default_rng(3)
     theta, sums = rng.uniform(0.02, 0.4, 1500), rng.uniform(-0.03, 0.01, 1500)

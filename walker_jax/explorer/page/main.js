@@ -45,7 +45,10 @@ async function begin() {
   /** Whether the chosen home is there; false too where an earlier call awaits it, and goes on. */
   async function loadHome() {
     const key = chosenHome();
-    if (key === homeKey) return true;
+    if (key === homeKey) {
+      if (!state.view) takeView(); // the same walker was chosen again
+      return true;
+    }
     homeKey = "";
     lattice = null;
     picture.stop();
@@ -61,9 +64,14 @@ async function begin() {
     prepared = walker;
     lattice = new Lattice(about.lattice, home);
     map.axes = state.axes.map((one) => one.label);
+    takeView();
+    return true;
+  }
+
+  /** Show the chosen view, or all of the home if none is. */
+  function takeView() {
     map.setLattice(lattice, state.view);
     state.view = map.view;
-    return true;
   }
 
   /** Nothing of the former walker stands under the name of the one that is being prepared. */
