@@ -70,6 +70,7 @@ def test_the_basin_follows_the_slope(opened):
     page.said.clear()  # Chromium's own words on the status 400
 
 
+@pytest.mark.slow
 def test_a_refused_value_is_said_once_and_the_slider_stays(opened):
     page = opened("walker=simplest&slope=0.004")
     page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))

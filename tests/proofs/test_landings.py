@@ -48,6 +48,7 @@ def walker():
     return check_provable(WALKER)
 
 
+@pytest.mark.slow
 def test_all_strides_land_in_their_enclosures(walker):
     boxes = boxes_across(np.random.default_rng(1), 1024)
     found = carry_partly(walker, boxes)
