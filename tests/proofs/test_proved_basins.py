@@ -203,7 +203,8 @@ def test_walkers_with_a_start_of_their_own_are_refused():
 
 
 def test_equations_are_those_of_now(monkeypatch):
-    walker, state = check_provable(Braked(0.004)), wj.State(0.1, 0.2, 0.0, 0.0)
+    at: Any = 0.1, 0.2, 0.0, 0.0
+    walker, state = check_provable(Braked(0.004)), wj.State(*at)
     rates = lambda walker, state: walker.vector_field(state)
     first = evaluate(rates, walker, state).phidot.middle
     monkeypatch.setattr(sys.modules[__name__], "BRAKE", 1e-7)
