@@ -73,7 +73,7 @@ def loop_over_qr(strides: int) -> np.ndarray:
 
 def doublings_by_auto() -> float:
     """Follow the doublings of the fixed point by AUTO-07p; the largest error of a on the curve."""
-    from bifpy import auto  # pyright: ignore[reportMissingImports]
+    from bifpy import auto  # pyright: ignore[reportMissingImports] (no dependency)
 
     def advance(state, parameters):
         (x, y), (a, b) = state, parameters[:2]
@@ -98,11 +98,9 @@ def doublings_by_auto() -> float:
 
 def exponents_by_pynamicalsys(strides: int) -> np.ndarray:
     """The exponents of Hénon's map from one walk of pynamicalsys."""
-    from pynamicalsys import (  # pyright: ignore[reportMissingImports]
-        DiscreteDynamicalSystem,
-    )
+    import pynamicalsys  # pyright: ignore[reportMissingImports] (no dependency)
 
-    system = DiscreteDynamicalSystem(model="henon map")
+    system = pynamicalsys.DiscreteDynamicalSystem(model="henon map")
     return system.lyapunov([0.1, 0.1], strides, parameters=[1.4, 0.3], transient_time=500)
 
 

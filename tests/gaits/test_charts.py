@@ -126,7 +126,7 @@ def test_charts_that_are_refused():
     with pytest.raises(ValueError, match="cells must be at least 2, not 1"):
         wj.chart(system, BOUNDS, gait, cells=(1, 4))
     with unchecked(), pytest.raises(ValueError, match="cells must be two numbers, not 3"):
-        wj.chart(system, BOUNDS, gait, cells=3)  # pyright: ignore[reportArgumentType]
+        wj.chart(system, BOUNDS, gait, cells=3)  # pyright: ignore[reportArgumentType] (wrong use)
 
 
 def test_the_command_answers_keeps_and_draws(run, tmp_path):

@@ -144,9 +144,8 @@ class Service:
             made += [
                 frame(CELLS, struct.pack("<I", i) + cells) for i, cells in enumerate(found, done)
             ]
-            yield b"".join(
-                made
-            )  # in one write: asyncio warns of several writes to a page that has gone
+            # In one write, as asyncio warns of several writes to a page that has gone.
+            yield b"".join(made)
             done += len(batch)
             size = int(np.clip(len(batch) * BATCH_SECONDS / spent, 1, LARGEST_BATCH))
 

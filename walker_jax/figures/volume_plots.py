@@ -195,7 +195,6 @@ def shade(
     up, right = np.gradient(np.where(seen, smooth, np.nan))
     normal = -np.nan_to_num(np.stack([right, up]))
     light = np.array(LIGHT) / np.linalg.norm(LIGHT)
-    palette = np.array([to_rgb(one) for one in (*BASINS, OTHERS)])
     length = np.sqrt(1 + (normal**2).sum(axis=0))
     lit = np.clip((light[0] * normal[0] + light[1] * normal[1] + light[2]) / length, 0, 1)
     palette = np.array([to_rgb(one) for one in (*BASINS, OTHERS)])

@@ -7,7 +7,8 @@ they are
     fold:             cusp: s chi'(1); 1:1 resonance: chi'(1); fold-flip: chi(-1)
     doubling:         generalised flip: s chi'(-1) chi(1); 1:2 resonance: chi'(-1);
                       fold-flip: chi(1)
-    Neimark-Sacker:   n:m resonances, by the cosine of the angle; Chenciner: s
+    Neimark-Sacker:   n:m resonances, by the cosine of the angle; Chenciner: s r(1), with r the
+                      polynomial of the other multipliers
 
 Two further kinds have a multiplier 1 or -1 and a pair on the unit circle: fold-Neimark-Sacker and
 flip-Neimark-Sacker. Their criteria are the product of l_i l_j - 1 over the other multipliers (on
