@@ -62,6 +62,8 @@ from walker_jax.kernels import gpu, launcher, machine, ptx
 from walker_jax.kernels import program as of_program
 from walker_jax.systems.outcomes import Outcome
 
+jax.config.update("jax_enable_x64", True)  # before the walkers are made
+
 WALKERS = {
     "simplest": wj.SimplestWalker(0.004),
     "spring": wj.SpringWalker(0.004, 1.0),
@@ -286,7 +288,6 @@ def main() -> None:
     parser.add_argument("--registers", type=int, nargs="*", default=[], help="of kernels' threads")
     parser.add_argument("--threads", type=int, nargs="*", default=[], help="of kernels' blocks")
     args = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
     device = jax.devices()[0]
     print(f"{os.cpu_count()} cores; {device.device_kind}; jax {jax.__version__}", flush=True)
     if True in ways():

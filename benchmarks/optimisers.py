@@ -34,6 +34,8 @@ import walker_jax as wj
 from walker_jax.basins.refinement import refine_cells
 from walker_jax.walkers.parameters import with_parameter
 
+jax.config.update("jax_enable_x64", True)  # before the walkers are made
+
 SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
 LEVELS = 4
 """Of the areas that are compared in the end."""
@@ -185,7 +187,6 @@ def cost(repeats: int = 5) -> None:
 
 
 def main() -> None:
-    jax.config.update("jax_enable_x64", True)
     cost()
     accuracy()
     for title in PROBLEMS:

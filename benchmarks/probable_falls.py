@@ -19,6 +19,7 @@ from walker_jax.checks import ComputationFailed
 from walker_jax.stability.disturbed_falls import DisturbedWalks
 from walker_jax.stability.gait_mapper import mapper_of_gait
 
+jax.config.update("jax_enable_x64", True)  # before the walkers are made
 WALKERS = {
     "simplest": wj.SimplestWalker(0.004),
     "spring": wj.SpringWalker(0.01, 0.2),
@@ -38,7 +39,6 @@ MOST_FOLLOWED = 6.0
 
 
 def main(*names: str) -> None:
-    jax.config.update("jax_enable_x64", True)
     for name in names or WALKERS:
         walker = WALKERS[name]
         begin = time.perf_counter(), time.process_time()

@@ -44,6 +44,8 @@ from scipy.optimize import differential_evolution
 import walker_jax as wj
 from walker_jax import figures
 
+jax.config.update("jax_enable_x64", True)  # before the walkers are made
+
 PUSH, HIP = {"push_off": (0.0, 0.1, 33)}, {"hip_angle": (-0.8, 0.0, 33)}
 BOTH = {"hip_angle": (-0.8, 0.0, 33), "push_off": (0.0, 0.1, 4)}
 EVEN = {"hip_angle": (-0.8, 0.0, 9), "push_off": (0.0, 0.1, 9)}
@@ -103,7 +105,6 @@ def main():
     parser.add_argument("--without-convergence", action="store_true")
     parser.add_argument("--without-speed", action="store_true")
     args = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
     if args.picture:
         return draw(args.picture)
     names = "passive spring constant linear 1 2 kernel at-least at-most policy effort strides"

@@ -32,6 +32,8 @@ import numpy as np
 
 import walker_jax as wj
 
+jax.config.update("jax_enable_x64", True)  # before the walkers are made
+
 WALKERS = {
     "simplest, closed form": wj.SimplestWalker(0.004),
     "point feet, 1e-6": wj.PointFootWalker(0.004, 1e-6),
@@ -60,7 +62,6 @@ def main():
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--repeats", type=int, default=5)
     args = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
     starts, compiling, results, errors = {}, {}, {}, {}
     for name, walker in WALKERS.items():
         starts[name] = cells(name)

@@ -127,10 +127,12 @@ def short(value: Any) -> str:
 
 
 class PrecisionWarning(UserWarning):
-    """The answer rests on many strides, and is computed in float32."""
+    """Numbers are in float32, where the answer needs more digits."""
 
 
-FLOAT64_HINT = 'turn on float64 first, by jax.config.update("jax_enable_x64", True)'
+FLOAT64_HINT = (
+    'turn on float64, by jax.config.update("jax_enable_x64", True), before the system is made'
+)
 
 
 def check_precision(dtype: Any, needed_by: str | None = None) -> None:
@@ -139,17 +141,16 @@ def check_precision(dtype: Any, needed_by: str | None = None) -> None:
         return
     if needed_by is not None:
         raise WrongUse(f"{needed_by} needs float64, not {np.dtype(dtype)}: {FLOAT64_HINT}")
-    warn_of_float32()
+    warn_once(
+        "this rests on many strides, each in float32, which holds seven digits: starts near the "
+        f"boundary of a basin may have another fate. For results, {FLOAT64_HINT}"
+    )
 
 
 @functools.cache
-def warn_of_float32() -> None:
+def warn_once(text: str) -> None:
+    """Give a `PrecisionWarning` at the user's line, once in a process."""
     level, frame = 1, sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").startswith("walker_jax"):
         level, frame = level + 1, frame.f_back
-    warnings.warn(
-        "this rests on many strides, each in float32, which holds seven digits: starts near the "
-        f"boundary of a basin may have another fate. For results, {FLOAT64_HINT}",
-        PrecisionWarning,
-        stacklevel=level,
-    )
+    warnings.warn(text, PrecisionWarning, stacklevel=level)

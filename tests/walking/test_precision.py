@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.checks import PrecisionWarning, warn_of_float32
+from walker_jax.checks import PrecisionWarning, warn_once
 from walker_jax.hybrid.crossings import Crossing, rise_of
 from walker_jax.systems.outcomes import Outcome
 
@@ -94,14 +94,14 @@ def test_a_hundred_million_strides_of_both_types_are_alike():
 def test_the_least_disturbance_in_float32(slope):
     expected = wj.least_disturbance(wj.SimplestWalker(slope)).size
     with jax.enable_x64(False), pytest.warns(PrecisionWarning):
-        warn_of_float32.cache_clear()
+        warn_once.cache_clear()
         found = wj.least_disturbance(wj.SimplestWalker(slope)).size
     assert found == pytest.approx(expected, rel=2e-3)
 
 
 def test_many_strides_say_once_that_float64_is_off():
     grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
-    warn_of_float32.cache_clear()
+    warn_once.cache_clear()
     with jax.enable_x64(False):
         with pytest.warns(PrecisionWarning, match="jax_enable_x64") as said:
             wj.basin(wj.SimplestWalker(SLOPE), grid)
@@ -119,6 +119,30 @@ def test_what_needs_float64_refuses_float32():
             lambda: wj.robustness(simplest, grid),
             lambda: wj.robustness_table(simplest, [0.004]),
             lambda: wj.continue_gait(simplest, "slope", (0.001, 0.02)),
+            lambda: wj.most_probable_fall(simplest),
         ):
             with pytest.raises(ValueError, match="needs float64, not float32: turn on"):
                 call()
+
+
+def test_parameters_rounded_before_float64_was_on_are_named_once():
+    grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
+    with jax.enable_x64(False):
+        rounded = wj.SimplestWalker(SLOPE)
+    for call in (wj.find_gait, lambda walker: wj.basin(walker, grid)):
+        warn_once.cache_clear()
+        with pytest.warns(PrecisionWarning, match="slope 0.004000000189989805 has the") as said:
+            call(rounded)
+            call(rounded)
+        assert len(said) == 1
+        call(wj.SimplestWalker(SLOPE))  # nothing is said
+
+
+def test_a_probable_fall_of_a_rounded_walker_is_refused():
+    with jax.enable_x64(False):
+        rounded = wj.SimplestWalker(SLOPE)
+    gait = wj.find_gait(rounded, np.array([0.15, -0.15], np.float32))
+    warn_once.cache_clear()
+    refused = pytest.raises(ValueError, match="1e-09 beyond a boundary, needs float64")
+    with pytest.warns(PrecisionWarning), refused:
+        wj.most_probable_fall(rounded, gait=gait)

@@ -25,7 +25,7 @@ from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tr
 from walker_jax.execution.workers import check_cluster
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, integrator_of
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, warn_if_rounded
 
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """Peak memory in bytes for each cell, as `BYTES_PER_CELL`, if the result goes into a store."""
@@ -109,6 +109,7 @@ def basin(
     check_grid(walker, grid, method, each, kind="basin")
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
+    warn_if_rounded(walker)
     integrator = integrator_of(dtype, tolerance, solver)
     limit = {"strides": strides} if method == "direct" else {}
     settings = {"method": method, **limit, "tolerance": float(integrator.tolerance)}

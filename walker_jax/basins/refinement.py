@@ -30,7 +30,7 @@ from walker_jax.basins.schema import (
 from walker_jax.checks import MAX_COUNT, check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, warn_if_rounded
 
 BYTES_PER_REFINED_CELL = 40
 """Peak memory in bytes, for each cell of the finest grid."""
@@ -203,6 +203,7 @@ def refine_cells(
     check_refinement(walker, grid, {"levels": levels, "check": check, "seed": seed}, strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
+    warn_if_rounded(walker)
     integrator = integrator_of(dtype, tolerance)
     finest = check_finest(walker, grid, levels)
     mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))

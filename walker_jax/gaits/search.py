@@ -52,7 +52,7 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.outcomes import Outcome
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, warn_if_rounded
 from walker_jax.walkers.model import moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
@@ -117,6 +117,8 @@ def search_gait(
     check_kind("walker", walker, System)
     check_whole("period", period)
     given = guess is not None
+    if not given:
+        warn_if_rounded(walker)
     guess = as_floating(guess if given else first_guess(walker, period, tolerance, solver), "guess")
     size = len(walker.section)
     if guess.shape not in ((size,), (period, size)):

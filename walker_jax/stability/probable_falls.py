@@ -22,6 +22,7 @@ from jaxtyping import Float
 from walker_jax.checks import (
     WrongUse,
     check_kind,
+    check_precision,
     check_whole,
     is_number,
     refuses_tracers,
@@ -45,6 +46,7 @@ DESCENTS = 8
 """Number of descents from the nearest failures found: most of them end at the same few minima."""
 KNOWN = 1e-9
 """Relative distance beyond a boundary at which a walk falls despite rounding errors."""
+NEEDED_BY = f"most_probable_fall, which steps {KNOWN:g} beyond a boundary,"
 FOLLOWED = 200
 """Strides after the disturbances in which a walker may return, or fall."""
 
@@ -137,6 +139,7 @@ def most_probable_fall(
     `ComputationFailed` where nothing topples the walker.
     """
     check_planar(walker)
+    check_precision(jnp.asarray(0.0).dtype, NEEDED_BY)
     deviations = read_deviations(ground)
     check_whole("strides", strides)
     check_whole("directions", directions)
@@ -148,6 +151,7 @@ def most_probable_fall(
             raise WrongUse(f"outcome must be a failure, not {outcome.name}")
     mapper = mapper_of_gait(walker, gait, FOLLOWED, tolerance)
     states = mapper.attractors[0].states
+    check_precision(states.dtype, NEEDED_BY)
     if len(states) != 1:
         raise WrongUse(f"gait must be of period one, not {len(states)}", of="gait")
     start, unit = np.stack(walker.lift(jnp.asarray(states[0]))), float(deviations.max())

@@ -15,7 +15,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import FLOAT64_HINT, WrongUse, warn_once
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.outcomes import OWN, Outcome, Stride, make_stride
@@ -179,6 +179,18 @@ def check_single(system: System) -> None:
     for name, value in numbers_of(system).items():
         if np.shape(value):
             raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
+
+
+def warn_if_rounded(system: System) -> None:
+    """Warn of parameters that were rounded to float32 before float64 was turned on."""
+    if jnp.asarray(0.0).dtype != np.float64:
+        return
+    for name, value in numbers_of(system).items():
+        if getattr(value, "dtype", None) == np.float32:
+            of_one = (
+                "" if isinstance(value, Tracer) or np.size(value) != 1 else f" {float(value)!r}"
+            )
+            warn_once(f"{name}{of_one} has the seven digits of float32: {FLOAT64_HINT}")
 
 
 def format_parameter(value: Any) -> str:
