@@ -2,11 +2,13 @@
 
 import io
 import re
+import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from rich.console import Console
+from timers import AtOnce
 
 import walker_jax as wj
 from walker_jax import storage
@@ -16,10 +18,17 @@ from walker_jax.stability import boundaries, gait_robustness
 from walker_jax.systems.outcomes import Outcome
 
 
-def test_a_bar_begins_with_what_was_done_and_ends_with_all(monkeypatch):
-    shown = io.StringIO()
-    terminal = Console(file=shown, force_terminal=True, width=80)
-    monkeypatch.setattr("walker_jax.execution.progress.progress_console", lambda wanted: terminal)
+@pytest.fixture
+def shown(monkeypatch):
+    """What is written to a terminal."""
+    text = io.StringIO()
+    terminal = Console(file=text, force_terminal=True, width=100)
+    monkeypatch.setattr(progress, "progress_console", lambda wanted: terminal)
+    return text
+
+
+def test_a_bar_begins_with_what_was_done_and_ends_with_all(shown, monkeypatch):
+    monkeypatch.setattr(progress, "Timer", AtOnce)
     assert [*progress.track("ab", "pieces", True, 10, done=8)] == ["a", "b"]
     parts = [int(part) for part in re.findall(r"(\d+)%", shown.getvalue())]
     assert parts[0] == 80 and parts[-1] == 100 and parts == sorted(parts)
@@ -56,10 +65,26 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     assert seen == [(4, 3)]
 
 
-def test_a_computation_within_another_adds_a_line_alone(monkeypatch):
-    shown = io.StringIO()
-    terminal = Console(file=shown, force_terminal=True, width=100)
-    monkeypatch.setattr("walker_jax.execution.progress.progress_console", lambda wanted: terminal)
+def test_an_answer_at_once_shows_no_bar(shown):
+    with progress.bar("basin", True, 2) as update:
+        update(1)
+        with progress.bar("cells", True):
+            assert progress.current is not None
+    assert progress.current is None and not shown.getvalue()
+
+
+def test_a_bar_comes_after_its_delay_and_goes(shown, monkeypatch):
+    monkeypatch.setattr(progress, "DELAY_SECONDS", 0.0)
+    with progress.bar("basin", True, 2) as update:
+        update(1)
+        current = progress.current
+        while not current.live.is_started:
+            time.sleep(0.001)
+    assert not current.live.is_started and "basin" in shown.getvalue()
+
+
+def test_a_computation_within_another_adds_a_line_alone(shown, monkeypatch):
+    monkeypatch.setattr(progress, "Timer", AtOnce)
     with progress.bar("basin", True):
         outer = progress.current
         assert outer is not None

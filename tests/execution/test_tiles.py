@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from timers import AtOnce
 
 import walker_jax as wj
 from walker_jax.execution import tiles
@@ -227,6 +228,7 @@ def test_threads_compute_in_the_modes_of_the_caller():
 
 def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):
     monkeypatch.setattr("walker_jax.execution.progress.quiet", False)
+    monkeypatch.setattr("walker_jax.execution.progress.Timer", AtOnce)
     cells = {"x": np.ones((9, 2)), "i": np.ones(9)}
     map_cells(sum_and_norm, ({"offset": 0.0}, cells), progress="the work")
     assert capfd.readouterr() == ("", "")

@@ -125,7 +125,7 @@ def test_what_needs_float64_refuses_float32():
                 call()
 
 
-def test_parameters_rounded_before_float64_was_on_are_named_once():
+def test_parameters_that_were_rounded_are_named_once():
     grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
     with jax.enable_x64(False):
         rounded = wj.SimplestWalker(SLOPE)

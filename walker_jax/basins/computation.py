@@ -40,7 +40,7 @@ def basin(
     strides: int = 200,
     tolerance: float | None = None,
     solver: AnySolver | None = None,
-    progress: bool = False,
+    progress: bool = True,
     out: Path | str | None = None,
     request: dict | None = None,
     overwrite: bool = False,
@@ -64,7 +64,7 @@ def basin(
     - `strides`: number of strides for which direct iteration follows a walker. Undecided walks
       continue for some 16,000 more, if a cycle is known, only to identify their attractor.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
-    - `progress`: whether to show a progress bar on a terminal.
+    - `progress`: whether to show a progress bar on a terminal, after a second.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece. Only
       one piece is in memory at a time, but the cell map takes 12 bytes for each cell at the end. An
       interrupted run is resumed from there, with the same result to the last bit. Until it has
@@ -158,8 +158,9 @@ def compare_methods(
     float((found.mapped != found.direct).mean())  # the share of cells where they differ
     ```
     """
-    mapped = basin(walker, grid, strides=strides, tolerance=tolerance)
-    direct = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
+    settings: Any = {"strides": strides, "tolerance": tolerance, "progress": False}
+    mapped = basin(walker, grid, **settings)
+    direct = basin(walker, grid, "direct", **settings)
     walks = {"mapped": mapped["attractor"] >= 0, "direct": direct["attractor"] >= 0}
     found = mapped[["cells", "period", "cycles", "artefact", "falling"]].assign(walks)
     found["direct_attractors"] = direct.sizes["number"]

@@ -48,7 +48,7 @@ def refine(
     check: int = 500_000,
     seed: int = 0,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Compute the basin on a grid 2^levels times as fine, following its boundary only.
 
@@ -72,7 +72,7 @@ def refine(
       drawn among the followed cells, to estimate their error.
     - `seed`: of the random numbers.
     - `tolerance`: of the integration, as in `stride`.
-    - `progress`: whether to show progress bars on a terminal.
+    - `progress`: whether to show progress bars on a terminal, after a second.
 
     **Returns** a data set over the finest grid like that of `basin`, by direct iteration, and
 

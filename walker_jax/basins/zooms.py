@@ -139,7 +139,7 @@ def zoom(
     frames: int = 120,
     strides: int = 500,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Compute the fates in ever narrower windows of a grid, down to 1 / `factor`, for a film.
 
@@ -158,7 +158,7 @@ def zoom(
     - `centre`: point of the section in the middle of all windows, by default a `boundary_point`.
     - `frames`: number of windows.
     - `strides`, `tolerance`: as in `basin`.
-    - `progress`: whether to show a progress bar on a terminal.
+    - `progress`: whether to show a progress bar on a terminal, after a second.
 
     **Returns** a data set of `fate` and `attractor` over `frame` and the grid's axes, whose
     coordinates are those of the last window times its factor. Over `frame` alone it has `factor`,

@@ -77,7 +77,7 @@ def viable(
     bounds: bool = True,
     levels: int = 0,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
     out: Path | str | None = None,
     request: dict | None = None,
     overwrite: bool = False,
@@ -111,7 +111,7 @@ def viable(
     - `levels`: how many times cells between the bounds are cut in two along each axis, and their
       parts mapped anew.
     - `tolerance`: tolerance of the integration, as in `stride`.
-    - `progress`: whether to show a progress bar on a terminal.
+    - `progress`: whether to show a progress bar on a terminal, after a second.
     - `out`, `request`, `overwrite`, `cluster`: as in `basin`. A piece holds the images of some
       cells by some actions. An interrupted run is resumed from there, with the same result to the
       last bit; strides from parts of cells are made again.

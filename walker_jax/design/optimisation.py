@@ -88,7 +88,7 @@ def optimise(
     known: xr.Dataset | None = None,
     keep: Callable[[xr.Dataset], object] | None = None,
     seconds: float | int | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Find the best values of a walker's parameters within bounds, by gradient ascent.
 
@@ -131,7 +131,7 @@ def optimise(
     - `seconds`: time after which no further step is made; the best walker so far is then the
       optimum. A measurement in progress is completed, and both ends are measured. The run can be
       continued by `known`.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** a data set. Over the parameters:
 

@@ -77,7 +77,7 @@ def sweep(
     request: dict | None = None,
     overwrite: bool = False,
     cluster: Any = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Compute the basin, its area and the gait for all combinations of parameter values.
 
@@ -97,7 +97,7 @@ def sweep(
     - `strides`: number of strides for which a walker is followed.
     - `seed`, `tolerance`: seed of random numbers, and tolerance of the integration.
     - `out`, `request`, `overwrite`, `cluster`: as in `basin`; a piece is one combination.
-    - `progress`: whether to show a progress bar on a terminal.
+    - `progress`: whether to show a progress bar on a terminal, after a second.
 
     **Returns** a data set with the parameters as dimensions, in the given order:
 
@@ -250,7 +250,7 @@ def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[st
 def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
     """Measure the basin of a walker, its area, and its gait."""
     grid, strides, tolerance = plan.grid, plan.strides, plan.tolerance
-    cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
+    cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance, progress=False)
     row: dict[str, Any] = {name: cells[name].values for name in ARRAYS}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
     period, states = (empty_row(plan)[name].values.copy() for name in ATTRACTOR_ARRAYS)

@@ -1,4 +1,4 @@
-"""The progress of a computation, shown on a terminal, on request.
+"""The progress of a computation that takes longer than a second, shown on a terminal.
 
 A nested computation adds a line to the display of the outer one.
 """
@@ -6,6 +6,7 @@ A nested computation adds a line to the display of the outer one.
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from operator import length_hint
+from threading import Timer
 from typing import TypeVar
 
 from rich.console import Console
@@ -15,6 +16,8 @@ from rich.text import Text
 T = TypeVar("T")
 SMOOTHING_SECONDS = 600.0
 """Time over which the speed is averaged to estimate the time left."""
+DELAY_SECONDS = 1.0
+"""Time before anything is shown: an answer at once needs no bar."""
 quiet = False
 """Whether this process shows nothing, even on request."""
 current: Progress | None = None
@@ -78,12 +81,19 @@ def bar(
         return
     columns = TextColumn("{task.description}", markup=False), BarColumn(), Percentage(), Times()
     period = SMOOTHING_SECONDS
-    with Progress(*columns, console=shown, transient=True, speed_estimate_period=period) as current:
-        try:
-            with line(current, label, total, done) as update:
-                yield update
-        finally:
-            current = None
+    current = Progress(*columns, console=shown, transient=True, speed_estimate_period=period)
+    showing = Timer(DELAY_SECONDS, current.start)
+    showing.daemon = True
+    showing.start()
+    try:
+        with line(current, label, total, done) as update:
+            yield update
+    finally:
+        showing.cancel()
+        showing.join()
+        if current.live.is_started:
+            current.stop()
+        current = None
 
 
 @contextmanager

@@ -49,7 +49,9 @@ def gaits(subject: Subject) -> list[dict]:
     If none of them is stable, the gaits of the attractors are added.
     """
     walker, region = subject.walker, region_of(subject)
-    found = [gait for period in PERIODS for gait in find_gaits(walker, period, region)]
+    found = [
+        gait for period in PERIODS for gait in find_gaits(walker, period, region, progress=False)
+    ]
     main = main_gait(subject)
     if main is not None and not any(np.allclose(one.states, main.states) for one in found):
         found.append(main)
@@ -70,7 +72,7 @@ def main_gait(subject: Subject) -> Gait | None:
     if region is None:
         gait = search_gait(subject.walker)
         return gait if gait.found else None
-    found = find_gaits(subject.walker, 1, region)
+    found = find_gaits(subject.walker, 1, region, progress=False)
     return min(found, key=lambda gait: abs(complex(gait.multipliers[0])), default=None)
 
 
@@ -96,7 +98,8 @@ def describe_gait(gait: Gait) -> dict:
 
 def area(subject: Subject, cells: Rectangle) -> dict:
     """Compute the area of the basins in a rectangle, and its standard error, by `refine`."""
-    found = refine(subject.walker, grid_of(subject, cells), AREA_LEVELS, check=AREA_CHECKS)
+    grid = grid_of(subject, cells)
+    found = refine(subject.walker, grid, AREA_LEVELS, check=AREA_CHECKS, progress=False)
     return {
         "area": float(found["total_area"]),
         "error": finite(float(found["total_area_error"])),
@@ -108,7 +111,7 @@ def disturbance(subject: Subject) -> dict | None:
     gait = main_gait(subject)
     if gait is None or not gait.stable:
         return None
-    found = least_disturbance(subject.walker, gait)
+    found = least_disturbance(subject.walker, gait, progress=False)
     return {
         "size": found.size,
         "gait": (found.state - found.size * found.direction).tolist(),
@@ -183,7 +186,7 @@ def finite(value: float) -> float | None:
 
 def data(subject: Subject, cells: Rectangle, method: str) -> bytes:
     """Compute the data set of a rectangle by `wj.basin`: a Zarr store in a zip archive."""
-    found = basin(subject.walker, grid_of(subject, cells), method)
+    found = basin(subject.walker, grid_of(subject, cells), method, progress=False)
     return zipped(found)
 
 

@@ -41,7 +41,7 @@ def film(
     data: xr.Dataset | None = None,
     *,
     signature: str = "",
-    progress: bool = False,
+    progress: bool = True,
 ) -> None:
     """Make a film of a walk: the walker on its slope, and beside it its trajectory in the basin.
 
@@ -53,7 +53,7 @@ def film(
     - `data`: what `walker_jax.basin` returns, over two dimensions; without it the film shows the
       walker alone.
     - `signature`: text that is kept in the file.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     Raises `ValueError` for another ending, for .mp4 without ffmpeg, and for other data sets. An
     interruption leaves the file as it was.
@@ -128,7 +128,7 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
                 one.remove()
 
 
-def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = False) -> None:
+def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = True) -> None:
     """Make a film of ever narrower windows around a point of a boundary.
 
     Colours are as in `basin`.

@@ -87,7 +87,7 @@ def continue_gait(
     *,
     normal_forms: bool = False,
     tolerance: Real | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> Branch:
     """Follow a gait over a range of a parameter, in both directions and past folds.
 

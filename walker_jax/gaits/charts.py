@@ -70,7 +70,7 @@ def chart(
     cells: tuple[int, int] = (120, 90),
     strides: int = 1000,
     tolerance: Real | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Chart two parameters: where a gait is stable, its bifurcations, and the attractors.
 
@@ -94,7 +94,7 @@ def chart(
     - `cells`: number of cells of the grid along each parameter.
     - `strides`: number of strides before the period of a walk is read.
     - `tolerance`: tolerance of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** a data set over these dimensions:
 

@@ -50,7 +50,7 @@ def bifurcation_diagram(
     exponents: int = 400,
     normal_forms: bool = False,
     tolerance: Real | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Compute the gaits over a range of a parameter, their bifurcations, and the attractors.
 
@@ -79,7 +79,7 @@ def bifurcation_diagram(
       0 for none.
     - `normal_forms`: whether to compute normal forms at bifurcations, as in `continue_gait`.
     - `tolerance`: tolerance of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** a data set over these dimensions:
 

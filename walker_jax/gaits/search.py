@@ -117,8 +117,6 @@ def search_gait(
     check_kind("walker", walker, System)
     check_whole("period", period)
     given = guess is not None
-    if not given:
-        warn_if_rounded(walker)
     guess = as_floating(guess if given else first_guess(walker, period, tolerance, solver), "guess")
     size = len(walker.section)
     if guess.shape not in ((size,), (period, size)):
@@ -145,6 +143,7 @@ def first_guess(
     walker: System, period: int, tolerance: Real | None, solver: AnySolver | None
 ) -> Float[Array | np.ndarray, "..."]:
     """Guess the most stable gait of a period."""
+    warn_if_rounded(walker)
     if moves_like(walker, SimplestWalker) and period == 1:
         return approximate_long_gait(walker.slope)
     if is_traced((walker, tolerance)):
@@ -183,7 +182,7 @@ def find_gaits(
     *,
     descent: int = 0,
     tolerance: Real | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> list[Gait]:
     """Find all gaits of a period to which Newton's iteration converges from a region's cells.
 
@@ -205,7 +204,7 @@ def find_gaits(
       `gait_region`.
     - `descent`: number of steps of `descend` after which failed searches are repeated.
     - `tolerance`: tolerance of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** a list of those that have a state in the region, each once, from its state with the
     smallest first coordinate, in ascending order of that coordinate.

@@ -49,7 +49,7 @@ def select_gaits(
     """
     found, first = [], None
     if every or (period > 1 and guess is None):
-        found = find_gaits(walker, period)
+        found = find_gaits(walker, period, progress=False)
         found.sort(key=lambda gait: np.abs(gait.multipliers[0]))
         found = found if every else found[:1]
     # The long gait of period one is not the most stable on every slope.

@@ -65,7 +65,7 @@ def whole_section(size: Size) -> xr.Dataset:
     """Figure 2: the whole section."""
     n = size.section
     grid = Grid.plain(theta=(0, np.pi / 4, n), thetadot=(-1.2, 0, n))
-    return basin(SimplestWalker(EXAMPLE_SLOPE), grid, "direct")
+    return basin(SimplestWalker(EXAMPLE_SLOPE), grid, "direct", progress=False)
 
 
 def gaits(size: Size) -> xr.Dataset:
@@ -78,17 +78,18 @@ def gaits(size: Size) -> xr.Dataset:
         strides=size.strides,
         scan=2,
         exponents=0,
+        progress=False,
     )
 
 
 def mapped_basin(size: Size) -> xr.Dataset:
     """Figure 4: cell mapping on the paper's own grid."""
-    return basin(SimplestWalker(EXAMPLE_SLOPE), paper_grid())
+    return basin(SimplestWalker(EXAMPLE_SLOPE), paper_grid(), progress=False)
 
 
 def iterated_basin(size: Size) -> xr.Dataset:
     """The basin in Figure 5: the same cells by direct iteration."""
-    return basin(SimplestWalker(EXAMPLE_SLOPE), paper_grid(), "direct")
+    return basin(SimplestWalker(EXAMPLE_SLOPE), paper_grid(), "direct", progress=False)
 
 
 def nine_steps(size: Size) -> xr.Dataset:
@@ -102,7 +103,7 @@ def basins_over_slopes(size: Size) -> xr.Dataset:
     The basin rises with the slope.
     """
     grid = Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.02, 300))
-    basin_at = lambda slope: basin(SimplestWalker(slope), grid, "direct")
+    basin_at = lambda slope: basin(SimplestWalker(slope), grid, "direct", progress=False)
     found = list(side_by_side(basin_at, ROW_SLOPES))
     kept = [one[["fate", "attractor"]].assign(area=one["area"].sum()) for one in found]
     table = xr.concat(kept, "slope", coords="minimal", compat="override", combine_attrs="drop")
@@ -117,11 +118,11 @@ def areas_over_slopes(size: Size) -> xr.Dataset:
 
     def areas_at(slope: float) -> tuple[float, float, float]:
         walker = SimplestWalker(slope)
-        mapped_area = float(basin(walker, grid)["area"].sum())
+        mapped_area = float(basin(walker, grid, progress=False)["area"].sum())
         region = default_region(walker)
         if size.levels is None or region is None:
             return mapped_area, np.nan, np.nan
-        fine = refine(walker, region, size.levels, check=CHECK_STARTS)
+        fine = refine(walker, region, size.levels, check=CHECK_STARTS, progress=False)
         return mapped_area, float(fine["total_area"]), float(fine["total_area_error"])
 
     found = zip(*side_by_side(areas_at, at.tolist()), strict=True)
@@ -140,7 +141,9 @@ def surviving_cells(size: Size) -> xr.Dataset:
     shifts = np.stack(np.divmod(np.arange(size.shifts**2), size.shifts), axis=1) / size.shifts
 
     def count_at(shift: Float[np.ndarray, " 2"]) -> list[int]:
-        basins = [basin(SimplestWalker(slope), paper_grid(shift)) for slope in at.tolist()]
+        basins = [
+            basin(SimplestWalker(slope), paper_grid(shift), progress=False) for slope in at.tolist()
+        ]
         return [int((one["attractor"] >= 0).sum()) for one in basins]
 
     cells = list(side_by_side(count_at, shifts))
@@ -151,7 +154,7 @@ def fates_along_line(size: Size) -> xr.Dataset:
     """Section 5.1: fates along the line theta = 0.2 of Figure 4."""
     half = 1e-9
     grid = Grid.sheared(theta=(0.2 - half, 0.2 + half, 1), sum=(-0.04, 0.01, 50_000))
-    return basin(SimplestWalker(EXAMPLE_SLOPE), grid, "direct").isel(theta=0)
+    return basin(SimplestWalker(EXAMPLE_SLOPE), grid, "direct", progress=False).isel(theta=0)
 
 
 CALCULATIONS: dict[str, Callable[[Size], xr.Dataset]] = {

@@ -120,7 +120,7 @@ def numbers_of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) ->
     inclination = float(np.degrees(np.arctan((edge[2] - edge[0]) / 0.2)))
     folds = data["gaits"]["event_fold"].values
     doubling = float(data["gaits"]["event_value"].values[~folds].min())
-    count = len(find_gaits(walker, 1))
+    count = len(find_gaits(walker, 1, progress=False))
     froude = "Froude number at which the contact force vanishes, leg upright"
     slower = "The long and the short gait, and slower ones whose leg swings to and fro once more."
     return [

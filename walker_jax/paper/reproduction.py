@@ -22,7 +22,7 @@ from walker_jax.paper.pictures import FIGURES, PaperFigure
 
 
 def reproduce(
-    out: Path, *, quick: bool = False, overwrite: bool = False, progress: bool = False
+    out: Path, *, quick: bool = False, overwrite: bool = False, progress: bool = True
 ) -> list[Number]:
     """Compute all of the paper's figures and numbers, and write a report of them.
 
@@ -33,7 +33,7 @@ def reproduce(
       interrupted run with the same request are used again.
     - `quick`: whether to use fewer cells, slopes and strides, and omit exact areas.
     - `overwrite`: whether to remove the files of another run.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** the numbers. Raises `ValueError` where the folder holds something else.
     """

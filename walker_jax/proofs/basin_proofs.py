@@ -43,7 +43,7 @@ def prove_basin(
     gait: Gait | None = None,
     levels: int = 12,
     strides: int = 60,
-    progress: bool = False,
+    progress: bool = True,
     out: Path | str | None = None,
     request: dict | None = None,
     overwrite: bool = False,
@@ -72,7 +72,7 @@ def prove_basin(
     - `gait`: a stable gait; by default that of `find_gait`.
     - `levels`: how often a cell is split at most.
     - `strides`: that a cell is carried at most.
-    - `progress`: whether to show progress bars on a terminal.
+    - `progress`: whether to show progress bars on a terminal, after a second.
     - `out`, `overwrite`: as in `basin`. A piece holds the fates of some cells of a level. An
       interrupted proof is resumed from there, on the same machine with the same result to the last
       bit.

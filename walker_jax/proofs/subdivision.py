@@ -56,7 +56,7 @@ def subdivide(
 
     - `wanted`: cells that are not are left out.
     - `keep`: returns the fates of a batch, which it keeps, or has kept.
-    - `progress`: whether to show progress bars on a terminal.
+    - `progress`: whether to show progress bars on a terminal, after a second.
     """
     found, cells = [], np.indices(window.counts).reshape(2, -1).T
     atlas = Atlas.empty(window)

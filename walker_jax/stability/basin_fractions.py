@@ -75,7 +75,7 @@ def continue_basins(
     strides: int = 500,
     seed: int = 0,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Follow attractors over a parameter, with the fraction of a region that each basin takes.
 
@@ -97,7 +97,7 @@ def continue_basins(
     - `samples`: number of starts, uniformly distributed in the region, the same for all values.
     - `strides`: number of strides for which a walker is followed.
     - `seed`, `tolerance`: of random numbers, and of the integration.
-    - `progress`: whether to show a progress bar on a terminal.
+    - `progress`: whether to show a progress bar on a terminal, after a second.
 
     **Returns** a data set. Over the `value` and the `attractor` it has
 

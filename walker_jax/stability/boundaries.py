@@ -46,7 +46,7 @@ def boundary(
     radius: float | int = RADIUS,
     strides: int = 500,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Analyse the boundary between the fates in a region: entropy, Wada property and edge states.
 
@@ -67,7 +67,7 @@ def boundary(
     - `radius`: as in `merge_regions`, in cells.
     - `strides`: number of strides for which a walker is followed.
     - `tolerance`: of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** the data set of `basin`, and
 

@@ -51,7 +51,7 @@ def boundary_dimension(
     confidence: float = 0.95,
     seed: int = 0,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> Uncertainty:
     """Estimate the dimension of the basins' boundary in a region, by the uncertainty exponent.
 
@@ -74,7 +74,7 @@ def boundary_dimension(
     - `strides`: number of strides for which a walker is followed.
     - `confidence`, `seed`: of the interval, and of random numbers.
     - `tolerance`: of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** an `Uncertainty`, NaN where all cells converge to one attractor, or none. All
     failures count as one fate here.

@@ -71,7 +71,7 @@ def least_disturbance(
     directions: int = DENSE,
     strides: int = 500,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> LeastDisturbance:
     """Find the least disturbance after which a walker does not return to its gait, or falls.
 
@@ -112,7 +112,7 @@ def least_disturbance(
       more dimensions a sixteenth, at random.
     - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     Raises `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that
     do not fit the section; `ComputationFailed` where the walker returns from all disturbances up to
@@ -171,7 +171,7 @@ def least_disturbance(
 def least_disturbance_if_any(walker: System, gait: Gait, **about: Any) -> LeastDisturbance:
     """Find `least_disturbance`; NaN, and a failure of -1, where all tried disturbances return."""
     try:
-        return least_disturbance(walker, gait, **about)
+        return least_disturbance(walker, gait, progress=False, **about)
     except ComputationFailed:
         unknown = np.full(len(walker.section), np.nan)
         none: Any = -1

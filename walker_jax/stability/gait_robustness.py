@@ -64,7 +64,7 @@ def robustness(
     seed: int = 0,
     ground: float | None = None,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Measure the robustness of a walker's gait: basin, disturbances, basin stability, boundary.
 
@@ -86,7 +86,7 @@ def robustness(
     - `seed`, `tolerance`: of random numbers, and of the integration.
     - `ground`: standard deviation of normally distributed heights of steps, for `steps_to_fall`;
       without it walks on rough ground are left out.
-    - `progress`: whether to show progress on a terminal.
+    - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** the data set of `refine`, with measures of the gait of the largest basin:
 
@@ -152,7 +152,8 @@ def measure_gait(
     """
 
     def by_boundary() -> Uncertainty:
-        return boundary_dimension(walker, grid, seed=seed, **comparisons(walker), **about)
+        how = comparisons(walker) | about
+        return boundary_dimension(walker, grid, seed=seed, progress=False, **how)
 
     def by_disturbances() -> tuple[Gait, LeastDisturbance, LeastDisturbance, BasinStability]:
         nearest = fall = least_disturbance_if_any(walker, gait, **about)
@@ -208,7 +209,7 @@ def robustness_table(
     seed: int = 0,
     ground: float | None = None,
     tolerance: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Compute `robustness` over values of a parameter, without the results by cell or attractor.
 
