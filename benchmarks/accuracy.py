@@ -19,7 +19,7 @@ the reference gaits too; and a gait on round feet, from an impact with one term 
 ...
 | slope | gait | quantity | reference | walker_jax | difference |
 | 0.009 | long | theta | 0.2003109005442 | 0.200310900544248 | +4.8e-14 |
-|  |  | multipliers 1, 2, real part | -0.19009984107 | -0.1900998410659 | +4.1e-12 |
+|  |  | multipliers 1, 2, real | -0.19009984107 | -0.1900998410659 | +4.1e-12 |
 ...
 | slope, period 1 to 2 | 0.01508843794111946 | 0.015088437941117 | -2.5e-15 |
 ...
@@ -111,8 +111,8 @@ def parts(multipliers: Any) -> dict[str, float]:
         if one.imag == 0:
             named[f"multiplier {number}"] = one.real
         elif one.imag > 0:
-            named[f"multipliers {number}, {number + 1}, real part"] = one.real
-            named[f"multipliers {number}, {number + 1}, imaginary part"] = one.imag
+            named[f"multipliers {number}, {number + 1}, real"] = one.real
+            named[f"multipliers {number}, {number + 1}, imaginary"] = one.imag
     return named
 
 
@@ -373,11 +373,11 @@ def published() -> None:
         miss = max(abs(again[name] - value) for name, value in entry["state"].items())
         away = max(abs(ours[name] - value) for name, value in entry["state"].items())
         size = abs(gait.multipliers[0])
-        misses.append([entry["name"], period, f"{away:.1e}", f"{miss:.1e}", f"{size:.4f}"])
+        misses.append([entry["name"], f"{away:.1e}", f"{miss:.1e}", f"{size:.4f}"])
     header = "gait | quantity | printed: | walker_jax: | difference: | decimals in agreement:"
     table("Published gaits", header, rows)
     header = (
-        "gait | period: | largest difference from ours: | after its strides, the printed state "
+        "gait | largest difference from ours: | after its strides, the printed state "
         "misses itself by: | largest multiplier of ours:"
     )
     table("How well published gaits repeat themselves", header, misses)

@@ -87,12 +87,18 @@ def link(kind: str) -> str:
 
 
 def together(variables: dict[str, Variable]) -> dict[str, list[str]]:
-    """The names for each row: a variable, and its error or interval."""
+    """The names for each row: a variable, its error or interval, and neighbours alike in all."""
     rows: dict[str, list[str]] = {}
+    last = ""
     for name, one in variables.items():
         first, mark, suffix = name.rpartition("_")
-        with_first = first in rows and one.about == SUFFIXES.get(mark + suffix)
-        rows.setdefault(first if with_first else name, []).append(f"`{name}`")
+        if first in rows and one.about == SUFFIXES.get(mark + suffix):
+            rows[first].append(f"`{name}`")
+        elif last and one == variables[last]:
+            rows[last].append(f"`{name}`")
+        else:
+            rows[name] = [f"`{name}`"]
+            last = name
     return rows
 
 
@@ -108,7 +114,7 @@ def described(kind: str, name: str) -> tuple[str, str] | None:
         if one and (one.unit, one.about) == (mine.unit, mine.about):
             if (one.dims, one.type, one.when) == (mine.dims, mine.type, mine.when):
                 return other, ""
-            if added in ("*parameters", "?parameter") and one.dims == rest:
+            if added in ("*parameters", "?parameter", "frame", "slope") and one.dims == rest:
                 return other, added
     return None
 

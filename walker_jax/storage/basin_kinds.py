@@ -4,13 +4,16 @@ from walker_jax.storage.kind import AREA, DIFFERS, FAILS, SECTION, STATE, TIME, 
 from walker_jax.storage.kind import Variable as V
 
 VOLUME = "rad³·g/l"
+FATE = "`Outcome` of the last stride; -1 if not computed"
+NUMBER = "number of the attractor; -1 for none"
+STRIDES = "before the attractor or the failure"
 BASINS = {
     "basin": Kind(
         "Fates over a grid, whose axes are its coordinates (`basin`).",
         {
-            "fate": V("*grid", "integer", "", "`Outcome` of the last stride; -1 if not computed"),
-            "attractor": V("*grid", "integer", "", "number of the attractor; -1 for none"),
-            "strides": V("*grid", "integer", "", "before the attractor or the failure"),
+            "fate": V("*grid", "integer", "", FATE),
+            "attractor": V("*grid", "integer", "", NUMBER),
+            "strides": V("*grid", "integer", "", STRIDES),
             "number": V("number", "integer", "", "of the attractor"),
             "period": V("number", "integer", "strides", "0 for a motion without a period"),
             "states": V("number phase coordinate", "real", STATE, "the cycle; NaN after it"),
@@ -108,7 +111,7 @@ BASINS = {
         {
             "first_cell": V("run", "integer", "", "first cell of a run, in C order over the grid"),
             "run_fate": V("run", "integer", "", "`Outcome` of the last stride from its cells"),
-            "run_attractor": V("run", "integer", "", "number of the attractor; -1 for none"),
+            "run_attractor": V("run", "integer", "", NUMBER),
             "axis": V("axis", "text", "", "names of the grid's axes, each with its centres"),
             "lower": V("axis", "real", "", "the grid's lower ends"),
             "upper": V("axis", "real", "", "the grid's upper ends"),
@@ -216,9 +219,9 @@ BASINS = {
             "total_area_error": V("*parameters", "real", AREA, "its standard error"),
             "failed": V("*parameters", "integer", "", "1 where the computation failed"),
             "reason": V("*parameters", "text", "", "why it failed, otherwise empty"),
-            "fate": V("*parameters *grid", "integer", "", "as in a basin"),
-            "attractor": V("*parameters *grid", "integer", "", "as in a basin"),
-            "strides": V("*parameters *grid", "integer", "", "as in a basin"),
+            "fate": V("*parameters *grid", "integer", "", FATE),
+            "attractor": V("*parameters *grid", "integer", "", NUMBER),
+            "strides": V("*parameters *grid", "integer", "", STRIDES),
             "attractors": V("*parameters", "integer", "", "number of attractors"),
             "attractor_number": V(
                 "*parameters own", "integer", "", "of each, alike in all basins; -1 for none"
@@ -244,8 +247,8 @@ BASINS = {
     "zoom": Kind(
         "Basins in ever narrower windows around a point (`zoom`). Axes are offsets in the widest.",
         {
-            "fate": V("frame *grid", "integer", "", "as in a basin"),
-            "attractor": V("frame *grid", "integer", "", "as in a basin"),
+            "fate": V("frame *grid", "integer", "", FATE),
+            "attractor": V("frame *grid", "integer", "", NUMBER),
             "factor": V("frame", "real", "", "by which the window is narrower"),
             "ahead": V("frame", "integer", "strides", "of the centre alone, before all starts"),
         },
@@ -255,8 +258,8 @@ BASINS = {
         "Basins at several slopes (Figure 7 of the paper).",
         {
             "slope": V("slope", "real", "rad", "of the ground"),
-            "fate": V("slope *grid", "integer", "", "as in a basin"),
-            "attractor": V("slope *grid", "integer", "", "as in a basin"),
+            "fate": V("slope *grid", "integer", "", FATE),
+            "attractor": V("slope *grid", "integer", "", NUMBER),
             "area": V("slope", "real", AREA, "of all basins"),
         },
         WALKER | SECTION,
