@@ -19,13 +19,13 @@ the reference gaits too; and a gait on round feet, from an impact with one term 
 ...
 | slope | gait | quantity | reference | walker_jax | difference |
 | 0.009 | long | theta | 0.2003109005442 | 0.200310900544248 | +4.8e-14 |
-| 0.009 | long | multipliers 1, 2, real part | -0.19009984107 | -0.1900998410659 | +4.1e-12 |
+|  |  | multipliers 1, 2, real | -0.19009984107 | -0.1900998410659 | +4.1e-12 |
 ...
 | slope, period 1 to 2 | 0.01508843794111946 | 0.015088437941117 | -2.5e-15 |
 ...
-| long | T1 | -0.270837 | -0.18656907 | +8.4e-02 |
+|  | T1 | -0.270837 | -0.18656907 | +8.4e-02 |
 ...
-| compass gait, 4 deg | stance rate | -1.139899112182 | -1.13989911217952 | +2.5e-12 | 12 | 11 |
+|  | stance rate | -1.139899112182 | -1.13989911217952 | +2.5e-12 | 11 |
 ...
 | refined to 3200 x 4000 cells | 0.0012074 | 1.1e-07 |
 """
@@ -70,12 +70,18 @@ FEIGENBAUM = 4.669201609
 
 
 def table(title: str, header: str, rows: list[list[Any]]) -> None:
-    """Markdown, of columns of which those with numbers are named in the header with a colon."""
+    """Print Markdown: a colon in the header marks numbers, leading cells as above stay empty."""
     names = [name.strip() for name in header.split("|")]
     marks = ["---:" if name.endswith(":") else "---" for name in names]
     print(f"**{title}**\n")
+    above: list[str] = []
     for row in ([name.removesuffix(":") for name in names], marks, *rows):
-        print(f"| {' | '.join(map(str, row))} |")
+        cells = [str(cell) for cell in row]
+        same = 0
+        while same < len(above) and cells[same] == above[same]:
+            same += 1
+        print(f"| {' | '.join([''] * same + cells[same:])} |")
+        above = cells
     print(flush=True)
 
 
@@ -92,10 +98,10 @@ def compared(reference: float, ours: Any) -> list[str]:
 
 
 def agreeing(printed: float, ours: Any) -> list[Any]:
-    """The same, and how many decimals are printed, and how many of them agree."""
+    """The same, and how many of the printed decimals agree."""
     away = 2 * abs(ours - printed)
     agree = decimals(printed) if away == 0 else int(np.floor(-np.log10(away)))
-    return [*compared(printed, ours), decimals(printed), min(agree, decimals(printed))]
+    return [*compared(printed, ours), min(agree, decimals(printed))]
 
 
 def parts(multipliers: Any) -> dict[str, float]:
@@ -105,8 +111,8 @@ def parts(multipliers: Any) -> dict[str, float]:
         if one.imag == 0:
             named[f"multiplier {number}"] = one.real
         elif one.imag > 0:
-            named[f"multipliers {number}, {number + 1}, real part"] = one.real
-            named[f"multipliers {number}, {number + 1}, imaginary part"] = one.imag
+            named[f"multipliers {number}, {number + 1}, real"] = one.real
+            named[f"multipliers {number}, {number + 1}, imaginary"] = one.imag
     return named
 
 
@@ -278,9 +284,7 @@ def finite_masses() -> None:
         gait = wj.find_gait(wj.SimplestWalker(0.009), state)
         for name, printed, ours in zip(("theta", "thetadot"), state, gait.states[0], strict=True):
             rows.append([f"simplest, {kind}", name, *agreeing(printed, ours)])
-    header = (
-        "walker | quantity | reference: | walker_jax: | difference: | decimals: | in agreement:"
-    )
+    header = "walker | quantity | reference: | walker_jax: | difference: | decimals in agreement:"
     table("Reference walkers of finite mass, and printed gaits of the simplest", header, rows)
 
 
@@ -369,11 +373,11 @@ def published() -> None:
         miss = max(abs(again[name] - value) for name, value in entry["state"].items())
         away = max(abs(ours[name] - value) for name, value in entry["state"].items())
         size = abs(gait.multipliers[0])
-        misses.append([entry["name"], period, f"{away:.1e}", f"{miss:.1e}", f"{size:.4f}"])
-    header = "gait | quantity | printed: | walker_jax: | difference: | decimals: | in agreement:"
+        misses.append([entry["name"], f"{away:.1e}", f"{miss:.1e}", f"{size:.4f}"])
+    header = "gait | quantity | printed: | walker_jax: | difference: | decimals in agreement:"
     table("Published gaits", header, rows)
     header = (
-        "gait | period: | largest difference from ours: | after its strides, the printed state "
+        "gait | largest difference from ours: | after its strides, the printed state "
         "misses itself by: | largest multiplier of ours:"
     )
     table("How well published gaits repeat themselves", header, misses)
@@ -393,7 +397,7 @@ def published() -> None:
         zip(known["multiplier_sizes_of_two_steps"], sizes, strict=True), 1
     ):
         rows.append([f"modulus of multiplier {i} of two steps, 3 deg", *agreeing(printed, size)])
-    header = "compass gait | printed: | walker_jax: | difference: | decimals: | in agreement:"
+    header = "compass gait | printed: | walker_jax: | difference: | decimals in agreement:"
     table("Goswami, Thuilot and Espiau (1996)", header, rows)
 
 

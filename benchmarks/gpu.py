@@ -14,7 +14,7 @@ and an ensemble that others have timed, the Lorenz systems of GPUODEBenchmarks: 
 a V100. `--registers 96 128 168 255` and `--threads 32 64 128` try other
 programs of kernels. Kernels have not been run on a GPU yet: the table below is of XLA.
 
-The answer: the same strides, five times as many as 16 cores make for the simplest walker, and no
+The answer: the same strides, for the simplest walker six times as many as 16 cores make, and no
 more than they make for walkers with mass on their legs, whose programs XLA splits into many passes
 over the card's memory. XLA compiles for a GPU in 10 s to a minute, and a kneed walker in more than
 6 minutes; the programs of a basin in 24 s. `outcomes` counts those that differ; then come the

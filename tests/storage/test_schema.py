@@ -9,33 +9,123 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import WrongUse
-from walker_jax.storage.schema import KINDS, TYPES, check_dataset, variables_of_kind
+from walker_jax.storage.kind import SECTION, WALKER, Variable
+from walker_jax.storage.schema import (
+    KINDS,
+    TYPES,
+    attributes_of_kind,
+    check_dataset,
+    variables_of_kind,
+)
 
 PAGE = Path(__file__).parents[2] / "docs" / "data.md"
 FIRST = "## "
 """What the tables of the page begin with."""
 
 
+SUFFIXES = {
+    "_error": "its standard error",
+    "_low": "end of its 95 % interval",
+    "_high": "the other end",
+}
+"""The page says once what these mean."""
+
+
 def tables() -> str:
     """The page's tables, as they follow from the code."""
     lines = []
     for name, kind in KINDS.items():
-        base = f" It has the variables of *{kind.base}* too." * bool(kind.base)
+        base = f" It has the variables of {link(kind.base)} too." * bool(kind.base)
         lines += [f"{FIRST}{name.capitalize()}", "", f"{kind.about}{base}", ""]
         lines += ['<details markdown="1"><summary>Variables and attributes</summary>', ""]
-        lines += ["| variable | dimensions | type | unit | | where |", "|---|---|---|---|---|---|"]
-        lines += [
-            f"| `{variable}` | {' '.join(f'`{dim}`' for dim in one.dims.split())} | {one.type} | "
-            f"{one.unit} | {one.about} | {one.when} |"
-            for variable, one in kind.variables.items()
-        ]
-        if kind.attributes:
-            lines += ["", "| attribute | |", "|---|---|"]
-            lines += [
-                f"| `{attribute}` | {about} |" for attribute, about in kind.attributes.items()
-            ]
-        lines += ["", "</details>", ""]
+        lines += [*own_variables(name), *shared_variables(name), *attributes(name)]
+        lines += ["</details>", ""]
     return "\n".join(lines)
+
+
+def own_variables(kind: str) -> list[str]:
+    """The table of variables that no kind before this one describes."""
+    own = {name: one for name, one in KINDS[kind].variables.items() if not described(kind, name)}
+    rows = [
+        f"| {', '.join(names)} | {' '.join(f'`{dim}`' for dim in own[name].dims.split())} | "
+        f"{'; '.join(filter(None, (own[name].type, own[name].unit)))} | {own[name].about}"
+        f"{f' ({own[name].when})' * bool(own[name].when)} |"
+        for name, names in together(own).items()
+    ]
+    return (
+        ["| variable | dimensions | type; unit | |", "|---|---|---|---|", *rows, ""] if rows else []
+    )
+
+
+def shared_variables(kind: str) -> list[str]:
+    """The variables that another kind describes, by kind, added dimension and condition."""
+    groups: dict[tuple[str, str], dict[str, Variable]] = {}
+    for name, one in KINDS[kind].variables.items():
+        if found := described(kind, name):
+            other, added = found
+            when = one.when if one.when != KINDS[other].variables[name].when else ""
+            place = f", over `{added}` too" * bool(added) + f" ({when})" * bool(when)
+            groups.setdefault((other, place), {})[name] = one
+    lines = [
+        f"- As in {link(other)}{place}: {names_of(group, KINDS[other].variables)}"
+        for (other, place), group in groups.items()
+    ]
+    return [*lines, ""] if lines else []
+
+
+def names_of(some: dict[str, Variable], of: dict[str, Variable]) -> str:
+    """Names of some variables of a kind, or of the others if these are fewer."""
+    others = {name: one for name, one in of.items() if name not in some}
+    listed = others if len(others) < len(some) else some
+    quoted = ", ".join(name for names in together(listed).values() for name in names)
+    return quoted if listed is some else "all" + f" but {quoted}" * bool(others)
+
+
+def link(kind: str) -> str:
+    """A link to the section of a kind."""
+    return f"[{kind}](#{kind.replace(' ', '-')})"
+
+
+def together(variables: dict[str, Variable]) -> dict[str, list[str]]:
+    """The names for each row: a variable, its error or interval, and neighbours alike in all."""
+    rows: dict[str, list[str]] = {}
+    last = ""
+    for name, one in variables.items():
+        first, mark, suffix = name.rpartition("_")
+        if first in rows and one.about == SUFFIXES.get(mark + suffix):
+            rows[first].append(f"`{name}`")
+        elif last and one == variables[last]:
+            rows[last].append(f"`{name}`")
+        else:
+            rows[name] = [f"`{name}`"]
+            last = name
+    return rows
+
+
+def described(kind: str, name: str) -> tuple[str, str] | None:
+    """The kind before this one that describes a variable alike, and the dimension added here."""
+    mine = KINDS[kind].variables[name]
+    added, _, rest = mine.dims.partition(" ")
+    first, mark, suffix = name.rpartition("_")
+    if first in KINDS[kind].variables and mine.about == SUFFIXES.get(mark + suffix):
+        return described(kind, first)
+    for other in [*KINDS][: [*KINDS].index(kind)]:
+        one = KINDS[other].variables.get(name)
+        if one and (one.unit, one.about) == (mine.unit, mine.about):
+            if (one.dims, one.type, one.when) == (mine.dims, mine.type, mine.when):
+                return other, ""
+            if added in ("*parameters", "?parameter", "frame", "slope") and one.dims == rest:
+                return other, added
+    return None
+
+
+def attributes(kind: str) -> list[str]:
+    """The table of attributes, but those that the page describes once for all kinds."""
+    common, own = WALKER | SECTION, KINDS[kind].attributes
+    rows = [f"| `{name}` | {about} |" for name, about in own.items() if common.get(name) != about]
+    lines = ["| attribute | |", "|---|---|", *rows, ""] if rows else []
+    missing = [f"`{name}`" for name in common if name not in attributes_of_kind(kind)]
+    return [*lines, f"No attribute {' or '.join(missing)}.", ""] if missing else lines
 
 
 def renewed(page: str) -> str:

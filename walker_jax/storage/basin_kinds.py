@@ -4,13 +4,16 @@ from walker_jax.storage.kind import AREA, DIFFERS, FAILS, SECTION, STATE, TIME, 
 from walker_jax.storage.kind import Variable as V
 
 VOLUME = "rad³·g/l"
+FATE = "`Outcome` of the last stride; -1 if not computed"
+NUMBER = "number of the attractor; -1 for none"
+STRIDES = "before the attractor or the failure"
 BASINS = {
     "basin": Kind(
         "Fates over a grid, whose axes are its coordinates (`basin`).",
         {
-            "fate": V("*grid", "integer", "", "`Outcome` of the last stride; -1 if not computed"),
-            "attractor": V("*grid", "integer", "", "number of the attractor; -1 for none"),
-            "strides": V("*grid", "integer", "", "before the attractor or the failure"),
+            "fate": V("*grid", "integer", "", FATE),
+            "attractor": V("*grid", "integer", "", NUMBER),
+            "strides": V("*grid", "integer", "", STRIDES),
             "number": V("number", "integer", "", "of the attractor"),
             "period": V("number", "integer", "strides", "0 for a motion without a period"),
             "states": V("number phase coordinate", "real", STATE, "the cycle; NaN after it"),
@@ -67,12 +70,12 @@ BASINS = {
             "strides": V("cell", "integer", "", "made before that was known, or given up"),
             "level": V("cell", "integer", "", "how often the first cells were halved"),
             "place": V("cell axis", "integer", "", "the cell's number along each axis"),
-            "axis": V("axis", "text", "", "names of the axes"),
-            "lower": V("axis", "real", "", "their lower ends"),
-            "upper": V("axis", "real", "", "their upper ends"),
+            "axis": V("axis", "text", "", "names of the grid's axes"),
+            "lower": V("axis", "real", "", "the grid's lower ends"),
+            "upper": V("axis", "real", "", "the grid's upper ends"),
             "count": V("axis", "integer", "", "cells of level 0"),
             "shear": V("coordinate axis", "real", "", "a state is shear · place"),
-            "trap_centre": V("coordinate", "real", STATE, "c of the trap |Lᵀ(x - c)| ≤ size"),
+            "trap_centre": V("coordinate", "real", STATE, "c of the trap, ‖Lᵀ(x - c)‖ ≤ size"),
             "trap_factor": V("coordinate column", "real", "", "its L"),
             "trap_size": V("", "real", "", "its size"),
         },
@@ -108,7 +111,7 @@ BASINS = {
         {
             "first_cell": V("run", "integer", "", "first cell of a run, in C order over the grid"),
             "run_fate": V("run", "integer", "", "`Outcome` of the last stride from its cells"),
-            "run_attractor": V("run", "integer", "", "number of the attractor; -1 for none"),
+            "run_attractor": V("run", "integer", "", NUMBER),
             "axis": V("axis", "text", "", "names of the grid's axes, each with its centres"),
             "lower": V("axis", "real", "", "the grid's lower ends"),
             "upper": V("axis", "real", "", "the grid's upper ends"),
@@ -121,7 +124,7 @@ BASINS = {
             "area": V("number", "real", VOLUME, "volume of these cells"),
             "total_area": V("", "real", VOLUME, "volume of all basins, corrected by a check"),
             "total_area_error": V("", "real", VOLUME, "its standard error"),
-            "at_border": V("", "integer", "cells", "of basins that are at the border of the grid"),
+            "at_border": V("", "integer", "cells", "of basins that are at the grid's border"),
             "followed": V("level", "integer", "cells", "that were followed"),
             "boundary": V("level", "integer", "cells", "with a neighbour of another fate"),
             "checked": V("", "integer", "", "starts of the check"),
@@ -199,7 +202,8 @@ BASINS = {
         "refined basin",
     ),
     "robustness table": Kind(
-        "Robustness over values of a parameter, with its name as dimension (`robustness_table`).",
+        "Robustness over values of a parameter, with its name as dimension (`robustness_table`). "
+        "Integers are real numbers, NaN for a walker without a gait.",
         {},
         {"walker": WALKER["walker"]},
     ),
@@ -215,9 +219,9 @@ BASINS = {
             "total_area_error": V("*parameters", "real", AREA, "its standard error"),
             "failed": V("*parameters", "integer", "", "1 where the computation failed"),
             "reason": V("*parameters", "text", "", "why it failed, otherwise empty"),
-            "fate": V("*parameters *grid", "integer", "", "as in a basin"),
-            "attractor": V("*parameters *grid", "integer", "", "as in a basin"),
-            "strides": V("*parameters *grid", "integer", "", "as in a basin"),
+            "fate": V("*parameters *grid", "integer", "", FATE),
+            "attractor": V("*parameters *grid", "integer", "", NUMBER),
+            "strides": V("*parameters *grid", "integer", "", STRIDES),
             "attractors": V("*parameters", "integer", "", "number of attractors"),
             "attractor_number": V(
                 "*parameters own", "integer", "", "of each, alike in all basins; -1 for none"
@@ -243,8 +247,8 @@ BASINS = {
     "zoom": Kind(
         "Basins in ever narrower windows around a point (`zoom`). Axes are offsets in the widest.",
         {
-            "fate": V("frame *grid", "integer", "", "as in a basin"),
-            "attractor": V("frame *grid", "integer", "", "as in a basin"),
+            "fate": V("frame *grid", "integer", "", FATE),
+            "attractor": V("frame *grid", "integer", "", NUMBER),
             "factor": V("frame", "real", "", "by which the window is narrower"),
             "ahead": V("frame", "integer", "strides", "of the centre alone, before all starts"),
         },
@@ -254,8 +258,8 @@ BASINS = {
         "Basins at several slopes (Figure 7 of the paper).",
         {
             "slope": V("slope", "real", "rad", "of the ground"),
-            "fate": V("slope *grid", "integer", "", "as in a basin"),
-            "attractor": V("slope *grid", "integer", "", "as in a basin"),
+            "fate": V("slope *grid", "integer", "", FATE),
+            "attractor": V("slope *grid", "integer", "", NUMBER),
             "area": V("slope", "real", AREA, "of all basins"),
         },
         WALKER | SECTION,

@@ -43,8 +43,7 @@ class Kind(NamedTuple):
 
 
 WALKER = {
-    "walker": "class of the walker; each parameter is an attribute `walker_` + its name, and "
-    "`code` is a fingerprint of a class that is not of the package, and `failures` are the "
-    "names of its own failures"
+    "walker": "class of the walker; each parameter is an attribute `walker_` + its name; `code` is "
+    "a fingerprint of a class of your own, `failures` the names of its own failures"
 }
 SECTION = {"section": "names of the coordinates of a state"}
