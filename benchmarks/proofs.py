@@ -22,7 +22,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax.proofs.boxes import PLANE, Boxes, Trap, carry
 from walker_jax.proofs.enclosures import Enclosure, monomials
-from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.provable import check_provable, enclose_parameters
 from walker_jax.proofs.strides import verify_stride
 
 sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
@@ -57,7 +57,7 @@ def print_cost(repeats: int) -> None:
 
 def print_overestimation() -> None:
     known, gait = (
-        parameters_of(check_provable(WALKER), PLANE),
+        enclose_parameters(check_provable(WALKER), PLANE),
         np.asarray(wj.find_gait(WALKER).states[0]),
     )
     rng = np.random.default_rng(2)

@@ -261,10 +261,10 @@ def is_own(home: types.ModuleType | None) -> bool:
     """Return whether a module is the user's own: neither known nor installed."""
     path = file_of(home)
     installed = home is not None and path is not None and holds_packages(root_of(home, path))
-    return not is_known(home) and not installed
+    return not is_known_module(home) and not installed
 
 
-def is_known(home: types.ModuleType | None) -> bool:
+def is_known_module(home: types.ModuleType | None) -> bool:
     """Return whether a module is part of this package, of one that it uses, or of Python."""
     path = file_of(home)
     return top_of(home) in KNOWN or (path is not None and is_known_file(path))
@@ -304,7 +304,7 @@ class StoreDescriber(Describer):
 
     def __init__(self, kind: type = object):
         super().__init__()
-        self.bases = [one for one in kind.__mro__ if not is_known(home_of(one))]
+        self.bases = [one for one in kind.__mro__ if not is_known_module(home_of(one))]
         self.sources: dict[str, bytes] = {}
         """Contents of files, by their paths from the folder that holds their module or package."""
         for one in self.bases:

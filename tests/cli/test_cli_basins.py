@@ -39,7 +39,7 @@ def test_walk_ends_with_the_stride_that_failed(run):
     assert len(answer["states"]) == len(answer["outcomes"]) == len(answer["times"])
     assert answer["times"][-1] is None
     code, out, _ = run("walk", "--thetadot", "-0.23", "--strides", "20")
-    assert code == 0 and "falls forward" in out and "nan" in out
+    assert code == 0 and out.splitlines()[-2].endswith("         -  falls forward")
 
 
 @pytest.mark.slow

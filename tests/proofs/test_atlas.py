@@ -20,8 +20,8 @@ def known() -> Atlas:
     fates = np.where(apart < 0.3, WALKS, np.where(apart > 0.4, FALLS, OPEN))
     empty = Atlas.empty(WINDOW)
     all_ = np.indices((10, 16)).reshape(2, -1).T
-    coarse = empty.entered(1, all_, np.full(len(all_), OPEN))
-    return coarse.entered(2, cells, fates)
+    coarse = empty.with_fates(1, all_, np.full(len(all_), OPEN))
+    return coarse.with_fates(2, cells, fates)
 
 
 def random_boxes(rng, count: int) -> Boxes:
@@ -72,7 +72,7 @@ def test_slices_that_leave_out_an_end_are_seen(known, monkeypatch):
 def test_cells_enter_at_their_level_and_the_finest_are_left_out(known, monkeypatch):
     assert known.fates.shape == (20, 32) and known.level == 2
     monkeypatch.setattr(atlas, "MOST_CELLS", 1000)
-    assert known.entered(3, np.array([[0, 0]]), np.array([WALKS])) is known
+    assert known.with_fates(3, np.array([[0, 0]]), np.array([WALKS])) is known
 
 
 def test_boxes_that_are_no_numbers_are_not_held(known):

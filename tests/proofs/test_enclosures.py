@@ -13,10 +13,10 @@ from walker_jax.integrators.series import sincos as own_sincos
 from walker_jax.kernels import kernel
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.proofs import elementary, enclosures
-from walker_jax.proofs.elementary import sine_and_cosine
+from walker_jax.proofs.elementary import enclose_sine_and_cosine
 from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, ball, monomials
 from walker_jax.proofs.evaluation import evaluate
-from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.provable import check_provable, enclose_parameters
 
 PLANE = Space(2, 2)
 OPERATIONS = {
@@ -144,7 +144,7 @@ def sine_misses(count: int, space: Space, seed: int) -> int:
     terms = [middle, *[rng.normal(size=count) * 0.1 for _ in monomials(space)[1:]]]
     x = Enclosure(terms, np.abs(rng.normal(size=count)) * 1e-9, space)
     with np.errstate(all="ignore"):
-        results = sine_and_cosine(x)
+        results = enclose_sine_and_cosine(x)
     misses = 0
     with mpmath.workdps(40):
         for i in range(count):
@@ -172,7 +172,7 @@ def test_a_remainder_left_out_is_seen(monkeypatch):
 
 
 def test_beyond_the_reduction_nothing_is_claimed():
-    sine, _ = sine_and_cosine(ball(np.array([1e8]), 0.0))
+    sine, _ = enclose_sine_and_cosine(ball(np.array([1e8]), 0.0))
     assert sine.lower <= -1 and sine.upper >= 1
 
 
@@ -187,7 +187,7 @@ def test_a_jax_function_is_enclosed_as_it_stands():
         for i in range(200):
             a, b = mpmath.mpf(x[i]) + mpmath.mpf("1e-7"), mpmath.mpf(y[i]) - mpmath.mpf("1e-7")
             true = mpmath.sin(a) ** 3 / (1 + b**2) - a / 10
-            assert abs(true - found.middle[i]) <= found.radius[i]
+            assert abs(true - found.midpoint[i]) <= found.radius[i]
     assert np.all(found.radius < 1e-6)
 
 
@@ -211,12 +211,12 @@ def test_integers_and_stopped_gradients_are_refused():
         return 2 * x, 3 * x
 
     double, triple = evaluate(sincos, x)
-    assert double.middle == 1.0 and triple.middle == 1.5
+    assert double.midpoint == 1.0 and triple.midpoint == 1.5
     sine, _ = evaluate(own_sincos, x)
-    assert abs(sine.middle - np.sin(0.5)) < 1e-15
+    assert abs(sine.midpoint - np.sin(0.5)) < 1e-15
 
 
 def test_whole_parameters_are_rounded_too():
     """A parameter of 1 stands for all numbers that round to it, in kernels and in NumPy."""
-    known = parameters_of(check_provable(wj.SpringWalker(0.004, 1.0)), BALLS)
+    known = enclose_parameters(check_provable(wj.SpringWalker(0.004, 1.0)), BALLS)
     assert known.hip_stiffness.radius >= 2.0**-53

@@ -7,7 +7,7 @@ from reference import read_values
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.proofs.enclosures import ball
-from walker_jax.proofs.matrices import eigenvalues, is_contraction, krawczyk
+from walker_jax.proofs.matrices import enclose_eigenvalues, is_contraction, krawczyk
 
 VALUES = read_values("values")
 GAITS = [one for one in VALUES["gaits"] if one["slope"] in (0.004, 0.009)]
@@ -91,12 +91,12 @@ def test_eigenvalues_of_a_matrix_are_enclosed():
     for _ in range(200):
         m = rng.normal(size=(2, 2))
         box = [[ball(value, 1e-9) for value in row] for row in m]
-        found, true = eigenvalues(box), np.linalg.eigvals(m)
+        found, true = enclose_eigenvalues(box), np.linalg.eigvals(m)
         if found is None:
             assert abs(np.trace(m) ** 2 / 4 - np.linalg.det(m)) < 1e-6
             continue
         for a, b in found:
-            middle = complex(a.middle, b.middle)
+            middle = complex(a.midpoint, b.midpoint)
             assert min(abs(true - middle)) <= 1.5 * (a.spread + b.spread)
         stable = is_contraction(box)
         assert stable is None or stable == bool(np.all(np.abs(true) < 1))

@@ -7,7 +7,7 @@ import pytest
 import walker_jax as wj
 from walker_jax.proofs import flows
 from walker_jax.proofs.enclosures import Enclosure, Space, exactly, monomials
-from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.provable import check_provable, enclose_parameters
 from walker_jax.proofs.strides import FALL, STRIDE, UNDECIDED, verify_stride
 
 PLANE, LINES = Space(2, 2), Space(2, 1)
@@ -23,7 +23,7 @@ def verified(walker, centres, radius, space=PLANE, tangents=(), **options):
     sides = [[radius if i == j else None for j in range(2)] for i in range(2)]
     rest = [None] * (len(monomials(space)) - 3)
     box = lambda i: Enclosure([centres[:, i], *sides[i], *rest], 0.0, space)
-    known = parameters_of(check_provable(walker), space)
+    known = enclose_parameters(check_provable(walker), space)
     return verify_stride(known, (box(0), box(1)), tangents, **options)
 
 
@@ -117,7 +117,7 @@ def test_the_jacobian_of_all_points_of_a_box_is_enclosed():
     for column, tangent in enumerate(found.tangents):
         for row, one in enumerate(tangent):
             box = one.range()
-            assert np.all(np.abs(box.middle - jacobian[:, row, column]) <= box.radius + 1e-8)
+            assert np.all(np.abs(box.midpoint - jacobian[:, row, column]) <= box.radius + 1e-8)
             assert np.all(box.radius < 0.1)
 
 

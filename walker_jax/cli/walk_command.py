@@ -108,7 +108,8 @@ def walk_in_words(answer: dict, coordinates: tuple[str, ...], *, rough: bool) ->
     yield f"{'stride':>6}  {heads}  {'time':>8}  outcome"
     strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
     for i, (state, name, duration) in enumerate(strides, start=1):
-        yield f"{i:6}  {row(state)}  {duration:8.4f}  {outcome_in_words(name)}"
+        time = "-" if np.isnan(duration) else f"{duration:.4f}"
+        yield f"{i:6}  {row(state)}  {time:>8}  {outcome_in_words(name)}"
     if len(answer["states"]) > len(answer["outcomes"]):
         yield f"{'next':>6}  {row(answer['states'][-1])}"
     yield conclude_walk(answer["outcomes"], rough=rough)

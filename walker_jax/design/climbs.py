@@ -86,7 +86,10 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
 
 
 def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
-    """Whether a value is higher; if errors hide that, whether it is uphill at both ends."""
+    """Return whether the value there is higher.
+
+    If errors hide that, return whether the way there goes uphill at both ends.
+    """
     gain = problem.sign * (there.value - here.value)
     if np.abs(gain) > SIGNIFICANT_ERRORS * np.hypot(here.value_error, there.value_error):
         return bool(gain > 0)
@@ -95,7 +98,7 @@ def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
 
 
 def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
-    """Whether the objective has a gradient, and its basin or disturbance, if any, is positive."""
+    """Return whether an objective has a gradient, and a positive basin or disturbance if any."""
     sizes = [
         size
         for name, size in zip(problem.measures, row.measures, strict=True)

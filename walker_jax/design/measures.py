@@ -140,7 +140,7 @@ def end_of_stride(walker: Walker, x: Float[Array, " section"]) -> Any:
 
 
 def cost_is_known(walker: System) -> bool:
-    """Whether the energy that a step loses is known."""
+    """Return whether the energy that a step loses is known."""
     if not isinstance(walker, Walker):
         return False
     anywhere = walker.lift(jnp.zeros(len(walker.section)))

@@ -32,7 +32,7 @@ class Scan(NamedTuple):
 
 
 def is_optimum(data: xr.Dataset) -> bool:
-    """Whether an optimisation found an optimum."""
+    """Return whether an optimisation found an optimum."""
     return "found" in data and bool(data["found"])
 
 

@@ -52,7 +52,7 @@ class Trace:
         """Time after which climbs make no further step."""
 
     def is_out_of_time(self) -> bool:
-        """Whether the time for climbs has passed."""
+        """Return whether the time for climbs has passed."""
         return time.perf_counter() >= self.ends
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:

@@ -167,7 +167,7 @@ def estimate_error(residual, matrix):
 
 
 def has_shorter_period(states) -> Bool[Array | np.ndarray, "..."]:
-    """Whether cycles, of shape (..., period, section), repeat themselves within their period."""
+    """Return whether cycles, shape (..., period, section), repeat within their period."""
     period, numpy = states.shape[-2], jnp if isinstance(states, jax.Array) else np
     shorter = numpy.zeros(states.shape[:-2], bool)
     for shift in range(1, period):

@@ -103,7 +103,7 @@ def linear(k: int, operands: list[Series], bind: Callable) -> Any:
 
 
 def varies(x: Series) -> Any:
-    """Whether a series has real or complex numbers; others are constant between jumps."""
+    """Return whether a series has real or complex numbers; others are constant between jumps."""
     return jnp.issubdtype(jnp.result_type(x[0]), jnp.inexact)
 
 

@@ -115,7 +115,7 @@ class Method(eqx.Module):
         )
 
     def carries_series(self, state: PyTree) -> bool:
-        """Whether a loop should carry the polynomial of a step instead of computing it again."""
+        """Return whether a loop should carry a step's polynomial instead of computing it again."""
         series = isinstance(self.solver, Taylor)
         return not series or len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
 

@@ -92,7 +92,7 @@ SMOOTH = frozenset("add add_any cos div exp integer_pow log mul neg sin sqrt squ
 
 
 def is_smooth(function: Callable, state: PyTree) -> bool:
-    """Whether a function consists of smooth primitives, on real numbers of one type."""
+    """Return whether a function consists of smooth primitives, on real numbers of one type."""
     closed = jax.make_jaxpr(function)(state)
     known = [*closed.jaxpr.constvars, *closed.jaxpr.invars, *closed.jaxpr.outvars]
     types = {variable.aval.dtype for variable in known}
@@ -104,7 +104,7 @@ def is_smooth(function: Callable, state: PyTree) -> bool:
 
 
 def has_smooth_equations(closed: ClosedJaxpr) -> bool:
-    """Whether all equations have smooth primitives, on numbers of the type of the result."""
+    """Return whether all equations have smooth primitives, on numbers of the result's type."""
     for equation in closed.jaxpr.eqns:
         types = {variable.aval.dtype for variable in (*equation.invars, *equation.outvars)}
         if equation.primitive.name in CALLS:

@@ -234,7 +234,7 @@ ARRAY_RULES: dict[str, Callable] = {
 
 
 def implemented_in_jax(primitive: Primitive) -> bool:
-    """Whether a JAX function implements a primitive, as for those of Equinox and lineax.
+    """Return whether a JAX function implements a primitive, as for those of Equinox and lineax.
 
     Such primitives only add rules for transformations to that function.
     """

@@ -42,7 +42,7 @@ VERSION_PARTS = "MAJOR", "MINOR"
 
 @functools.cache
 def available() -> bool:
-    """Whether the handler fits XLA's interface; warns if it does not."""
+    """Return whether the handler fits XLA's interface; warn if it does not."""
     found: tuple[int, ...] | None = None
     header = Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h"
     if header.exists():

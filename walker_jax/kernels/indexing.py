@@ -61,7 +61,7 @@ def compare(emitter, primitive, index, number: int, dtype) -> Any:
 
 @no_type_check
 def conjunction(emitter, flags) -> Any:
-    """Whether all flags are true."""
+    """Return whether all flags are true."""
     result = True
     for flag in flags:
         if is_known(flag):
@@ -167,7 +167,7 @@ def update_at(
     lasts = [length - size for length, size in zip(array.shape, window.shape, strict=True)]
 
     def begins(index, at: int, last: int):
-        """Whether the window begins at a place, given its index."""
+        """Return whether the window begins at a place, given its index."""
         if is_known(index):
             return (min(max(int(index), 0), last) if clip else int(index)) == at
         if clip and last == 0:

@@ -113,6 +113,6 @@ From jax 0.11 on, functions such as `searchsorted` and `custom_root` are calls o
 
 
 def changes_entries(name: str, params: dict) -> bool:
-    """Whether a scatter replaces an entry by a function of that entry, as `x.at[i].apply` does."""
+    """Return whether a scatter replaces entries by a function of them, as `x.at[i].apply` does."""
     update = params["update_jaxpr"]
     return name == "scatter" and update is not None and update.outvars[0] is not update.invars[1]

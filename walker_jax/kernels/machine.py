@@ -22,12 +22,12 @@ no AVX-512, `x86-64` no AVX)."""
 
 
 def switched_off() -> bool:
-    """Whether XLA alone is to compute everything."""
+    """Return whether XLA alone is to compute everything."""
     return os.environ.get(VARIABLE, "").lower() == "off"
 
 
 def on_gpus() -> bool:
-    """Whether kernels are to run on GPUs too (`gpu`)."""
+    """Return whether kernels are to run on GPUs too (`gpu`)."""
     return os.environ.get(VARIABLE, "").lower() == "gpu"
 
 

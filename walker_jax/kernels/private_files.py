@@ -20,7 +20,7 @@ def is_own(status: os.stat_result) -> bool:
 
 
 def is_private(status: os.stat_result) -> bool:
-    """Whether only this user can have written to a file or folder."""
+    """Return whether only this user can have written to a file or folder."""
     return not hasattr(os, "geteuid") or (is_own(status) and not status.st_mode & OTHERS_WRITE)
 
 

@@ -21,7 +21,7 @@ LIBRARY = {"linux": "libm.so.6", "darwin": "/usr/lib/libSystem.B.dylib", "win32"
 
 @functools.cache
 def in_library(name: str) -> bool:
-    """Whether the C library has a function of this name."""
+    """Return whether the C library has a function of this name."""
     if llvm.address_of_symbol(name) is None and sys.platform in LIBRARY:
         with contextlib.suppress(RuntimeError):  # there is no such file
             llvm.load_library_permanently(LIBRARY[sys.platform])

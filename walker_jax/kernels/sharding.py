@@ -16,7 +16,7 @@ from jax.interpreters import mlir
 
 
 def is_divided(ctx: mlir.LoweringRuleContext) -> bool:
-    """Whether XLA divides the lowered call among devices, unless `jax.shard_map` has done so."""
+    """Return whether XLA divides the lowered call among devices, unless `jax.shard_map` does."""
     axes: Any = ctx.module_context.axis_context
     if (mesh := getattr(axes, "mesh", None)) is not None:
         return set(axes.manual_axes) != set(mesh.axis_names)

@@ -8,7 +8,7 @@ NUMBERS = bool, int, float, complex
 
 @no_type_check
 def is_known(entry) -> bool:
-    """Whether an entry is a known number."""
+    """Return whether an entry is a known number."""
     return isinstance(entry, NUMBERS)
 
 

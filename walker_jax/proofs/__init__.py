@@ -1,1 +1,1 @@
-"""Proofs: arithmetic with rigorous bounds, verified strides, proved gaits and basins."""
+"""Proofs: rigorous interval arithmetic, verified strides, proved gaits and basins."""

@@ -1,6 +1,6 @@
-"""Starts that walk for ever, by proof: all of a disc about the gait, or cells of a grid."""
+"""Proofs about basins: that all starts of a disc walk for ever, or which cells of a grid do."""
 
-from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.provable import check_provable
 from walker_jax.proofs.stores import prove_in_batches
-from walker_jax.proofs.subdivision import BATCH, Cells, Keep, subdivide
+from walker_jax.proofs.subdivision import BATCH, KeepFates, LevelCells, prove_cells
 from walker_jax.proofs.traps import find_trap
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.system import System
@@ -27,12 +27,12 @@ from walker_jax.walkers.parameters import attributes_of
 
 LEAST_TRAP = 1e-7
 CELLS_OF_DISC = 16
-"""Along a diameter, before they are split."""
+"""Number of cells along a diameter, before they are split."""
 ROUNDING_OF_AREA = 1e-12
-"""Relative: far above that of a sum of equal cells."""
+"""Bound on the relative rounding of an area, far above that of a sum of equal cells."""
 REACH, LEAST_REACH = 1e-8, 1e-12
-"""A disc is taken larger by this part and by this, for the rounding of distances and of the gait's
-state."""
+"""Relative and absolute amount by which a disc is enlarged, for the rounding of distances and of
+the gait's state."""
 
 
 @refuses_tracers()
@@ -48,7 +48,7 @@ def prove_basin(
     request: dict | None = None,
     overwrite: bool = False,
 ) -> xr.Dataset:
-    """Prove which starts walk for ever, converging to a gait's trap, and which do not.
+    """Prove which starts walk for ever, into a trap about a gait, and which do not.
 
     ```python
     data = wj.prove_basin(wj.SimplestWalker(slope=0.004), 0.001)
@@ -56,34 +56,34 @@ def prove_basin(
     ```
 
     First an ellipse about the gait is proved to be a trap: strides lead all of it into itself. Then
-    cells are carried from stride to stride, in arithmetic with rigorous bounds, until all of a cell
-    is in the trap or in cells that walk, or all of it has fallen or is in cells that fall; starts
-    that are not feasible count as fallen. What is neither is split in four, up to `levels` times,
-    and is `OPEN` at last. On a boundary something always is.
+    rigorous interval arithmetic carries cells from stride to stride. A cell walks if all of it
+    comes into the trap or into cells that walk. It falls if all of it falls or comes into cells
+    that fall; starts that are not feasible count as fallen. Any other cell is split in four, up to
+    `levels` times, and is `OPEN` in the end. On a boundary some cells always are.
 
-    The theorem is about the equations of motion and the events as `docs/method.md` has them, for
-    all numbers that round to the walker's parameters.
+    The theorem is about the equations of motion and the events of `docs/method.md`, for all numbers
+    that round to the walker's parameters.
 
     **Arguments:**
 
     - `walker`: a `SimplestWalker`, `SpringWalker` or `PoweredWalker`.
-    - `region`: a grid of the section; or the radius of a disc about the gait's first state, by the
-      distance in (theta, thetadot), as `least_disturbance` measures it.
+    - `region`: a grid of the section; or the radius of a disc about the gait's first state, with
+      distances in (theta, thetadot), as in `least_disturbance`.
     - `gait`: a stable gait; by default that of `find_gait`.
-    - `levels`: how often a cell is split at most.
-    - `strides`: that a cell is carried at most.
+    - `levels`: most times that a cell is split.
+    - `strides`: most strides that a cell is carried.
     - `progress`: whether to show progress bars on a terminal, after a second.
     - `out`, `overwrite`: as in `basin`. A piece holds the fates of some cells of a level. An
-      interrupted proof is resumed from there, on the same machine with the same result to the last
+      interrupted proof resumes from there; on the same machine, the result is the same to the last
       bit.
     - `request`: further entries by which the stored proof is recognised.
 
-    **Returns** a data set of the kind `proof`: `proved` says of each cell what is proved of it; the
-    attribute `all_walk`, whether that is a theorem about all of the disc; `area_lower` and
+    **Returns** a data set of the kind `proof`. `proved` has the proved fate of each cell; the
+    attribute `all_walk` is 1 if all cells provably walk, so all of the disc; `area_lower` and
     `area_upper` bound the area of the starts in the disc or window that walk for ever.
 
-    **Raises** `ComputationFailed` where no trap is proved, as there is none about an unstable gait;
-    `WrongUse` for another walker, for float32, and for arguments that are none of these.
+    **Raises** `ComputationFailed` if no trap is proved, as about an unstable gait; `WrongUse` for
+    another walker, for float32, and for arguments out of range.
     """
     walker = check_provable(walker)
     check_whole("levels", levels, 0, 24)
@@ -93,7 +93,7 @@ def prove_basin(
     centre, period = np.asarray(gait.states[0], float), len(gait.states)
     wanted, radius, axes = None, 0.0, ("theta", "thetadot")
     if isinstance(region, Grid):
-        window, axes = window_of(region), region.names
+        window, axes = window_of_grid(region), region.names
     else:
         check_number("region", region)
         if not 0 < region < 1:
@@ -101,13 +101,13 @@ def prove_basin(
                 f"region must be a Grid, or a radius above 0 and below 1, not {short(region)}"
             )
         radius = float(region)
-        window = about(centre, radius)
-        wanted = disc(window, centre, radius)
+        window = window_about_disc(centre, radius)
+        wanted = partial(may_meet_disc, window, centre, radius)
     find = lambda: find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
 
-    def prove(trap: Trap, keep: Keep) -> xr.Dataset:
+    def prove(trap: Trap, keep: KeepFates) -> xr.Dataset:
         how = {"levels": levels, "strides": strides, "wanted": wanted, "progress": progress}
-        found = subdivide(walker, window, trap, keep=keep, **how)
+        found = prove_cells(walker, window, trap, keep=keep, **how)
         return dataset_of(walker, axes, window, trap, found, period, radius)
 
     if out is None:
@@ -128,11 +128,11 @@ def dataset_of(
     axes: tuple[str, ...],
     window: Window,
     trap: Trap,
-    found: list[Cells],
+    found: list[LevelCells],
     period: int,
     radius: float,
 ) -> xr.Dataset:
-    """The data set of a proof; of the cells left open, those of the last level."""
+    """Return the data set of a proof. Its open cells are those of the last level."""
     last = len(found) - 1
     kept = [(one, (one.fates != OPEN) | (i == last)) for i, one in enumerate(found)]
     joined = lambda values: np.concatenate([value[which] for value, which in values])
@@ -168,12 +168,12 @@ def dataset_of(
     return xr.Dataset(variables, {"axis": ("axis", np.array(axes, object))}, attributes)
 
 
-Kept = list[tuple[Cells, Bool[np.ndarray, " cells"]]]
-"""Cells of each level, and which of them are not split further."""
+FinalCells = list[tuple[LevelCells, Bool[np.ndarray, " cells"]]]
+"""Cells of each level, with flags of those that are not split further."""
 
 
-def areas_of(window: Window, kept: Kept) -> tuple[float, float]:
-    """Bounds of the area of all starts that walk: of cells that do, and of those and open ones."""
+def areas_of(window: Window, kept: FinalCells) -> tuple[float, float]:
+    """Bound the area of the starts that walk: by cells that walk, and by these and open cells."""
     areas = {
         fate: sum(np.sum(one.fates[which] == fate) * window.area(one.level) for one, which in kept)
         for fate in (WALKS, OPEN)
@@ -182,27 +182,30 @@ def areas_of(window: Window, kept: Kept) -> tuple[float, float]:
 
 
 def areas_in_disc(
-    window: Window, kept: Kept, centre: Float[np.ndarray, " 2"], radius: float
+    window: Window, kept: FinalCells, centre: Float[np.ndarray, " 2"], radius: float
 ) -> tuple[float, float]:
-    """The same for starts of a disc: cells that reach beyond it count above alone."""
+    """Bound the area of a disc's starts that walk.
+
+    A cell that reaches beyond the disc counts in the upper bound alone.
+    """
     whole = np.pi * radius**2
     if all(np.all(one.fates[which] == WALKS) for one, which in kept):
         return whole, whole
-    inside = [(one, which & in_disc(window, one, centre, radius)) for one, which in kept]
+    inside = [(one, which & is_in_disc(window, one, centre, radius)) for one, which in kept]
     return areas_of(window, inside)[0], min(areas_of(window, kept)[1], whole)
 
 
-def in_disc(
-    window: Window, cells: Cells, centre: Float[np.ndarray, " 2"], radius: float
+def is_in_disc(
+    window: Window, cells: LevelCells, centre: Float[np.ndarray, " 2"], radius: float
 ) -> Bool[np.ndarray, " cells"]:
-    """Whether all of a cell certainly lies in a disc."""
+    """Return whether all of each cell certainly lies in a disc."""
     widths = window.widths(cells.level)
     apart = np.abs(window.centres(cells.level, cells.cells) - centre) + widths / 2
     return np.hypot(*apart.T) <= radius * (1 - REACH) - LEAST_REACH
 
 
 def summarise_proof(data: xr.Dataset) -> dict[str, Any]:
-    """The theorem, and counts and areas, in what JSON can hold."""
+    """Summarise the theorem, with counts and areas, for JSON."""
     check_dataset(data, "proof")
     proved = data["proved"].values
     attributes = {
@@ -226,15 +229,15 @@ def summarise_proof(data: xr.Dataset) -> dict[str, Any]:
 
 
 def jacobian_of(walker, gait: Gait) -> Float[np.ndarray, "2 2"]:
-    """The Jacobian of a gait's return; not proved, as what is proved does not rest on it."""
+    """Return the Jacobian of a gait's return, not proved; no proof rests on it."""
     cycle = np.asarray(gait.states, float)[None]
     return multiply_jacobians(linearise(walker, cycle, integrator_of(cycle.dtype, None)).jacobian)[
         0
     ]
 
 
-def window_of(grid: Grid) -> Window:
-    """The cells of a grid of the plane section."""
+def window_of_grid(grid: Grid) -> Window:
+    """Return the window with the cells of a grid of the plane section."""
     if len(grid.names) != 2 or grid.coordinates != 2 or np.any(np.asarray(grid.origin) != 0):
         raise WrongUse(
             "region must be a grid along both coordinates of the section, with its origin at zero",
@@ -246,17 +249,19 @@ def window_of(grid: Grid) -> Window:
     return Window(lower, upper, (first, second), shear)
 
 
-def about(centre: Float[np.ndarray, " 2"], radius: float) -> Window:
-    """The cells about a disc."""
+def window_about_disc(centre: Float[np.ndarray, " 2"], radius: float) -> Window:
+    """Return a window that holds a disc."""
     reach = radius * (1 + 2 * REACH) + 2 * LEAST_REACH
     return Window(centre - reach, centre + reach, (CELLS_OF_DISC, CELLS_OF_DISC), np.eye(2))
 
 
-def disc(window: Window, centre: Float[np.ndarray, " 2"], radius: float) -> Callable:
-    """Whether cells may have a point in a disc."""
-
-    def wanted(level: int, cells: Int[np.ndarray, "cells 2"]) -> Bool[np.ndarray, " cells"]:
-        apart = np.abs(window.centres(level, cells) - centre) - window.widths(level) / 2
-        return np.hypot(*np.maximum(apart, 0).T) <= radius * (1 + REACH) + LEAST_REACH
-
-    return wanted
+def may_meet_disc(
+    window: Window,
+    centre: Float[np.ndarray, " 2"],
+    radius: float,
+    level: int,
+    cells: Int[np.ndarray, "cells 2"],
+) -> Bool[np.ndarray, " cells"]:
+    """Return whether each cell may have a point in a disc."""
+    apart = np.abs(window.centres(level, cells) - centre) - window.widths(level) / 2
+    return np.hypot(*np.maximum(apart, 0).T) <= radius * (1 + REACH) + LEAST_REACH

@@ -1,8 +1,8 @@
-"""Boxes of starts, carried from stride to stride by kernels, as many at once as there are.
+"""Boxes of starts, carried from stride to stride by kernels, many at once.
 
-A box is a parallelogram, c + A u for |u_i| <= 1, with a radius for rounding. After a stride it is
-enclosed in a rectangle that is turned along the longer side of its image, or else the rectangles
-would grow where the box turns (Lohner 1987): from stride to stride they keep only what is linear.
+A box is a parallelogram c + A u, |u_i| <= 1, with a radius for rounding. From stride to stride only
+this linear part is kept. The image of a box is enclosed in a rectangle along the image's longer
+side; upright rectangles would grow wherever the motion turns the box (Lohner 1987).
 """
 
 from collections.abc import Callable, Hashable
@@ -20,29 +20,30 @@ from walker_jax.proofs.enclosures import (
     ROUNDING,
     Enclosure,
     Space,
-    between,
     choose,
     exactly,
+    interval_between,
     outward,
 )
 from walker_jax.proofs.flows import ORDER
 from walker_jax.proofs.landings import enclose_landings
-from walker_jax.proofs.provable import parameters_of
+from walker_jax.proofs.provable import enclose_parameters
 from walker_jax.proofs.strides import STRIDE, TOLERANCE, verify_stride
 
 PLANE = Space(2, 2)
-"""Polynomials of second degree of two coordinates: a box of size r is enclosed up to r^3."""
+"""Space of polynomials of second degree in two variables: a box of size r is enclosed up to r^3."""
 CHUNK = 8192
-"""Boxes in one call: all calls share one program."""
+"""Number of boxes in one call. Fewer are padded to it, or to an eighth of it, so that calls share
+two programs."""
 TRAPPED = 4
-"""A verdict beside those of strides: all of the next states are in the trap."""
+"""Verdict beside those of strides: all of the next states are in the trap."""
 
 
 class Boxes(NamedTuple):
     """Parallelograms of the section."""
 
     terms: Float[np.ndarray, "boxes 2 3"]
-    """By coordinate: the middle, and the change along each side."""
+    """For each coordinate: the midpoint, and the change along each side."""
     radii: Float[np.ndarray, "boxes 2"]
 
     @property
@@ -54,15 +55,16 @@ class Boxes(NamedTuple):
 
 
 class Trap(NamedTuple):
-    """An ellipse about a point of the section: |L^T (x - centre)| <= size."""
+    """Ellipse about a point of the section: |L^T (x - centre)| <= size."""
 
     centre: Float[np.ndarray, " 2"]
     factor: Float[np.ndarray, "2 2"]
-    """L, a lower triangle."""
+    """L, lower triangular."""
     size: float
 
     @classmethod
     def nowhere(cls) -> "Trap":
+        """Return a trap that holds nothing."""
         return cls(np.zeros(2), np.eye(2), -1.0)
 
 
@@ -74,7 +76,7 @@ class Carried(NamedTuple):
 
 
 def boxes_of(theta: Enclosure, thetadot: Enclosure) -> Boxes:
-    """Boxes of NumPy enclosures that are linear in two variables."""
+    """Return the boxes given by two NumPy enclosures that are linear in two variables."""
     shape = np.broadcast_shapes(*(np.shape(t) for one in (theta, thetadot) for t in one.terms[:3]))
     fill = lambda value: np.broadcast_to(np.asarray(0.0 if value is None else value), shape)
     linear = [one.terms[:3] for one in (theta, thetadot)]
@@ -82,8 +84,8 @@ def boxes_of(theta: Enclosure, thetadot: Enclosure) -> Boxes:
     return Boxes(terms, np.stack([fill(theta.radius), fill(thetadot.radius)], -1))
 
 
-def sides(centres, halves) -> tuple[Enclosure, ...]:
-    """The coordinates of upright boxes: centre + half u, one variable for each coordinate."""
+def upright_boxes(centres, halves) -> tuple[Enclosure, ...]:
+    """Enclose both coordinates of upright boxes: centre + half u, with a variable u for each."""
     return tuple(
         Enclosure([c, *[h if i == j else None for j in range(2)], None, None, None], 0.0, PLANE)
         for i, (c, h) in enumerate(zip(centres, halves, strict=True))
@@ -91,24 +93,24 @@ def sides(centres, halves) -> tuple[Enclosure, ...]:
 
 
 def carry(walker, boxes: Boxes, trap: Trap) -> Carried:
-    """One stride of each box."""
-    code = code_of(carry_box, walker)
-    return in_chunks(lambda some: carry_chunk(walker, some, trap, code), boxes)
+    """Carry each box through one stride."""
+    code = user_code_of(carry_box, walker)
+    return call_in_chunks(lambda some: carry_chunk(walker, some, trap, code), boxes)
 
 
 def carry_partly(walker, boxes: Boxes) -> Carried:
-    """One stride of those starts of each box that make one."""
-    code = code_of(land_box, walker)
-    return in_chunks(lambda some: land_chunk(walker, some, code), boxes)
+    """Carry through one stride those starts of each box that make one."""
+    code = user_code_of(land_box, walker)
+    return call_in_chunks(lambda some: land_chunk(walker, some, code), boxes)
 
 
-def code_of(function: Callable, walker) -> Hashable:
-    """Describe the user's own code that a function of a walker runs, as it is now."""
+def user_code_of(function: Callable, walker) -> Hashable:
+    """Describe the present state of the user's own code that a function of a walker runs."""
     return user_code_states(function, jax.tree.structure((walker,)))
 
 
-def in_chunks(call: Callable[[Boxes], tuple], boxes: Boxes) -> Carried:
-    """The results of calls with some boxes each."""
+def call_in_chunks(call: Callable[[Boxes], tuple], boxes: Boxes) -> Carried:
+    """Join the results of calls with one chunk of the boxes each."""
     found = []
     for first in range(0, boxes.count, CHUNK):
         places = np.arange(first, min(first + CHUNK, boxes.count))
@@ -126,8 +128,8 @@ def carry_chunk(walker, boxes: Boxes, trap: Trap, code: Hashable) -> tuple:
 
 @kernel
 def carry_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"], trap: Trap) -> tuple:
-    """The terms and radii after a stride, and the verdict."""
-    model = parameters_of(walker, PLANE)
+    """Return the terms and radii of a box after a stride, and the verdict."""
+    model = enclose_parameters(walker, PLANE)
     box = lambda i: Enclosure([*terms[i], None, None, None], radii[i], PLANE)
     found = verify_stride(model, (box(0), box(1)), order=ORDER, tolerance=TOLERANCE)
     inside = is_trapped(found.state, trap)
@@ -143,12 +145,12 @@ def land_chunk(walker, boxes: Boxes, code: Hashable) -> tuple:
 
 @kernel
 def land_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"]) -> tuple:
-    """As `carry_box`, of the starts that make a stride."""
-    model = parameters_of(walker, PLANE)
+    """Return the same as `carry_box` for those starts that make a stride."""
+    model = enclose_parameters(walker, PLANE)
     box = lambda i: Enclosure([*terms[i], None, None, None], radii[i], PLANE)
     verdict, (axis, low, high) = enclose_landings(model, (box(0), box(1)))
-    known = [between(*both) for both in zip(low, high, strict=True)]
-    s, t = sides([one.middle for one in known], [one.radius for one in known])
+    known = [interval_between(*both) for both in zip(low, high, strict=True)]
+    s, t = upright_boxes([one.midpoint for one in known], [one.radius for one in known])
     a, b = (exactly(one, PLANE) for one in axis)
     scale = 1.0 / (a * a + b * b)
     theta, thetadot = (a * s - b * t) * scale, (a * t + b * s) * scale
@@ -157,7 +159,7 @@ def land_box(walker, terms: Float[Array, "2 3"], radii: Float[Array, " 2"]) -> t
 
 
 def is_trapped(x: tuple, trap: Trap) -> Any:
-    """Whether all of an enclosure lies in a trap."""
+    """Return whether all of an enclosure certainly lies in a trap."""
     (a, b), L = (
         (one - exactly(c, one.space) for one, c in zip(x, trap.centre, strict=True)),
         trap.factor,
@@ -169,9 +171,11 @@ def is_trapped(x: tuple, trap: Trap) -> Any:
 
 
 def rectangle_of(x: tuple) -> tuple:
-    """A rectangle that holds an enclosure: its terms and radii.
+    """Enclose an enclosure in a rectangle along its longer side; return its terms and radii.
 
-    With axes (a, b) and (-b, a), x - c = s (a, b) + t (-b, a) has s = (a x + b y) / (a^2 + b^2).
+    Along the axes (a, b) and (-b, a), a vector (u, v) from the midpoint is s (a, b) + t (-b, a):
+
+        s = (a u + b v) / (a^2 + b^2),    t = (a v - b u) / (a^2 + b^2).
     """
     theta, thetadot = x
     columns = [(theta.terms[i], thetadot.terms[i]) for i in (1, 2)]
@@ -182,15 +186,15 @@ def rectangle_of(x: tuple) -> tuple:
     part = lambda i: jnp.where(first, columns[0][i], columns[1][i])
     a = jnp.where(usable, part(0) / longest, 1.0)
     b = jnp.where(usable, part(1) / longest, 0.0)
-    number = lambda value: exactly(value, theta.space)
-    u, v = (one - number(one.middle) for one in x)
-    scale = 1.0 / (number(a) * number(a) + number(b) * number(b))
-    s = ((number(a) * u + number(b) * v) * scale).magnitude
-    t = ((number(a) * v - number(b) * u) * scale).magnitude
+    exact = lambda value: exactly(value, theta.space)
+    u, v = (one - exact(one.midpoint) for one in x)
+    scale = 1.0 / (exact(a) * exact(a) + exact(b) * exact(b))
+    s = ((exact(a) * u + exact(b) * v) * scale).magnitude
+    t = ((exact(a) * v - exact(b) * u) * scale).magnitude
     terms = jnp.stack(
         [
-            jnp.stack([theta.middle, a * s, -b * t]),
-            jnp.stack([thetadot.middle, b * s, a * t]),
+            jnp.stack([theta.midpoint, a * s, -b * t]),
+            jnp.stack([thetadot.midpoint, b * s, a * t]),
         ]
     )
     rounding = lambda p, q: outward(ROUNDING * (jnp.abs(p) + jnp.abs(q)))

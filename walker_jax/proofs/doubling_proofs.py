@@ -1,9 +1,9 @@
-"""Period doublings that exist, by proof.
+"""Proofs of period doublings.
 
-Krawczyk's operator holds for all slopes of an interval at once, so in one box there is exactly one
-gait for each slope, which moves smoothly with it. At one end of the interval det(M + I) of the
-Jacobian M of its return is above zero, at the other below: in between it is zero, and M has the
-multiplier -1.
+The Krawczyk operator is evaluated for all slopes of an interval at once. So for each slope exactly
+one gait is in the box, and it depends smoothly on the slope. Let M be the Jacobian of its return.
+At the ends of the interval det(M + I) has opposite signs, so it is zero in between, where M has
+the multiplier -1.
 """
 
 from typing import NamedTuple
@@ -21,32 +21,33 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.gaits.search import find_gait
-from walker_jax.proofs.enclosures import BALLS, Enclosure, between, is_enclosure
+from walker_jax.proofs.enclosures import BALLS, Enclosure, interval_between, is_enclosure
 from walker_jax.proofs.gait_proofs import has_no_shorter_period
 from walker_jax.proofs.matrices import determinant
-from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.provable import check_provable, enclose_parameters
 from walker_jax.proofs.returns import Cycle, enclose_cycle, jacobian_of_return, plus_identity
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
-BOX = 200
-"""Half the sides of the box of the gait, per width of the interval: gaits move by several times as
-much as the slope, and have to stay well within it."""
+BOX_PER_WIDTH = 200
+"""Half the side of the gait's box, per width of the interval. Gaits move by several times as much
+as the slope, and have to stay well within the box."""
 SECANTS, SMALLER_BOXES = 60, 3
 LEAST_DETERMINANT = 1e-10
-"""Below it det(M + I) is rounding."""
+"""Limit below which det(M + I) is mere rounding."""
 
 
 class ProvedDoubling(NamedTuple):
-    """A theorem: between `low` and `high` a multiplier of a gait passes through -1."""
+    """Theorem: between `low` and `high` a multiplier of a gait passes through -1."""
 
     parameter: str
     low: float
     high: float
     states: Float[np.ndarray, "period section"]
-    """About those of the gait that doubles its period."""
+    """Approximate states of the gait that doubles its period."""
     radius: float
-    """How far from these it may be, by coordinate; there is no other gait of the period there."""
+    """Largest distance of the true states from these, by coordinate; within it there is no other
+    gait of this period."""
 
 
 @refuses_tracers()
@@ -59,28 +60,28 @@ def prove_doubling(
     period: int = 1,
     width: float = 2e-8,
 ) -> ProvedDoubling:
-    """Prove that a gait doubles its period, and between which values of a parameter.
+    """Prove that a gait doubles its period between two close values of a parameter.
 
     ```python
     found = wj.prove_doubling(wj.SimplestWalker(slope=0.015), 0.0145, 0.0155)
     found.low, found.high
     ```
 
-    The doubling is found by secants between `low` and `high`; at both, the gait must be the one
-    that `find_gait` finds by itself, once with multipliers above -1 and once with one below.
+    The doubling is found by the secant method between `low` and `high`. At both, `find_gait`
+    without a guess must find the gait: at one with no multiplier below -1, at the other with one.
 
     **Arguments:**
 
     - `walker`: a `SimplestWalker`, `SpringWalker` or `PoweredWalker`.
     - `low`, `high`: values of the parameter between which the period doubles.
-    - `parameter`: its name.
-    - `period`: of the gait that doubles it.
-    - `width`: of the interval in which the doubling is proved.
+    - `parameter`: name of the parameter.
+    - `period`: period of the gait that doubles it.
+    - `width`: width of the interval in which the doubling is proved.
 
     **Returns** a `ProvedDoubling`.
 
-    **Raises** `ComputationFailed` if none is found or proved; `WrongUse` as `prove_gait` does, for
-    bounds that are not in order, and for a width that is not above 1e-14.
+    **Raises** `ComputationFailed` if no doubling is found or proved; `WrongUse` as `prove_gait`
+    does, for bounds that are not in order, and for a width outside 1e-14 to `high - low`.
     """
     walker = check_provable(walker)
     check_whole("period", period)
@@ -92,9 +93,9 @@ def prove_doubling(
     if not 1e-14 < width < high - low:
         raise WrongUse(f"width must be above 1e-14 and below high - low, not {short(width)}")
     at, states = find_doubling(walker, parameter, period, float(low), float(high))
-    ends, box = (at - width / 2, at + width / 2), BOX * width
+    ends, box = (at - width / 2, at + width / 2), BOX_PER_WIDTH * width
     signs = [sign_at(walker, parameter, states, box, end) for end in ends]
-    whole = enclose_over(walker, parameter, states, box, between(*map(np.float64, ends)))
+    whole = enclose_over(walker, parameter, states, box, interval_between(*map(np.float64, ends)))
     known = whole is not None and whole.zero.proved and has_no_shorter_period(whole)
     if not (known and signs[0] * signs[1] < 0):
         raise ComputationFailed(
@@ -106,23 +107,29 @@ def prove_doubling(
 def enclose_over(
     walker, parameter: str, states: np.ndarray, box: float, value: Enclosure
 ) -> Cycle | None:
-    """The cycle for all values of a parameter in an interval."""
-    known = parameters_of(walker, BALLS)
+    """Enclose the cycles for all values of a parameter in an interval."""
+    known = enclose_parameters(walker, BALLS)
     of_all = eqx.tree_at(lambda one: getattr(one, parameter), known, value, is_leaf=is_enclosure)
     return enclose_cycle(of_all, states, box)
 
 
 def sign_at(walker, parameter: str, states: np.ndarray, box: float, value: float) -> int:
-    """The proved sign of det(M + I) of the gait in the box about some states; 0 if it is open."""
-    at = between(np.float64(value), np.float64(value))
+    """Prove the sign of det(M + I) of the gait in a box about given states.
+
+    The result is 0 if the sign is not decided.
+    """
+    at = interval_between(np.float64(value), np.float64(value))
     cycle = enclose_over(walker, parameter, states, box, at)
     if cycle is None or not cycle.zero.proved:
         return 0
     known = eqx.tree_at(
-        lambda one: getattr(one, parameter), parameters_of(walker, BALLS), at, is_leaf=is_enclosure
+        lambda one: getattr(one, parameter),
+        enclose_parameters(walker, BALLS),
+        at,
+        is_leaf=is_enclosure,
     )
     for _ in range(SMALLER_BOXES):  # each holds the gait, and has narrower multipliers
-        middle = np.array([float(one.middle) for one in cycle.zero.within]).reshape(-1, 2)
+        middle = np.array([float(one.midpoint) for one in cycle.zero.within]).reshape(-1, 2)
         near = enclose_cycle(known, middle, max(float(one.spread) for one in cycle.zero.within))
         if near is None:
             return 0
@@ -134,14 +141,14 @@ def sign_at(walker, parameter: str, states: np.ndarray, box: float, value: float
 def find_doubling(
     walker, parameter: str, period: int, low: float, high: float
 ) -> tuple[float, np.ndarray]:
-    """About where det(M + I) is zero, and the gait there; secants, not proved."""
+    """Find about where det(M + I) is zero, and the gait there, by secants; nothing is proved."""
 
-    def look(value: float, guess) -> tuple[float, np.ndarray]:
+    def determinant_at(value: float, guess) -> tuple[float, np.ndarray]:
         there = with_parameter(walker, parameter, np.float64(value))
         gait = find_gait(there, guess, period)
         return float(np.real(np.prod(1 + np.asarray(gait.multipliers)))), np.asarray(gait.states)
 
-    (left, states), (right, _) = look(low, None), look(high, None)
+    (left, states), (right, _) = determinant_at(low, None), determinant_at(high, None)
     if left * right >= 0:
         raise ComputationFailed(
             f"no gait of period {period} doubles it between {parameter}={low!r} and {high!r}"
@@ -149,7 +156,7 @@ def find_doubling(
     value = low
     for _ in range(SECANTS):
         value = low - left * (high - low) / (right - left)
-        last, states = look(value, states)
+        last, states = determinant_at(value, states)
         if last * left > 0:
             low, left, right = value, last, right / 2
         else:

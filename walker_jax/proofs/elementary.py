@@ -1,4 +1,4 @@
-"""Sine and cosine of enclosures, with remainders."""
+"""Sine and cosine of enclosures, with bounds on the remainders of their series."""
 
 import math
 
@@ -8,32 +8,37 @@ from walker_jax.proofs.enclosures import (
     BALLS,
     ROUNDING,
     Enclosure,
+    array_module,
     ball,
     choose,
     exactly,
-    library,
     outward,
     rounded_once,
 )
 
 HALF_PI = 1.5707963267341256, 6.077100506303966e-11
-"""The first two parts of pi / 2, of 33 bits each, so that their multiples are exact."""
+"""The first two parts of pi / 2, of 33 bits each: their products with the number of quarter turns
+are exact."""
 REST_OF_HALF_PI = 2.03e-21
-"""Above what is left of pi / 2."""
+"""Upper bound on pi / 2 less these two parts."""
 MOST_TURNS = 2.0**19
+"""Most quarter turns for which the reduction is proved."""
 TERMS = 9
-"""Of the series of sine and cosine on [-0.79, 0.79]: the next is below 1e-16 of the sum's last."""
+"""Number of terms of the series of sine and cosine. On [-0.79, 0.79] the first omitted term is
+below 1e-16 of the sum."""
 REDUCED = 0.79
-"""Above pi / 4, and the rounding of an angle that is reduced to it."""
+"""Upper bound on a reduced angle: pi / 4 and the rounding of the reduction."""
 
 
 def sine_and_cosine_of_number(x) -> tuple[Enclosure, Enclosure]:
-    """Sine and cosine of a float, as intervals.
+    """Enclose the sine and cosine of a float in intervals.
 
-    x - k pi/2 is exact after the first part: k times it is exact, and the difference too, by
-    Sterbenz's lemma. Beyond `MOST_TURNS` quarters of a turn nothing is known of either.
+    The angle is reduced to x - k pi/2, for k quarter turns. The product of k and the first part of
+    pi/2 is exact, and so is its difference from x, by Sterbenz's lemma. The error is the rounding
+    of the second difference, and k times what both parts leave of pi/2. Beyond `MOST_TURNS` quarter
+    turns both intervals are [-2, 2], which says nothing.
     """
-    turns = library(x).round(x * (2 / math.pi))
+    turns = array_module(x).round(x * (2 / math.pi))
     turned = choose(turns == 0, 0.0, 1.0)
     y = (x - turns * HALF_PI[0]) - turns * HALF_PI[1]
     error = outward(turned * ROUNDING * abs(y) + abs(turns) * REST_OF_HALF_PI)
@@ -42,24 +47,27 @@ def sine_and_cosine_of_number(x) -> tuple[Enclosure, Enclosure]:
     sine = y * power_series(z, 1)
     cosine = power_series(z, 0)
     small = (abs(turns) <= MOST_TURNS) & (y.magnitude <= REDUCED)
-    odd = abs(turns - 2 * library(x).floor(turns / 2)) == 1
-    half = turns - 4 * library(x).floor(turns / 4)
+    odd = abs(turns - 2 * array_module(x).floor(turns / 2)) == 1
+    half = turns - 4 * array_module(x).floor(turns / 4)
     values = [
-        ball(choose(small, a.middle, 0.0), choose(small, a.radius, 2.0)) for a in (sine, cosine)
+        ball(choose(small, a.midpoint, 0.0), choose(small, a.radius, 2.0)) for a in (sine, cosine)
     ]
     first, second = (
-        ball(choose(odd, b.middle, a.middle), choose(odd, b.radius, a.radius))
+        ball(choose(odd, b.midpoint, a.midpoint), choose(odd, b.radius, a.radius))
         for a, b in (values, values[::-1])
     )
     flip_sine, flip_cosine = half >= 2, (half == 1) | (half == 2)
     return (
-        ball(choose(flip_sine, -first.middle, first.middle), first.radius),
-        ball(choose(flip_cosine, -second.middle, second.middle), second.radius),
+        ball(choose(flip_sine, -first.midpoint, first.midpoint), first.radius),
+        ball(choose(flip_cosine, -second.midpoint, second.midpoint), second.radius),
     )
 
 
 def power_series(z: Enclosure, odd: int) -> Enclosure:
-    """sum_k (-z)^k / (2k + odd)!, with the first term that is left out, for 0 <= z <= 0.79^2."""
+    """Enclose the sum over all k >= 0 of (-z)^k / (2k + odd)!, for 0 <= z <= 0.79^2.
+
+    The terms alternate and shrink, so the first omitted one bounds the remainder.
+    """
     last = TERMS - 1
     value = rounded_once((-1) ** last / math.factorial(2 * last + odd), BALLS)
     for k in reversed(range(last)):
@@ -68,18 +76,19 @@ def power_series(z: Enclosure, odd: int) -> Enclosure:
 
 
 def remainder_of_series(odd: int) -> float:
-    """Above the first term that is left out."""
+    """Return an upper bound on the first omitted term."""
     return 1.001 * REDUCED ** (2 * TERMS) / math.factorial(2 * TERMS + odd)
 
 
-def sine_and_cosine(x: Enclosure) -> tuple[Enclosure, Enclosure]:
-    """sin(m + e) = sin(m) cos(e) + cos(m) sin(e), by the series of cos(e) and sin(e).
+def enclose_sine_and_cosine(x: Enclosure) -> tuple[Enclosure, Enclosure]:
+    """Enclose sin(m + e) and cos(m + e), where m is the midpoint and e the rest of an enclosure.
 
-    Powers of e end at the degree of the polynomials, at least at the first one; the next derivative
-    is at most 1, so the term with it bounds what is left out.
+    By the addition theorems, such as sin(m + e) = sin(m) cos(e) + cos(m) sin(e), and the series of
+    cos(e) and sin(e), these are Taylor polynomials in e. Their degree d is that of the enclosure,
+    and at least 1. The next derivative is at most 1, so |e|^(d+1) / (d+1)! bounds the remainder.
     """
     space, degree = x.space, max(x.space.degree, 1)
-    number = x.middle
+    number = x.midpoint
     known = np.float64(number) if isinstance(number, float) else number
     sine, cosine = sine_and_cosine_of_number(known)
     e = Enclosure([None, *x.terms[1:]], x.radius, space)

@@ -1,24 +1,24 @@
-"""Arithmetic of enclosures: polynomials in a start, with a bound on what they leave out.
+"""Arithmetic of enclosures: polynomials in the start, each with a bound on its error.
 
-An `Enclosure` stands for a real function f of u, where |u_i| <= 1 for each of its variables:
+An `Enclosure` stands for a real function f of variables u_i in [-1, 1]:
 
     |f(u) - sum_k terms_k u^k| <= radius    for all u.
 
-Without variables it is an interval, by its middle and radius. Results of operations enclose all
-results of the same operations on what the operands enclose: `radius` grows by the terms of too high
-a degree, and by all rounding errors.
+Without variables it is an interval, given by its midpoint and radius. The result of an operation
+encloses all results of that operation on the functions that the operands enclose: its `radius`
+includes the terms of too high a degree and all rounding errors.
 
-Rounding. Numbers are float64, rounded to nearest. One operation is off by 2^-53 of its result at
-most, and `ROUNDING` is a little more. The bounds still hold where a compiler contracts a product
-and a sum to one operation, which saves a rounding. The error of a sum
-of n products is at most n 2^-53 times the sum of their absolute values, up to second order (Higham
-2002, section 3.1). Radii are sums and products of numbers that are not negative, so their own
-relative error is at most 2^-53 for each operation: `GROWTH` has room for 32, more than any radius
-here takes. `TINY` covers results so small that their digits, or all of them, are lost.
+Rounding. Numbers are float64, rounded to nearest. The error of one operation is at most 2^-53 of
+its result; `ROUNDING` is a little more. A compiler may contract a product and a sum to one
+operation; that saves a rounding, so the bounds still hold. The error of a sum of n products is at
+most n 2^-53 times the sum of their absolute values, up to second order (Higham 2002, section 3.1).
+Radii are sums and products of nonnegative numbers, so each operation adds a relative error of at
+most 2^-53: `GROWTH` allows for 32 operations, more than any radius here takes. `TINY` covers
+results so small that some or all of their digits are lost.
 
-Arrays may be those of JAX, in a function that is traced, or of NumPy; all operations are element by
-element. A number that is not finite makes all that follows NaN or infinite, and no comparison then
-proves anything.
+Arrays are those of JAX, in a traced function, or those of NumPy; all operations act elementwise. A
+number that is not finite makes all later results NaN or infinite, and then no comparison proves
+anything.
 """
 
 import itertools
@@ -36,26 +36,26 @@ TINY = 2.0**-1000
 
 
 class Space(NamedTuple):
-    """Polynomials of some number of variables, up to a degree."""
+    """Space of polynomials in some number of variables, up to a degree."""
 
     variables: int
     degree: int
 
 
 BALLS = Space(0, 0)
-"""Without variables: intervals."""
+"""Space without variables: that of intervals."""
 
 
 @cache
 def monomials(space: Space) -> list[tuple[int, ...]]:
-    """The exponents of each monomial, by degree."""
+    """Return the exponents of each monomial, ordered by degree."""
     powers = itertools.product(range(space.degree + 1), repeat=space.variables)
     return sorted((p for p in powers if sum(p) <= space.degree), key=lambda p: (sum(p), p[::-1]))
 
 
 @cache
 def product_table(space: Space) -> list[list[tuple[int, int]]]:
-    """For each monomial, the pairs of monomials whose product it is."""
+    """Return for each monomial the pairs of monomials whose product it is."""
     known = monomials(space)
     table: list[list[tuple[int, int]]] = [[] for _ in known]
     for (i, p), (j, q) in itertools.product(enumerate(known), repeat=2):
@@ -66,18 +66,18 @@ def product_table(space: Space) -> list[list[tuple[int, int]]]:
 
 
 def outward(radius):
-    """A radius that is certainly not smaller than what rounding has made of it."""
+    """Enlarge a computed radius so that it is certainly not below the exact one."""
     return radius * GROWTH + TINY
 
 
 def total(values: Sequence) -> Any:
-    """The sum of values, those that are not None."""
+    """Return the sum of those values that are not None."""
     values = [value for value in values if value is not None]
     return reduce(add, values) if values else 0.0
 
 
 class Enclosure:
-    """A polynomial with an error bound. A term of None is zero."""
+    """Polynomial with an error bound. A term of None is zero."""
 
     def __init__(self, terms: Sequence, radius: Any, space: Space, size: Any = None):
         self.terms, self.radius, self.space = tuple(terms), radius, space
@@ -85,7 +85,7 @@ class Enclosure:
 
     @cached_property
     def sizes(self) -> list:
-        """By degree: the sum of the absolute values of its terms, None where there are none."""
+        """Sum of the absolute values of the terms of each degree; None if it has no terms."""
         found: list[list] = [[] for _ in range(self.space.degree + 1)]
         for powers, term in zip(monomials(self.space), self.terms, strict=True):
             if term is not None:
@@ -94,35 +94,37 @@ class Enclosure:
 
     @cached_property
     def norm(self):
-        """The sum of the absolute values of all terms."""
+        """Sum of the absolute values of all terms."""
         return total(self.sizes)
 
     @property
     def size(self):
-        """At least the norm, from the operation that made it."""
+        """Norm, or an upper bound on it from the operation that made the enclosure."""
         return self.norm if self._size is None else self._size
 
     @property
-    def middle(self):
+    def midpoint(self):
+        """Constant term, which is the midpoint of `range`."""
         return 0.0 if self.terms[0] is None else self.terms[0]
 
     @cached_property
     def spread(self):
-        """How far its values are from the middle, at most."""
+        """Upper bound on the distance of any value from the midpoint."""
         return outward(total([*self.sizes[1:], self.radius]))
 
     @property
     def lower(self):
-        """A number that no value is below."""
-        return downward(self.middle - self.spread)
+        """Lower bound on all values."""
+        return downward(self.midpoint - self.spread)
 
     @property
     def upper(self):
-        return -downward(-self.middle - self.spread)
+        """Upper bound on all values."""
+        return -downward(-self.midpoint - self.spread)
 
     @property
     def magnitude(self):
-        """A number that no absolute value is above."""
+        """Upper bound on all absolute values."""
         return outward(self.norm + self.radius)
 
     def __neg__(self):
@@ -136,7 +138,7 @@ class Enclosure:
             return self
         if is_zero(self):
             return other
-        terms = [plus(p, q) for p, q in zip(self.terms, other.terms, strict=True)]
+        terms = [add_coefficients(p, q) for p, q in zip(self.terms, other.terms, strict=True)]
         size = self.size + other.size
         return Enclosure(
             terms, outward(self.radius + other.radius + ROUNDING * size), self.space, size
@@ -184,12 +186,12 @@ class Enclosure:
         return as_enclosure(other, self.space) * reciprocal(self)
 
     def widened(self, radius) -> "Enclosure":
-        """The same, with a larger radius."""
+        """Return the enclosure with `radius` added to its own."""
         return Enclosure(self.terms, outward(self.radius + radius), self.space, self._size)
 
     def range(self) -> "Enclosure":
-        """The interval of its values."""
-        return Enclosure([self.middle], self.spread, BALLS)
+        """Return an interval that holds all values."""
+        return Enclosure([self.midpoint], self.spread, BALLS)
 
     def __repr__(self):
         return f"Enclosure({self.terms}, radius={self.radius}, {self.space})"
@@ -203,11 +205,11 @@ jax.tree_util.register_pytree_node(
 
 
 def downward(value):
-    """A number below what rounding has made one."""
+    """Reduce a computed number so that it is certainly not above the exact one."""
     return value - (abs(value) * (4 * ROUNDING) + TINY)
 
 
-def plus(p, q):
+def add_coefficients(p, q):
     return q if p is None else p if q is None else p + q
 
 
@@ -216,7 +218,7 @@ def is_number_zero(value) -> bool:
 
 
 def is_zero(one: Enclosure) -> bool:
-    """Whether it is known to be zero while a function is traced."""
+    """Return whether an enclosure is known to be zero while a function is traced."""
     return is_number_zero(one.radius) and all(t is None for t in one.terms)
 
 
@@ -225,7 +227,7 @@ def is_enclosure(value: Any) -> bool:
 
 
 def exactly(value, space: Space) -> Enclosure:
-    """A number itself."""
+    """Return the enclosure of a number without error."""
     first = None if is_number_zero(value) else value
     return Enclosure([first, *[None] * (len(monomials(space)) - 1)], 0.0, space)
 
@@ -240,9 +242,9 @@ def as_enclosure(value, space: Space) -> Enclosure:
 
 
 def rounded_once(value, space: Space) -> Enclosure:
-    """The real numbers of which some float may be the rounding to nearest.
+    """Enclose all real numbers that may round to `value`.
 
-    Whole numbers are meant as they stand.
+    A known whole number counts as exact.
     """
     known = isinstance(value, (int, float)) and float(value).is_integer()
     one = exactly(value, space)
@@ -250,50 +252,48 @@ def rounded_once(value, space: Space) -> Enclosure:
 
 
 def ball(middle, radius) -> Enclosure:
-    """An interval."""
+    """Return the interval with a midpoint and a radius."""
     return Enclosure([middle], radius, BALLS)
 
 
-def between(low, high) -> Enclosure:
-    """The interval from one number to another."""
+def interval_between(low, high) -> Enclosure:
+    """Return an interval that holds all numbers from one to another."""
     middle = (low + high) / 2
     radius = outward(abs(high - low) / 2 + ROUNDING * (abs(low) + abs(high)))
     return ball(middle, radius)
 
 
-def hull(a: Enclosure, b: Enclosure) -> Enclosure:
-    """An interval that holds two."""
-    low, high = least(a.lower, b.lower), greatest(a.upper, b.upper)
-    return between(low, high)
-
-
 def lies_within(inner: Enclosure, outer: Enclosure):
-    """Whether an interval certainly lies in another one."""
-    apart = abs(inner.middle - outer.middle)
-    apart = apart + ROUNDING * (abs(inner.middle) + abs(outer.middle))
+    """Return whether an interval certainly lies in another one."""
+    apart = abs(inner.midpoint - outer.midpoint)
+    apart = apart + ROUNDING * (abs(inner.midpoint) + abs(outer.midpoint))
     return outward(apart + inner.spread) <= outer.radius
 
 
-def library(*values):
-    """The functions of arrays: NumPy's for its own and for numbers, JAX's for others."""
+def array_module(*values):
+    """Return `jax.numpy` if any value is an array of JAX, else NumPy."""
     return jax.numpy if any(isinstance(value, jax.Array) for value in values) else np
 
 
 def greatest(a, b):
-    return library(a, b).maximum(a, b)
+    return array_module(a, b).maximum(a, b)
 
 
 def least(a, b):
-    return library(a, b).minimum(a, b)
+    return array_module(a, b).minimum(a, b)
 
 
 def choose(flag, a, b):
-    return library(flag, a, b).where(flag, a, b)
+    return array_module(flag, a, b).where(flag, a, b)
 
 
 def reciprocal(x: Enclosure) -> Enclosure:
-    """1 / x, for x = m (1 - e): (1 + e + ... + e^d) / m, with e^{d+1} / (1 - e) left out."""
-    inverse = 1 / x.middle
+    """Enclose 1 / x = c / (1 - e), for c about 1 / midpoint and e = 1 - c x.
+
+    The polynomial is c (1 + e + ... + e^d). The remainder of the sum is at most
+    |e|^(d+1) / (1 - |e|); it counts as infinite unless |e| < 1.
+    """
+    inverse = 1 / x.midpoint
     e = exactly(1.0, x.space) - x * exactly(inverse, x.space)
     bound, result = e.magnitude, exactly(1.0, x.space)
     power = bound

@@ -1,12 +1,12 @@
-"""Enclosures of what a JAX function returns: its jaxpr, one primitive after the other.
+"""Enclosures of the results of a JAX function: its jaxpr, interpreted primitive by primitive.
 
-So the vector field of a walker, the recurrences of its Taylor series, its guards and its impact
-are enclosed as they stand in the package, and are not written a second time.
+The vector field of a walker, the recurrences of its Taylor series, its guards and its impact are
+thus enclosed as they stand in the package; none is written a second time.
 
-Numbers in the jaxpr, such as 1/3, are roundings of the numbers that are meant: each is an interval
-that holds every real number it may be the rounding of. All numbers in the functions of walkers
-with a proof are whole, or were rounded once. In a class of a user's own, a number that Python or
-NumPy computed before JAX saw it is taken for one that was rounded once.
+A number in the jaxpr, such as 1/3, is the rounding of the number that is meant. It becomes an
+interval that holds all real numbers with that rounding. In the functions of the package's provable
+walkers, each number is whole or was rounded once. In a user's own class, a number that Python or
+NumPy computed before JAX saw it counts as rounded once.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from walker_jax.kernels.jaxprs import (
     called_function,
 )
 from walker_jax.kernels.program_cache import user_code_states
-from walker_jax.proofs.elementary import sine_and_cosine
+from walker_jax.proofs.elementary import enclose_sine_and_cosine
 from walker_jax.proofs.enclosures import (
     BALLS,
     Enclosure,
@@ -38,28 +38,30 @@ from walker_jax.proofs.enclosures import (
 
 
 def evaluate(function: Callable, *args):
-    """Enclosures of function(*args), for every choice of numbers from those of the arguments.
+    """Enclose function(*args) for every choice of numbers from the arguments' enclosures.
 
     **Arguments:**
 
-    - `function`: of PyTrees of scalars; it is traced once for each structure of its arguments.
-    - `args`: PyTrees of enclosures of one space, of intervals, and of numbers.
+    - `function`: takes PyTrees of scalars; it is traced once for each structure of its arguments.
+    - `args`: PyTrees of enclosures in one space, of intervals, and of numbers.
 
-    **Raises** `UnsupportedPrimitive` if the function holds a primitive that has no rule here.
+    **Raises** `UnsupportedPrimitive` if the function has a primitive without a rule here.
     """
     leaves, structure = jax.tree.flatten(args, is_leaf=is_enclosure)
     spaces = [one.space for one in leaves if is_enclosure(one)]
     space = max(spaces, default=BALLS)
     closed, results = traced(function, structure, user_code_states(function, structure))
-    values = Evaluation(space).interpret(closed, [as_enclosure(one, space) for one in leaves])
+    values = EnclosureInterpreter(space).interpret(
+        closed, [as_enclosure(one, space) for one in leaves]
+    )
     return jax.tree.unflatten(results, values)
 
 
 @cache
 def traced(function: Callable, structure, code):
-    """The jaxpr of a function of scalars, and the structure of its results.
+    """Return the jaxpr of a function of scalars, and the structure of its results.
 
-    `code` describes the user's own code that it runs: other code is traced anew.
+    `code` describes the user's own code that the function runs, so changed code is traced anew.
     """
     flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
     number = jax.ShapeDtypeStruct((), jnp.float64)
@@ -71,14 +73,17 @@ def traced(function: Callable, structure, code):
 
 
 def check_numbers(jaxpr) -> None:
-    """Refuse all that is not of float64: an integer would be the float cut off, or another sum."""
+    """Refuse values that are not float64.
+
+    The rules treat every value as a real number, but integers are truncated and their sums wrap.
+    """
     for equation in jaxpr.eqns:
         if is_own_sincos(equation):
             continue
         for result in equation.outvars:
             if result.aval.dtype != jnp.float64:
                 raise UnsupportedPrimitive(
-                    f"proofs need float64 throughout, not {result.aval.dtype} by "
+                    f"proofs need float64 throughout, not {result.aval.dtype} as from "
                     f"{equation.primitive.name!r}"
                 )
         for inner in jaxprs_in_params(equation.params):
@@ -86,7 +91,7 @@ def check_numbers(jaxpr) -> None:
 
 
 def is_own_sincos(equation) -> bool:
-    """Whether a call is that of the package's own sine and cosine, and no other of that name."""
+    """Return whether a call is to the package's sine and cosine, not to a namesake."""
     return equation.params.get("name") == "sincos" and (
         str(equation.params["jaxpr"]) == own_sincos()
     )
@@ -94,19 +99,20 @@ def is_own_sincos(equation) -> bool:
 
 @cache
 def own_sincos() -> str:
-    """The program of the package's sine and cosine, with all digits of its numbers."""
+    """Return the jaxpr of the package's sine and cosine as text, with all digits of numbers."""
     with jax.ensure_compile_time_eval():
         (call,) = jax.make_jaxpr(sincos)(jax.ShapeDtypeStruct((), jnp.float64)).eqns
     return str(call.params["jaxpr"])
 
 
-class Evaluation(Interpreter):
-    """Computes enclosures of a jaxpr's results, all of one space."""
+class EnclosureInterpreter(Interpreter):
+    """Interpreter that encloses the results of a jaxpr, all in one space."""
 
     def __init__(self, space: Space):
         self.space = space
         self.pairs: dict[int, tuple] = {}
-        """By operand: its sine and cosine, and the operand, which keeps its id from others."""
+        """Sine and cosine of each operand, by its id, beside the operand: while it lives, no other
+        object gets its id."""
 
     def constant(self, value) -> Enclosure:
         if np.shape(value):
@@ -114,53 +120,58 @@ class Evaluation(Interpreter):
         return rounded_once(float(value), self.space)
 
     def keep(self, equation, operands: list) -> list:
-        raise UnsupportedPrimitive(f"no enclosure is known of {equation.primitive.name!r}")
+        raise UnsupportedPrimitive(f"proofs have no rule for {equation.primitive.name!r}")
 
     def sine_and_cosine(self, x: Enclosure) -> tuple[Enclosure, Enclosure]:
         if id(x) not in self.pairs:
-            self.pairs[id(x)] = sine_and_cosine(x), x
+            self.pairs[id(x)] = enclose_sine_and_cosine(x), x
         return self.pairs[id(x)][0]
 
 
-def by(operation: Callable) -> Callable:
-    return lambda evaluation, equation, operands: [operation(*operands)]
+def rule_of(operation: Callable) -> Callable:
+    """Return the rule of a primitive that is one operation on its operands."""
+    return lambda interpreter, equation, operands: [operation(*operands)]
 
 
-def call_rule(evaluation: Evaluation, equation, operands: list) -> list:
-    """A call; the package's own sine and cosine, polynomials near to them, are taken as meant."""
+def call_rule(interpreter: EnclosureInterpreter, equation, operands: list) -> list:
+    """Interpret a call.
+
+    The package computes sine and cosine by polynomials close to them; the equations mean the exact
+    functions, and these are enclosed.
+    """
     if is_own_sincos(equation):
-        return [*evaluation.sine_and_cosine(operands[0])]
-    return evaluation.interpret(called_function(equation), operands)
+        return [*interpreter.sine_and_cosine(operands[0])]
+    return interpreter.interpret(called_function(equation), operands)
 
 
-def power_rule(evaluation: Evaluation, equation, operands: list) -> list:
+def power_rule(interpreter: EnclosureInterpreter, equation, operands: list) -> list:
     (x,), exponent = operands, equation.params["y"]
-    value = exactly(1.0, evaluation.space)
+    value = exactly(1.0, interpreter.space)
     for _ in range(abs(exponent)):
         value = value * x
     return [value if exponent >= 0 else 1.0 / value]
 
 
-def broadcast_rule(evaluation: Evaluation, equation, operands: list) -> list:
-    """A scalar made another scalar: nothing changes."""
+def broadcast_rule(interpreter: EnclosureInterpreter, equation, operands: list) -> list:
+    """Return the operand: a scalar that is reshaped to a scalar does not change."""
     if equation.outvars[0].aval.shape:
         raise UnsupportedPrimitive("proofs need functions of scalars, not of arrays")
     return operands[:1]
 
 
-Evaluation.rules = {
+EnclosureInterpreter.rules = {
     **dict.fromkeys(CALLS, call_rule),
-    **dict.fromkeys(("add", "add_any"), by(lambda a, b: a + b)),
-    **dict.fromkeys(("copy", "copy_p", "convert_element_type"), by(lambda a: a)),
+    **dict.fromkeys(("add", "add_any"), rule_of(lambda a, b: a + b)),
+    **dict.fromkeys(("copy", "copy_p", "convert_element_type"), rule_of(lambda a: a)),
     "broadcast_in_dim": broadcast_rule,
     "reshape": broadcast_rule,
     "squeeze": broadcast_rule,
-    "cos": lambda evaluation, equation, operands: [evaluation.sine_and_cosine(*operands)[1]],
-    "div": by(lambda a, b: a / b),
+    "cos": lambda interpreter, equation, operands: [interpreter.sine_and_cosine(*operands)[1]],
+    "div": rule_of(lambda a, b: a / b),
     "integer_pow": power_rule,
-    "mul": by(lambda a, b: a * b),
-    "neg": by(lambda a: -a),
-    "sin": lambda evaluation, equation, operands: [evaluation.sine_and_cosine(*operands)[0]],
-    "square": by(lambda a: a * a),
-    "sub": by(lambda a, b: a - b),
+    "mul": rule_of(lambda a, b: a * b),
+    "neg": rule_of(lambda a: -a),
+    "sin": lambda interpreter, equation, operands: [interpreter.sine_and_cosine(*operands)[0]],
+    "square": rule_of(lambda a: a * a),
+    "sub": rule_of(lambda a, b: a - b),
 }

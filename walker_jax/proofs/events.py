@@ -1,9 +1,10 @@
-"""Events on the way: guards proved not to rise, the heel strike enclosed in time.
+"""Events within a step: guards proved not to rise, and the heel strike enclosed in time.
 
-A mode's last guard is the strike. Over a piece of a step the strike is out of the question where
-its value keeps its sign or falls, or where one of the functions that admit it is negative; where
-the value rises throughout the piece, it has one zero there at most. Such pieces may only be the
-last ones before the strike, or be followed by one where the value is negative throughout.
+A mode's last guard is the strike. A piece of a step holds no strike if throughout the piece the
+value of the strike keeps its sign or falls, or one of the functions that admit it is negative. If
+the value rises throughout, it has at most one zero there. Such rising pieces may only be the last
+before the strike, which is then their one zero; or a piece follows where the value is negative
+throughout, and then they had no zero.
 """
 
 from functools import cache
@@ -17,35 +18,37 @@ from walker_jax.proofs.enclosures import (
     BALLS,
     Enclosure,
     Space,
+    array_module,
     choose,
     exactly,
-    library,
     outward,
 )
 from walker_jax.proofs.evaluation import evaluate
-from walker_jax.proofs.flows import Flow, Step, flow_at, map_enclosures, polynomial
+from walker_jax.proofs.flows import Flow, VerifiedStep, enclose_polynomial, flow_at, map_enclosures
 
 PIECES = 4
-"""Parts of a step, over each of which guards are looked at."""
+"""Number of pieces of a step; guards are enclosed over each."""
 TIME = Space(1, 2)
-"""Polynomials of the time in a piece, so that functions of several numbers that move together are
-enclosed well; the starts of a box only widen them."""
+"""Space of polynomials in the time within a piece. They closely enclose functions of numbers that
+move together; the spread of the starts only adds to the radius."""
 BISECTIONS, NEWTON_STEPS = 10, 4
 
 
 class Measures(NamedTuple):
-    """The functions of a mode, in a state."""
+    """Values of a mode's functions in a state."""
 
     falls: list
-    """The values of all guards but the last."""
+    """Values of all guards but the last."""
     strike: Any
+    """Value of the last guard."""
     rate: Any
-    """The time derivative of the strike's value."""
+    """Time derivative of the strike's value."""
     admits: list
     conditions: list
 
 
 def measure(walker, state) -> Measures:
+    """Evaluate guards, functions that admit the strike, and conditions of the last mode."""
     mode = walker.modes()[-1]
     *falls, strike = mode.guards
     rates = mode.rates(state)
@@ -60,70 +63,75 @@ def measure(walker, state) -> Measures:
 
 
 class Watch(NamedTuple):
-    """The way so far, by proof."""
+    """Facts that are proved about the motion so far."""
 
-    no_rise: Any
-    """No strike."""
+    no_strike: Any
+    """Whether there was no strike, except perhaps one while `rising`."""
     rising: Any
-    """The strike's value rises since some time, before which it was negative: it may be zero."""
+    """Whether the strike's value rises since some time: it may have passed zero since, once."""
     clear: Any
-    """No fall, and all conditions hold."""
+    """Whether there was no fall, and all conditions held."""
 
 
-def watch_step(walker, step: Step, watch: Watch, end) -> Watch:
-    """The proofs for a step, up to some time."""
+def watch_step(walker, step: VerifiedStep, watch: Watch, end) -> Watch:
+    """Extend the proved facts over a step, up to the time `end`."""
     plain = step._replace(series=Flow(step.series.state), rest=Flow(step.rest.state))
 
-    def look(i, watch):
+    def watch_next(i, watch):
         middle, half = (2 * i + 1) * (end / (2 * PIECES)), end * (0.5 / PIECES + 1e-14)
         time = Enclosure([middle, half, None], 0.0, TIME)
         found = evaluate(measure, walker, flow_at(plain, time, ranges=True).state)
         return watch_piece(found, watch)
 
-    if library(end) is jax.numpy:
-        return lax.fori_loop(0, PIECES, look, watch)
+    if array_module(end) is jax.numpy:
+        return lax.fori_loop(0, PIECES, watch_next, watch)
     for i in range(PIECES):
-        watch = look(i, watch)
+        watch = watch_next(i, watch)
     return watch
 
 
 def watch_piece(found: Measures, watch: Watch) -> Watch:
+    """Extend the proved facts over a piece, given the range of each function there."""
     below, above = found.strike.upper < 0, found.strike.lower > 0
     excluded = below | above | (found.rate.upper < 0)
     for one in found.admits:
         excluded = excluded | (one.upper < 0)
     rises = found.rate.lower > 0
-    no_rise = watch.no_rise & choose(watch.rising, below | rises, excluded | rises)
+    no_strike = watch.no_strike & choose(watch.rising, below | rises, excluded | rises)
     rising = choose(watch.rising, ~below, ~excluded & rises)
     clear = watch.clear
     for one in found.falls:
         clear = clear & (one.upper < 0)
     for one in found.conditions:
         clear = clear & (one.lower >= 0)
-    return Watch(no_rise, rising, clear)
+    return Watch(no_strike, rising, clear)
 
 
 @cache
 def strike_series():
-    """The coefficients of the strike's value along a motion."""
+    """Return a function that expands the strike's value along a motion in a Taylor series."""
     return lambda walker, series: function_series(walker.modes()[-1].guards[-1].value, series)
 
 
 class Strike(NamedTuple):
-    """The strike in a step."""
+    """Heel strike within a step."""
 
     flow: Flow
-    """There, before the impact."""
+    """State and tangents there, before the impact."""
     latest: Any
-    """A time of the step after which it is not."""
+    """Time in the step by which the strike has occurred."""
     proved: Any
+    """Whether every start has exactly one zero of the strike's value near the time found."""
 
 
-def guess_strike(walker, step: Step) -> tuple[list[Enclosure], Any, Any, Any]:
-    """The series of the strike's value; whether the middle of the box strikes well within the step,
-    and when; and whether it does so soon after the step. Nothing is proved here."""
+def guess_strike(walker, step: VerifiedStep) -> tuple[list[Enclosure], Any, Any, Any]:
+    """Guess whether the midpoint of a box strikes in a step, and when; nothing is proved.
+
+    **Returns** the series of the strike's value; whether the midpoint strikes well within the step;
+    when it does, or half the step; and whether it strikes soon after the step.
+    """
     series = evaluate(strike_series(), walker, step.series.state)
-    middle = [one.middle for one in series]
+    middle = [one.midpoint for one in series]
     h = step.length
 
     def value(t):
@@ -138,17 +146,17 @@ def guess_strike(walker, step: Step) -> tuple[list[Enclosure], Any, Any, Any]:
             result = result * t + k * middle[k]
         return result
 
-    ahead = map_enclosures(lambda one: exactly(one.middle, BALLS), walker)
+    walker_at_midpoint = map_enclosures(lambda one: exactly(one.midpoint, BALLS), walker)
     admitted = lambda t: (
         evaluate(
             measure,
-            ahead,
-            map_enclosures(lambda one: exactly(one.middle, BALLS), at_middle(step, t)),
+            walker_at_midpoint,
+            map_enclosures(lambda one: exactly(one.midpoint, BALLS), state_at_midpoint(step, t)),
         ).admits
     )
     admits = True
     for one in admitted(h):
-        admits = admits & (one.middle > 0)
+        admits = admits & (one.midpoint > 0)
     begins = (value(0.0 * h) < 0) & admits
     within = begins & (value(0.85 * h) > 0)
     soon = begins & ~within & (value(1.5 * h) > 0)
@@ -163,12 +171,12 @@ def guess_strike(walker, step: Step) -> tuple[list[Enclosure], Any, Any, Any]:
     return series, within, choose(within, time, h / 2), soon
 
 
-def at_middle(step: Step, t):
-    """The state of the middle of a box at a time, not proved."""
+def state_at_midpoint(step: VerifiedStep, t):
+    """Return the state of a box's midpoint at a time, not proved."""
     middle = step._replace(
         series=Flow(
             jax.tree.map(
-                lambda c: [exactly(one.middle, BALLS) for one in c],
+                lambda c: [exactly(one.midpoint, BALLS) for one in c],
                 step.series.state,
                 is_leaf=lambda x: isinstance(x, list),
             )
@@ -178,17 +186,18 @@ def at_middle(step: Step, t):
     return flow_at(middle, exactly(t, BALLS)).state
 
 
-def enclose_strike(walker, step: Step, series: list[Enclosure], guess) -> Strike:
-    """The strike as a function of the start: Newton's iteration on a polynomial, then a proof.
+def enclose_strike(walker, step: VerifiedStep, series: list[Enclosure], guess) -> Strike:
+    """Enclose the strike as a function of the start: by Newton's iteration, then by a proof.
 
-    The value at the time T(u) is some r(u). Where its rate is at least d > 0 over the times between
-    T(u) - e and T(u) + e, and |r(u)| <= d e, its only zero there is within |r(u)| / d of T(u).
+    The iteration finds a polynomial T(u), about the time of the strike from the start u; no proof
+    rests on it. Let r(u) be the strike's value at that time. If its rate is at least d > 0 from
+    T(u) - e to T(u) + e, and |r(u)| <= d e, its only zero there is within |r(u)| / d of T(u).
     """
     space = series[0].space
-    slope = total_rate(series, guess)
+    slope = rate_at_midpoint(series, guess)
     time = dense(exactly(guess, space))
     for _ in range(max(space.degree, 1) + 1):
-        off = polynomial(series, time)
+        off = enclose_polynomial(series, time)
         time = without_radius(time - off * (1 / slope))
     there = flow_at(step, time)
     off = evaluate(measure, walker, there.state).strike.magnitude
@@ -204,11 +213,11 @@ def enclose_strike(walker, step: Step, series: list[Enclosure], guess) -> Strike
     )
 
 
-def total_rate(series: list[Enclosure], time):
-    """The rate of a series of the middle, not proved."""
+def rate_at_midpoint(series: list[Enclosure], time):
+    """Return the rate of a series of the midpoint at a time, not proved."""
     result = 0.0
     for k in range(len(series) - 1, 0, -1):
-        result = result * time + k * series[k].middle
+        result = result * time + k * series[k].midpoint
     return result
 
 
@@ -217,7 +226,7 @@ def without_radius(one: Enclosure) -> Enclosure:
 
 
 def dense(one: Enclosure) -> Enclosure:
-    """The same with all terms as numbers."""
-    shape = one.middle
+    """Return the same enclosure with zeros for the terms that are None."""
+    shape = one.midpoint
     filled = [0.0 * shape if t is None else t + 0.0 * shape for t in one.terms]
     return Enclosure(filled, one.radius + 0.0 * shape, one.space)

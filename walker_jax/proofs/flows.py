@@ -1,15 +1,16 @@
-"""Verified steps of a solution: Taylor series with a bound on what they leave out.
+"""Verified integration steps: Taylor series with a rigorous bound on the remainder.
 
 A step begins in all states of an enclosure at once. While a solution stays in a box, the remainder
-of its series is the coefficient of order n somewhere in the box (Lagrange, for each number):
+of its series is the coefficient of order n somewhere in the box (Lagrange's form, applied to each
+number of the state):
 
     y(t) in sum_{k<n} c_k t^k + [c_n(box)] t^n.
 
-If all of this, for 0 <= t <= h, lies inside the box, no solution can leave the box within the step:
-it would have to be on the border first (Corliss and Rihm 1996). The coefficients c_k are
-polynomials in the start, so neighbours stay as near to each other as they are.
+If this set lies inside the box for 0 <= t <= h, no solution can leave the box within the step: it
+would have to reach the border first (Corliss and Rihm 1996). The coefficients c_k are polynomials
+in the start, so the enclosed solutions from neighbouring starts stay as close as they are.
 
-A flow may carry tangents, whose equations are the variational ones.
+A flow may carry tangents, which obey the variational equations.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,37 +33,38 @@ from walker_jax.proofs.enclosures import (
 from walker_jax.proofs.evaluation import evaluate
 
 ORDER = 12
-"""Order of the remainder: the package's own."""
+"""Order of the remainder; the package's integrator has the same order."""
 LONGEST_STEP = 1.0
-PART_LOST = 1e-5
-"""Of a wide box, terms of this part of its width may be left out: its steps are longer."""
+RELATIVE_TOLERANCE = 1e-5
+"""Tolerance of a step, relative to the width of the states: wide boxes take longer steps."""
 ROOM = 1e-3, 2.0**-40
-"""How much wider than the polynomials a box is, relative to them and at least."""
+"""By how much the radii of a box exceed those of the polynomials: a relative and an absolute
+part."""
 
 
 class Flow(NamedTuple):
-    """A state and its derivatives by some coordinates of the start."""
+    """State, and its derivatives along some directions of the start."""
 
     state: Any
     tangents: tuple = ()
 
 
-class Step(NamedTuple):
-    """The solution over a step."""
+class VerifiedStep(NamedTuple):
+    """Solution over one step."""
 
     series: Flow
-    """The coefficients of each number, in lists."""
+    """List of Taylor coefficients of each number."""
     length: Any
     rest: Flow
-    """Bounds of each number's last coefficient."""
+    """Bound on the coefficient of each number's remainder."""
     speeds: Flow
-    """Bounds of the rates over the step."""
-    held: Any
-    """Whether the box is proved; nothing else holds where it is not."""
+    """Bound on each number's rate over the step."""
+    proved: Any
+    """Whether all solutions provably stay in the box; if not, none of the bounds holds."""
 
 
-def motion(walker, flow: Flow) -> Flow:
-    """The rates of a state and of its tangents."""
+def flow_rates(walker, flow: Flow) -> Flow:
+    """Return the rates of a state and of its tangents."""
     rates = walker.vector_field(flow.state)
     change = lambda tangent: jax.jvp(walker.vector_field, (flow.state,), (tangent,))[1]
     return Flow(rates, tuple(map(change, flow.tangents)))
@@ -70,8 +72,8 @@ def motion(walker, flow: Flow) -> Flow:
 
 @cache
 def series_to(order: int) -> Callable:
-    """The Taylor coefficients of a flow, up to an order."""
-    return lambda walker, flow: grow_series(lambda flow: motion(walker, flow), flow, order)
+    """Return a function that expands a flow in a Taylor series up to an order."""
+    return lambda walker, flow: grow_series(lambda flow: flow_rates(walker, flow), flow, order)
 
 
 def map_enclosures(function: Callable, *trees):
@@ -79,81 +81,86 @@ def map_enclosures(function: Callable, *trees):
 
 
 def map_series(function: Callable, series, *trees):
-    """A function of each number's list of coefficients."""
+    """Apply a function to each number's list of coefficients."""
     return jax.tree.map(function, series, *trees, is_leaf=lambda x: isinstance(x, list))
 
 
-def numbers_of(tree) -> list:
+def enclosures_in(tree) -> list:
     return jax.tree.leaves(tree, is_leaf=is_enclosure)
 
 
-def interval(one: Enclosure) -> Enclosure:
-    return one.range()
+def ranges_of(tree):
+    """Return the intervals of all enclosures of a tree."""
+    return map_enclosures(lambda one: one.range(), tree)
 
 
-def step_from(walker, flow: Flow, factor, *, order: int = ORDER, tolerance: float) -> Step:
-    """The step that begins in a flow, `factor` times as long as the series suggests."""
+def take_step(walker, flow: Flow, factor, *, order: int = ORDER, tolerance: float) -> VerifiedStep:
+    """Take a verified step from a flow, `factor` times as long as the series suggests."""
     series = evaluate(series_to(order - 1), walker, flow)
-    width = highest([one.spread for one in numbers_of(flow.state)])
-    length = factor * step_length(series.state, greatest(tolerance, PART_LOST * width))
+    width = greatest_of([one.spread for one in enclosures_in(flow.state)])
+    wanted = greatest(tolerance, RELATIVE_TOLERANCE * width)
+    length = factor * suggest_length(series.state, wanted)
     time = ball(length / 2, length / 2)
-    way = map_series(lambda known: polynomial([one.range() for one in known], time), series)
+    way = map_series(lambda known: enclose_polynomial([one.range() for one in known], time), series)
     box = map_enclosures(lambda one: one.widened(ROOM[0] * one.radius + ROOM[1]), way)
-    parameters = map_enclosures(interval, walker)
-    last = evaluate(series_to(order), parameters, box)
+    last = evaluate(series_to(order), ranges_of(walker), box)
     rest = map_series(lambda coefficients: coefficients[order].magnitude, last)
     speeds = map_series(lambda coefficients: coefficients[1].magnitude, last)
-    power = power_of(length, order)
+    power = power_bound(length, order)
     stays = lambda one, bound, room: outward(bound * power) < room.radius - one.radius
-    held = True
+    proved = True
     for flag in jax.tree.leaves(map_enclosures(stays, way, rest, box)):
-        held = held & flag
-    return Step(series, length, rest, speeds, held)
+        proved = proved & flag
+    return VerifiedStep(series, length, rest, speeds, proved)
 
 
-def power_of(bound, order: int):
-    """At least the power of a number that is not negative."""
+def power_bound(bound, order: int):
+    """Return an upper bound on a power of a nonnegative number."""
     power = bound
     for _ in range(order - 1):
         power = outward(power * bound)
     return power
 
 
-def step_length(series, tolerance):
-    """The step in which the last two terms stay below a tolerance (Jorba and Zou 2005).
+def suggest_length(series, tolerance):
+    """Suggest a step in which the last two terms stay below a tolerance (Jorba and Zou 2005).
 
-    Any number would do: what is proved does not rest on it.
+    No proof rests on it: any length is sound.
     """
     lists = jax.tree.leaves(series, is_leaf=lambda x: isinstance(x, list))
-    largest = lambda k: highest([one[k].norm for one in lists])
+    largest = lambda k: greatest_of([one[k].norm for one in lists])
     scale, last = greatest(largest(0), largest(1)), len(lists[0]) - 1
     lengths = [(tolerance * scale / (largest(k) + 1e-290)) ** (1 / k) for k in (last - 1, last)]
     return least(least(*lengths), LONGEST_STEP)
 
 
-def highest(values: Sequence):
+def greatest_of(values: Sequence):
     first, *others = values
     for value in others:
         first = greatest(first, value)
     return first
 
 
-def polynomial(coefficients: list[Enclosure], time: Enclosure) -> Enclosure:
+def enclose_polynomial(coefficients: list[Enclosure], time: Enclosure) -> Enclosure:
+    """Enclose a polynomial's value by Horner's rule."""
     value = coefficients[-1]
     for one in coefficients[-2::-1]:
         value = value * time + one
     return value
 
 
-def flow_at(step: Step, time: Enclosure | Any, *, ranges: bool = False) -> Flow:
-    """The flow at a time of a step, which may depend on the start; as intervals if `ranges`."""
-    given = time if is_enclosure(time) else exactly(time, numbers_of(step.series)[0].space)
+def flow_at(step: VerifiedStep, time: Enclosure | Any, *, ranges: bool = False) -> Flow:
+    """Enclose the flow at a time of a step, which may depend on the start.
+
+    With `ranges`, the coefficients count as intervals.
+    """
+    given = time if is_enclosure(time) else exactly(time, enclosures_in(step.series)[0].space)
     order = len(jax.tree.leaves(step.series, is_leaf=lambda x: isinstance(x, list))[0])
-    power = power_of(given.magnitude, order)
+    power = power_bound(given.magnitude, order)
 
     def at(coefficients, rest):
         one_space = lambda one: as_enclosure(one.range(), given.space)
         known = map(one_space, coefficients) if ranges else coefficients
-        return polynomial([*known], given).widened(outward(rest * power))
+        return enclose_polynomial([*known], given).widened(outward(rest * power))
 
     return map_series(at, step.series, step.rest)

@@ -1,9 +1,9 @@
-"""Fates of boxes of starts, proved by carrying them from stride to stride.
+"""Fates of boxes of starts, proved by following the boxes from stride to stride.
 
-Which fate to prove is guessed from plain walks of a few starts of each box; nothing rests on it.
-A box walks if strides lead all of it into the trap, or into cells that walk. None of it walks if
-all of it falls, or comes into cells that fall; where some of its starts strike and others may fall,
-those that strike are carried on.
+Plain walks of a few starts of each box suggest the fate to prove; no proof rests on the guess. A
+box walks if strides lead all of it into the trap or into cells that walk. None of it walks if all
+of it falls or comes into cells that fall. If some of its starts strike and others may fall, those
+that strike are followed further.
 """
 
 from typing import NamedTuple
@@ -19,23 +19,24 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.walking.iteration import strides as plain_strides
 
 SAMPLES = np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
-"""Places in a box of the starts that the guess is from."""
+"""Places of the sampled starts in a box, in units of half its sides."""
 
 
 class Fates(NamedTuple):
-    """Fates of boxes, as far as they are proved."""
+    """Proved fates of boxes."""
 
     fates: Int[np.ndarray, " boxes"]
+    """`WALKS`, `FALLS`, or `OPEN` if neither is proved."""
     strides: Int[np.ndarray, " boxes"]
-    """Verified strides of each, before its fate was known or it was given up."""
+    """Number of verified strides of each, until its fate was proved or it was given up."""
 
     def first(self, count: int) -> "Fates":
-        """Fates of the first boxes."""
+        """Return the fates of the first `count` boxes."""
         return Fates(self.fates[:count], self.strides[:count])
 
 
 def guess_fates(walker, boxes: Boxes, trap: Trap, most: int) -> Int[np.ndarray, " boxes"]:
-    """The fate that a few starts of each box share, `OPEN` if they share none; not proved."""
+    """Guess the fate of each box: the one that a few of its starts share, else `OPEN`."""
     sides = np.einsum("nij,sj->nsi", boxes.terms[:, :, 1:], SAMPLES)
     x = (boxes.terms[:, None, :, 0] + sides).reshape(-1, 2)
     fates, active = np.full(len(x), OPEN, np.int8), np.arange(len(x))
@@ -52,7 +53,7 @@ def guess_fates(walker, boxes: Boxes, trap: Trap, most: int) -> Int[np.ndarray, 
 
 
 def follow_boxes(walker, boxes: Boxes, trap: Trap, index: Index, most: int) -> Fates:
-    """The fates of boxes, after up to some number of strides; `index` has what is known."""
+    """Prove the fates of boxes in at most `most` strides; `index` has the cells proved before."""
     guesses = guess_fates(walker, boxes, trap, most)
     fates, strides = np.full_like(guesses, OPEN), np.zeros(boxes.count, np.int32)
     active = np.flatnonzero(guesses != OPEN)
@@ -70,9 +71,12 @@ def follow_boxes(walker, boxes: Boxes, trap: Trap, index: Index, most: int) -> F
 def follow_once(
     walker, boxes: Boxes, guesses: Int[np.ndarray, " boxes"], trap: Trap, index: Index
 ) -> tuple[Boxes, np.ndarray, np.ndarray]:
-    """Boxes after a stride, which of them go on, and of which the fate that was guessed is proved.
+    """Carry boxes through one stride.
 
-    Of a box that may walk, all of it has to make each stride.
+    A box that is guessed to walk has to make each stride with all of its starts.
+
+    **Returns** the boxes after the stride, flags of those that go on, and flags of those whose
+    guessed fate is proved.
     """
     found, falls = carry(walker, boxes, trap), guesses == FALLS
     verdicts = found.verdicts

@@ -1,4 +1,4 @@
-"""Gaits that exist, by proof, with their Floquet multipliers."""
+"""Proofs that gaits exist, with bounds on their Floquet multipliers."""
 
 from typing import Any, NamedTuple
 
@@ -8,33 +8,33 @@ from jaxtyping import Complex, Float
 from walker_jax.checks import ComputationFailed, refuses_tracers
 from walker_jax.gaits.search import find_gait
 from walker_jax.proofs.enclosures import BALLS
-from walker_jax.proofs.matrices import Matrix, eigenvalues, is_contraction
-from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.matrices import Matrix, enclose_eigenvalues, is_contraction
+from walker_jax.proofs.provable import check_provable, enclose_parameters
 from walker_jax.proofs.returns import Cycle, enclose_cycle, jacobian_of_return
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_in_words
 
 RADII = (1e-12, 3e-11, 1e-9, 1e-7)
-"""Of the boxes in which a gait is proved to be the only one; the first that holds one counts."""
+"""Radii of boxes, tried in order until exactly one gait is proved to be in one."""
 
 
 class ProvedGait(NamedTuple):
-    """A theorem: within `unique_within` of `states`, there is exactly one gait of this period.
+    """Theorem: exactly one gait of this period is within `unique_within` of `states`.
 
-    It is within `radii` of them.
+    Its states are within `radii` of them.
     """
 
     states: Float[np.ndarray, "period section"]
-    """About the start of each stride."""
+    """Approximate start of each stride."""
     radii: Float[np.ndarray, "period section"]
-    """How far the true states may be from these, by coordinate."""
+    """Largest distance of the true states from these, by coordinate."""
     unique_within: float
     multipliers: Complex[np.ndarray, " section"]
-    """About the Floquet multipliers; NaN where it is open whether they are real."""
+    """Approximate Floquet multipliers; NaN if it is not decided whether they are real."""
     multiplier_radius: float
-    """How far the true ones may be from these, in the real and in the imaginary part."""
+    """Largest distance of the true multipliers from these, in the real and the imaginary part."""
     stable: bool | None
-    """Whether all multipliers are inside the unit circle; None where that is open."""
+    """Whether all multipliers are inside the unit circle; None if that is not decided."""
 
 
 @refuses_tracers()
@@ -46,12 +46,12 @@ def prove_gait(walker: System, guess: Any = None, period: int = 1) -> ProvedGait
     proved.states, proved.radii, proved.stable
     ```
 
-    `find_gait` finds the gait; then Krawczyk's operator on all states of the cycle proves, in
-    arithmetic with rigorous bounds, that exactly one gait is near by. Each stride of it is a stride
-    by all definitions: no event before heel strike, the ground pushes, the trailing foot lifts.
+    `find_gait` finds the gait. The Krawczyk operator on all states of the cycle then proves, in
+    rigorous interval arithmetic, that exactly one gait is nearby. Each of its strides is one by all
+    definitions: no event comes before heel strike, the ground pushes, and the trailing foot lifts.
 
-    The theorem is about the numbers that round to the walker's parameters, so for a slope of 0.004
-    about 4/1000 too.
+    The theorem holds for all numbers that round to the walker's parameters; for a slope of 0.004,
+    these include 4/1000.
 
     **Arguments:**
 
@@ -64,18 +64,21 @@ def prove_gait(walker: System, guess: Any = None, period: int = 1) -> ProvedGait
     walker, for float32, and as `find_gait` does.
     """
     walker = check_provable(walker)
-    known = parameters_of(walker, BALLS)
+    known = enclose_parameters(walker, BALLS)
     states = np.asarray(find_gait(walker, guess, period).states, float)
     for radius in RADII:
         cycle = enclose_cycle(known, states, radius)
         if cycle is not None and cycle.zero.proved and has_no_shorter_period(cycle):
-            if radius > RADII[0]:  # the gait is in a box that is smaller, where all is narrower
-                near = enclose_cycle(known, middles(cycle), float(spreads(cycle).max()))
+            if radius > RADII[0]:  # the gait lies in a smaller box, where all bounds are narrower
+                near = enclose_cycle(known, midpoints_of(cycle), float(spreads_of(cycle).max()))
                 cycle = cycle if near is None else near
-            # The middle may be beside the centre of the box in which there is only one.
-            moved = float(np.abs(middles(cycle) - states).max()) + 2.0**-52 * np.abs(states).max()
+            # The gait is the only one in a box about `states`. The result is given about the
+            # midpoints instead, and a box about these that lies in the former is smaller.
+            moved = (
+                float(np.abs(midpoints_of(cycle) - states).max()) + 2.0**-52 * np.abs(states).max()
+            )
             within = float((radius - moved) * (1 - 2.0**-40))
-            if within > float(spreads(cycle).max()):
+            if within > float(spreads_of(cycle).max()):
                 return gait_of(cycle, within)
     raise ComputationFailed(
         f"no gait of period {period} is proved near {states.tolist()}, {describe_in_words(walker)}"
@@ -86,29 +89,32 @@ def gait_of(cycle: Cycle, within: float) -> ProvedGait:
     returns = jacobian_of_return(cycle.jacobians)
     multipliers, width = multipliers_of(returns)
     stable = is_contraction(returns)
-    return ProvedGait(middles(cycle), spreads(cycle), within, multipliers, width, stable)
+    return ProvedGait(midpoints_of(cycle), spreads_of(cycle), within, multipliers, width, stable)
 
 
-def middles(cycle: Cycle) -> Float[np.ndarray, "period section"]:
-    return np.array([float(one.middle) for one in cycle.zero.within]).reshape(-1, 2)
+def midpoints_of(cycle: Cycle) -> Float[np.ndarray, "period section"]:
+    return np.array([float(one.midpoint) for one in cycle.zero.within]).reshape(-1, 2)
 
 
-def spreads(cycle: Cycle) -> Float[np.ndarray, "period section"]:
+def spreads_of(cycle: Cycle) -> Float[np.ndarray, "period section"]:
     return np.array([float(one.spread) for one in cycle.zero.within]).reshape(-1, 2)
 
 
 def multipliers_of(returns: Matrix) -> tuple[Complex[np.ndarray, " section"], float]:
-    """The eigenvalues of a return's Jacobian, the largest first, and how far they may be off."""
-    found = eigenvalues(returns)
+    """Return the eigenvalues of a return's Jacobian, the largest first, and a bound on their error.
+
+    They are NaN if it is not decided whether they are real.
+    """
+    found = enclose_eigenvalues(returns)
     if found is None:
         return np.full(2, np.nan + 0j), np.inf
-    values = [complex(float(a.middle), float(b.middle)) for a, b in found]
+    values = [complex(float(a.midpoint), float(b.midpoint)) for a, b in found]
     width = max(float(one.spread) for pair in found for one in pair)
     return np.array(sorted(values, key=abs, reverse=True)), width
 
 
 def has_no_shorter_period(cycle: Cycle) -> bool:
-    """Whether the first state of a cycle is certainly none of its others."""
+    """Return whether the first state of a cycle certainly differs from all others."""
     first, *others = zip(cycle.zero.within[::2], cycle.zero.within[1::2], strict=True)
     return all(any(not_equal(a, b) for a, b in zip(first, one, strict=True)) for one in others)
 

@@ -1,6 +1,6 @@
-"""Matrices of intervals, Krawczyk's operator, and the eigenvalues of matrices of two rows.
+"""Interval matrices: the Krawczyk operator, and eigenvalues of 2 x 2 matrices.
 
-All are lists of rows of `Enclosure` without variables, with NumPy's numbers.
+A matrix is a list of rows of intervals: of `Enclosure`s without variables, with NumPy's numbers.
 """
 
 from collections.abc import Sequence
@@ -13,20 +13,20 @@ from walker_jax.proofs.enclosures import (
     ROUNDING,
     Enclosure,
     ball,
-    between,
     exactly,
+    interval_between,
     lies_within,
 )
 
 Matrix = list[list[Enclosure]]
 
 
-def number(value: float) -> Enclosure:
+def point_interval(value: float) -> Enclosure:
     return exactly(np.float64(value), BALLS)
 
 
 def from_floats(values: np.ndarray) -> Matrix:
-    return [[number(value) for value in row] for row in values]
+    return [[point_interval(value) for value in row] for row in values]
 
 
 def identity(size: int) -> Matrix:
@@ -39,7 +39,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def inner(a: Sequence[Enclosure], b: Sequence[Enclosure]) -> Enclosure:
-    result = number(0.0)
+    result = point_interval(0.0)
     for one, other in zip(a, b, strict=True):
         result = result + one * other
     return result
@@ -49,8 +49,8 @@ def difference(a: Matrix, b: Matrix) -> Matrix:
     return [[p - q for p, q in zip(*rows, strict=True)] for rows in zip(a, b, strict=True)]
 
 
-def middles(matrix: Matrix) -> np.ndarray:
-    return np.array([[float(one.middle) for one in row] for row in matrix])
+def midpoints(matrix: Matrix) -> np.ndarray:
+    return np.array([[float(one.midpoint) for one in row] for row in matrix])
 
 
 def determinant(m: Matrix) -> Enclosure:
@@ -62,33 +62,37 @@ def trace(m: Matrix) -> Enclosure:
 
 
 class Zero(NamedTuple):
-    """A zero of a function, enclosed."""
+    """Enclosed zero of a function."""
 
     within: list[Enclosure]
-    """It is in here."""
+    """Intervals that hold it."""
     proved: bool
-    """Whether there is exactly one in the box that was looked at, and so in `within`."""
+    """Whether exactly one zero is in the given box; it then lies in `within`."""
 
 
 def krawczyk(centre: np.ndarray, radius: float, values: Matrix, jacobian: Matrix) -> Zero:
-    """Whether a function has exactly one zero within a radius of a point, and where.
+    """Prove that a function has exactly one zero in a box, and enclose it.
 
-    K = c - Y F(c) + (I - Y F'(X)) (X - c), for the box X about c and any matrix Y; if K lies inside
-    X, there is one zero in X, and it is in K (Krawczyk 1969).
+    For the box X about c and any matrix Y, the Krawczyk operator is
+
+        K = c - Y F(c) + (I - Y F'(X)) (X - c).
+
+    If K lies inside X, there is exactly one zero in X, and it lies in K (Krawczyk 1969).
 
     **Arguments:**
 
-    - `centre`, `radius`: c, and half the sides of X.
-    - `values`: F(c), one column.
-    - `jacobian`: F' of all of X.
+    - `centre`, `radius`: c, and half the side of X.
+    - `values`: F(c), as one column.
+    - `jacobian`: F'(X), an enclosure of the Jacobian on all of X.
     """
-    inverse = from_floats(np.linalg.inv(middles(jacobian)))
+    inverse = from_floats(np.linalg.inv(midpoints(jacobian)))
     newton = product(inverse, values)
     left = difference(identity(len(centre)), product(inverse, jacobian))
     box = [[ball(np.float64(0), np.float64(radius))] for _ in centre]
     spread = product(left, box)
     within = [
-        number(c) - off[0] + rest[0] for c, off, rest in zip(centre, newton, spread, strict=True)
+        point_interval(c) - off[0] + rest[0]
+        for c, off, rest in zip(centre, newton, spread, strict=True)
     ]
     known = [ball(np.float64(c), np.float64(radius)) for c in centre]
     inside = [bool(lies_within(one, box)) for one, box in zip(within, known, strict=True)]
@@ -96,17 +100,23 @@ def krawczyk(centre: np.ndarray, radius: float, values: Matrix, jacobian: Matrix
 
 
 def square_root(x: Enclosure) -> Enclosure:
-    """The root of an interval above zero. IEEE arithmetic is off by 2^-53 of a root at most."""
+    """Enclose the square root of a positive interval.
+
+    The error of an IEEE square root is at most 2^-53 of the root.
+    """
     low, high = np.sqrt(x.lower), np.sqrt(x.upper)
-    return between(low * (1 - ROUNDING), high * (1 + ROUNDING))
+    return interval_between(low * (1 - ROUNDING), high * (1 + ROUNDING))
 
 
-def eigenvalues(m: Matrix) -> list[tuple[Enclosure, Enclosure]] | None:
-    """Real and imaginary parts of both eigenvalues; None where it is open if they are real."""
-    half = trace(m) * number(0.5)
+def enclose_eigenvalues(m: Matrix) -> list[tuple[Enclosure, Enclosure]] | None:
+    """Enclose the real and imaginary parts of both eigenvalues.
+
+    The result is None if it is not decided whether they are real.
+    """
+    half = trace(m) * point_interval(0.5)
     gap = half * half - determinant(m)
     if gap.lower > 0:
-        root, zero = square_root(gap), number(0.0)
+        root, zero = square_root(gap), point_interval(0.0)
         return [(half + root, zero), (half - root, zero)]
     if gap.upper < 0:
         root = square_root(-gap)
@@ -115,10 +125,13 @@ def eigenvalues(m: Matrix) -> list[tuple[Enclosure, Enclosure]] | None:
 
 
 def is_contraction(m: Matrix) -> bool | None:
-    """Whether both eigenvalues lie inside the unit circle (Jury); None if that is open."""
+    """Return whether both eigenvalues lie inside the unit circle, by Jury's criterion.
+
+    The result is None if that is not decided.
+    """
     t, d = trace(m), determinant(m)
     size = max(abs(t.lower), abs(t.upper))
-    if d.upper < 1 and size < (number(1.0) + d).lower:
+    if d.upper < 1 and size < (point_interval(1.0) + d).lower:
         return True
     least = max(t.lower, -t.upper, 0.0)
-    return False if d.lower > 1 or least > (number(1.0) + d).upper else None
+    return False if d.lower > 1 or least > (point_interval(1.0) + d).upper else None

@@ -1,4 +1,4 @@
-"""Walkers that theorems are about, and what they are given to these."""
+"""Walkers that proofs cover, and enclosures of their parameters."""
 
 from typing import Any
 
@@ -13,26 +13,28 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import Walker
 
-OWN_HOOKS = (
+FIXED_METHODS = (
     *("phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"),
     *("section", "lift", "contact", "is_ahead", "falls", "margin"),
 )
-"""Methods that a stride rests on, of which proofs know more than their values: another form, or
-that the swing foot is on the ground at the start, and that no start has fallen."""
+"""Methods that a walker must not override, because proofs assume more of them than their values:
+another form of the same, that the swing foot is on the ground at the start, that no start has
+fallen."""
 
 OWN_DERIVATIVES = {"custom_jvp_call", "custom_vjp_call", "call_hi_primitive", "stop_gradient"}
+"""Primitives whose derivatives may be set by hand, or are zero."""
 
 
 def check_provable(walker: System) -> AbstractMasslessFootWalker:
-    """The walker, in float64; refuses walkers whose strides no proof here is about."""
+    """Return the walker in float64; refuse a walker whose strides the proofs do not cover."""
     known = isinstance(walker, AbstractMasslessFootWalker) and all(
-        getattr(type(walker), hook) is getattr(AbstractMasslessFootWalker, hook)
-        for hook in OWN_HOOKS
+        getattr(type(walker), name) is getattr(AbstractMasslessFootWalker, name)
+        for name in FIXED_METHODS
     )
     if not known:
         raise WrongUse(
-            "walker must be a SimplestWalker, SpringWalker or PoweredWalker, or one derived from "
-            f"these that changes its equations alone, not {short(walker)}",
+            "walker must be a SimplestWalker, SpringWalker or PoweredWalker, or of a derived class "
+            f"that changes only equations, not {short(walker)}",
             of="walker",
         )
     check_precision(jax.numpy.asarray(0.0).dtype, "a proof")
@@ -42,30 +44,34 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
 
 
 def check_derivatives(walker: Any) -> None:
-    """Refuse equations with derivatives of their own, or none: proofs would take them for true."""
+    """Refuse equations that set their own derivatives, or drop them: proofs would trust these."""
     state = walker.lift((0.1, -0.1))
     *_, mode = walker.modes()
     values = lambda state: [one.value(state) for one in (*mode.guards, *mode.conditions)]
     after = lambda state: walker.exchange_legs(walker.impact(state)[1])
     for function in (walker.vector_field, mode.rates, values, after, walker.project):
-        found = names_in(jax.make_jaxpr(function)(state).jaxpr) & OWN_DERIVATIVES
+        found = primitives_in(jax.make_jaxpr(function)(state).jaxpr) & OWN_DERIVATIVES
         if found:
             raise WrongUse(
-                "walker must have equations with no derivatives of their own, and no "
+                "walker must have equations without derivatives of their own, so without "
                 f"{sorted(found)[0]}",
                 of="walker",
             )
 
 
-def names_in(jaxpr) -> set[str]:
-    """The primitives of a function, and of all that it calls."""
-    inner = (names_in(one) for equation in jaxpr.eqns for one in jaxprs_in_params(equation.params))
+def primitives_in(jaxpr) -> set[str]:
+    """Return the names of the primitives of a function and of all functions that it calls."""
+    inner = (
+        primitives_in(one) for equation in jaxpr.eqns for one in jaxprs_in_params(equation.params)
+    )
     return {equation.primitive.name for equation in jaxpr.eqns}.union(*inner)
 
 
-def parameters_of(walker: Walker, space: Space) -> Any:
-    """A walker with enclosures of its parameters: all numbers that round to these, also to whole
-    ones."""
+def enclose_parameters(walker: Walker, space: Space) -> Any:
+    """Return a walker whose parameters are enclosures: of all numbers that round to them.
+
+    A whole parameter is no exception: it too may be a rounding.
+    """
     number = lambda leaf: leaf if isinstance(leaf, Tracer) else np.float64(leaf)
     return jax.tree.map(
         lambda leaf: exactly(number(leaf), space).widened(abs(number(leaf)) * ROUNDING), walker

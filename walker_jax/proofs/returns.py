@@ -1,7 +1,10 @@
-"""Cycles of a walker enclosed: Krawczyk's operator on all states of a cycle at once.
+"""Enclosed cycles of a walker: the Krawczyk operator on all states of a cycle at once.
 
-The states x_1 ... x_n of a cycle are a zero of F_i = S(x_i) - x_{i+1}, with the stride function S.
-So no enclosure is carried for more than one stride.
+The states x_1 ... x_n of a cycle are a zero of
+
+    F_i = S(x_i) - x_{i+1},    where x_{n+1} = x_1 and S is the stride function.
+
+So no enclosure is carried through more than one stride.
 """
 
 from typing import Any, NamedTuple
@@ -24,55 +27,58 @@ from walker_jax.proofs.matrices import (
     from_floats,
     identity,
     krawczyk,
-    number,
+    point_interval,
     product,
 )
 from walker_jax.proofs.strides import STRIDE, VerifiedStride, verify_stride
 
-LINES = Space(2, 1)
-"""Polynomials of first degree: the boxes are so small that no more is needed."""
+FIRST_DEGREE = Space(2, 1)
+"""Space of polynomials of first degree, which suffice for boxes as small as these."""
 ERRORS = Space(4, 1)
-"""The variables are errors of a point's state."""
+"""Space whose four variables are errors of the full state that a point leads to."""
 
 
 class Accuracy(NamedTuple):
-    """The order of remainders, and the size of the terms there."""
+    """Order of the remainders, and size of the last terms."""
 
     order: int
     tolerance: float
 
 
-POINTS = Accuracy(20, 1e-17)
-"""For points, whose enclosures are as narrow as rounding allows."""
-LINEAR = Accuracy(12, 1e-12)
-"""For boxes, whose derivatives vary by more than that."""
+POINT_ACCURACY = Accuracy(20, 1e-17)
+"""Accuracy for points, whose enclosures are as narrow as rounding allows."""
+BOX_ACCURACY = Accuracy(12, 1e-12)
+"""Accuracy for boxes, within which derivatives vary by more than that."""
 
 
 class Cycle(NamedTuple):
-    """A cycle in a box, proved or not."""
+    """Cycle in a box, proved or not."""
 
     zero: Zero
     jacobians: list[Matrix]
-    """Jacobians of the stride function, over the box of each state."""
+    """Jacobians of the stride function, each over the box of one state."""
 
 
-def strides_about(walker, centres: Float[np.ndarray, "period 2"]) -> VerifiedStride:
-    """The verified strides of points."""
+def verify_points(walker, centres: Float[np.ndarray, "period 2"]) -> VerifiedStride:
+    """Carry points through one verified stride each."""
     return verify_stride(
         walker,
         (exactly(centres[:, 0], ERRORS), exactly(centres[:, 1], ERRORS)),
-        order=POINTS.order,
-        tolerance=POINTS.tolerance,
-        align=aligned,
+        order=POINT_ACCURACY.order,
+        tolerance=POINT_ACCURACY.tolerance,
+        align=align_errors,
     )
 
 
-def aligned(state: Any) -> Any:
-    """A state whose radii have become new variables, along axes in which it is narrow.
+def align_errors(state: Any) -> Any:
+    """Turn the radii of a state into new variables, along axes in which the state is narrow.
 
-    Errors then move as the motion does, and do not grow as intervals would (Lohner 1987). For
-    nearly orthogonal Q, x = Q (Q^T x) + (I - Q Q^T) x: the bounds of Q^T x are the new variables'
-    sizes, and the rest is left to the radii.
+    Errors then move with the motion and do not grow as intervals would (Lohner 1987). For a nearly
+    orthogonal Q,
+
+        x = Q (Q^T x) + (I - Q Q^T) x.
+
+    The bounds on Q^T x are the sizes of the new variables; the rest goes into the radii.
     """
     known = np.stack([np.stack(one.terms[1:], -1) for one in state], -2)
     radii = np.stack([one.radius for one in state], -1)
@@ -88,45 +94,50 @@ def aligned(state: Any) -> Any:
     new = axes * sizes[:, None, :]
     rest = np.einsum("nij,nj->ni", off, whole) + ROUNDING * np.abs(new).sum(-1)
     return type(state)._make(
-        Enclosure([one.middle, *new[:, i].T], outward(rest[:, i]), ERRORS)
+        Enclosure([one.midpoint, *new[:, i].T], outward(rest[:, i]), ERRORS)
         for i, one in enumerate(state)
     )
 
 
-def derivatives_about(
-    walker, centres: Float[np.ndarray, "period 2"], radius: float
-) -> VerifiedStride:
-    """The verified strides of boxes, and their derivatives by theta in the first half of the
-    results, by thetadot in the second."""
+def verify_boxes(walker, centres: Float[np.ndarray, "period 2"], radius: float) -> VerifiedStride:
+    """Carry boxes about points through one verified stride each, with derivatives.
+
+    The first half of the results has the derivatives with respect to theta, the second half those
+    with respect to thetadot.
+    """
     count = len(centres)
     ones, zeros = np.ones(count), np.zeros(count)
     both = np.concatenate([centres, centres])
     half = np.full(2 * count, radius)
-    theta = Enclosure([both[:, 0], half, None], 0.0, LINES)
-    thetadot = Enclosure([both[:, 1], None, half], 0.0, LINES)
+    theta = Enclosure([both[:, 0], half, None], 0.0, FIRST_DEGREE)
+    thetadot = Enclosure([both[:, 1], None, half], 0.0, FIRST_DEGREE)
     tangent = tuple(
-        exactly(np.concatenate(parts), LINES) for parts in ((ones, zeros), (zeros, ones))
+        exactly(np.concatenate(parts), FIRST_DEGREE) for parts in ((ones, zeros), (zeros, ones))
     )
     return verify_stride(
-        walker, (theta, thetadot), (tangent,), order=LINEAR.order, tolerance=LINEAR.tolerance
+        walker,
+        (theta, thetadot),
+        (tangent,),
+        order=BOX_ACCURACY.order,
+        tolerance=BOX_ACCURACY.tolerance,
     )
 
 
 def enclose_cycle(walker, states: Float[np.ndarray, "period 2"], radius: float) -> Cycle | None:
-    """A cycle near some states, or None where a stride near them is not proved.
+    """Enclose a cycle near given states; return None if a stride near them is not proved.
 
     **Arguments:**
 
-    - `walker`: with intervals as its parameters.
-    - `states`: about those of the cycle.
-    - `radius`: of the box about each coordinate in which there is one such cycle.
+    - `walker`: has intervals as its parameters.
+    - `states`: approximate states of the cycle.
+    - `radius`: half the side of the box about the states in which one cycle is sought.
     """
     states, period = np.asarray(states, float), len(states)
-    thin = strides_about(walker, states)
-    wide = derivatives_about(walker, states, radius)
+    thin = verify_points(walker, states)
+    wide = verify_boxes(walker, states, radius)
     if not (np.all(thin.verdict == STRIDE) and np.all(wide.verdict == STRIDE)):
         return None
-    at = lambda one, i: entry(one.range(), i)
+    at = lambda one, i: interval_at(one.range(), i)
     jacobians = [
         [[at(wide.tangents[0][row], i + j * period) for j in range(2)] for row in range(2)]
         for i in range(period)
@@ -135,7 +146,7 @@ def enclose_cycle(walker, states: Float[np.ndarray, "period 2"], radius: float) 
     for i in range(period):
         following = (i + 1) % period
         for row in range(2):
-            values.append([at(thin.state[row], i) - number(states[following, row])])
+            values.append([at(thin.state[row], i) - point_interval(states[following, row])])
             for column in range(2):
                 rows[2 * i + row][2 * i + column] = jacobians[i][row][column]
             place = 2 * following + row
@@ -143,14 +154,14 @@ def enclose_cycle(walker, states: Float[np.ndarray, "period 2"], radius: float) 
     return Cycle(krawczyk(states.ravel(), radius, values, rows), jacobians)
 
 
-def entry(one: Enclosure, i: int) -> Enclosure:
-    """One of many intervals."""
-    pick = lambda value: np.float64(np.broadcast_to(value, np.shape(one.middle))[i])
+def interval_at(one: Enclosure, i: int) -> Enclosure:
+    """Return one interval of an array of them."""
+    pick = lambda value: np.float64(np.broadcast_to(value, np.shape(one.midpoint))[i])
     return Enclosure([pick(one.terms[0])], pick(one.radius), BALLS)
 
 
 def jacobian_of_return(jacobians: list[Matrix]) -> Matrix:
-    """The product of a cycle's Jacobians, the first on the right."""
+    """Return the product of a cycle's Jacobians, the first on the right."""
     result = identity(2)
     for one in jacobians:
         result = product(one, result)

@@ -1,4 +1,4 @@
-"""Proofs of basins that are kept on disk while they are made, batch by batch, and resumed."""
+"""Proofs of basins that are stored batch by batch, and resumed after an interruption."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,12 +10,12 @@ from walker_jax import storage
 from walker_jax.checks import ComputationFailed
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.following import Fates
-from walker_jax.proofs.subdivision import BATCH, Keep
+from walker_jax.proofs.subdivision import BATCH, KeepFates
 
 MOST_BATCHES = 2**12
-"""Of a level."""
-KEPT = {"fates": "batch_fates", "strides": "batch_strides"}
-"""Names of what is kept of a batch, until the proof is complete."""
+"""Limit of the number of batches of a level."""
+STORED_NAMES = {"fates": "batch_fates", "strides": "batch_strides"}
+"""Names of the stored arrays of batches, which last until the proof is complete."""
 
 
 def prove_in_batches(
@@ -23,16 +23,17 @@ def prove_in_batches(
     request: dict,
     levels: int,
     find: Callable[[], Trap],
-    prove: Callable[[Trap, Keep], xr.Dataset],
+    prove: Callable[[Trap, KeepFates], xr.Dataset],
     *,
     overwrite: bool,
 ) -> xr.Dataset:
-    """The data set of a proof that is kept at a place on disk, complete or as far as it has come.
+    """Return the data set of a proof stored on disk: read if complete, else resumed or begun.
 
     **Arguments:**
 
-    - `find`: finds the trap, once: a proof that is resumed keeps its own.
-    - `prove`: from the trap, and a function that keeps what is proved of each batch, to the proof.
+    - `find`: finds the trap. It is called once; a resumed proof reads its trap.
+    - `prove`: takes the trap and a function that stores the fates of each batch, and returns the
+      proof.
     """
     found = storage.find(out, request, overwrite=overwrite)
     if found is not None:
@@ -40,7 +41,9 @@ def prove_in_batches(
     empty = {"fates": np.int8(0), "strides": np.int32(0)}
     shape = levels + 1, MOST_BATCHES * BATCH
     arrays = {
-        KEPT[name]: xr.Variable(("from_level", "cell_of_level"), np.broadcast_to(one, shape))
+        STORED_NAMES[name]: xr.Variable(
+            ("from_level", "cell_of_level"), np.broadcast_to(one, shape)
+        )
         for name, one in empty.items()
     }
     notes = lambda: [np.asarray(one).tolist() for one in find()]
@@ -64,21 +67,23 @@ def prove_in_batches(
 def kept_batch(
     place: storage.Pieces, missing: set[int], level: int, number: int, find: Callable[[], Fates]
 ) -> Fates:
-    """Return the fates of a batch: read if they are there, else found and written.
+    """Return the fates of a batch: read if they are stored, else found and written.
 
-    The fates of a level decide which cells the next one has. So where a batch is found, all that
-    is kept of later levels counts as missing.
+    The fates of a level decide which cells the next one has. So once a batch had to be found,
+    everything stored of later levels counts as missing.
     """
     if number >= MOST_BATCHES:
         raise ComputationFailed(
-            f"a level has more than {MOST_BATCHES * BATCH} cells: levels must be fewer"
+            f"a level has more than {MOST_BATCHES * BATCH} cells: levels must be smaller"
         )
     piece = level * MOST_BATCHES + number
     if piece in missing:
         found = find()
         room = BATCH - len(found.fates)
-        values = {KEPT[name]: np.pad(one, (0, room)) for name, one in found._asdict().items()}
+        values = {
+            STORED_NAMES[name]: np.pad(one, (0, room)) for name, one in found._asdict().items()
+        }
         place.write(piece, values, done=True)
         missing.update(range((level + 1) * MOST_BATCHES, place.count))
         return found
-    return Fates(*(place.read(KEPT[name], piece)[0] for name in Fates._fields))
+    return Fates(*(place.read(STORED_NAMES[name], piece)[0] for name in Fates._fields))

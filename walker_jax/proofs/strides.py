@@ -1,9 +1,9 @@
 """Verified strides: from an enclosure of starts to one of all next states, or a proved fall.
 
-The section is that of walkers on massless point feet, theta and thetadot just after heel strike. A
-box of starts is an enclosure of both coordinates, polynomials of as many variables as it has sides.
-Each stride ends in a verdict: all of its starts make a stride, and the next states are enclosed;
-all of them fall; or neither is proved.
+The section is that of walkers on massless point feet: theta and thetadot just after heel strike. A
+box of starts consists of enclosures of both coordinates, which are polynomials in as many variables
+as the box has sides. The verdict on a box is that all starts make a stride, and the next states are
+enclosed; that all starts fall; or that neither is proved.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ from jax import lax
 
 from walker_jax.proofs.enclosures import (
     Enclosure,
+    array_module,
     choose,
-    library,
 )
 from walker_jax.proofs.evaluation import evaluate
 from walker_jax.proofs.events import (
@@ -30,52 +30,66 @@ from walker_jax.proofs.events import (
     measure,
     watch_step,
 )
-from walker_jax.proofs.flows import ORDER, Flow, flow_at, map_enclosures, numbers_of, step_from
+from walker_jax.proofs.flows import (
+    ORDER,
+    Flow,
+    enclosures_in,
+    flow_at,
+    map_enclosures,
+    ranges_of,
+    take_step,
+)
 
 GOING, STRIDE, FALL, UNDECIDED = 0, 1, 2, 3
-"""Verdicts; the first within a stride only."""
+"""Verdicts; `GOING` occurs only within a stride."""
 MOST_STEPS = 80
 WIDEST = 1.0
-"""A box wider than this is given up."""
+"""Limit of the spread of each number of the state; a wider box is given up."""
 LEAST_FACTOR = 1 / 64
+"""Factor on the suggested step below which a box is given up."""
 TOLERANCE = 1e-10
 QUARTER_PI = 0.7853981633974482
-"""Below pi / 4."""
+"""Lower bound on pi / 4."""
 
 
 class VerifiedStride(NamedTuple):
-    """Where a box of starts leads."""
+    """Result of a stride of a box of starts."""
 
     verdict: Any
     state: tuple
-    """Enclosures of the next coordinates; they hold where the verdict is `STRIDE`."""
+    """Enclosures of the next coordinates, valid if the verdict is `STRIDE`."""
     tangents: tuple
     """Their derivatives along each tangent of the start."""
     steps: Any
+    """Number of integration steps."""
 
 
-class Going(NamedTuple):
-    """A stride on its way."""
+class PartialStride(NamedTuple):
+    """Stride in progress."""
 
     flow: Flow
     factor: Any
+    """Length of the next step, relative to the suggested one."""
     watch: Watch
     verdict: Any
     landing: tuple
     steps: Any
 
 
-def begin(walker, x: tuple, tangents: tuple) -> Flow:
-    """The full state just after heel strike, and its tangents."""
+def start_flow(walker, x: tuple, tangents: tuple) -> Flow:
+    """Return the full state just after heel strike, and its tangents."""
     along = lambda tangent: jax.jvp(walker.lift, (x,), (tangent,))[1]
     return Flow(walker.lift(x), tuple(map(along, tangents)))
 
 
 def land(walker, flow: Flow) -> tuple:
-    """How fast the trailing foot lifts, the next point of the section, and its derivatives.
+    """Map the state at heel strike to the section.
 
-    A tangent dy changes the time of the strike, g = 0, by dt = -dg / (dg/dt), and so the state
-    there by dy + f dt.
+    A tangent dy delays the strike, where g(y) = 0, by dt = -(dg/dy) dy / (dg/dt). So it changes the
+    state at the strike by dy + f dt, for the vector field f.
+
+    **Returns** the speed at which the trailing foot lifts, the next point of the section, and its
+    derivatives along the tangents.
     """
     value = walker.modes()[-1].guards[-1].value
     rates = walker.vector_field(flow.state)
@@ -95,7 +109,7 @@ def land(walker, flow: Flow) -> tuple:
 
 
 def is_feasible(x: tuple):
-    """Whether all points of an enclosure are starts of a stride."""
+    """Return whether all points of an enclosure are feasible starts of a stride."""
     theta, thetadot = x
     return (theta.lower > 0) & (theta.upper < QUARTER_PI) & (thetadot.upper < 0)
 
@@ -109,33 +123,35 @@ def verify_stride(
     tolerance: float = TOLERANCE,
     align: Callable[[Any], Any] = lambda state: state,
 ) -> VerifiedStride:
-    """The next states of all starts of a box.
+    """Enclose the next states of all starts of a box.
 
     **Arguments:**
 
-    - `walker`: with enclosures as its parameters.
+    - `walker`: has enclosures as its parameters.
     - `x`: enclosures of theta (rad) and thetadot, of JAX or NumPy arrays.
-    - `tangents`: directions, of two enclosures each, in which the next state is differentiated over
-      the whole box.
-    - `order`, `tolerance`: of the series, and of the terms that are left out, not proved.
-    - `align`: from a state at the start of a step, without tangents, to one that encloses it.
+    - `tangents`: directions, of two enclosures each; the next state is differentiated along them
+      over the whole box.
+    - `order`, `tolerance`: the order of the remainder, and the size of terms that sets the length
+      of steps; no proof rests on the latter.
+    - `align`: takes the state at the start of a step, without tangents, and returns one that
+      encloses it.
     """
     x = dense(x[0]), dense(x[1])
-    flow = map_enclosures(dense_like(x[0]), evaluate(begin, walker, x, tangents))
-    number = x[0].middle
+    flow = map_enclosures(dense_like(x[0]), evaluate(start_flow, walker, x, tangents))
+    number = x[0].midpoint
     yes = number == number
-    parameters = map_enclosures(lambda one: one.range(), walker)
+    parameters = ranges_of(walker)
     landing = evaluate(land, walker, flow)
-    start = Going(
+    start = PartialStride(
         flow,
         0.0 * number + 1.0,
         Watch(yes, ~yes, yes),
-        whole(choose(is_feasible(x), GOING, UNDECIDED)),
+        as_int32(choose(is_feasible(x), GOING, UNDECIDED)),
         map_enclosures(dense_like(x[0]), landing[1:]),
-        whole(0 * number),
+        as_int32(0 * number),
     )
     advance = partial(advance_stride, walker, parameters, (order, tolerance, align))
-    if library(number) is jnp:
+    if array_module(number) is jnp:
         last = lax.while_loop(lambda one: one.verdict == GOING, advance, start)
     else:
         last = start
@@ -147,24 +163,24 @@ def verify_stride(
     return VerifiedStride(last.verdict, state, tangents, last.steps)
 
 
-def whole(value):
-    return library(value).asarray(value, "int32")
+def as_int32(value):
+    return array_module(value).asarray(value, "int32")
 
 
 def dense_like(model: Enclosure):
     def fill(one: Enclosure) -> Enclosure:
-        zero = 0.0 * model.middle
+        zero = 0.0 * model.midpoint
         terms = [zero if t is None else t + zero for t in one.terms]
         return Enclosure(terms, one.radius + zero, one.space)
 
     return fill
 
 
-def advance_stride(walker, parameters, method: tuple, now: Going) -> Going:
-    """One more step, to the strike if it is in it."""
+def advance_stride(walker, parameters, method: tuple, now: PartialStride) -> PartialStride:
+    """Take one more step, or go to the strike if the step holds it."""
     order, tolerance, align = method
     begun = now.flow._replace(state=align(now.flow.state))
-    step = step_from(walker, begun, now.factor, order=order, tolerance=tolerance)
+    step = take_step(walker, begun, now.factor, order=order, tolerance=tolerance)
     series, last, guess, soon = guess_strike(walker, step)
     strike = enclose_strike(walker, step, series, guess)
     length = choose(soon, 0.6 * step.length, step.length)
@@ -174,22 +190,22 @@ def advance_stride(walker, parameters, method: tuple, now: Going) -> Going:
     flow = flow_at(step, length)
     fallen = has_fallen(parameters, flow, watch)
     wide = False
-    for one in numbers_of(flow.state):
+    for one in enclosures_in(flow.state):
         wide = wide | ~(one.spread < WIDEST)
     verdict = choose(fallen, FALL, choose(wide, UNDECIDED, GOING))
     verdict = choose(last, choose(struck, STRIDE, UNDECIDED), verdict)
-    verdict = choose(watch.no_rise, verdict, UNDECIDED)
+    verdict = choose(watch.no_strike, verdict, UNDECIDED)
     late = now.steps + 1 >= MOST_STEPS
     verdict = choose(late & (verdict == GOING), UNDECIDED, verdict)
     short = choose(late | (now.factor < LEAST_FACTOR), UNDECIDED, GOING)
-    verdict = whole(choose(step.held, verdict, short))
+    verdict = as_int32(choose(step.proved, verdict, short))
     fill = dense_like(now.flow.state[0])
     keep = lambda new, old: jax.tree.map(
-        lambda a, b: choose(step.held, a, b), map_enclosures(fill, new), old
+        lambda a, b: choose(step.proved, a, b), map_enclosures(fill, new), old
     )
-    watch = jax.tree.map(lambda a, b: choose(step.held, a, b), watch, now.watch)
-    factor = choose(step.held, choose(now.factor < 1, now.factor * 2, 1.0), now.factor / 2)
-    return Going(
+    watch = jax.tree.map(lambda a, b: choose(step.proved, a, b), watch, now.watch)
+    factor = choose(step.proved, choose(now.factor < 1, now.factor * 2, 1.0), now.factor / 2)
+    return PartialStride(
         keep(flow, now.flow),
         factor,
         watch,
@@ -200,19 +216,23 @@ def advance_stride(walker, parameters, method: tuple, now: Going) -> Going:
 
 
 def land_from(walker, parameters, strike: Strike, watch: Watch) -> tuple[Any, tuple]:
-    """Whether a strike is admitted and leads to a stride, and the point of the section there."""
+    """Return whether a strike provably ends a stride, and the enclosed landing.
+
+    It does so if no strike and no fall came before, if all conditions held until then, and if it is
+    admitted, lifts the trailing foot and leads to a feasible start.
+    """
     lift, x, tangents = evaluate(land, walker, strike.flow)
-    there = map_enclosures(lambda one: one.range(), strike.flow.state)
-    proved = strike.proved & watch.no_rise & watch.clear & (lift.lower > 0) & is_feasible(x)
+    there = ranges_of(strike.flow.state)
+    proved = strike.proved & watch.no_strike & watch.clear & (lift.lower > 0) & is_feasible(x)
     for one in evaluate(measure, parameters, there).admits:
         proved = proved & (one.lower > 0)
     return proved, (x, tangents)
 
 
 def has_fallen(parameters, flow: Flow, watch: Watch):
-    """Whether all of a box has fallen: a guard has risen, and there was no strike before."""
-    found = evaluate(measure, parameters, map_enclosures(lambda one: one.range(), flow.state))
+    """Return whether all of a box has fallen: a guard has risen, with no strike before."""
+    found = evaluate(measure, parameters, ranges_of(flow.state))
     fallen = False
     for one in found.falls:
         fallen = fallen | (one.lower > 0)
-    return fallen & watch.no_rise & ~watch.rising
+    return fallen & watch.no_strike & ~watch.rising

@@ -1,7 +1,7 @@
-"""Starts that walk for ever, or fall, by proof: cells are carried until they do, and split if not.
+"""Proved fates of the cells of a window: each is followed until it walks or falls, or is split.
 
-A cell of which neither is proved, as it is too wide or on a boundary, is split in four, level by
-level. What is proved of the cells of a level is known to those of the next.
+If neither is proved of a cell, because it is too wide or on a boundary, it is split in four, level
+by level. The proofs of each level use those of the levels before.
 """
 
 from collections.abc import Callable
@@ -17,21 +17,22 @@ from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.following import Fates, follow_boxes
 
 BATCH = 2**16
-"""Cells that are followed together."""
+"""Number of cells that are followed together."""
 
 
-Keep = Callable[[int, int, Callable[[], Fates]], Fates]
-"""From a level, the number of a batch there, and a function that finds its fates, to these."""
+KeepFates = Callable[[int, int, Callable[[], Fates]], Fates]
+"""Function of a level, the number of a batch in it, and a function that finds the fates of the
+batch. It returns these fates, found or stored before."""
 
 
-class Cells(NamedTuple):
-    """Cells of one level with their fates."""
+class LevelCells(NamedTuple):
+    """Cells of one level, with their fates."""
 
     level: int
     cells: Int[np.ndarray, "cells 2"]
     fates: Int[np.ndarray, " cells"]
     strides: Int[np.ndarray, " cells"]
-    """Verified strides of each."""
+    """Number of verified strides of each."""
 
 
 def children(cells: Int[np.ndarray, "cells 2"]) -> Int[np.ndarray, "more 2"]:
@@ -39,7 +40,7 @@ def children(cells: Int[np.ndarray, "cells 2"]) -> Int[np.ndarray, "more 2"]:
     return (2 * cells[:, None] + corners).reshape(-1, 2)
 
 
-def subdivide(
+def prove_cells(
     walker,
     window: Window,
     trap: Trap,
@@ -47,15 +48,15 @@ def subdivide(
     levels: int,
     strides: int,
     wanted: Callable[[int, np.ndarray], Bool[np.ndarray, " cells"]] | None = None,
-    keep: Keep = lambda level, number, find: find(),
+    keep: KeepFates = lambda level, number, find: find(),
     progress: bool = False,
-) -> list[Cells]:
-    """The proved fates of a window's cells, level by level; those of the last are left open.
+) -> list[LevelCells]:
+    """Prove the fates of a window's cells, level by level; those open at the last level stay open.
 
     **Arguments:**
 
-    - `wanted`: cells that are not are left out.
-    - `keep`: returns the fates of a batch, which it keeps, or has kept.
+    - `wanted`: takes a level and cells of it, and returns flags; cells without one are left out.
+    - `keep`: returns the fates of a batch, which it finds and stores, or has stored before.
     - `progress`: whether to show progress bars on a terminal, after a second.
     """
     found, cells = [], np.indices(window.counts).reshape(2, -1).T
@@ -69,8 +70,8 @@ def subdivide(
             find = partial(follow_boxes, walker, boxes, trap, index, strides)
             fates.append(keep(level, number, find).first(len(part)))
         joined = Fates(*(np.concatenate(one) for one in zip(*fates, strict=True)))
-        found.append(Cells(level, cells, *joined))
-        atlas = atlas.entered(level, cells, joined.fates)
+        found.append(LevelCells(level, cells, *joined))
+        atlas = atlas.with_fates(level, cells, joined.fates)
         cells = children(cells[joined.fates == OPEN])
         if not len(cells):
             break

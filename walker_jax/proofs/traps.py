@@ -1,9 +1,13 @@
-"""Traps: ellipses about a stable gait that strides lead back into, by proof.
+"""Traps: ellipses about a stable gait that strides provably map into themselves.
 
-The norm is adapted to the gait: |L^T x|, with L L^T = sum_k M^T^k M^k / r^2k for the Jacobian M of
-the gait's return and some r between its largest multiplier and 1. In that norm M contracts by r at
-least (a discrete Lyapunov equation). The ellipse is covered with squares of that norm; each has to
-come back into the ellipse. None of what is proved rests on how L and the size were found.
+A trap is a disc |L^T (x - centre)| <= size of a norm that is adapted to the gait:
+
+    L L^T = sum_k (M^T)^k M^k / r^2k,
+
+for the Jacobian M of the gait's return and some r between the largest modulus of its multipliers
+and 1. In this norm M contracts by a factor of at most r (a discrete Lyapunov equation). Squares in
+the coordinates L^T x cover the ellipse, and each has to come back into the ellipse. No proof rests
+on how L and the size were found.
 """
 
 import numpy as np
@@ -11,20 +15,25 @@ from jaxtyping import Float
 from scipy.linalg import solve_discrete_lyapunov
 
 from walker_jax.checks import ComputationFailed
-from walker_jax.proofs.boxes import TRAPPED, Boxes, Trap, boxes_of, carry, sides
+from walker_jax.proofs.boxes import TRAPPED, Boxes, Trap, boxes_of, carry, upright_boxes
 from walker_jax.proofs.enclosures import exactly
 from walker_jax.proofs.strides import STRIDE
 
 SQUARES = 24
-"""Along a diameter of the ellipse."""
+"""Number of squares along a diameter of the ellipse."""
 SLACK = 1e-8
-"""The cover reaches beyond the ellipse by this part of it, for the rounding of L's inverse."""
+"""Part of its size by which the cover reaches beyond the ellipse, for the rounding of L's
+inverse."""
 SHRINKING = 0.8
+"""Ratio of successive sizes that are tried."""
 LARGEST_TRAP = 1.0
 
 
 def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2"] | None:
-    """L of the norm in which a contraction contracts at once, scaled to det L = 1; or None."""
+    """Return L of a norm that decreases in each return, scaled to det L = 1.
+
+    The result is None if the gait is not stable.
+    """
     radius = max(abs(np.linalg.eigvals(jacobian)))
     if not radius < 1:
         return None
@@ -34,7 +43,7 @@ def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2
 
 
 def cover(trap: Trap) -> Boxes:
-    """Parallelograms that cover a trap; none where float64 does not hold the inverse of L."""
+    """Return parallelograms that cover a trap; none if float64 cannot represent L's inverse."""
     inverse = np.linalg.inv(trap.factor.T)
     if not is_inverse(trap.factor, inverse):
         return Boxes(np.zeros((0, 2, 3)), np.zeros((0, 2)))
@@ -44,25 +53,25 @@ def cover(trap: Trap) -> Boxes:
     z = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), -1).reshape(-1, 2)
     nearest = np.maximum(np.abs(z) - half, 0)
     z = z[np.hypot(*nearest.T) <= reach * (1 + SLACK)]
-    p, q = sides(z.T, [np.full(len(z), half * (1 + SLACK))] * 2)
-    number = lambda value: exactly(np.float64(value), p.space)
+    p, q = upright_boxes(z.T, [np.full(len(z), half * (1 + SLACK))] * 2)
+    exact = lambda value: exactly(np.float64(value), p.space)
     return boxes_of(
         *(
-            number(c) + number(row[0]) * p + number(row[1]) * q
+            exact(c) + exact(row[0]) * p + exact(row[1]) * q
             for c, row in zip(trap.centre, inverse, strict=True)
         )
     )
 
 
 def is_inverse(factor: np.ndarray, inverse: np.ndarray) -> bool:
-    """Whether L^T times its computed inverse is the unit matrix, far below `SLACK`."""
+    """Return whether L^T times its computed inverse is the identity, to far below `SLACK`."""
     off = np.abs(factor.T @ inverse - np.eye(2)).max()
     sizes = (np.abs(factor.T) @ np.abs(inverse)).max()
     return bool(off + 8 * 2.0**-53 * sizes < SLACK / 16)
 
 
 def is_trap(walker, trap: Trap, period: int) -> bool:
-    """Whether `period` strides certainly lead all of an ellipse into itself."""
+    """Return whether `period` strides certainly lead all of an ellipse into itself."""
     boxes = cover(trap)
     if not boxes.count:
         return False
@@ -76,7 +85,7 @@ def is_trap(walker, trap: Trap, period: int) -> bool:
 
 
 def find_trap(walker, centre: np.ndarray, jacobian: np.ndarray, period: int, least: float) -> Trap:
-    """The largest trap about a stable gait among ellipses of one shape.
+    """Find the largest trap about a stable gait among the tried ellipses of one shape.
 
     Raises `ComputationFailed` if none larger than `least` is proved.
     """
@@ -87,5 +96,5 @@ def find_trap(walker, centre: np.ndarray, jacobian: np.ndarray, period: int, lea
             return trap
         size *= SHRINKING
     raise ComputationFailed(
-        "no trap about the gait is proved: it must be stable, by more than float64 rounds"
+        "no trap about the gait is proved: it must be stable by more than the rounding of float64"
     )

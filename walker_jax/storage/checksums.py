@@ -50,7 +50,7 @@ def codecs() -> tuple:
 
 
 def is_intact(chunk: bytes) -> bool:
-    """Whether a chunk ends with its checksum."""
+    """Return whether a chunk ends with its checksum."""
     end = len(chunk) - CRC_BYTES
     return end >= 0 and google_crc32c.value(chunk[:end]) == int.from_bytes(chunk[end:], "little")
 

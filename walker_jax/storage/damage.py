@@ -51,7 +51,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 
 
 def is_own_dataset(path: Path) -> bool:
-    """Whether a folder is a data set of this package, damaged or not."""
+    """Return whether a folder is a data set of this package, damaged or not."""
     try:
         if {"request", CHECKSUMS} & read_metadata(path)["attributes"].keys():
             return True
@@ -61,7 +61,7 @@ def is_own_dataset(path: Path) -> bool:
 
 
 def holds_arrays_alone(path: Path) -> bool:
-    """Whether a folder holds only parts of arrays, and the metadata of one as written here."""
+    """Return whether a folder holds only parts of arrays, and metadata of one as written here."""
     for file in path.rglob("*"):
         name = file.relative_to(path).as_posix()
         if file.is_symlink() or not (file.is_dir() or FILE.fullmatch(name)):
@@ -70,7 +70,7 @@ def holds_arrays_alone(path: Path) -> bool:
 
 
 def is_own_array(folder: Path) -> bool:
-    """Whether a folder holds an array whose chunks are encoded as by this package."""
+    """Return whether a folder holds an array whose chunks are encoded as by this package."""
     try:
         used = [one["name"] for one in read_metadata(folder)["codecs"]]
     except (OSError, ValueError, KeyError, TypeError):

@@ -86,7 +86,7 @@ def check_dataset(data: "xarray.Dataset", kind: str) -> None:
 
 
 def matches(pattern: str, dims: tuple[str, ...], bound: dict[str, tuple[str, ...]]) -> bool:
-    """Whether dimensions fit a pattern; adds the meaning of its placeholders to `bound`."""
+    """Return whether dimensions fit a pattern; add the meaning of its placeholders to `bound`."""
     before, placeholder, after = [], "", []
     for name in pattern.split():
         known = bound.get(name, () if name[0] in "*?" else (name,))

@@ -97,7 +97,7 @@ class System(eqx.Module):
         return type(self).__name__
 
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
-        """Whether a stride may begin at x; by default at any finite x."""
+        """Return whether a stride may begin at x; by default at any finite x."""
         return jnp.all(jnp.isfinite(x))
 
     def margin(self, x: Float[Array, " section"]) -> Scalar | None:
@@ -120,7 +120,7 @@ class System(eqx.Module):
 
 
 def has_gait_region(system: System) -> bool:
-    """Whether a system defines a region to search for gaits."""
+    """Return whether a system defines a region to search for gaits."""
     try:
         system.gait_region()
     except WrongUse:
@@ -151,7 +151,7 @@ def code_field(**settings: Any) -> Any:
 
 
 def is_code(field: dataclasses.Field) -> bool:
-    """Whether a field holds code."""
+    """Return whether a field holds code."""
     return field.metadata.get("code", False)
 
 

@@ -130,7 +130,7 @@ def remake(
 
 def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " section"]:
     """Return the state of a gait of period one, checked."""
-    state = read_numbers("gait", getattr(gait, "states", gait))
+    state = read_array("gait", getattr(gait, "states", gait))
     if state.ndim == 2 and len(state) == 1:
         state = state[0]
     if state.shape != (len(section),):
@@ -148,13 +148,13 @@ def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " sectio
 
 def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
     """Return gains or bounds of a parameter, checked."""
-    values = read_numbers(f"{what} of {name}", row)
+    values = read_array(f"{what} of {name}", row)
     if values.shape != (size,):
         raise WrongUse(f"{what} of {name} must be {size} numbers, not {short(row)}")
     return values
 
 
-def read_numbers(what: str, given: Any) -> Float[Array, "..."]:
+def read_array(what: str, given: Any) -> Float[Array, "..."]:
     """Return real numbers as an array; raise `WrongUse` for others."""
     try:
         return jnp.asarray(given, float)
