@@ -1,0 +1,179 @@
+"""Proofs beside CAPD: what does a verified stride cost, and how wide is its image?
+
+    python benchmarks/proofs_capd.py CAPD_STRIDE
+
+CAPD (Kapela, Mrozek, Wilczak and Zgliczynski 2021) is a C++ library of rigorous integrators for
+ordinary differential equations in general. CAPD_STRIDE is the program of `capd_stride.cpp`, which
+says how to build it.
+"""
+
+import argparse
+import os
+import subprocess
+import time
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+import walker_jax as wj
+from walker_jax.proofs.boxes import PLANE, Trap, boxes_of, carry, sides
+from walker_jax.proofs.enclosures import BALLS
+from walker_jax.proofs.provable import check_provable, parameters_of
+from walker_jax.proofs.returns import POINTS, strides_about
+from walker_jax.proofs.strides import STRIDE, verify_stride
+
+jax.config.update("jax_enable_x64", True)
+
+WALKER = wj.SimplestWalker(0.004)
+HALVES = (0.0, 1e-8, 1e-6, 1e-4, 3e-4, 1e-3)
+ORDERS = (6, 8, 10, 12, 15, 20, 25, 30)
+TOLERANCES = (1e-8, 1e-10, 1e-12, 1e-15, 1e-18)
+TRIED = 20
+"""Boxes with which each order and tolerance is tried."""
+MANY = 16384
+"""Boxes in one call of the package."""
+
+
+class Setting(NamedTuple):
+    """How CAPD is used: C0 for the image, C1 for derivatives too."""
+
+    kind: str
+    order: int
+    tolerance: float
+
+
+class Found(NamedTuple):
+    """Verified strides of some boxes."""
+
+    widths: np.ndarray
+    """Of the image in theta and thetadot; NaN where a box is open."""
+    seconds: float
+    """Processor time of a stride."""
+
+    @property
+    def open(self) -> float:
+        return float(np.isnan(self.widths[:, 0]).mean())
+
+
+def run_capd(program: str, setting: Setting, half: float, centres, rounds: int = 1) -> Found:
+    given = [program, *map(str, setting), str(half), str(rounds)]
+    starts = "\n".join(f"{theta!r} {thetadot!r}" for theta, thetadot in centres.tolist())
+    done = subprocess.run(given, input=starts, capture_output=True, text=True, check=True)
+    *lines, seconds = done.stdout.splitlines()
+    bounds = [line.split() if line != "open" else ["nan"] * 4 for line in lines]
+    low_high = np.asarray(bounds, float)
+    return Found(low_high[:, 1::2] - low_high[:, ::2], float(seconds))
+
+
+def run_own(half: float, centres, count: int) -> Found:
+    """Strides of kernels as a basin's proof makes them; the images of the first boxes, before they
+    are put into rectangles."""
+    walker = check_provable(WALKER)
+    boxes = boxes_of(*sides(centres.T, [np.full(len(centres), half)] * 2))
+    start = time.process_time()
+    carried = carry(walker, boxes, Trap.nowhere())
+    seconds = (time.process_time() - start) / len(centres)
+    few = verify_stride(parameters_of(walker, PLANE), sides(centres[:count].T, [half] * 2))
+    widths = np.stack([one.upper - one.lower for one in few.state], -1)
+    proved = (few.verdict == STRIDE) & (carried.verdicts[:count] == STRIDE)
+    return Found(np.where(proved[:, None], widths, np.nan), seconds)
+
+
+def true_widths(half: float, centres) -> np.ndarray:
+    """By plain strides from a grid of each box, its corners among them; zero for points."""
+    if half == 0:
+        return np.zeros_like(centres)
+    place = np.linspace(-1, 1, 21)
+    places = half * np.stack(np.meshgrid(place, place), -1).reshape(-1, 1, 2)
+    starts = (centres + places).reshape(-1, 2)
+    states = np.asarray(wj.strides(WALKER, starts, tolerance=1e-14).state)
+    return np.ptp(states.reshape(len(places), -1, 2), axis=0)
+
+
+def width_of(found: Found, true: np.ndarray) -> float:
+    """The median width, over that of the true image; of points, the width itself."""
+    ratios = found.widths / np.where(true > 0, true, 1.0)
+    known = ratios[~np.isnan(ratios[:, 0])].mean(1)
+    return float(np.median(known)) if len(known) else np.inf
+
+
+def fastest(program: str, kind: str, half: float, centres, own: Found, true) -> Setting:
+    """The fastest order and tolerance with no more open boxes than the package, and images no wider
+    (by 1 %); if there is none, of those with the fewest open boxes the fastest of the narrowest."""
+    tried = []
+    for order in ORDERS:
+        for tolerance in TOLERANCES:
+            setting = Setting(kind, order, tolerance)
+            found = run_capd(program, setting, half, centres)
+            tried.append((found.open, width_of(found, true), found.seconds, setting))
+    most = 1.01 * width_of(own, true)
+    as_good = [one for one in tried if one[0] <= own.open and one[1] <= most]
+    if not as_good:
+        proving = [one for one in tried if one[0] == min(tried)[0]]
+        as_good = [one for one in proving if one[1] <= 1.01 * min(each[1] for each in proving)]
+    return min(as_good, key=lambda one: one[2])[-1]
+
+
+def told(found: Found, true: np.ndarray) -> str:
+    width = width_of(found, true)
+    size = f"{width:.3f} times" if true.any() else f"{width:.1e}"
+    return f"{1e6 * found.seconds:7.1f} us, width {size}, open {found.open:.0%}"
+
+
+def print_boxes(program: str, half: float, centres, count: int, repeats: int) -> None:
+    """Both take turns, so that a busy machine slows both."""
+    some, true = centres[:count], true_widths(half, centres[:count])
+    own = run_own(half, centres, count)
+    few = Found(own.widths[:TRIED], own.seconds)
+    settings = [
+        fastest(program, kind, half, some[:TRIED], few, true[:TRIED]) for kind in ("C0", "C1")
+    ]
+    turns = [
+        [run_own(half, centres, count), *(run_capd(program, one, half, some) for one in settings)]
+        for _ in range(repeats)
+    ]
+    times = np.array([[found.seconds for found in turn] for turn in turns])
+    medians = [
+        found._replace(seconds=s)
+        for found, s in zip(turns[0], np.median(times, axis=0), strict=True)
+    ]
+    print(f"half width {half:g}")
+    print(f"  own                      {told(medians[0], true)}")
+    for i, setting in enumerate(settings, 1):
+        slower = np.median(times[:, i] / times[:, 0])
+        name = f"CAPD {setting.kind} order {setting.order:2} {setting.tolerance:g}"
+        print(f"  {name:24} {told(medians[i], true)}, {slower:.0f} times as long", flush=True)
+
+
+def print_points(program: str, centres, count: int, repeats: int) -> None:
+    """Points as accurately as for gaits, in NumPy: many at once, as single ones cost as much."""
+    known, none = parameters_of(check_provable(WALKER), BALLS), np.zeros((1, 2))
+    own = []
+    for _ in range(repeats + 1):
+        start = time.process_time()
+        found = strides_about(known, centres)
+        seconds = (time.process_time() - start) / len(centres)
+        widths = np.stack([one.upper - one.lower for one in found.state], -1)
+        own.append(Found(np.where((found.verdict == STRIDE)[:, None], widths, np.nan), seconds))
+    setting = fastest(program, "C0", 0.0, centres[:TRIED], own[0], none)
+    capd = [run_capd(program, setting, 0.0, centres[:count]) for _ in range(repeats)]
+    print(f"points, order {POINTS.order}, {POINTS.tolerance:g}")
+    for name, some in (("own", own[1:]), (f"CAPD {setting}", capd)):
+        found = some[0]._replace(seconds=float(np.median([one.seconds for one in some])))
+        print(f"  {name}: {told(found, none)}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("program", metavar="CAPD_STRIDE")
+    parser.add_argument("--boxes", type=int, default=200)
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # one core for both
+    gait = np.asarray(wj.find_gait(WALKER).states[0])
+    centres = gait + np.random.default_rng(1).normal(size=(MANY, 2)) * 5e-4
+    for half in HALVES:
+        print_boxes(options.program, half, centres, options.boxes, options.repeats)
+    print_points(options.program, centres[:4096], options.boxes, options.repeats)
