@@ -1,18 +1,19 @@
 // Verified strides of the simplest walker with CAPD, one box at a time (Kapela, Mrozek, Wilczak and
 // Zgliczynski 2021, doi:10.1016/j.cnsns.2020.105578), to compare with the package's own.
 //
-// How to build it, beside a build of CAPD 6.1 (cmake -DCMAKE_BUILD_TYPE=Release
-// -DCMAKE_CXX_FLAGS="-O3 -march=native", and make):
+// How to build it, with CAPD 6.1 built before (cmake -DCMAKE_BUILD_TYPE=Release
+// -DCMAKE_CXX_FLAGS=-march=native, then make), and to run the comparison:
 //
-//     c++ -O3 -march=native capd_stride.cpp $(BUILD/bin/capd-config --cflags --libs) -o capd_stride
+//     c++ capd_stride.cpp $(BUILD/bin/capd-config --cflags --libs) -O3 -march=native -o capd_stride
 //     python benchmarks/proofs_capd.py ./capd_stride
 //
-// Arguments are C0 or C1, the order and tolerance of the series, half the width of a box, and rounds.
-// Each line of the input is the middle of a box, theta and thetadot just after heel strike. Each line
-// of the output has bounds of the next theta and thetadot, or `open`; the last line has the processor
-// time of a stride in seconds, the median of the rounds.
+// Arguments are C0 or C1, the order and tolerance of the series, half the width of a box, and
+// rounds. Each line of the input is the middle of a box, theta and thetadot just after heel strike.
+// Each line of the output has bounds of the next theta and thetadot, or `open`; the last line has
+// the processor time of a stride in seconds, the median of the rounds.
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
@@ -52,8 +53,8 @@ interval struck_by_theta(const interval &theta, const interval &w) {
 }
 interval struck_by_w(const interval &theta) { return cos(2.0 * theta); }
 
-// All states of a box just after heel strike, (theta, 2 theta, w, w - cos(2 theta) w): linear in the
-// place in the box, but for a small remainder.
+// All states of a box just after heel strike, (theta, 2 theta, w, w - cos(2 theta) w): linear in
+// the place in the box, but for a small remainder.
 template <class Set> Set lift(const Box &box) {
   interval c = middle(box.theta), d = middle(box.thetadot), v = d - struck(c, d);
   interval a = box.theta - c, b = box.thetadot - d;
@@ -69,7 +70,7 @@ template <class Set> Set lift(const Box &box) {
   return Set(x, sides, size, rest);
 }
 
-// From just after heel strike a stride may begin; beyond pi / 4 no impact leaves the walker going on.
+// A stride may begin: beyond pi / 4 no impact leaves the walker going on.
 bool feasible(const Box &box) {
   return box.theta > 0.0 && box.theta < 0.7853981 && box.thetadot < 0.0;
 }
@@ -80,8 +81,9 @@ bool may_walk(const Box &box) {
   return energy > 1.0 && feasible(box) && pushes(box.theta, box.thetadot);
 }
 
-// Leave the start, where the contact coordinate phi - 2 theta is zero, and go on until the swing foot
-// has passed. As in the package, a strike is a rise through zero with theta < 0: scuffing is none.
+// Leave the start, where the contact coordinate phi - 2 theta is zero, and go on until the swing
+// foot has passed. As in the package, a strike is a rise through zero with theta < 0: scuffing is
+// none.
 template <class Set> bool pass(IOdeSolver &solver, Set &set) {
   IVector now(4);
   do {
@@ -135,8 +137,8 @@ struct Walker {
   }
 
   // Coordinates for the neighbourhood of a strike: theta, the linear part of the impact, and w. A
-  // multiple of the contact coordinate, zero there, is added, with which they do not change with time:
-  // bounds of the time of the strike then cost no width.
+  // multiple of the contact coordinate, zero there, is added, with which they do not change with
+  // time: bounds of the time of the strike then cost no width.
   IMatrix coordinates(const IVector &near) {
     IMatrix along(4, 4);
     along[0][0] = along[2][2] = 1.0;
@@ -178,7 +180,8 @@ struct Walker {
     lifted[0][0] = lifted[2][1] = 1.0, lifted[1][0] = 2.0;
     lifted[3][0] = -struck_by_theta(box.theta, box.thetadot);
     lifted[3][1] = 1.0 - struck_by_w(box.theta);
-    impact[0][0] = -1.0, impact[1][0] = struck_by_theta(x[0], x[2]), impact[1][2] = struck_by_w(x[0]);
+    impact[0][0] = -1.0;
+    impact[1][0] = struck_by_theta(x[0], x[2]), impact[1][2] = struck_by_w(x[0]);
     flow = to_strike.computeDP(x, flow, time);
     interval by[4];
     for (int i = 0; i < 4; ++i) {
