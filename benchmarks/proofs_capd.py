@@ -4,7 +4,24 @@
 
 CAPD (Kapela, Mrozek, Wilczak and Zgliczynski 2021) is a C++ library of rigorous integrators for
 ordinary differential equations in general. CAPD_STRIDE is the program of `capd_stride.cpp`, which
-says how to build it.
+says how to build it. Boxes of some half width lie about the gait of the simplest walker at slope
+0.004. Times are processor time on one core, of all boxes in one call for the package and of one box
+after the other for CAPD, which takes turns with it and has its fastest order and tolerance of 35.
+
+Measured on an AMD EPYC with AVX-512, with CAPD 6.1: microseconds of a stride, and the width of the
+image over that of the true one (of points: itself). Of the boxes of half width 1e-3 the package
+leaves 78 % open, CAPD's C0 all and its C1 none; widths are those of the others.
+
+    half width   package         CAPD, C0         CAPD, C1, with derivatives
+    0            15   3.9e-10    3059   8.9e-11   4400   1.1e-10
+    1e-8         15   1.002      2304   1.000     4410   1.001
+    1e-6         15   1.000      1407   1.002     3113   1.006
+    1e-4         10   1.04       1104   1.15      3088   1.56
+    3e-4          9   1.13       1042   1.57      4406   2.70
+    1e-3          9   1.90        589   -         7487   7.52
+
+Points with the accuracy of gaits' proofs, which run in NumPy: 2424 microseconds each, 1024 at once,
+and 7e-15 wide; CAPD takes 6405, and is 5e-14 wide. Other work ran on the machine's two cores.
 """
 
 import argparse
@@ -70,10 +87,10 @@ def run_own(half: float, centres, count: int) -> Found:
     """Strides of kernels as a basin's proof makes them; the images of the first boxes, before they
     are put into rectangles."""
     walker = check_provable(WALKER)
-    known, box = parameters_of(walker, PLANE), sides(centres[:count].T, [np.full(count, half)] * 2)
-    found = verify_stride(known, box)
+    theta, thetadot = sides(centres[:count].T, [np.full(count, half)] * 2)
+    found = verify_stride(parameters_of(walker, PLANE), (theta, thetadot))
     widths = np.stack([one.upper - one.lower for one in found.state], -1)
-    carry(walker, boxes_of(*box), Trap.nowhere())  # compiles
+    carry(walker, boxes_of(theta, thetadot), Trap.nowhere())  # compiles
     return Found(
         np.where((found.verdict == STRIDE)[:, None], widths, np.nan), time_own(half, centres)
     )
