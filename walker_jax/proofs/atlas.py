@@ -15,6 +15,8 @@ from walker_jax.proofs.enclosures import exactly
 
 WALKS, FALLS, OPEN = 1, -1, 0
 """Proved fates. `WALKS`: all starts walk for ever; `FALLS`: none does; `OPEN`: neither proved."""
+CELL_ROUNDING = 8 * 2.0**-53
+"""Bound on the rounding of a cell's edges, over the size of the window's."""
 OVERLAP = 1e-10
 """Relative amount by which cells are enlarged, beside the rounding of their corners."""
 MOST_CELLS = 2**25
@@ -48,7 +50,7 @@ class Window(NamedTuple):
 
     def boxes(self, level: int, cells: Int[np.ndarray, "cells 2"]) -> Boxes:
         """Return boxes that hold the cells."""
-        rounding = 8 * 2.0**-53 * (np.abs(self.low) + np.abs(self.high))
+        rounding = CELL_ROUNDING * (np.abs(self.low) + np.abs(self.high))
         half = self.widths(level) / 2 * (1 + OVERLAP) + rounding
         w = upright_boxes(self.centres(level, cells).T, np.broadcast_to(half, cells.shape).T)
         exact = lambda value: exactly(np.float64(value), w[0].space)

@@ -47,6 +47,8 @@ PARTLY = 5
 """Verdict beside those of strides: the starts that make a stride land in the next box."""
 LANDING_PIECES = 16
 """Number of pieces of a step; the times of strikes are resolved to one piece."""
+ROOM = 1e-14
+"""Part of a time by which an interval of times is widened, for rounding."""
 FARTHEST = 4.0
 """Limit of the bounds on landings; a box that exceeds it is undecided."""
 
@@ -140,9 +142,8 @@ def advance_landings(walker, parameters, fill, now: LandingSearch) -> LandingSea
 
 def time_between(low, high) -> Enclosure:
     """Return all times between two, as a polynomial."""
-    return Enclosure(
-        [(low + high) / 2, (high - low) * (0.5 + 1e-14) + 1e-14 * high, None], 0.0, TIME
-    )
+    half = (high - low) * (0.5 + ROOM) + ROOM * high
+    return Enclosure([(low + high) / 2, half, None], 0.0, TIME)
 
 
 def find_strike_pieces(parameters, step: VerifiedStep, at_start) -> tuple:

@@ -1,0 +1,124 @@
+"""Margins for rounding, against exact rational numbers; with smaller ones each test fails."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from walker_jax.proofs import atlas, boxes, landings
+from walker_jax.proofs.atlas import WALKS, Atlas, Index, Window
+from walker_jax.proofs.boxes import Boxes, rectangle_of
+from walker_jax.proofs.enclosures import Enclosure
+
+exactly = np.vectorize(Fraction, otypes=[object])
+SHEAR = np.array([[1.0, 0.3], [-1.0, 0.7]])
+WINDOW = Window(np.array([0.1, -0.02]), np.array([0.3, 0.01]), (7, 5), SHEAR)
+
+
+def solve(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Solve equations of exact numbers for points in rows."""
+    (a, b), (c, d) = exactly(matrix)
+    u, v = x.T
+    return np.stack([d * u - b * v, a * v - c * u], axis=1) / (a * d - b * c)
+
+
+def times_left_out() -> int:
+    """Intervals of times of which an end is not held."""
+    rng = np.random.default_rng(1)
+    low = rng.random(2000)
+    high = low + 10.0 ** rng.uniform(-6, 0, 2000)
+    middle, half, _ = landings.time_between(low, high).terms
+    low, high, middle, half = map(exactly, (low, high, middle, half))
+    return int(np.sum((middle - half > low) | (middle + half < high)))
+
+
+def test_all_times_of_an_interval_are_held(monkeypatch):
+    assert times_left_out() == 0
+    monkeypatch.setattr(landings, "ROOM", 0.0)
+    assert times_left_out() > 500
+
+
+def corners_outside(terms: np.ndarray, radii: np.ndarray, corners: np.ndarray) -> int:
+    """Points, all of one box, that lie outside it: exactly, with radii taken along both axes."""
+    apart = exactly(corners) - exactly(terms[:, 0])
+    # |apart - sides u| <= radii for some |u| <= 1 if no direction tells them apart; for a
+    # parallelogram and a rectangle the normals of the sides and the axes are enough.
+    sides = exactly(terms[:, 1:])
+    normals = [(1, 0), (0, 1), *((-b, a) for a, b in sides.T)]
+    outside = np.zeros(len(corners), bool)
+    for n in normals:
+        n = np.array(n, object)
+        reach = np.abs(n @ sides).sum() + np.abs(n) @ exactly(radii)
+        outside |= (np.abs(apart @ n) > reach).astype(bool)
+    return int(outside.sum())
+
+
+def rectangles_left_out(share: float = 1.0) -> int:
+    """Corners of parallelograms that lie outside a share of the rectangles about them."""
+    rng, lost = np.random.default_rng(2), 0
+    space = boxes.PLANE
+    for _ in range(60):
+        terms = rng.normal(size=(2, 3)) * [1.0, 1e-3, 1e-3 * rng.random()]
+        given = [Enclosure([*row, None, None, None], 0.0, space) for row in terms.tolist()]
+        found, radii = map(np.array, rectangle_of(tuple(given)))
+        signs = np.array([(p, q) for p in (-1, 1) for q in (-1, 1)])
+        corners = exactly(terms[:, 0]) + exactly(signs) @ exactly(terms[:, 1:]).T
+        found[:, 1:] *= share
+        lost += corners_outside(found, share * radii, corners)
+    return lost
+
+
+def test_rectangles_hold_their_parallelograms():
+    assert rectangles_left_out() == 0
+    assert rectangles_left_out(1 - 1e-11) > 60
+
+
+def cells_left_out() -> int:
+    """Corners of cells of a window that lie outside the boxes about the cells."""
+    level, lost = 5, 0
+    counts = np.array(WINDOW.counts) * 2**level
+    cells = np.random.default_rng(3).integers(0, counts, (400, 2))
+    found = WINDOW.boxes(level, cells)
+    low, high = exactly(WINDOW.low), exactly(WINDOW.high)
+    for k, cell in enumerate(cells):
+        places = [cell + np.array([p, q]) for p in (0, 1) for q in (0, 1)]
+        w = np.array([low + (high - low) * exactly(p) / exactly(counts) for p in places])
+        lost += corners_outside(found.terms[k], found.radii[k], w @ exactly(SHEAR).T)
+    return lost
+
+
+def test_boxes_of_a_window_hold_their_cells(monkeypatch):
+    assert cells_left_out() == 0
+    monkeypatch.setattr(atlas, "OVERLAP", 0.0)
+    assert cells_left_out() == 0
+    monkeypatch.setattr(atlas, "CELL_ROUNDING", 0.0)
+    assert cells_left_out() > 0
+
+
+def boxes_held_in_error(index: Index) -> tuple[int, int]:
+    """Boxes that end at the edge of a cell, or next to it: those beyond it that are held."""
+    rng = np.random.default_rng(4)
+    counts = np.array(WINDOW.counts)
+    width = exactly(WINDOW.high - WINDOW.low) / exactly(counts)
+    wrong = held = 0
+    for half in 10.0 ** rng.uniform(-8, -3, 500):
+        # In the first column of cells, that walk; the next cells do not.
+        edge = WINDOW.low[0] + float(width[0])
+        w = np.array([edge - half * (1 + rng.choice([1e-2, 0.0, -1e-15])), -0.004])
+        sides = half * SHEAR[:, 0]
+        box = Boxes(np.stack([SHEAR @ w, sides, 1e-9 * SHEAR[:, 1]], 1)[None], np.zeros((1, 2)))
+        inside = bool(index.holds(WALKS, box)[0])
+        x = exactly(box.terms[0, :, 0]) + exactly(sides)
+        reach = solve(SHEAR, x[None])[0, 0] - Fraction(float(WINDOW.low[0]))
+        held += inside
+        wrong += inside and reach > width[0]
+    return wrong, held
+
+
+def test_boxes_that_reach_beyond_a_cell_by_a_rounding_are_not_held():
+    fates = np.zeros(WINDOW.counts, np.int8)
+    fates[0] = WALKS
+    index = Index(Atlas(WINDOW, 0, fates))
+    wrong, held = boxes_held_in_error(index)
+    assert wrong == 0 and held > 50
+    index.margin = 0.0
+    assert boxes_held_in_error(index)[0] > 0
