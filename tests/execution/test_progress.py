@@ -78,6 +78,7 @@ def test_a_bar_comes_after_its_delay_and_goes(shown, monkeypatch):
     with progress.bar("basin", True, 2) as update:
         update(1)
         current = progress.current
+        assert current is not None
         while not current.live.is_started:
             time.sleep(0.001)
     assert not current.live.is_started and "basin" in shown.getvalue()
