@@ -34,10 +34,10 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.proofs.boxes import PLANE, Trap, boxes_of, carry, sides
+from walker_jax.proofs.boxes import PLANE, Trap, boxes_of, carry, upright_boxes
 from walker_jax.proofs.enclosures import BALLS
-from walker_jax.proofs.provable import check_provable, parameters_of
-from walker_jax.proofs.returns import POINTS, strides_about
+from walker_jax.proofs.provable import check_provable, enclose_parameters
+from walker_jax.proofs.returns import POINT_ACCURACY, verify_points
 from walker_jax.proofs.strides import STRIDE, verify_stride
 
 jax.config.update("jax_enable_x64", True)
@@ -87,8 +87,8 @@ def run_own(half: float, centres, count: int) -> Found:
     """Strides of kernels as a basin's proof makes them; the images of the first boxes, before they
     are put into rectangles."""
     walker = check_provable(WALKER)
-    theta, thetadot = sides(centres[:count].T, [np.full(count, half)] * 2)
-    found = verify_stride(parameters_of(walker, PLANE), (theta, thetadot))
+    theta, thetadot = upright_boxes(centres[:count].T, [np.full(count, half)] * 2)
+    found = verify_stride(enclose_parameters(walker, PLANE), (theta, thetadot))
     widths = np.stack([one.upper - one.lower for one in found.state], -1)
     carry(walker, boxes_of(theta, thetadot), Trap.nowhere())  # compiles
     return Found(
@@ -98,7 +98,7 @@ def run_own(half: float, centres, count: int) -> Found:
 
 def time_own(half: float, centres) -> float:
     walker, halves = check_provable(WALKER), [np.full(len(centres), half)] * 2
-    boxes = boxes_of(*sides(centres.T, halves))
+    boxes = boxes_of(*upright_boxes(centres.T, halves))
     start = time.process_time()
     carry(walker, boxes, Trap.nowhere())
     return (time.process_time() - start) / len(centres)
@@ -171,17 +171,17 @@ def print_boxes(program: str, half: float, centres, count: int, repeats: int) ->
 
 def print_points(program: str, centres, count: int, repeats: int) -> None:
     """Points as accurately as for gaits, in NumPy: many at once, as single ones cost as much."""
-    known, none = parameters_of(check_provable(WALKER), BALLS), np.zeros((1, 2))
+    known, none = enclose_parameters(check_provable(WALKER), BALLS), np.zeros((1, 2))
     own = []
     for _ in range(repeats + 1):
         start = time.process_time()
-        found = strides_about(known, centres)
+        found = verify_points(known, centres)
         seconds = (time.process_time() - start) / len(centres)
         widths = np.stack([one.upper - one.lower for one in found.state], -1)
         own.append(Found(np.where((found.verdict == STRIDE)[:, None], widths, np.nan), seconds))
     setting = fastest(program, "C0", 0.0, centres[:TRIED], own[0], none)
     capd = [run_capd(program, setting, 0.0, centres[:count]) for _ in range(repeats)]
-    print(f"points, order {POINTS.order}, {POINTS.tolerance:g}")
+    print(f"points, order {POINT_ACCURACY.order}, {POINT_ACCURACY.tolerance:g}")
     for name, some in (("own", own[1:]), (f"CAPD {setting}", capd)):
         found = some[0]._replace(seconds=float(np.median([one.seconds for one in some])))
         print(f"  {name}: {told(found, none)}")

@@ -114,7 +114,7 @@ def boxes_held_in_error(index: Index) -> tuple[int, int]:
     return wrong, held
 
 
-def test_boxes_that_reach_beyond_a_cell_by_a_rounding_are_not_held():
+def test_boxes_beyond_a_cell_by_a_rounding_are_not_held():
     fates = np.zeros(WINDOW.counts, np.int8)
     fates[0] = WALKS
     index = Index(Atlas(WINDOW, 0, fates))
