@@ -127,12 +127,14 @@ def test_nothing_walks_anywhere():
 
 
 def test_each_measure_of_robustness_has_a_panel_with_its_unit():
-    figure = figures.robustness_table(table(least_fall=[1e-3, 3e-3, np.nan]))
+    data = table(least_fall=[1e-3, 3e-3, np.nan], gait_period=[2, 4, 0])
+    figure = figures.robustness_table(data)
     area, least, multiplier, dimension = figure.axes
     np.testing.assert_array_equal(area.lines[0].get_ydata(), [2e-3, 1e-3, 0])
     np.testing.assert_array_equal(least.lines[0].get_ydata(), [1e-3, 2e-3, np.nan])
     np.testing.assert_array_equal(np.asarray(least.lines[1].get_xydata()), [[0.008, 3e-3]])
     np.testing.assert_array_equal(multiplier.lines[0].get_ydata(), [0.6, 0.9, np.nan])
+    assert [one.get_text() for one in multiplier.texts][:2] == ["2", "4"]
     assert [ax.get_ylabel().partition(" (")[0] for ax in figure.axes] == [
         "area of the basin",
         "least disturbance",

@@ -45,7 +45,7 @@ WINDOW = 1.25
 MEASURES = {
     "total_area": (BASINS[0], "-o", "area of the basin"),
     "least_disturbance": (BASINS[1], "-s", "least disturbance"),
-    "multiplier": (INK, "--", RADIUS),
+    "multiplier": (INK, "-^", RADIUS),
 }
 """Colour, line and words of each measure of robustness."""
 
@@ -283,12 +283,13 @@ def robustness_table(data: xr.Dataset) -> Figure:
     )
     multiplier = axes[1, 0]
     draw_measure(multiplier, data, "multiplier")
+    draw_periods(multiplier, data)
     multiplier.axhline(1, color=INK, lw=0.8, zorder=1)
     dress(
         multiplier,
         shown,
         title="Largest Floquet multiplier",
-        note="of the gait that walkers converge to, which is stable below 1",
+        note="of the gait that walkers converge to, with its period if above 1; stable below 1",
         x=parameter,
         y=RADIUS,
     )
@@ -304,6 +305,16 @@ def draw_measure(ax: Axes, data: xr.Dataset, name: str, scale: float = 1) -> lis
     colour, style, words = MEASURES[name]
     values, _ = table_axis(data)
     return ax.plot(values, data[name].values / scale, style, color=colour, label=words)
+
+
+def draw_periods(ax: Axes, data: xr.Dataset) -> None:
+    """Write the periods of longer gaits beside their multipliers, below those that are small."""
+    values, _ = table_axis(data)
+    multipliers, periods = data["multiplier"].values, data["gait_period"].values
+    for x, y, period in zip(values, multipliers, periods, strict=True):
+        if period > 1 and np.isfinite(y):
+            place = (0, -16) if y < np.nanmedian(multipliers) else (0, 7)
+            ax.annotate(str(int(period)), (x, y), place, textcoords="offset points", ha="center")
 
 
 def draw_band(ax: Axes, data: xr.Dataset, scale: float = 1) -> None:
