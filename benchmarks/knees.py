@@ -358,7 +358,7 @@ def draw(kept: dict, place: Path) -> None:
             "Least disturbance over the foot radius",
             "least disturbance (rad, time in √(l/g))",
         ),
-        "multiplier": ("Largest Floquet multiplier over the foot radius", "modulus"),
+        "multiplier": ("Largest multiplier over the foot radius", "modulus"),
     }
     for ax, (name, (title, label)) in zip(axes.flat[1:], titles.items(), strict=True):
         for (slope, *chosen), colour in zip(SERIES, (INK, BASINS[2]), strict=True):

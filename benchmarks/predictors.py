@@ -188,7 +188,7 @@ def draw(rows: list[dict], path: Path) -> None:
     for ax in list(figure.axes)[::3]:
         ax.set_ylabel("roughness borne (leg lengths)")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False)
+    figure.legend(handles, labels, loc="outside upper right", ncols=3, frameon=False)
     figure.savefig(path, dpi=150)
 
 
