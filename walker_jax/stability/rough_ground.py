@@ -214,7 +214,7 @@ def read_key(key: Any) -> Array:
     """Return a random key, given one of new or old style, or none."""
     if key is None:
         return jax.random.key(0)
-    refusal = f"key must be one random key of JAX, not {short(key)}"
+    refusal = f"key must be one random key, such as jax.random.key(0), not {short(key)}"
     if not isinstance(key, jax.Array):
         raise WrongUse(refusal)
     try:
