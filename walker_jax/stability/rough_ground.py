@@ -92,9 +92,9 @@ def steps_to_fall(
     **Arguments:**
 
     - `walker`: any planar walker.
-    - `ground`: the standard deviation of normally distributed heights. Or a function of a JAX
-      random key, which returns the height of the next foothold above the present one, such as
-      `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance`.
+    - `ground`: the standard deviation of normally distributed heights, in the unit of length. Or a
+      function of a JAX random key, which returns the height of the next foothold above the present
+      one, such as `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance`.
     - `n`: number of walks.
     - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
     - `gait`: walks start at its first state; that of `find_gait` by default.

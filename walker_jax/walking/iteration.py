@@ -189,8 +189,8 @@ def walk(
     ```
 
     Other arguments are those of `stride`. `ground` makes the ground rough: it is the `step` of each
-    stride, the height of its foothold above the one before. States are then full states, just after
-    heel strike.
+    stride, the height of its foothold above the one before, in the unit of length. States are then
+    full states, just after heel strike.
     """
     check_whole("n", n)
     walker, x, integrator = prepare(walker, x, tolerance, solver)
