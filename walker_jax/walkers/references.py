@@ -95,7 +95,7 @@ def reference_of(kind: type[System] | System) -> str:
 
 
 def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
-    """Return the module with a file that has a class, or makes a system, and its name there."""
+    """Return the module, read from a file, that has a class or system, and its name there."""
     if isinstance(kind, type):
         module = sys.modules.get(kind.__module__)
         found = getattr(module, "__dict__", {}).get(kind.__qualname__) is kind
