@@ -44,7 +44,7 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
 EXAMPLES: dict[str, str] = dict.fromkeys(
     ("System", "Walker"), ", such as wj.SimplestWalker(slope=0.009)"
 )
-"""Added to the names of kinds that users may take for words, as on the command line."""
+"""Examples in messages about kinds for which users may give names, as on the command line."""
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:

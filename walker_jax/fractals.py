@@ -273,13 +273,13 @@ def uncertainty_exponent(
     for i, distance in enumerate(distances):
         x = np.asarray(draw(rng, pairs), float)
         if x.ndim != 2 or len(x) != pairs:
-            raise WrongUse(f"draw: must return shape ({pairs}, d), not {x.shape}")
+            raise WrongUse(f"draw must return shape ({pairs}, d), not {x.shape}")
         d = x.shape[1]
         u = rng.normal(size=x.shape)
         u *= distance / np.linalg.norm(u, axis=1, keepdims=True)
         labels = np.asarray(label_of(np.concatenate([x, x + u, x - u])))
         if labels.shape != (3 * pairs,):
-            raise WrongUse(f"label_of: must return shape ({3 * pairs},), not {labels.shape}")
+            raise WrongUse(f"label_of must return shape ({3 * pairs},), not {labels.shape}")
         here, *beside = np.split(labels, 3)
         hits[i] = np.count_nonzero((here != beside[0]) | (here != beside[1]))
 

@@ -101,20 +101,22 @@ class Grid(eqx.Module):
         self.shear = numbers("shear", shear).copy()
         count = len(axes)
         if self.shear.ndim != 2 or self.shear.shape[1] != count or len(self.shear) < count:
-            raise WrongUse(f"shear={self.shear.tolist()}: must be a matrix of {count} columns")
+            shape = f"(rows, {count}), with {count} rows or more"
+            raise WrongUse(f"shear must have shape {shape}, not {self.shear.shape}")
         size = len(self.shear)
         if not np.isfinite(self.shear).all():
-            raise WrongUse(f"shear={self.shear.tolist()}: must be finite")
+            raise WrongUse(f"shear must be finite, not {self.shear.tolist()}")
         self.origin = np.zeros(size) if origin is None else numbers("origin", origin).copy()
         if self.origin.shape != (size,) or not np.isfinite(self.origin).all():
-            raise WrongUse(f"origin={self.origin.tolist()}: must be {size} finite numbers")
+            given = self.origin.tolist()
+            raise WrongUse(f"origin must be finite, of shape ({size},), not {given}")
         try:
             # The inverse is exact for the shears below. Adding zero turns -0 into 0.
             square = self.shear.T @ self.shear if size > count else self.shear
             inverse = np.linalg.inv(square) + 0.0
             self.unshear = inverse @ self.shear.T if size > count else inverse
         except np.linalg.LinAlgError:
-            raise WrongUse(f"shear={self.shear.tolist()}: must be invertible") from None
+            raise WrongUse(f"shear must be invertible, not {self.shear.tolist()}") from None
 
     @classmethod
     def plain(cls, **axes: Axis) -> "Grid":
@@ -286,7 +288,7 @@ class Grid(eqx.Module):
         Raises ValueError for a slice, in which hardly any point lies.
         """
         if self.coordinates != len(self.names):
-            raise WrongUse(f"fixed={self.fixed}: a slice has no cell for a point")
+            raise WrongUse(f"the grid must not be a slice, with {' and '.join(self.fixed)} fixed")
         lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
         u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         inside = jnp.all((lower <= u) & (u < upper))  # False for NaN

@@ -327,7 +327,7 @@ class StoreDescriber(Describer):
         return super().describe_code(function)
 
     def describe_class(self, kind: type) -> Hashable:
-        """A class that a function makes may depend on more than its file."""
+        """Name a class of a file; describe a class that a function makes, which depends on more."""
         in_file = "<locals>" not in kind.__qualname__ and self.add_file_of(kind)
         return self.name(kind) if in_file else super().describe_class(kind)
 

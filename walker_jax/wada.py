@@ -149,7 +149,7 @@ def boundary_of(
 
 
 def distance_from(points: Bool[np.ndarray, "*cells"]) -> Float[np.ndarray, "*cells"]:
-    """Return the Chebyshev distance of each cell from the nearest point; infinite without any."""
+    """Return each cell's Chebyshev distance from the nearest point; infinite if there is none."""
     from scipy.ndimage import distance_transform_cdt
 
     if not points.any():

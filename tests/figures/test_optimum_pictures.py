@@ -201,5 +201,5 @@ def test_an_optimisation_that_led_nowhere_is_refused():
             draw(robust())
     with pytest.raises(ValueError, match="must be one of slope, hip_stiffness, not 'feet'"):
         figures.optimisation(optimum(), "feet")
-    with pytest.raises(ValueError, match="must hold the basins at start and optimum"):
+    with pytest.raises(ValueError, match="must hold fate_start and fate_optimum"):
         figures.basins_before_and_after(optimum(basins=False))

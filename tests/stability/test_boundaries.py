@@ -258,8 +258,8 @@ def test_the_interval_holds_the_dimension_as_often_as_it_says(confidence, least,
         ({"distances": np.array([0.1, 0.2, np.inf])}, "distances="),
         ({"pairs": 9}, "pairs must be at least 10, not 9"),
         ({"confidence": 0.0}, r"confidence must be .*, not 0\.0"),
-        ({"draw": lambda rng, n: np.zeros(n)}, r"draw: .*\(10000,\)"),
-        ({"label_of": lambda p: np.zeros(p.shape, int)}, r"label_of: .*\(30000, 2\)"),
+        ({"draw": lambda rng, n: np.zeros(n)}, r"draw must .*\(10000,\)"),
+        ({"label_of": lambda p: np.zeros(p.shape, int)}, r"label_of must .*\(30000, 2\)"),
     ],
 )
 def test_uncertainty_exponent_refuses(changes, message):

@@ -39,7 +39,7 @@ class Labels(NamedTuple):
     strides: Int[np.ndarray, " n"]
     """Strides completed before it converged or failed."""
     states: Float[np.ndarray, "n section"]
-    """State at that time; NaN after a failure."""
+    """State after these strides; NaN after a failure."""
 
     @property
     def converged(self) -> Bool[np.ndarray, " n"]:

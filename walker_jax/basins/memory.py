@@ -50,8 +50,8 @@ def check_grid(
         )
     if method == "cell-map" and len(grid.names) < grid.coordinates:
         raise WrongUse(
-            f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
-            "leave, not 'cell-map'"
+            f"method must be direct, not 'cell-map', for a slice ({', '.join(grid.fixed)} fixed), "
+            "as walkers leave it"
         )
     for place, name in enumerate((*grid.names, *grid.fixed)):
         wrong = name in walker.section and not lies_along(grid, place, walker.section.index(name))

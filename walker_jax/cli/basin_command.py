@@ -120,10 +120,10 @@ class Options:
         if self.levels is not None:
             direct = "with --levels, not cell-map"
         elif self.zoom is not None:
-            direct = "with --zoom, whose window walkers leave: leave it out"
+            direct = "with --zoom, as walkers leave its window: leave out --method"
         elif any(is_number(at) or (at is None and name == "phidot") for name, at in axes.items()):
             whole = "a range for each --axis" if window.axis else "--phidot"
-            direct = f"for a slice, which walkers leave: drop it, or give {whole}"
+            direct = f"for a slice, as walkers leave it: leave out --method, or give {whole}"
         method = self.method or ("direct" if direct else "cell-map")
         if direct and method == "cell-map":
             raise WrongUse(f"--method must be direct {direct}")

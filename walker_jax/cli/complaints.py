@@ -56,7 +56,7 @@ def extra_argument(error: Any, words: str) -> str:
 
 
 def did_you_mean(similar: Sequence[str]) -> str:
-    """Ask whether one of these names is meant; empty without any."""
+    """Ask whether one of these names is meant; return an empty text if there are none."""
     return f"did you mean {' or '.join(similar)}?" if similar else ""
 
 

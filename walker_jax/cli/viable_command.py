@@ -67,7 +67,7 @@ def viable(
     if len(walker.section) > 2 and not window.axis:
         section = ", ".join(walker.section)
         raise WrongUse(
-            f"--axis NAME=LO:HI:N is required for each of {section}: a slice will not do"
+            f"--axis NAME=LO:HI:N is required for each of {section}: a slice is not enough"
         )
     axes = window.axes(walker, most=3)
     how: dict[str, Any] = {"bounds": not options.no_bounds, "levels": options.levels}

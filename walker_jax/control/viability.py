@@ -146,7 +146,9 @@ def viable(
     check_kind("bounds", bounds, bool)
     levels = check_whole("levels", levels, 0, FINEST)
     if (size := grid.size << d * levels) > MAX_SIZE:
-        raise WrongUse(f"levels={levels} make {size} cells of {MAX_SIZE} at most: lower levels")
+        raise WrongUse(
+            f"levels={levels} needs {size} cells, and {MAX_SIZE} is the limit: lower levels"
+        )
     if levels and not bounds:
         raise WrongUse(f"levels={levels} narrow bounds: leave bounds=False out")
     each = bytes_of_cell(len(choice.values), d, bounds=bounds)

@@ -48,7 +48,7 @@ def gait_measures(
     speed.value, speed.gradient
     ```
 
-    - "step-length": the mean length of a step along the slope;
+    - "step-length": the mean length of a step along the slope, in the unit of length;
     - "speed": the step length over the mean step time;
     - "spectral-radius": the modulus of the gait's largest multiplier, per stride: its root of the
       order of the period;

@@ -229,7 +229,7 @@ def pose_problem(
         check_planar(walker)
     if "cost-of-transport" in problem.measures and not cost_is_known(walker):
         raise WrongUse(
-            f"cost-of-transport is not known of a {type(walker).__name__}: define its motor_work, "
+            f"cost-of-transport is unknown for a {type(walker).__name__}: define its motor_work, "
             "or driven_by_gravity if nothing else drives it"
         )
     if ("basin-stability" in problem.weights) != callable(problem.density):

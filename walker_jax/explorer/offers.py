@@ -177,9 +177,9 @@ OTHERS = at_defaults(SYSTEMS)
 
 
 def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
-    """Make the offer of a system: one of the package's, or a new one with its parameters.
+    """Return the page's offer of a system, or make one with the system's own parameters.
 
-    The window has these axes; by default it covers the `gait_region`. Raises `WrongUse` for a
+    The window has the given axes; by default it covers the `gait_region`. Raises `WrongUse` for a
     section of one coordinate, for a system without a window, and for a parameter whose name the
     page's address uses for something else.
     """
@@ -218,7 +218,7 @@ def window_of(offered: Offer) -> dict[str, tuple[float, float]]:
     """Return the window of an offer: the ends of each coordinate.
 
     They are those given; otherwise those of the `gait_region`, or for a `SpatialWalker` those
-    around its default gait. The window is empty without any of these. A fixed coordinate has ends
+    around its default gait. Without any of these the window is empty. A fixed coordinate has ends
     for its slider.
     """
     walker = offered.build(offered.defaults)

@@ -118,7 +118,7 @@ class Service:
             work = self.tiles(subject, read_tiles(asked.get("tiles")))
         else:
             if len(subject.offer.section) > 2:
-                raise WrongUse("method must be direct for a slice, which walkers leave")
+                raise WrongUse("method must be direct for a slice, as walkers leave it")
             rectangles = asked.get("rectangles")
             if not isinstance(rectangles, list) or not 1 <= len(rectangles) <= MAX_RECTANGLES:
                 raise WrongUse(f"rectangles must be a list of 1 to {MAX_RECTANGLES}")

@@ -251,7 +251,9 @@ def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D],
 def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     """Draw the basins at start and optimum on two axes of a figure, with one legend for both."""
     if "fate_start" not in data or "fate_optimum" not in data:
-        raise WrongUse("data must hold the basins at start and optimum of an optimisation")
+        raise WrongUse(
+            "data must hold fate_start and fate_optimum, the basins of an optimisation in a plane"
+        )
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
     regions = regions_of_one_basin(

@@ -152,10 +152,10 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
 def above_ground(
     leg: Float[np.ndarray, "joints 2"], floor: float, radius: float
 ) -> tuple[Float[np.ndarray, "joints 2"], float]:
-    """A swing leg, from the hip to the centre of the foot's arc, as it is drawn, and its turn.
+    """Return a swing leg as it is drawn, from hip to centre of the foot's arc, and its turn.
 
-    Models let the swing leg pass through the ground. It is drawn shorter there; where that is much,
-    as in falls, turned outwards too, until its foot lies on the ground.
+    Models let the swing leg pass through the ground. There it is drawn shorter; where it would be
+    much shorter, as in falls, it is also turned outwards, until its foot lies on the ground.
     """
     places = (leg - leg[0]) @ np.array([1, 1j])  # from the hip
     end, deepest = complex(places[-1]), floor + radius - leg[0, 1]
@@ -172,7 +172,7 @@ def above_ground(
 
 
 def ground_below(pose: xr.Dataset, along: float) -> float:
-    """The height of the ground at a place: of rough ground, that of the nearest foothold."""
+    """Return the height of the ground at a place; on rough ground, that of the nearest foothold."""
     if "footholds" not in pose:
         return 0.0
     x, height = pose["footholds"].values.T

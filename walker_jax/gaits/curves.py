@@ -45,7 +45,7 @@ class Curve(NamedTuple):
 
 
 def read_curves(data: xr.Dataset) -> list[Curve]:
-    """The branches of a data set of the kind "gait branches"."""
+    """Return the branches of a data set of the kind "gait branches"."""
     branch, event_branch = data["branch"].values, data["event_branch"].values
     states, event_states = (first_coordinate(data[name]) for name in ("states", "event_states"))
     multipliers, event_multipliers = (
@@ -79,7 +79,7 @@ def insert_event(
     states: Float[np.ndarray, " period"],
     multipliers: Complex[np.ndarray, " order"],
 ) -> Curve:
-    """A curve with a bifurcation, between the two points where it lengthens the curve least."""
+    """Insert a bifurcation between the two points where it lengthens the curve least."""
     path = np.column_stack([curve.value, curve.states])
     scale = np.maximum(np.ptp(path, axis=0), np.finfo(float).tiny)
     lengths = np.linalg.norm(np.diff(path, axis=0) / scale, axis=1)
@@ -94,13 +94,13 @@ def insert_event(
 
 
 def cascade_curves(data: xr.Dataset) -> list[Curve]:
-    """The curves of the cascade, that of period one first."""
+    """Return the curves of the cascade, that of period one first."""
     members = data["branch"].values[data["on_cascade"].values.astype(bool)]
     return [curve for curve in read_curves(data) if curve.number in members]
 
 
 def interpolate_multipliers(curve: Curve) -> Curve:
-    """A curve with interpolated points between its own.
+    """Add interpolated points to a curve, between its own.
 
     The coefficients of the polynomial whose roots are the multipliers are interpolated linearly.
     """
@@ -125,7 +125,7 @@ def interpolate_multipliers(curve: Curve) -> Curve:
 
 
 def first_coordinate(states: xr.DataArray) -> Float[np.ndarray, "..."]:
-    """The first coordinate of states on the section."""
+    """Return the first coordinate of states on the section."""
     return states.isel(coordinate=0).values
 
 
@@ -137,12 +137,12 @@ def attractor_states(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], Float[n
 
 
 def loss_of_attractor(data: xr.Dataset) -> float:
-    """The middle of the interval in which walking is lost; NaN where it is not."""
+    """Return the middle of the interval in which walking is lost; NaN if it is not lost."""
     return float(data["lost"].values.mean())
 
 
 def cascade_interval(data: xr.Dataset) -> tuple[float, float] | None:
-    """From the first period doubling of the cascade to the loss of walking, if both are known."""
+    """Return the first period doubling of the cascade and the loss of walking; None if unknown."""
     doublings = [value for curve in cascade_curves(data) for value in curve.doublings.tolist()]
     low, high = min(doublings, default=np.inf), loss_of_attractor(data)
     return (low, high) if low < high else None

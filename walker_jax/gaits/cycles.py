@@ -37,7 +37,7 @@ class Gait(NamedTuple):
     multipliers: Complex[Array | np.ndarray, " section"]
     """Floquet multipliers: eigenvalues of the Jacobian of the cycle, the largest first."""
     step_times: Float[Array | np.ndarray, " period"]
-    """Duration of each stride."""
+    """Duration of each stride, in the unit of time."""
     stable: Bool[Array | np.ndarray, ""]
     """Whether this is a gait with all multipliers inside the unit circle."""
     residual: Float[Array | np.ndarray, ""]

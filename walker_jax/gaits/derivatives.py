@@ -114,7 +114,7 @@ class Linearisation(NamedTuple):
     state: Float[np.ndarray, "n period section"]
     """Ends of the strides; NaN where one fails."""
     time: Float[np.ndarray, "n period"]
-    """Durations of the strides."""
+    """Durations of the strides, in the unit of time."""
     jacobian: Float[np.ndarray, "n period section section"]
     """Jacobian J of each stride: derivatives of its end by its start; NaN where it fails."""
     by_parameter: Float[np.ndarray, "n period section"]

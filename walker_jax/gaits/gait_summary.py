@@ -15,7 +15,7 @@ LONGEST_LISTED_PERIOD = 8
 
 
 def summarise_gait(gait: Gait) -> dict:
-    """Summarise a gait; each multiplier is its real and its imaginary part."""
+    """Summarise a gait; each multiplier is a pair, its real and its imaginary part."""
     return {
         "period": len(gait.states),
         "states": np.asarray(gait.states),

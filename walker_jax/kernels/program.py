@@ -110,7 +110,7 @@ class Program:
         return compiled
 
     def ptx(self, mapped: tuple[bool, ...], in_memory: bool) -> Ptx | None:
-        """Return the program for GPUs (`ptx.entry_of`); None, and a `why_not`, if it has none."""
+        """Return the program for GPUs (`ptx.entry_of`); set `why_not` if there is none."""
         key = mapped, in_memory
         if key not in self.on_gpu:
             given = self.operands, self.results, self.name, lambda: self.closed

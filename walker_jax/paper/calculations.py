@@ -88,7 +88,7 @@ def mapped_basin(size: Size) -> xr.Dataset:
 
 
 def iterated_basin(size: Size) -> xr.Dataset:
-    """The basin in Figure 5: the same cells by direct iteration."""
+    """Figure 5: the basin of the same cells by direct iteration."""
     return basin(SimplestWalker(EXAMPLE_SLOPE), paper_grid(), "direct", progress=False)
 
 

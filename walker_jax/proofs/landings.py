@@ -66,7 +66,7 @@ class LandingBounds(NamedTuple):
 
 
 class LandingSearch(NamedTuple):
-    """Motion of a box, until all of it has fallen."""
+    """State of the loop that follows a box until all of it has fallen."""
 
     flow: Flow
     factor: Any

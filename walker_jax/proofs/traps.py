@@ -30,7 +30,7 @@ LARGEST_TRAP = 1.0
 
 
 def adapted_factor(jacobian: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2"] | None:
-    """Return L of a norm that decreases in each return, scaled to det L = 1.
+    """Return L, with det L = 1, such that the Jacobian contracts the norm |L^T x|.
 
     The result is None if the gait is not stable.
     """

@@ -50,7 +50,7 @@ class LeastDisturbance(NamedTuple):
     """Its direction from the gait: the disturbance divided by its size. With `scale`, it is in
     those units, in which it has length one."""
     state: Float[np.ndarray, " section"]
-    """The point."""
+    """The point itself, on the section."""
     phase: int
     """Number of the nearest state of the gait."""
     failure: Outcome

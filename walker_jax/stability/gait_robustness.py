@@ -84,8 +84,8 @@ def robustness(
     - `disturbances`: for `basin_stability`, as shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
-    - `ground`: standard deviation of normally distributed heights of steps, for `steps_to_fall`;
-      without it walks on rough ground are left out.
+    - `ground`: standard deviation of normally distributed heights of steps, in the unit of length,
+      for `steps_to_fall`; without it walks on rough ground are left out.
     - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** the data set of `refine`, with measures of the gait of the largest basin:

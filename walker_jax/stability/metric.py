@@ -132,7 +132,10 @@ def solve_lengths(
     unit: Float[Array, "n section"],
     size: Float[Array, " n"],
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Solve f(r u) = size for lengths r, by Newton's iteration on log f over log r."""
+    """Solve f(r u) = size for lengths r, by Newton's iteration on log f as a function of log r.
+
+    Returns the lengths and the errors of log f.
+    """
 
     def solve(u, target):
         def error_at(length):

@@ -92,9 +92,9 @@ def steps_to_fall(
     **Arguments:**
 
     - `walker`: any planar walker.
-    - `ground`: the standard deviation of normally distributed heights. Or a function of a JAX
-      random key, which returns the height of the next foothold above the present one, such as
-      `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance`.
+    - `ground`: the standard deviation of normally distributed heights, in the unit of length. Or a
+      function of a JAX random key, which returns the height of the next foothold above the present
+      one, such as `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance`.
     - `n`: number of walks.
     - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
     - `gait`: walks start at its first state; that of `find_gait` by default.
@@ -214,7 +214,7 @@ def read_key(key: Any) -> Array:
     """Return a random key, given one of new or old style, or none."""
     if key is None:
         return jax.random.key(0)
-    refusal = f"key must be one random key of JAX, not {short(key)}"
+    refusal = f"key must be one random key, such as jax.random.key(0), not {short(key)}"
     if not isinstance(key, jax.Array):
         raise WrongUse(refusal)
     try:

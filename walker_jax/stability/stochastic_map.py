@@ -170,7 +170,7 @@ class Repetition(NamedTuple):
 
 
 def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repetition:
-    """Run one repetition. Its walks from the start give the strides before they forget it."""
+    """Run one repetition. Walks from the start give the strides before they forget that start."""
     pilot, own = jax.random.split(key)
     along = rough.ground, jax.random.split(pilot, PILOT_WALKS), PILOT_STRIDES, rough.tolerance
     walks = walk_disturbed(rough.walker, np.broadcast_to(start, (PILOT_WALKS, len(start))), *along)

@@ -108,7 +108,7 @@ class Stride(NamedTuple):
     outcome: Int[Array, "*cells"]
     """`Outcome` as int8."""
     time: Float[Array, "*cells"]
-    """Duration; NaN unless the outcome is `STRIDE`."""
+    """Duration, in the unit of time; NaN unless the outcome is `STRIDE`."""
 
 
 class Walk(NamedTuple):
@@ -119,7 +119,7 @@ class Walk(NamedTuple):
     outcomes: Int[Array, " strides"]
     """`Outcome` of each stride; that of the failure from there on."""
     times: Float[Array, " strides"]
-    """Duration of each stride."""
+    """Duration of each stride, in the unit of time."""
 
 
 def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:

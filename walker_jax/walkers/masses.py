@@ -43,7 +43,7 @@ class MultibodyMotion(eqx.Module):
         """The contact function g(q), (11), of the impact at the end of the motion."""
 
     def push_off_impulse(self, q: Float[Array, " q"]) -> Float[Array, " q"] | None:
-        """Impulse dual to q on the walker just before that impact; by default there is none."""
+        """Impulse dual to q on the walker just before the impact; by default there is none."""
         return None
 
     def vector_field(self, state):

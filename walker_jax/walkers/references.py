@@ -95,7 +95,7 @@ def reference_of(kind: type[System] | System) -> str:
 
 
 def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
-    """Return the module with a file that has a class, or makes a system, and its name there."""
+    """Return the module, read from a file, that has a class or system, and its name there."""
     if isinstance(kind, type):
         module = sys.modules.get(kind.__module__)
         found = getattr(module, "__dict__", {}).get(kind.__qualname__) is kind
@@ -144,7 +144,7 @@ def load_file(path: Path, noun: str = "walker") -> ModuleType:
         raise WrongPlace(f"{noun} {path}: there is no such file")
     path, name = path.resolve(), path.stem
     if "." in name:
-        raise WrongPlace(f"{noun} {path}: no module is named {name}: rename the file")
+        raise WrongPlace(f"{noun} {path}: a module cannot be named {name}: rename the file")
     if is_taken(name, path):
         raise WrongPlace(f"{noun} {path}: another module is named {name}: rename the file")
     spec = importlib.util.spec_from_file_location(name, path)
@@ -226,7 +226,7 @@ def is_own(module: ModuleType, name: str) -> bool:
 def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> type[Walker]:
     """Return the class, if it is a complete one of walkers; raise `WrongUse` otherwise."""
     if not is_walker(value):
-        raise WrongUse(f"walker {name} must be a class of walkers: {choose_from(others, place)}")
+        raise WrongUse(f"walker {name} must name a class of walkers: {choose_from(others, place)}")
     check_complete("walker", name, value)
     return value
 

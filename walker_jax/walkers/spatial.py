@@ -239,7 +239,7 @@ class SpatialWalker(Walker):
         return self.vector_field if own else RollingStance(self)
 
     def modes(self):
-        """The swing disc touches the slope as a stride begins and ends."""
+        """One mode, the swing; the disc touches the slope as it begins and ends."""
         (swing,) = super().modes()
         if type(self).conditions is not SpatialWalker.conditions:
             return (swing,)
@@ -288,7 +288,7 @@ class SpatialWalker(Walker):
         return -LEAST_STEP - state.phi
 
     def falls(self, state: Any):
-        """The stance leg, or the axle, is down. Values are angles, near zero."""
+        """Guards of falls of the axle and of the stance leg; near zero their values are angles."""
         return {
             "SIDEWAYS": (state.lean**2 - GREATEST_LEAN**2) / (2 * GREATEST_LEAN),
             "BACKWARD": state.theta - np.pi / 2,

@@ -360,9 +360,9 @@ def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar
 
 
 def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
-    """Return the least value of a condition up to heel strike, and the nearest miss before that.
+    """Return the least value of a condition up to heel strike, and the miss nearest to zero.
 
-    The miss is that of the last guard of the mode, before the condition was violated.
+    The miss is one of the last guard of a mode before the condition was violated.
     """
     infinite = zero_at(parts[0].start) + jnp.inf
     least, before, broken = infinite, -infinite, jnp.asarray(False)

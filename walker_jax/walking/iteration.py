@@ -33,8 +33,9 @@ from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
 from walker_jax.walking.stride import follow_step, follow_stride
 
 ROUNDS = 4, 16, 64
-"""Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
-the next round. Most starts on a grid around a basin fail within four strides."""
+"""Number of strides in each round of an iteration; the last number holds for all later rounds. Only
+unfinished walks enter the next round. Most starts on a grid around a basin fail within four
+strides."""
 SINGLE_STRIDES, MANY_WALKS = 32, 5000
 """On a CPU, rounds have one stride up to this many strides, while at least this many walks go on.
 In a longer round the lanes of a kernel wait for the longest walk, half of the time or more. Most
@@ -188,8 +189,8 @@ def walk(
     ```
 
     Other arguments are those of `stride`. `ground` makes the ground rough: it is the `step` of each
-    stride, the height of its foothold above the one before. States are then full states, just after
-    heel strike.
+    stride, the height of its foothold above the one before, in the unit of length. States are then
+    full states, just after heel strike.
     """
     check_whole("n", n)
     walker, x, integrator = prepare(walker, x, tolerance, solver)

@@ -58,7 +58,7 @@ def motion(
     - `walker`, `tolerance`: as in `stride`.
     - `x`: a feasible start, on the section.
     - `strides`: most strides.
-    - `step`: time between frames, approximately.
+    - `step`: time between frames, approximately, in the unit of time.
     - `ground`: heights of footholds, each above the one before, as in `walk`.
 
     **Returns** a data set. Over `frame` it has

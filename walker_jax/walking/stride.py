@@ -313,7 +313,7 @@ def step_down(
 ) -> Stride:
     """Make one stride whose heel strike is on ground lower by `drop`, which is not negative.
 
-    It is `stride(walker, x, step=-drop)`.
+    It is `stride(walker, x, step=-drop)`; `drop` is in the unit of length.
 
     ```python
     walker = wj.SimplestWalker(0.004)

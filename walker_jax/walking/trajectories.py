@@ -40,6 +40,8 @@ def trajectory(
 ) -> Any:
     """Compute angles and rates at `times` after the start x of a stride, 0 or later, in any order.
 
+    Times are in the unit of time, sqrt(leg length / gravity), angles in rad.
+
     The motion follows the equations alone: it does not end at heel strike, whose time `stride`
     gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
 
@@ -114,9 +116,9 @@ def phase_times(
 ) -> Float[Array, " phases"]:
     """Compute the time at which each phase of a stride ends; the last is the time of `stride`.
 
-    For a kneed walker these are the times of knee strike, 0 where the knee locks at once, and of
-    heel strike. NaN for phases that do not end with their event. Arguments and errors are those of
-    `stride`.
+    Times are in the unit of time. For a kneed walker they are the times of knee strike, 0 where the
+    knee locks at once, and of heel strike. They are NaN for phases that do not end with their
+    event. Arguments and errors are those of `stride`.
 
     ```python
     walker = wj.KneedWalker(0.05)
