@@ -112,6 +112,8 @@ def test_a_slice_of_three_dimensions_is_refined():
     inner = ~np.logical_or(*(edge(one.astype(int)) for one in walks))
     assert (walks[0] != walks[1])[inner].sum() <= 5
     assert (found.fate.values == uniform.fate.values).mean() > 0.95
+    followed, boundary = found.followed.values, found.boundary.values
+    assert np.all(followed[1:] >= 4 * boundary[:-1])  # all parts of each cell on the boundary
     area, error = float(found.total_area), float(found.total_area_error)
     assert abs(area - float(uniform.area.sum())) < 4 * error < 0.2 * area
 

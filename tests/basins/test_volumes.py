@@ -19,6 +19,7 @@ from walker_jax.grids import edge
 
 WALKER = wj.RoundFootWalker(0.01)
 CENTRE, HALF_AXES = np.array([0.52, 0.47, 0.51]), np.array([0.31, 0.23, 0.17])
+BY_CENTRES = {"strides": 10, "check": 0, "seed": 0, "tolerance": None, "by_centres": True}
 
 
 def cube(count):
@@ -93,8 +94,7 @@ def test_neighbours_are_those_that_an_edge_has():
 @pytest.mark.parametrize("inside", [ellipsoid, torus])
 def test_cells_are_the_whole_grids_at_the_cost_of_its_boundary(walks_in, inside):
     asked = walks_in(inside)
-    options = {"strides": 10, "check": 0, "seed": 0, "tolerance": None, "by_centres": True}
-    found = refinement.refine_cells(WALKER, cube(12), 3, **options)
+    found = refinement.refine_cells(WALKER, cube(12), 3, **BY_CENTRES)
     fine = refinement.finer(cube(12), 3)
     expected = inside(fine.centres(np.arange(fine.size))).reshape(fine.shape)
     np.testing.assert_array_equal(found.attractor >= 0, expected)
@@ -104,6 +104,22 @@ def test_cells_are_the_whole_grids_at_the_cost_of_its_boundary(walks_in, inside)
     followed, boundary = np.array(found.followed[1:]), np.array(found.boundary)
     assert np.all(followed[1:] < 4.8 * followed[:-1]) and np.all(boundary[1:] < 5 * boundary[:-1])
     assert len(found.runs.first) < 2 * 96**2 + 2 * found.boundary[-1]
+
+
+def test_cells_of_a_slice_are_those_of_an_ellipse(walks_in):
+    asked, height = walks_in(ellipsoid), 0.6
+    grid = wj.Grid.plain(theta=(0, 1, 20), thetadot=(0, 1, 25), phidot=height)
+    found = refinement.refine_cells(WALKER, grid, 3, **BY_CENTRES)
+    places = np.meshgrid((np.arange(160) + 0.5) / 160, (np.arange(200) + 0.5) / 200, indexing="ij")
+    theta, thetadot, phidot = (
+        ((x - middle) / half) ** 2
+        for x, middle, half in zip([*places, height], CENTRE, HALF_AXES, strict=True)
+    )
+    expected = theta + thetadot < 1 - phidot
+    np.testing.assert_array_equal(found.attractor >= 0, expected)
+    assert found.boundary[-1] == edge(expected.astype(int)).sum()
+    assert np.all(np.array(found.followed[1:]) >= 4 * np.array(found.boundary[:-1]))
+    assert sum(map(len, asked)) == sum(found.followed) < expected.size / 4
 
 
 @pytest.mark.parametrize("inside", VOLUMES)
