@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from walker_jax.checks import WrongUse
 from walker_jax.walking.iteration import Targets, nearest_target
 
 CLOSE = 0.01
@@ -36,18 +35,6 @@ class Attractor(NamedTuple):
 def capture_radius(dtype) -> float:
     """Return the distance, in every coordinate, within which an attractor is reached."""
     return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
-
-
-def check_cycle(
-    states: Float[np.ndarray, "period section"], ends: Float[np.ndarray, "period section"]
-) -> None:
-    """Raise `WrongUse` if strides from a gait's states end elsewhere, as for another walker."""
-    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
-    if not miss < capture_radius(states.dtype):
-        raise WrongUse(
-            f"gait must be one of this walker, whose strides miss it by {miss:.2g}: find_gait "
-            "gives one"
-        )
 
 
 def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period section section"]:
