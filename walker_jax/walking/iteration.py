@@ -59,6 +59,12 @@ class Targets(NamedTuple):
     frames: Float[Any, "m section section"]
 
 
+def distances(x: Float[Array, " section"], targets: Targets) -> Float[Array, " m"]:
+    """Return the distance of a state from each target, which is within reach below 1."""
+    distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
+    return jnp.max(jnp.abs(distance), axis=1)
+
+
 class WalkEnd(NamedTuple):
     """The end of a walk, and its reason: arrays of JAX or of NumPy."""
 
@@ -249,10 +255,6 @@ def walk_on(
     integrator: Integrator,
 ) -> WalkEnd:
     """Walk on until a failure, until a target is reached, or for a number of strides."""
-
-    def distances(x, targets):
-        distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
-        return jnp.max(jnp.abs(distance), axis=1)
 
     def is_near(x):
         return jnp.asarray(False) if targets is None else jnp.any(distances(x, targets) < 1)
