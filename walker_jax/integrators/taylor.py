@@ -166,7 +166,7 @@ def switching_series(
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     with recording(switches) as found:
         if isinstance(function, PowerBalance):
-            function.balance(jax.tree.leaves(known, is_leaf=is_series), jax.tree.leaves(start))
+            function.balance(jax.tree.leaves(known), jax.tree.leaves(start))
             order -= 2
         else:
             compose(function, known, start)
@@ -176,10 +176,6 @@ def switching_series(
         for one in varying
         for i in range(one[0].size)
     ]
-
-
-def is_series(x) -> bool:
-    return isinstance(x, Series)
 
 
 def is_absent(x) -> bool:

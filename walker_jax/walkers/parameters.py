@@ -123,8 +123,13 @@ def describe_source(walker: System, *, without: Container[str] = ()) -> dict[str
 
 def describe_in_words(walker: System) -> str:
     """Describe a walker on one line: its name, then each parameter with its value."""
-    name, *values = describe_walker(walker).items()
-    return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
+    return write_description(describe_walker(walker))
+
+
+def write_description(about: dict[str, Any], form: str = "g") -> str:
+    """Write the result of `describe_walker` on one line."""
+    name, *values = about.items()
+    return ", ".join([name[1], *(f"{key} {value:{form}}" for key, value in values)])
 
 
 BRIEF = 48
