@@ -16,6 +16,7 @@ from jaxtyping import PyTree
 from walker_jax.integrators.expansion import compose, with_fast_sincos
 from walker_jax.integrators.series import (
     Series,
+    coefficients_up_to,
     keeping_results,
     recording,
     scale,
@@ -203,9 +204,3 @@ def derivative(series: Series, times: int = 1) -> Series:
         return jnp.zeros_like(series[0]) if coefficient is None and k == 0 else coefficient
 
     return Series(rule)
-
-
-def coefficients_up_to(series: Series, order: int) -> list:
-    """Return the coefficients of a series up to an order, as arrays."""
-    zero = jnp.zeros_like(series[0])
-    return [zero if series[k] is None else series[k] for k in range(order + 1)]

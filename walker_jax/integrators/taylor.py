@@ -23,8 +23,8 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
-from walker_jax.integrators.power_balance import PowerBalance, coefficients_up_to
-from walker_jax.integrators.series import Series, recording, scale
+from walker_jax.integrators.power_balance import PowerBalance
+from walker_jax.integrators.series import Series, coefficients_up_to, recording, scale
 from walker_jax.kernels.jaxprs import CALLS, called_function
 
 VectorField = Callable[[PyTree], PyTree]
