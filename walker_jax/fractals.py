@@ -60,6 +60,10 @@ class Dimension(NamedTuple):
     """Boxes the boundary passes through: the mean over all origins, corrected for the spacing."""
 
 
+UNKNOWN = Dimension(np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
+"""The result with too little to count."""
+
+
 class Uncertainty(NamedTuple):
     """The dimension of a boundary from its uncertainty exponent, and the fitted fractions."""
 
@@ -131,17 +135,26 @@ def box_counting(
     while (fine := mean_box_counts(labels, largest))[-1] < MIN_BOXES:
         largest //= 2
         if largest < smallest:
-            return Dimension(np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
+            return UNKNOWN
     coarse = mean_box_counts(labels, largest, step=2)
     coarse = np.maximum(coarse, fine / 2)  # never zero, as for a pattern of single cells
     counts = fine**2 / coarse
-    slopes = -np.diff(np.log2(counts))
-    value = slopes.mean()
+    sizes = spacing * SMALLEST_BOX * 2.0 ** np.arange(len(counts))
+    return mean_slope(-np.diff(np.log2(counts)), upper, sizes, counts)
+
+
+def mean_slope(
+    slopes: Float[np.ndarray, " octaves"],
+    upper: float,
+    sizes: Float[np.ndarray, " k"],
+    counts: Float[np.ndarray, " k"],
+) -> Dimension:
+    """Return the mean of the slopes of octaves as a dimension, with its Student's t interval."""
     from scipy.special import stdtrit
 
-    half = stdtrit(len(slopes) - 1, upper) * slopes.std(ddof=1) / np.sqrt(len(slopes))
-    sizes = spacing * SMALLEST_BOX * 2.0 ** np.arange(len(counts))
-    return Dimension(float(value), float(value - half), float(value + half), sizes, counts)
+    value = float(slopes.mean())
+    half = float(stdtrit(len(slopes) - 1, upper) * slopes.std(ddof=1) / np.sqrt(len(slopes)))
+    return Dimension(value, value - half, value + half, sizes, counts)
 
 
 def mean_box_counts(
@@ -209,14 +222,9 @@ def information_dimension(
         entropies.append(float(correction - np.sum(shares * np.log(shares))))
     used = np.array(entropies[COARSE_OCTAVES:])
     if len(used) < MIN_SCALES:
-        return Dimension(np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
-    slopes = np.diff(used) / np.log(2)
-    from scipy.special import stdtrit
-
-    half = stdtrit(len(slopes) - 1, upper) * slopes.std(ddof=1) / np.sqrt(len(slopes))
+        return UNKNOWN
     sizes = 0.5 ** np.arange(COARSE_OCTAVES + 1, len(entropies) + 1)
-    value = float(slopes.mean())
-    return Dimension(value, value - float(half), value + float(half), sizes, np.exp(used))
+    return mean_slope(np.diff(used) / np.log(2), upper, sizes, np.exp(used))
 
 
 @refuses_tracers()

@@ -362,6 +362,11 @@ def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
     return most != least
 
 
+def steps_around(axes: int) -> Int[np.ndarray, "n axes"]:
+    """Return the steps from a cell to its neighbours, corners included, and to itself."""
+    return np.stack(np.meshgrid(*[(-1, 0, 1)] * axes, indexing="ij"), -1).reshape(-1, axes)
+
+
 def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarray:
     """Pick the largest, or least, of each value and its two neighbours along an axis."""
     picked = values.copy()

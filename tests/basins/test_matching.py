@@ -9,7 +9,8 @@ import walker_jax as wj
 from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels
-from walker_jax.basins.matching import cycle_distance, match_cycles, number_alike
+from walker_jax.basins.matching import match_cycles, number_alike
+from walker_jax.gaits.cycles import cycle_distance
 from walker_jax.identity import code_fingerprint
 from walker_jax.stability import basin_fractions
 from walker_jax.stability.basin_fractions import Found, assemble, summarise_fractions

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from walker_jax.basins.attractor import Attractor, capture_radius
 from walker_jax.basins.attractor_search import sample_indices
 from walker_jax.basins.mapper import Mapper
-from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
@@ -90,8 +90,4 @@ def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
 def is_same_cycle(one: Gait, other: Gait) -> bool:
     """Return whether two gaits have the same states, whichever comes first."""
     states, others = np.asarray(one.states), np.asarray(other.states)
-    radius = capture_radius(states.dtype)
-    rotations = (np.roll(others, shift, axis=0) for shift in range(len(others)))
-    return states.shape == others.shape and any(
-        np.abs(states - rotated).max() < radius for rotated in rotations
-    )
+    return cycle_distance(states, others) < capture_radius(states.dtype)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from walker_jax.checks import WrongUse
 from walker_jax.walking.iteration import Targets, nearest_target
 
 CLOSE = 0.01
@@ -38,18 +37,6 @@ def capture_radius(dtype) -> float:
     return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
 
 
-def check_cycle(
-    states: Float[np.ndarray, "period section"], ends: Float[np.ndarray, "period section"]
-) -> None:
-    """Raise `WrongUse` if strides from a gait's states end elsewhere, as for another walker."""
-    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
-    if not miss < capture_radius(states.dtype):
-        raise WrongUse(
-            f"gait must be one of this walker, whose strides miss it by {miss:.2g}: find_gait "
-            "gives one"
-        )
-
-
 def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period section section"]:
     """Return capture boxes that are cubes, of a given half edge."""
     period, size = attractor.states.shape
@@ -59,7 +46,10 @@ def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period sect
 def targets_of(
     attractors: Sequence[Attractor], size: int, within: float | None = None
 ) -> tuple[Targets, Int[np.ndarray, " m"]]:
-    """Return the capture boxes of all cycles, or cubes of a half edge, and the owner of each."""
+    """Return the capture boxes of all cycles, or cubes of a half edge, and the owner of each.
+
+    Another owner, the last, is -1: that of the target -1, for none.
+    """
     states, frames, owner = [], [], []
     for number, one in enumerate(attractors):
         if one.period is None:
@@ -69,9 +59,9 @@ def targets_of(
         frames.append(cubes(one, capture_radius(one.states.dtype)) if boxes is None else boxes)
         owner += [number] * one.period
     if not owner:
-        return Targets(np.zeros((0, size)), np.zeros((0, size, size))), np.zeros(0, np.int32)
+        return Targets(np.zeros((0, size)), np.zeros((0, size, size))), np.full(1, -1, np.int32)
     targets = Targets(np.concatenate(states), np.concatenate(frames))
-    return targets, np.array(owner, np.int32)
+    return targets, np.array([*owner, -1], np.int32)
 
 
 def match_attractor(
@@ -84,12 +74,7 @@ def match_attractor(
     Of several boxes the nearest counts. With `within` the boxes are cubes of that half edge.
     """
     targets, owner = targets_of(attractors, x.shape[1], within)
-    return owners(nearest_target(x, targets), owner)
-
-
-def owners(target: Int[np.ndarray, " n"], owner: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]:
-    """Return the attractors whose capture boxes have these numbers; -1 for -1."""
-    return np.append(owner, np.int32(-1))[target]
+    return owner[nearest_target(x, targets)]
 
 
 def sorted_numbers(attractors: Sequence[Attractor]) -> list[int]:

@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float, Int
 from walker_jax.basins.attractor import (
     Attractor,
     match_attractor,
-    owners,
     sorted_numbers,
     targets_of,
 )
@@ -96,7 +95,7 @@ class Mapper(NamedTuple):
         end = iterate(
             self.walker, starts, self.strides, self.integrator, targets, progress=progress
         )
-        return Labels(end.outcome, owners(end.target, owner), end.strides, end.state)
+        return Labels(end.outcome, owner[end.target], end.strides, end.state)
 
     def match_approaching(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
         """Return the numbers of the cycles that walkers come ever nearer to; -1 for none."""

@@ -5,25 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from walker_jax.gaits.cycles import cycle_distance
+
 NONE = -1
 """Number of a cycle without a match."""
 NEIGHBOURS_APART = 0.1
 """Distance within which cycles of neighbouring walkers count as one. It is half the distance
 between the two states of the simplest walker's gaits of period one and two. It exceeds the change
 of a gait between two values of a parameter that deserve separate basins."""
-
-
-def cycle_distance(
-    one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "other section"]
-) -> float:
-    """Return the largest difference of a coordinate of two cycles; infinite for different periods.
-
-    The cycles are rotated so that it is smallest. It is 0 for two cycles without a state.
-    """
-    if one.shape != other.shape:
-        return np.inf
-    turned = (np.roll(other, shift, axis=0) for shift in range(len(other)))
-    return min((float(np.abs(one - cycle).max()) for cycle in turned), default=0.0)
 
 
 def match_cycles(

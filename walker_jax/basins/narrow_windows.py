@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from walker_jax.basins.edge_states import failing_margin
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.gaits.derivatives import linearise
-from walker_jax.grids import Grid
+from walker_jax.grids import Grid, steps_around
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
@@ -60,12 +60,9 @@ def follow_window(
         check_cells(grid, centre, half)
         return grid, 0
     check_width(grid, centre, half)
-    axes = {
-        name: (-width, width, count)
-        for name, width, count in zip(grid.names, half.tolist(), grid.shape, strict=True)
-    }
-    samples = np.stack(np.meshgrid(*[(-1, 0, 1)] * len(half), indexing="ij"), -1)
-    samples = samples.reshape(-1, len(half)) * half
+    ends = zip(grid.names, half.tolist(), grid.shape, strict=True)
+    axes = {name: (-width, width, count) for name, width, count in ends}
+    samples = steps_around(len(half)) * half
     widest, width = (grid, 0), 0.0
     for made in range(limit):
         points = centre + samples @ shear.T

@@ -27,6 +27,7 @@ from walker_jax.basins.schema import (
     describe,
     to_dataset,
 )
+from walker_jax.basins.volumes import frame_of
 from walker_jax.checks import MAX_COUNT, check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
@@ -177,12 +178,8 @@ def dataset_of_runs(walker: System, found: Refined, settings: dict) -> xr.Datase
         first_cell=("run", runs.first),
         run_fate=("run", basins.fate, about["fate"]),
         run_attractor=("run", basins.attractor, about["attractor"]),
-        lower=("axis", np.asarray(found.grid.lower)),
-        upper=("axis", np.asarray(found.grid.upper)),
-        shear=(("coordinate", "axis"), np.asarray(found.grid.shear)),
-        origin=("coordinate", np.asarray(found.grid.origin)),
+        **frame_of(found.grid),
     )
-    data = data.assign_coords(axis=np.array(found.grid.names, object))
     at_border = runs.count_at_border(walks)
     return add_attractors(data, found.grid, basins.attractors, cells, at_border)
 

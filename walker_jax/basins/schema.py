@@ -1,7 +1,6 @@
 """The data set of a basin: its arrays, their dimensions, types and attributes."""
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ from walker_jax.basins.attractor import Attractor, sorted_numbers
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.systems.outcomes import names_of_outcomes
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import attributes_of
+from walker_jax.walkers.parameters import describe_source
 
 NOT_COMPUTED = -1
 """Fate of a cell whose piece has not been computed."""
@@ -70,12 +69,9 @@ def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr
 def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
     """Make a data set of a grid's axes; attributes name the walker and the computation."""
     about = {
-        "walker": walker.label(),
-        **attributes_of(walker),
+        **describe_source(walker),
         **settings,
-        "section": list(walker.section),
         **({"origin": grid.origin.tolist()} if is_centred(grid) else {}),
-        "version": f"walker-jax {version('walker-jax')}",
     }
     return xr.Dataset(coords=grid.axes | grid.fixed_values, attrs=about)
 

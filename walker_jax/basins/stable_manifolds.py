@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import check_cycle
+from walker_jax.basins.attractor import capture_radius
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -24,7 +24,7 @@ from walker_jax.checks import (
     check_whole,
     refuses_tracers,
 )
-from walker_jax.gaits.cycles import Gait, multiply_jacobians
+from walker_jax.gaits.cycles import Gait, check_cycle, multiply_jacobians
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.systems.system import System
@@ -89,7 +89,7 @@ def stable_manifold(
         )
     integrator = integrator_of(states.dtype, tolerance)
     local = linearise(walker, states[None], integrator)
-    check_cycle(states, local.state[0])
+    check_cycle(states, local.state[0], capture_radius(states.dtype))
     jacobian = multiply_jacobians(local.jacobian)[0]
     values, vectors = np.linalg.eig(jacobian)
     at = int(np.abs(values).argmin())

@@ -1,5 +1,7 @@
 """Refined basins of three dimensions, and their slices along the axes of the grid."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
@@ -70,8 +72,19 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
     )
 
 
+def frame_of(grid: Grid) -> dict[str, Any]:
+    """Return the variables of a data set from which `grid_of` makes a grid again."""
+    return {
+        "axis": ("axis", np.array(grid.names, object)),
+        "lower": ("axis", grid.lower),
+        "upper": ("axis", grid.upper),
+        "shear": (("coordinate", "axis"), grid.shear),
+        "origin": ("coordinate", grid.origin),
+    }
+
+
 def grid_of(data: xr.Dataset) -> Grid:
-    """Return the finest grid of a refined basin of three dimensions."""
+    """Return the grid of a data set that has its frame, such as a refined basin of volumes."""
     names = data["axis"].values.tolist()
     ends = zip(data["lower"].values, data["upper"].values, strict=True)
     axes = {

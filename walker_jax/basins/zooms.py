@@ -27,7 +27,7 @@ from walker_jax.checks import (
     refuses_tracers,
 )
 from walker_jax.execution.progress import track
-from walker_jax.grids import Grid, edge
+from walker_jax.grids import Grid, edge, steps_around
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.system import System, check_single
 
@@ -95,14 +95,11 @@ def find_boundary_point(
     shape = np.array(grid.shape)
     middle = (shape - 1) / 2 if near is None else grid.place(near)
     cell = on_edge[np.linalg.norm(on_edge - middle, axis=1).argmin()]
-    beside = cell + np.stack(np.meshgrid(*[(-1, 0, 1)] * len(cell), indexing="ij"), -1).reshape(
-        -1, len(cell)
-    )
+    beside = cell + steps_around(len(cell))
     beside = beside[((beside >= 0) & (beside < shape)).all(axis=1)]
     other = beside[(label[tuple(beside.T)] != label[tuple(cell)]).argmax()]
-    return bisect_to_last_digit(
-        label_starts, grid.points_at((np.stack([cell, other]) + 0.5) / shape)
-    )
+    ends = grid.points_at((np.stack([cell, other]) + 0.5) / shape)
+    return bisect_to_last_digit(label_starts, ends)
 
 
 def bisect_to_last_digit(

@@ -48,12 +48,6 @@ def slope_of(about: dict[str, Any]) -> dict[str, float]:
     return {name: value for name, value in about.items() if name == "slope"}
 
 
-def walker_in_words(about: dict[str, Any], form: str = "g") -> str:
-    """Write a walker that is described in a request: its name and its parameters."""
-    name, *values = about.items()
-    return ", ".join([name[1], *(f"{key} {value:{form}}" for key, value in values)])
-
-
 def check_suffix(figure: Path) -> None:
     """Refuse a picture whose name ends in none of the `PICTURES`."""
     if figure.suffix not in PICTURES:

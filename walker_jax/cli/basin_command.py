@@ -21,7 +21,6 @@ from walker_jax.cli.answers import (
     points_listed,
     request_for,
     slope_of,
-    walker_in_words,
 )
 from walker_jax.cli.conclusions import conclude_basin
 from walker_jax.cli.groups import option
@@ -32,6 +31,7 @@ from walker_jax.execution.progress import bar
 from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import write_description
 
 if TYPE_CHECKING:
     import xarray
@@ -241,7 +241,7 @@ def basin_in_words(
     data: "xarray.Dataset", answer: dict, counts: Tally, request: dict
 ) -> Iterator[str]:
     """Write the answer of `basin`."""
-    yield f"Basin of attraction, {walker_in_words(request['walker'])}, {answer['method']}"
+    yield f"Basin of attraction, {write_description(request['walker'])}, {answer['method']}"
     if "zoom" in request:
         centre = listed(data.attrs["origin"], ".17g")
         yield f"  window {request['zoom']:g} times as narrow, around ({centre})"

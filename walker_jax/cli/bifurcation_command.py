@@ -8,7 +8,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import Output, listed, request_for, walker_in_words
+from walker_jax.cli.answers import Output, listed, request_for
 from walker_jax.cli.conclusions import conclude_bifurcations
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import check_range, hyphenated, underscored
@@ -24,6 +24,7 @@ from walker_jax.walkers.parameters import (
     described_by,
     slopes_of,
     with_parameter,
+    write_description,
 )
 
 TITLES = {
@@ -87,7 +88,7 @@ def bifurcation(
     answer = summarise_bifurcations(data)
     units = {one.name: f" {one.unit}".rstrip() for one in described_by(walker, Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
-    title = f"Gaits of {walker_in_words(request['walker'], '')}, {span}"
+    title = f"Gaits of {write_description(request['walker'], '')}, {span}"
     found = bool(data["on_cascade"].any())
     lines = bifurcations_in_words(answer, over, options.strides, found=found)
     output.tell(answer, [title, *lines])

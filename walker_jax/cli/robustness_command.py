@@ -11,7 +11,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax.basins.windows import grid_along
 from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import Output, listed, request_for, slope_of, walker_in_words
+from walker_jax.cli.answers import Output, listed, request_for, slope_of
 from walker_jax.cli.conclusions import conclude_robustness
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import (
@@ -30,7 +30,7 @@ from walker_jax.stability.robustness_fields import summarise_robustness
 from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, is_planar
-from walker_jax.walkers.parameters import space_decimals
+from walker_jax.walkers.parameters import space_decimals, write_description
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def robustness(
         ]
         answer = {"slopes" if name == "slope" else "values": rows}
         places = [f"{hyphenated(name)} {value:g}: " for value in values]
-    lines = [f"Robustness, {walker_in_words(about)}"]
+    lines = [f"Robustness, {write_description(about)}"]
     for row, place in zip(rows, places, strict=True):
         lines += measures_in_words(row, place)
     lines.append(f"  {conclude_robustness(rows, hyphenated(name))}")

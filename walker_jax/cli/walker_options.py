@@ -20,7 +20,7 @@ from walker_jax.walkers.parameters import (
     Parameter,
     options,
     parameters_of,
-    with_parameter,
+    with_values,
 )
 from walker_jax.walkers.references import find_system, find_walker, installed_walkers
 
@@ -203,8 +203,4 @@ def build_walker(
         if one not in values and math.isnan(value):
             raise WrongUse(f"{option_of(one)} is required: {name} has no default for it")
     made = {one: own[one].convert(value) for one, value in (numbers | values).items()}
-    if isinstance(kind, type):
-        return kind(**made)
-    for one, value in made.items():
-        kind = with_parameter(kind, one, value)
-    return kind
+    return kind(**made) if isinstance(kind, type) else with_values(kind, made)

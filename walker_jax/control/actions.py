@@ -13,7 +13,7 @@ from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
 from walker_jax.grids import check_axis
 from walker_jax.storage.schema import names_in_use
 from walker_jax.systems.system import System, check_single, numbers_of
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import check_parameter, with_values
 
 MOST_ACTIONS = 10_000
 """Most combinations of values; a request for more is likely a mistake."""
@@ -30,9 +30,8 @@ class Actions(NamedTuple):
     def of(self, system: System, number: int) -> System:
         """Return the system during a stride by one of the actions."""
         dtype = jnp.asarray(0.0).dtype
-        for name, value in zip(self.names, self.values[number], strict=True):
-            system = with_parameter(system, name, np.asarray(value, dtype))
-        return system
+        arrays = (np.asarray(value, dtype) for value in self.values[number])
+        return with_values(system, zip(self.names, arrays, strict=True))
 
 
 def read_actions(system: System, actions: Any) -> Actions:

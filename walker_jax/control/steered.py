@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, code_field, numbers_of
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walkers.parameters import with_values
 from walker_jax.walking.stride import stride
 
 Choice = Callable[[Float[Array, " section"], Float[Array, " parameters"]], Any]
@@ -27,10 +27,7 @@ def steer(system: System, names: tuple[str, ...], choose: Choice, tolerance: flo
         return remake(type(system), names, choose, vars(system))
 
     def plain(parameters: dict[str, Any]) -> System:
-        made = system
-        for name, value in parameters.items():
-            made = with_parameter(made, name, value)
-        return made
+        return with_values(system, parameters)
 
     def acting(x: Float[Array, " section"], parameters: dict[str, Any]) -> System:
         own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
@@ -54,9 +51,7 @@ class SteeredWalker(Walker):
 
     def during_stride(self, x):
         own = jnp.stack([jnp.asarray(getattr(self, name), x.dtype) for name in self.chosen])
-        walker = self
-        for name, value in zip(self.chosen, self.choose(x, own), strict=True):
-            walker = with_parameter(walker, name, value)
+        walker = with_values(self, zip(self.chosen, self.choose(x, own), strict=True))
         return self.steered.during_stride(walker, x)
 
     def __reduce__(self):

@@ -24,7 +24,7 @@ from walker_jax import storage
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import BYTES_PER_REFINED_CELL, FINEST, finer
 from walker_jax.basins.schema import describe, request_of
-from walker_jax.basins.volumes import grid_of
+from walker_jax.basins.volumes import frame_of, grid_of
 from walker_jax.cellmaps import resolve
 from walker_jax.checks import (
     WrongUse,
@@ -139,7 +139,8 @@ def viable(
     `basin` does.
     """
     check_kind("walker", walker, System)
-    d = grid_axes(grid)
+    check_kind("grid", grid, Grid)
+    d = len(grid.names)
     if d < len(walker.section) == grid.coordinates:
         raise WrongUse("grid must be of all coordinates of the section, not a slice", of="grid")
     choice = read_actions(walker, actions)
@@ -171,12 +172,6 @@ def viable(
     return plan.answer(cells, compute_here, progress)
 
 
-def grid_axes(grid: Any) -> int:
-    """Return the number of axes of a grid; refuse anything that is not a grid."""
-    check_kind("grid", grid, Grid)
-    return len(grid.names)
-
-
 def read_target(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
     """Return a checked target as a row."""
     values = array("target", target)
@@ -200,16 +195,9 @@ class Plan(NamedTuple):
         """Return the axes of the finest grid, and the settings."""
         walker, choice, integrator, _, grid, _ = self.task
         settings = {"actions": list(choice.names), "tolerance": float(integrator.tolerance)}
-        frame = {
-            "axis": ("axis", np.array(grid.names, object)),
-            "lower": ("axis", grid.lower),
-            "upper": ("axis", grid.upper),
-            "shear": (("coordinate", "axis"), grid.shear),
-            "origin": ("coordinate", grid.origin),
-        }
         columns = zip(choice.names, choice.values.T, strict=True)
-        frame |= {name: ("action_number", row) for name, row in columns}
-        return describe(walker, grid, settings).assign(frame)
+        rows = {name: ("action_number", row) for name, row in columns}
+        return describe(walker, grid, settings).assign(frame_of(grid) | rows)
 
     def request(self) -> dict:
         """Return everything the result depends on, by which a stored result is recognised."""

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.checks import WrongUse, check_kind, numbers, short
+from walker_jax.checks import WrongUse, numbers, short
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import check_parameter, check_parameters, with_parameter
 
 MAX_BAND_HALVINGS = 20
 """Most halvings of a band on a side where the walker refuses the value."""
@@ -20,9 +20,7 @@ def check_bands(
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
 ) -> Float[np.ndarray, " parameters"]:
     """Return the half widths of bands, 1 if none are given; refuse wrong parameters and widths."""
-    check_kind("parameters", parameters, Sequence)
-    for name in parameters:
-        check_parameter(walker, name)
+    check_parameters(walker, parameters)
     widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
     if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
         raise WrongUse(f"bands must be a number above 0 for each parameter, not {short(bands)}")

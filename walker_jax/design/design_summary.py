@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import xarray as xr
 
+from walker_jax.design.results import binding_limits
+
 if TYPE_CHECKING:
     import pandas
 
@@ -15,7 +17,6 @@ def summarise_optimum(data: xr.Dataset) -> dict:
     names = data["parameter"].values.tolist()
     by_name = lambda key: dict(zip(names, data[key].values.tolist(), strict=True))
     at_ends = lambda key: {end: float(data[key.format(end)]) for end in ENDS}
-    binding = data["measure"].values[data["binding"].values]
     return {
         "start": by_name("start"),
         "optimum": by_name("optimum"),
@@ -23,7 +24,7 @@ def summarise_optimum(data: xr.Dataset) -> dict:
         "exact": at_ends("exact_{}"),
         "exact_error": at_ends("exact_{}_error"),
         "at_bound": [name for name, side in by_name("at_bound").items() if side],
-        "binding": binding.tolist(),
+        "binding": binding_limits(data),
         "note": {end: str(data[f"note_{end}"].values) for end in ENDS},
         "evaluations": data.sizes["evaluation"],
         "converged": bool(data["converged"]),

@@ -18,7 +18,7 @@ from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Scalar, Walker, is_planar
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import along_parameter, check_parameters
 from walker_jax.walking.stride import stride
 from walker_jax.walking.trajectories import trajectory
 
@@ -64,9 +64,7 @@ def gait_measures(
     Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
     gait that is not one of this walker.
     """
-    check_kind("parameters", parameters, Sequence)
-    for name in parameters:
-        check_parameter(walker, name)
+    check_parameters(walker, parameters)
     gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found:
@@ -89,9 +87,8 @@ def gait_measures(
         return jnp.mean(known) / mean_step_length(walker, states)
 
     def along(measure, name: str, dx: Float[np.ndarray, "period section"]) -> float:
-        by = jax.tree.map(jnp.zeros_like, walker)
-        by = with_parameter(by, name, jnp.ones_like(getattr(walker, name)))
-        return float(jax.jvp(measure, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1])
+        way = along_parameter(walker, name), jnp.asarray(dx)
+        return float(jax.jvp(measure, (walker, jnp.asarray(states)), way)[1])
 
     steps = isinstance(walker, Walker)
     length = float(mean_step_length(walker, jnp.asarray(states))) if steps else np.nan

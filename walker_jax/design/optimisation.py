@@ -180,7 +180,9 @@ def optimise(
     expected = climbs * USUAL_MEASUREMENTS + 2 + scan * len(bounds)  # 2 ends
     trace = Trace(problem, known, keep, progress, expected, budget)
     with bar(f"{starts} starts", progress):
-        first = climb_from_each(trace, places)
+        climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
+        first = list(side_by_side(climb_from, enumerate(places)))
+    trace.sort_runs()
     run, last = climb_on(trace, first)
     notes = {"note": ("start_number", string_array(one.note for one in first))}
     start, best = first[run].start, last.best
@@ -257,14 +259,6 @@ def with_grid(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) 
     check_whole("levels", problem.levels, 0, FINEST)
     check_finest(problem.walker, problem.grid, problem.levels)
     return problem
-
-
-def climb_from_each(trace: Trace, places: list[Float[np.ndarray, " parameters"]]) -> list[Climb]:
-    """Climb from each start by the steps of the first stage."""
-    climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
-    first = list(side_by_side(climb_from, enumerate(places)))
-    trace.sort_runs()
-    return first
 
 
 def climb_on(trace: Trace, first: list[Climb]) -> tuple[int, Climb]:

@@ -3,7 +3,6 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -16,7 +15,7 @@ from walker_jax.design.area_gradients import Density, density_at
 from walker_jax.design.measures import GAIT_MEASURES
 from walker_jax.grids import Grid
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
+from walker_jax.walkers.parameters import check_parameter, describe_source, with_values
 
 OBJECTIVES = {
     "area": 1.0,
@@ -82,10 +81,8 @@ class Problem(NamedTuple):
 
     def walker_at(self, values: Float[np.ndarray, " parameters"]) -> System:
         """Return the walker with these values of the free parameters."""
-        walker = self.walker
-        for name, value in zip(self.names, values, strict=True):
-            walker = with_parameter(walker, name, jnp.asarray(float(value)))
-        return walker
+        arrays = (jnp.asarray(float(value)) for value in values)
+        return with_values(self.walker, zip(self.names, arrays, strict=True))
 
     def refusal(self, values: Float[np.ndarray, " parameters"]) -> str:
         """Say why the walker's constructor refuses these parameters; empty if it accepts them."""
@@ -208,9 +205,7 @@ def describe_problem(problem: Problem) -> dict:
         for name, ends in problem.limits.items()
     }
     return {
-        "walker": problem.walker.label(),
-        **attributes_of(problem.walker),
-        "section": list(problem.walker.section),
+        **describe_source(problem.walker),
         "objective": json.dumps(problem.weights),
         "sign": problem.sign,
         "bounds": json.dumps({name: ends for name, *ends in bounds}),
@@ -220,7 +215,6 @@ def describe_problem(problem: Problem) -> dict:
         "strides_followed": problem.strides,
         "seed": problem.seed,
         "tolerance": problem.tolerance or 0.0,
-        "version": f"walker-jax {version('walker-jax')}",
         **describe_density(problem),
     }
 

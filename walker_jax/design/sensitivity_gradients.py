@@ -14,7 +14,7 @@ from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.stability.sensitivity import DISTURBANCES, INDICATORS, respond_to
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import along_parameter, check_parameters
 from walker_jax.walking.starts import prepare
 
 ALL = tuple(DISTURBANCES.values()), tuple(INDICATORS.values())
@@ -51,9 +51,7 @@ def sensitivity_gradient(
 
     Arguments and errors are those of `gait_measures`.
     """
-    check_kind("parameters", parameters, Sequence)
-    for name in parameters:
-        check_parameter(walker, name)
+    check_parameters(walker, parameters)
     gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found or len(gait.states) != 1:
@@ -65,8 +63,6 @@ def sensitivity_gradient(
     value, gradient = float(norm(checked, state)), []
     for name in parameters:
         change = gait_derivatives(walker, gait, name, tolerance=tolerance)
-        by = jax.tree.map(jnp.zeros_like, checked)
-        by = with_parameter(by, name, jnp.ones_like(vars(checked)[name]))
-        moves = jnp.asarray(change.states[0], state.dtype)
-        gradient.append(float(jax.jvp(norm, (checked, state), (by, moves))[1]))
+        way = along_parameter(checked, name), jnp.asarray(change.states[0], state.dtype)
+        gradient.append(float(jax.jvp(norm, (checked, state), way)[1]))
     return SensitivityGradient(value, np.array(gradient))

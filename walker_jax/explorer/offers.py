@@ -21,7 +21,7 @@ from walker_jax.walkers.parameters import (
     Parameter,
     parameters_of,
     slopes_of,
-    with_parameter,
+    with_values,
 )
 from walker_jax.walkers.references import place_of
 from walker_jax.walkers.spatial import SpatialWalker
@@ -115,10 +115,7 @@ class Offer:
         numbers = {one.name: one.convert(value) for one, value in described}
         if isinstance(self.kind, type):
             return self.kind(**numbers)
-        made = self.kind
-        for name, value in numbers.items():
-            made = with_parameter(made, name, value)
-        return made
+        return with_values(self.kind, numbers)
 
     def __reduce__(self) -> tuple:
         """Pickle a map by its name in a file, as its functions may have no name."""

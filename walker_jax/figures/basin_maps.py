@@ -45,7 +45,6 @@ from walker_jax.figures.text import (
     walker_title,
 )
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome, failures_of
 
 PANELS = 6
 """Most slices in a picture of a basin of three dimensions."""
@@ -186,13 +185,8 @@ def basin_slices(data: xr.Dataset) -> Figure:
         for place in place_states(data, cycle, (x, y, z)):
             ax = grid.flat[int(np.abs(depths[chosen] - place[2]).argmin())]
             marks[name] = attractor_mark(ax, place[None, :2], marker, name)
-    for ax in grid.flat[len(chosen) :]:
-        ax.set_visible(False)
     grid[0, 0].set(xlim=extent[:2], ylim=extent[2:])
-    for ax in grid[-1]:
-        name_axes(ax, x=x, size=SMALL)
-    for ax in grid[:, 0]:
-        name_axes(ax, y=y, size=SMALL)
+    name_outer_axes(grid, len(chosen), x, y)
     patches = [counted_patch(region, share_drawn(data)) for region in regions]
     above = f"{walker_title(data, 34 * columns)}\n{basin_note(data)}"
     figure_title(figure, above, "medium", "normal")
@@ -216,14 +210,8 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     rows = -(-len(slopes) // 3)
     figure = new_figure(10, 3 * rows + 0.9)
     panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
-    fate, attractor = data["fate"].values, data["attractor"].values
-    walks = fate == Outcome.STRIDE
-    regions = regions_of_one_basin(
-        fate, walks & (attractor >= 0), walks & (attractor < 0), failures_of(data)
-    )
-    image, extent = paint(regions, fate.shape), extent_of(data, x, y)
-    for ax in panels.flat[len(slopes) :]:
-        ax.set_visible(False)
+    regions = regions_of_one_basin(data)
+    image, extent = paint(regions, data["fate"].shape), extent_of(data, x, y)
     for ax, slope, cells, area in zip(
         panels.flat, slopes, image, data["area"].values.tolist(), strict=False
     ):
@@ -231,12 +219,19 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
         ax.set_title(f"slope {slope:g} rad", **TITLE, fontsize="medium", pad=16)
         note = area_phrase(data, area) if area else "no basin of attraction"
         ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
+    name_outer_axes(panels, len(slopes), x, y)
+    figure_legend(figure, [*map(patch_of, regions)], columns=4)
+    return figure
+
+
+def name_outer_axes(panels: np.ndarray, used: int, x: str, y: str) -> None:
+    """Name the axes at the left and below of rows of panels, and hide the last, unused ones."""
+    for ax in panels.flat[used:]:
+        ax.set_visible(False)
     for ax in panels[-1]:
         name_axes(ax, x=x, size=SMALL)
     for ax in panels[:, 0]:
         name_axes(ax, y=y, size=SMALL)
-    figure_legend(figure, [*map(patch_of, regions)], columns=4)
-    return figure
 
 
 def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:

@@ -68,7 +68,7 @@ def capturability(
     for (words, basin), style in zip(around.items(), LINES, strict=False):
         cells, _ = middle_plane(basin, "attractor")
         named = f"{words}: {sum(basin.attrs['area']):.3g}", *style
-        lines.append(draw_boundary(ax, named, cells["attractor"].values >= 0, extent))
+        lines += draw_boundary(ax, named, cells["attractor"].values >= 0, extent)
     dress(
         ax,
         Shown(title, subtitle, legend, labels),
@@ -76,10 +76,7 @@ def capturability(
         note=f"{actions_in_words(data)}{place}",
         x=x,
         y=y,
-        legends=[
-            ([patch_of(region) for region in regions], 2),
-            ([one for one in lines if one is not None], 2),
-        ],
+        legends=[([patch_of(region) for region in regions], 2), (lines, 2)],
     )
     return ax
 

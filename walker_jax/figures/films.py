@@ -10,8 +10,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.animation import FFMpegWriter
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 from walker_jax.checks import WrongPlace, WrongUse
@@ -25,7 +27,6 @@ from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome, failures_of
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20
@@ -79,11 +80,7 @@ def film(
         moving += [line, now]
     letters, size = (90, "large") if data is not None else (55, "medium")
     figure_title(figure, walker_title(walk, letters), size)
-    axes[0].set_axis_off()
-    axes[0].set_aspect("equal")
-    heading = axes[0].set_title(
-        "stride 1, time 0.0", loc="left", fontsize="medium", fontweight="bold"
-    )
+    heading = prepare_stage(axes[0])
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # otherwise panels shake
 
@@ -112,10 +109,8 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
     check_dataset(walk, "walk in space")
     figure = Figure(figsize=(6, 5.4), layout="constrained")
     ax = figure.subplots()
-    ax.set_axis_off()
-    ax.set_aspect("equal")
     figure_title(figure, walker_title(walk, 70), "small")
-    heading = ax.set_title("stride 1, time 0.0", loc="left", fontsize="medium", fontweight="bold")
+    heading = prepare_stage(ax)
     tall = 1.25 * float(walk.attrs["walker_leg_length"])
     with film_writer(figure, path, signature, [ax]) as grab:
         for k in track(range(walk.sizes["frame"]), "film", progress):
@@ -126,6 +121,13 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
             grab()
             for one in drawn:
                 one.remove()
+
+
+def prepare_stage(ax: Axes) -> Text:
+    """Hide the axes on which a walker is shown, and return the heading above them."""
+    ax.set_axis_off()
+    ax.set_aspect("equal")
+    return ax.set_title("stride 1, time 0.0", loc="left", fontsize="medium", fontweight="bold")
 
 
 def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = True) -> None:
@@ -144,11 +146,8 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     check_dataset(data, "zoom")
     if data["fate"].ndim != 3:
         raise WrongUse(f"data must have a fate over two axes, not {dict(data['fate'].sizes)}")
-    fate = data["fate"].values
-    walks = fate == Outcome.STRIDE
-    known = data["attractor"].values >= 0
-    regions = regions_of_one_basin(fate, walks & known, walks & ~known, failures_of(data))
-    images = paint(regions, fate.shape).swapaxes(1, 2)
+    regions = regions_of_one_basin(data)
+    images = paint(regions, data["fate"].shape).swapaxes(1, 2)
     figure = Figure(figsize=(6.4, 6.6), layout="constrained")
     ax = figure.subplots()
     shown = ax.imshow(images[0], origin="lower", aspect="auto", interpolation="nearest")

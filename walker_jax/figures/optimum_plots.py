@@ -38,8 +38,8 @@ from walker_jax.figures.regions import (
     extent_of,
     paint,
     patch_of,
-    regions_of_one_basin,
     show_image,
+    with_one_basin,
 )
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import (
@@ -256,9 +256,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
         )
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
-    regions = regions_of_one_basin(
-        fate, fate == ATTRACTED, fate == Outcome.STRIDE, failures_of(data)
-    )
+    regions = with_one_basin(fate, fate == ATTRACTED, fate == Outcome.STRIDE, failures_of(data))
     images, extent = paint(regions, fate.shape), extent_of(data, x, y)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
         show_image(ax, image, extent)

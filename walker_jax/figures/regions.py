@@ -63,13 +63,20 @@ def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
     return with_failures(found, data["fate"].values, failures_of(data))
 
 
-def regions_of_one_basin(
+def regions_of_one_basin(data: xr.Dataset) -> list[Region]:
+    """Return the nonempty regions of a data set if all of its basins have one colour."""
+    fate = data["fate"].values
+    walks, known = fate == Outcome.STRIDE, data["attractor"].values >= 0
+    return with_one_basin(fate, walks & known, walks & ~known, failures_of(data))
+
+
+def with_one_basin(
     fate: Int[np.ndarray, "*shape"],
     basin: Bool[np.ndarray, "*shape"],
     unmatched: Bool[np.ndarray, "*shape"],
-    failures: Sequence[str] = (),
+    failures: Sequence[str],
 ) -> list[Region]:
-    """Return the nonempty regions if all basins have one colour."""
+    """Return the nonempty regions: failures, the basin, and walkers that converge elsewhere."""
     found = [
         Region(CellClass(basin), BASINS[0], "A", BASIN),
         Region(CellClass(unmatched), UNMATCHED, "", UNMATCHED_WORDS),

@@ -76,7 +76,11 @@ def viability(
     show_image(ax, image, extent)
     drawn = {"target": data["capture"].values == 0}
     drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
-    marks = [draw_boundary(ax, LINES[name], cells, extent) for name, cells in drawn.items()]
+    marks = [
+        mark
+        for name, cells in drawn.items()
+        for mark in draw_boundary(ax, LINES[name], cells, extent)
+    ]
     bar = figure_of(ax).colorbar(scale, ax=ax)
     if labels:
         bar.set_label("share of safe actions")
@@ -88,7 +92,7 @@ def viability(
         x=x,
         y=y,
         legends=[
-            ([one for one in marks if one is not None], 3),
+            (marks, 3),
             ([patch_of(region) for region in regions], 2),
         ],
         beside=[bar.ax],
@@ -115,26 +119,19 @@ def draw_boundary(
     line: tuple[str, str, float, Any],
     cells: Bool[np.ndarray, "nx ny"],
     extent: Extent,
-) -> Line2D | None:
-    """Draw the line around a set of cells; return its sign in the legend, None without cells."""
+) -> list[Line2D]:
+    """Draw the line around a set of cells; return its sign in the legend, none without cells."""
     words, colour, width, kind = line
     if not cells.any():
-        return None
+        return []
     left, right, low, high = extent
     around = np.pad(cells, 1).repeat(2, 0).repeat(2, 1)[1:-1, 1:-1]
     xs = np.linspace(left, right, cells.shape[0] + 1).repeat(2)
     ys = np.linspace(low, high, cells.shape[1] + 1).repeat(2)
-    ax.contour(
-        xs,
-        ys,
-        around.T.astype(float),
-        levels=[0.5],
-        colors=[colour],
-        linewidths=[width],
-        linestyles=[kind],
-    )
+    style: Any = {"colors": [colour], "linewidths": [width], "linestyles": [kind]}
+    ax.contour(xs, ys, around.T.astype(float), levels=[0.5], **style)
     on_white = "0.6" if colour == "white" else colour
-    return Line2D([], [], label=words, color=on_white, lw=width, ls=kind)
+    return [Line2D([], [], label=words, color=on_white, lw=width, ls=kind)]
 
 
 def viability_note(data: xr.Dataset) -> str:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from walker_jax.execution.progress import track
 from walker_jax.gaits.branches import Branch, continue_gaits, interpolate_cycles, solve_at
 from walker_jax.gaits.continuation import Start, start_at_doubling
-from walker_jax.gaits.cycles import Gait, remove_duplicates
+from walker_jax.gaits.cycles import Gait, cycle_distance, remove_duplicates
 from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.integrator import Integrator
@@ -179,8 +179,6 @@ def select_new_starts(
     cycles = solve_at(walker, parameter, [guess[1:] for guess in guesses], tolerance)
     new = np.ones(len(starts), bool)
     for (i, *_), cycle in zip(guesses, cycles, strict=True):
-        states = np.asarray(starts[i].states)
-        rotations = (np.roll(states, shift, axis=0) for shift in range(len(states)))
         if cycle is not None:
-            new[i] &= all(np.abs(cycle - one).max() > RECURRENCE_DISTANCE for one in rotations)
+            new[i] &= cycle_distance(cycle, np.asarray(starts[i].states)) > RECURRENCE_DISTANCE
     return [start for start, keep in zip(starts, new, strict=True) if keep]

@@ -8,7 +8,6 @@ the curves, a grid of parameter values shows the attractors of walkers that star
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.outcomes import Outcome, names_in
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import attributes_of
+from walker_jax.walkers.parameters import describe_source
 from walker_jax.walking.iteration import select_walkers, with_parameters
 from walker_jax.walking.stride import stride
 
@@ -332,11 +331,6 @@ def assemble_chart(
     special = [(i, one) for i, curve in enumerate(curves) for one in curve.special]
     reasons = sorted({end for one in curves for end in one.ends}) or [""]
     joined = lambda arrays, *shape: np.concatenate([np.zeros((0, *shape)), *arrays])
-    attributes = {
-        name: value
-        for name, value in attributes_of(system).items()
-        if name not in {f"walker_{one}" for one in names}
-    }
     return xr.Dataset(
         {
             "curve": ("point", np.repeat(np.arange(len(curves)), counts)),
@@ -379,11 +373,8 @@ def assemble_chart(
             "second": grid.axes[1],
         },
         attrs={
-            "section": list(system.section),
-            "walker": system.label(),
-            **attributes,
+            **describe_source(system, without=names),
             **{"line_kinds": [*KINDS], "line_ends": reasons, "special_kinds": [*SPECIAL]},
-            "version": f"walker-jax {version('walker-jax')}",
         },
     )
 

@@ -69,6 +69,33 @@ def check_found(gait: Any) -> None:
         )
 
 
+def check_cycle(
+    states: Float[np.ndarray, "period section"],
+    ends: Float[np.ndarray, "period section"],
+    within: float,
+) -> None:
+    """Raise `WrongUse` if strides from a gait's states end elsewhere, as for another walker."""
+    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
+    if not miss < within:
+        raise WrongUse(
+            f"gait must be one of this walker, whose strides miss it by {miss:.2g}: find_gait "
+            "gives one"
+        )
+
+
+def cycle_distance(
+    one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "other section"]
+) -> float:
+    """Return the largest difference of a coordinate of two cycles; infinite for different periods.
+
+    The cycles are rotated so that it is smallest. It is 0 for two cycles without a state.
+    """
+    if one.shape != other.shape:
+        return np.inf
+    turned = (np.roll(other, shift, axis=0) for shift in range(len(other)))
+    return min((float(np.abs(one - cycle).max()) for cycle in turned), default=0.0)
+
+
 def clear_values(gait: Gait) -> Gait:
     """Return a failed search with NaN for its states, multipliers and step times."""
     states, multipliers, times = (np.full_like(x, np.nan) for x in gait[:3])

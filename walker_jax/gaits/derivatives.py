@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from walker_jax.checks import WrongUse, refuses_tracers
+from walker_jax.checks import refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import (
     MAX_RESIDUAL,
     Gait,
+    check_cycle,
     check_found,
     cycle_matrices,
     multiply_jacobians,
@@ -85,12 +86,7 @@ def gait_derivatives(
     cycle = np.asarray(gait.states)[None]
     walker, _, integrator = prepare(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, integrator, parameter)
-    mismatch = np.abs(local.state - np.roll(cycle, -1, axis=1)).max()
-    if not mismatch < MAX_RESIDUAL[cycle.dtype]:
-        raise WrongUse(
-            f"gait must be one of this walker, whose strides miss it by {mismatch:.2g}: find_gait "
-            "gives one"
-        )
+    check_cycle(cycle[0], local.state[0], MAX_RESIDUAL[cycle.dtype])
     dx = solve_linear_systems(
         cycle_matrices(local.jacobian), -local.by_parameter.reshape(1, -1)
     ).reshape(cycle.shape)

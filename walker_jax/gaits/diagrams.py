@@ -7,7 +7,6 @@ converge to the attractors, which are gaits or aperiodic.
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ from walker_jax.gaits.long_runs import attractors, starts_near_gaits
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import attributes_of, with_parameter
+from walker_jax.walkers.parameters import describe_source, with_parameter
 
 NO_START = -1
 """Fate of missing starts, at values with fewer starts than others."""
@@ -206,13 +205,10 @@ def assemble_diagram(
             },
         },
         attrs={
-            "section": list(walker.section),
-            "walker": walker.label(),
-            **attributes_of(walker, without=parameter),
+            **describe_source(walker, without=[parameter]),
             "parameter": parameter,
             "lost_strides": loss.strides,
             "scan_strides": scanned.attrs["strides"],
-            "version": f"walker-jax {version('walker-jax')}",
         },
     )
 

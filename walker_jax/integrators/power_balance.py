@@ -6,6 +6,7 @@ unknown coefficient.
 
 import abc
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -15,6 +16,7 @@ from jaxtyping import PyTree
 from walker_jax.integrators.expansion import compose, with_fast_sincos
 from walker_jax.integrators.series import (
     Series,
+    coefficients_up_to,
     keeping_results,
     recording,
     scale,
@@ -23,11 +25,56 @@ from walker_jax.integrators.series import (
 
 
 class PowerBalance(eqx.Module):
-    """Equations of motion as a balance of power; a state holds coordinates first, then rates."""
+    """Equations of motion as a balance of power p; a state holds coordinates first, then rates.
+
+    The balance is linear in some derivatives of the unknowns: accelerations, or rates of momenta.
+    """
+
+    degree: eqx.AbstractClassVar[int]
+    """Order of the derivatives of the unknowns that the balance determines."""
 
     @abc.abstractmethod
+    def factorise(self, q: list) -> PyTree:
+        """Return the matrix that multiplies these derivatives in -p, in a form for `solve`."""
+
+    @abc.abstractmethod
+    def solve(self, factors: PyTree, right: list) -> list:
+        """The solution of linear equations with the matrix of `factorise`."""
+
     def series(self, state: PyTree, order: int) -> PyTree[list]:
-        """Return the Taylor coefficients of the solution."""
+        """Return the Taylor coefficients of the solution.
+
+        The k-th coefficient of p contains an unknown's coefficient of order k + degree only through
+        the top coefficient of the series that precede p, linearly, with the derivative at t = 0 as
+        its factor. So p is first computed with zeros for these; then they are the solution of a
+        linear equation whose right-hand side is that p.
+        """
+        leaves, structure = jax.tree.flatten(state)
+        with keeping_results():
+            factors = with_fast_sincos(self.factorise)(self.halves(leaves)[0])
+            motion, unknown = self.expand(*self.halves(leaves))
+            p, preceding, forming = self.balance(motion, leaves)
+            for k in range(order):
+                missing = [jnp.zeros_like(leaves[0]) if c is None else c for c in (s[k] for s in p)]
+                for one in forming:
+                    del one.coefficients[k:]
+                for one in (*preceding, *unknown):
+                    del one.coefficients[k + self.degree :]
+                factor = 1 / math.perm(k + self.degree, self.degree)
+                for one, value in zip(unknown, self.solve(factors, missing), strict=True):
+                    one.coefficients.append(value * factor)
+            return jax.tree.unflatten(structure, [coefficients_up_to(one, order) for one in motion])
+
+    def halves(self, leaves: list) -> tuple[list, list]:
+        """Split leaves into coordinates and rates."""
+        return leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
+
+    @abc.abstractmethod
+    def expand(self, q: list, rates: list) -> tuple[list[Series], list[Series]]:
+        """Return the series of a state's numbers, and those of the unknowns.
+
+        Unknown coefficients are zero.
+        """
 
     @abc.abstractmethod
     def balance(
@@ -44,8 +91,11 @@ class VirtualPower(PowerBalance):
 
     With x = F(q), the equations are p(q, q', x'') = 0, where p is linear in x'' = F(q(t))''. The
     series of F(q(t)) follows from that of q(t), so neither derivatives of F nor solutions of linear
-    equations are expanded. A state holds the coordinates q first, then their rates.
+    equations are expanded. A state holds the coordinates q first, then their rates. The matrix of
+    `factorise` is -dp/dx'' dF/dq, which multiplies q''; the preceding series are those of F.
     """
+
+    degree: ClassVar = 2
 
     @abc.abstractmethod
     def transfer(self, q: list) -> list:
@@ -55,70 +105,29 @@ class VirtualPower(PowerBalance):
     def virtual_power(self, q: list, qdot: list, acceleration: list) -> list:
         """Return p(q, q', x''): one scalar for each of q."""
 
-    @abc.abstractmethod
-    def factorise(self, q: list) -> PyTree:
-        """Return the matrix -dp/dx'' dF/dq, which multiplies q'' in -p, in a form for `solve`."""
-
-    @abc.abstractmethod
-    def solve(self, factors: PyTree, right: list) -> list:
-        """The solution of linear equations with the matrix of `factorise`."""
-
     @eqx.filter_jit  # traced once for all calls
     def __call__(self, state: PyTree) -> PyTree:
         """The time derivative of a state."""
         leaves, structure = jax.tree.flatten(state)
-        q, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
+        q, rates = self.halves(leaves)
         velocity = lambda q: jax.jvp(self.transfer, (q,), (rates,))[1]
         convective = jax.jvp(velocity, (q,), (rates,))[1]
         accelerations = self.solve(self.factorise(q), self.virtual_power(q, rates, convective))
         return jax.tree.unflatten(structure, rates + accelerations)
 
-    def series(self, state: PyTree, order: int) -> PyTree[list]:
-        """Taylor coefficients of the solution.
+    def expand(self, q, rates):
+        unknown = [Series(lambda k: None, pair) for pair in zip(q, rates, strict=True)]
+        return [*unknown, *map(derivative, unknown)], unknown
 
-        The k-th coefficient of p contains q_{k+2} only through the top coefficient of F(q(t)), with
-        the derivative of F at t = 0 as its factor. So p is first computed with q_{k+2} = 0; then
-        q_{k+2} is the solution of a linear equation whose right-hand side is that p.
-        """
-        with keeping_results():
-            return self.grow(state, order)
-
-    def grow(self, state: PyTree, order: int) -> PyTree[list]:
-        leaves, structure = jax.tree.flatten(state)
-        start, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
-        factors = with_fast_sincos(self.factorise)(start)
-        # unknown coefficients are zero
-        q = [Series(lambda k: None, pair) for pair in zip(start, rates, strict=True)]
-        qdot = [derivative(series) for series in q]
-        p, of_transfer, of_power = self.balance([*q, *qdot], leaves)
-        for k in range(order):
-            missing = [jnp.zeros_like(start[0]) if c is None else c for c in (s[k] for s in p)]
-            for series in of_power:
-                del series.coefficients[k:]
-            for series in (*of_transfer, *q):
-                del series.coefficients[k + 2 :]
-            for series, value in zip(q, self.solve(factors, missing), strict=True):
-                series.coefficients.append(value * (1 / ((k + 1) * (k + 2))))
-        return jax.tree.unflatten(
-            structure, [coefficients_up_to(series, order) for series in (*q, *qdot)]
-        )
-
-    def balance(
-        self, state: list[Series], start: list
-    ) -> tuple[list[Series], list[Series], list[Series]]:
-        """Return the series of p along q(t), a list of all series of F, and one of p's others."""
-        half = len(state) // 2
-        q, qdot = state[:half], state[half:]
+    def balance(self, state, start):
+        (q, qdot), (at, rates) = self.halves(state), self.halves(start)
         with recording(series_log) as of_transfer:
-            x = compose(self.transfer, q, start[:half])
+            x = compose(self.transfer, q, at)
         with recording(series_log) as of_power:
             acceleration = [derivative(series, times=2) for series in x]
             like = [jnp.zeros_like(start[0])] * len(x)
-            p = compose(
-                lambda args: self.virtual_power(*args),
-                (q, qdot, acceleration),
-                (start[:half], start[half:], like),
-            )
+            known = q, qdot, acceleration
+            p = compose(lambda args: self.virtual_power(*args), known, (at, rates, like))
         return p, of_transfer, of_power
 
 
@@ -126,8 +135,11 @@ class ConstrainedPower(PowerBalance):
     """Equations of motion for independent rates u; all rates are q' = T(q) u.
 
     With momenta m = P(q) u the equations are p(q, u, m, m') = 0, one for each of u, where p is
-    linear in m'. A state holds the coordinates q first, then u.
+    linear in m'. A state holds the coordinates q first, then u. The matrix of `factorise` is
+    -dp/dm' P, which multiplies u'; the preceding series are those of the momenta.
     """
+
+    degree: ClassVar = 1
 
     @property
     @abc.abstractmethod
@@ -146,14 +158,6 @@ class ConstrainedPower(PowerBalance):
     def power(self, q: list, u: list, momentum: list, momentum_rates: list) -> list:
         """Return p: one scalar for each of u."""
 
-    @abc.abstractmethod
-    def factorise(self, q: list) -> PyTree:
-        """Return the matrix -dp/dm' P, which multiplies u' in -p, in a form for `solve`."""
-
-    @abc.abstractmethod
-    def solve(self, factors: PyTree, right: list) -> list:
-        """The solution of linear equations with the matrix of `factorise`."""
-
     def halves(self, leaves: list) -> tuple[list, list]:
         """Split leaves into coordinates and independent rates."""
         count = len(leaves) - len(self.independent)
@@ -169,41 +173,16 @@ class ConstrainedPower(PowerBalance):
         udot = self.solve(self.factorise(q), self.power(q, u, momentum, convective))
         return jax.tree.unflatten(structure, qdot + udot)
 
-    def series(self, state: PyTree, order: int) -> PyTree[list]:
-        """Taylor coefficients of the solution.
-
-        The k-th coefficient of p contains u_{k+1} only through the top coefficient of the momenta,
-        linearly, with P at t = 0 as its factor. So p is first computed with u_{k+1} = 0, and
-        u_{k+1} solves a linear equation whose right-hand side is that p.
-        """
-        with keeping_results():
-            return self.grow(state, order)
-
-    def grow(self, state: PyTree, order: int) -> PyTree[list]:
-        leaves, structure = jax.tree.flatten(state)
-        at, start = self.halves(leaves)
-        factors = with_fast_sincos(self.factorise)(at)
-        # unknown coefficients are zero
-        u = [Series(lambda k: None, [value]) for value in start]
+    def expand(self, q, rates):
+        u = [Series(lambda k: None, [value]) for value in rates]
         qdot: list[Series] = []
 
         def coordinate(i):
-            return Series(lambda k: at[i] if k == 0 else scale(qdot[i][k - 1], 1 / k))
+            return Series(lambda k: q[i] if k == 0 else scale(qdot[i][k - 1], 1 / k))
 
-        q = [coordinate(i) for i in range(len(at))]
-        qdot += compose(lambda both: self.rates(*both), (q, u), (at, start))
-        p, of_momentum, of_power = self.balance([*q, *u], leaves)
-        for k in range(order):
-            missing = [jnp.zeros_like(leaves[0]) if c is None else c for c in (s[k] for s in p)]
-            for series in of_power:
-                del series.coefficients[k:]
-            for series in (*of_momentum, *u):
-                del series.coefficients[k + 1 :]
-            for series, value in zip(u, self.solve(factors, missing), strict=True):
-                series.coefficients.append(value * (1 / (k + 1)))
-        return jax.tree.unflatten(
-            structure, [coefficients_up_to(series, order) for series in (*q, *u)]
-        )
+        moving = [coordinate(i) for i in range(len(q))]
+        qdot += compose(lambda both: self.rates(*both), (moving, u), (q, rates))
+        return [*moving, *u], u
 
     def balance(self, state, start):
         both, at = self.halves(state), self.halves(start)
@@ -225,9 +204,3 @@ def derivative(series: Series, times: int = 1) -> Series:
         return jnp.zeros_like(series[0]) if coefficient is None and k == 0 else coefficient
 
     return Series(rule)
-
-
-def coefficients_up_to(series: Series, order: int) -> list:
-    """Return the coefficients of a series up to an order, as arrays."""
-    zero = jnp.zeros_like(series[0])
-    return [zero if series[k] is None else series[k] for k in range(order + 1)]

@@ -117,6 +117,12 @@ class Series:
         return combine(times, constant(other), self)
 
 
+def coefficients_up_to(series: Series, order: int) -> list:
+    """Return the coefficients of a series up to an order, as arrays."""
+    zero = jnp.zeros_like(series[0])
+    return [zero if series[k] is None else series[k] for k in range(order + 1)]
+
+
 series_log: ContextVar[list[Series] | None] = ContextVar("series_log", default=None)
 """The list that collects every new series; None if they are not wanted."""
 

@@ -23,8 +23,8 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
-from walker_jax.integrators.power_balance import PowerBalance, coefficients_up_to
-from walker_jax.integrators.series import Series, recording, scale
+from walker_jax.integrators.power_balance import PowerBalance
+from walker_jax.integrators.series import Series, coefficients_up_to, recording, scale
 from walker_jax.kernels.jaxprs import CALLS, called_function
 
 VectorField = Callable[[PyTree], PyTree]
@@ -166,7 +166,7 @@ def switching_series(
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     with recording(switches) as found:
         if isinstance(function, PowerBalance):
-            function.balance(jax.tree.leaves(known, is_leaf=is_series), jax.tree.leaves(start))
+            function.balance(jax.tree.leaves(known), jax.tree.leaves(start))
             order -= 2
         else:
             compose(function, known, start)
@@ -176,10 +176,6 @@ def switching_series(
         for one in varying
         for i in range(one[0].size)
     ]
-
-
-def is_series(x) -> bool:
-    return isinstance(x, Series)
 
 
 def is_absent(x) -> bool:

@@ -86,3 +86,13 @@ def accelerations_and_forces(walker: HasSystem, state: Any) -> tuple[list[Scalar
         return list(accelerations), list(forces)
 
     return unroll(equations)(walker, state)
+
+
+def normal_force(walker: HasSystem, state: Any) -> Scalar:
+    """Return the normal force of the ground on the stance foot."""
+    return accelerations_and_forces(walker, state)[1][1]
+
+
+def leg(angle: Scalar) -> Float[Array, " 2"]:
+    """Return the direction from foot to hip of a leg at an angle from the normal of the slope."""
+    return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

@@ -113,14 +113,11 @@ def prove_basin(
     if out is None:
         return prove(find(), lambda level, number, find: find())
     asked = {"radius": radius, "levels": levels, "strides": strides, "batch": BATCH}
-    asked |= {"gait": np.asarray(gait.states).tolist(), **request_of_window(window)}
+    asked |= {"gait": np.asarray(gait.states).tolist()}
+    asked |= {name: np.asarray(one).tolist() for name, one in window._asdict().items()}
     asked |= {"command": "prove", "walker": type(walker).__name__, **attributes_of(walker)}
     asked |= {"version": version("walker-jax"), **(request or {})}
     return prove_in_batches(Path(out), asked, levels, find, prove, overwrite=overwrite)
-
-
-def request_of_window(window: Window) -> dict[str, Any]:
-    return {name: np.asarray(one).tolist() for name, one in window._asdict().items()}
 
 
 def dataset_of(

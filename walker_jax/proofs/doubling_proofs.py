@@ -22,10 +22,10 @@ from walker_jax.checks import (
 )
 from walker_jax.gaits.search import find_gait
 from walker_jax.proofs.enclosures import BALLS, Enclosure, interval_between, is_enclosure
-from walker_jax.proofs.gait_proofs import has_no_shorter_period
+from walker_jax.proofs.gait_proofs import has_no_shorter_period, midpoints_of, spreads_of
 from walker_jax.proofs.matrices import determinant
 from walker_jax.proofs.provable import check_provable, enclose_parameters
-from walker_jax.proofs.returns import Cycle, enclose_cycle, jacobian_of_return, plus_identity
+from walker_jax.proofs.returns import enclose_cycle, jacobian_of_return, plus_identity
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
@@ -95,7 +95,8 @@ def prove_doubling(
     at, states = find_doubling(walker, parameter, period, float(low), float(high))
     ends, box = (at - width / 2, at + width / 2), BOX_PER_WIDTH * width
     signs = [sign_at(walker, parameter, states, box, end) for end in ends]
-    whole = enclose_over(walker, parameter, states, box, interval_between(*map(np.float64, ends)))
+    between = interval_between(*map(np.float64, ends))
+    whole = enclose_cycle(with_interval(walker, parameter, between), states, box)
     known = whole is not None and whole.zero.proved and has_no_shorter_period(whole)
     if not (known and signs[0] * signs[1] < 0):
         raise ComputationFailed(
@@ -104,13 +105,10 @@ def prove_doubling(
     return ProvedDoubling(parameter, *ends, states, box)
 
 
-def enclose_over(
-    walker, parameter: str, states: np.ndarray, box: float, value: Enclosure
-) -> Cycle | None:
-    """Enclose the cycles for all values of a parameter in an interval."""
+def with_interval(walker, parameter: str, value: Enclosure):
+    """Return the walker with enclosed parameters, one of them anywhere in an interval."""
     known = enclose_parameters(walker, BALLS)
-    of_all = eqx.tree_at(lambda one: getattr(one, parameter), known, value, is_leaf=is_enclosure)
-    return enclose_cycle(of_all, states, box)
+    return eqx.tree_at(lambda one: getattr(one, parameter), known, value, is_leaf=is_enclosure)
 
 
 def sign_at(walker, parameter: str, states: np.ndarray, box: float, value: float) -> int:
@@ -119,18 +117,12 @@ def sign_at(walker, parameter: str, states: np.ndarray, box: float, value: float
     The result is 0 if the sign is not decided.
     """
     at = interval_between(np.float64(value), np.float64(value))
-    cycle = enclose_over(walker, parameter, states, box, at)
+    known = with_interval(walker, parameter, at)
+    cycle = enclose_cycle(known, states, box)
     if cycle is None or not cycle.zero.proved:
         return 0
-    known = eqx.tree_at(
-        lambda one: getattr(one, parameter),
-        enclose_parameters(walker, BALLS),
-        at,
-        is_leaf=is_enclosure,
-    )
     for _ in range(SMALLER_BOXES):  # each holds the gait, and has narrower multipliers
-        middle = np.array([float(one.midpoint) for one in cycle.zero.within]).reshape(-1, 2)
-        near = enclose_cycle(known, middle, max(float(one.spread) for one in cycle.zero.within))
+        near = enclose_cycle(known, midpoints_of(cycle), float(spreads_of(cycle).max()))
         if near is None:
             return 0
         cycle = near

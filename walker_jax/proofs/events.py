@@ -7,6 +7,7 @@ before the strike, which is then their one zero; or a piece follows where the va
 throughout, and then they had no zero.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -24,7 +25,14 @@ from walker_jax.proofs.enclosures import (
     outward,
 )
 from walker_jax.proofs.evaluation import evaluate
-from walker_jax.proofs.flows import Flow, VerifiedStep, enclose_polynomial, flow_at, map_enclosures
+from walker_jax.proofs.flows import (
+    Flow,
+    VerifiedStep,
+    enclose_polynomial,
+    flow_at,
+    map_enclosures,
+    ranges_of,
+)
 
 PIECES = 4
 """Number of pieces of a step; guards are enclosed over each."""
@@ -60,6 +68,22 @@ def measure(walker, state) -> Measures:
         [one(state) for one in (*strike.admits, *strike.admits_at_rise)],
         [one.value(state) for one in mode.conditions],
     )
+
+
+def measure_ranges(parameters, flow: Flow) -> Measures:
+    """Return the range of each function over all states of a flow."""
+    return evaluate(measure, parameters, ranges_of(flow.state))
+
+
+def fallen_by(found: Measures) -> Any:
+    """Return whether all states have fallen: some guard is above zero in all of them.
+
+    As a stride begins, every guard is below zero.
+    """
+    fallen = False
+    for one in found.falls:
+        fallen = fallen | (one.lower > 0)
+    return fallen
 
 
 class Watch(NamedTuple):
@@ -140,22 +164,9 @@ def guess_strike(walker, step: VerifiedStep) -> tuple[list[Enclosure], Any, Any,
             result = result * t + c
         return result
 
-    def rate(t):
-        result = (len(middle) - 1) * middle[-1] + 0.0 * t
-        for k in range(len(middle) - 2, 0, -1):
-            result = result * t + k * middle[k]
-        return result
-
-    walker_at_midpoint = map_enclosures(lambda one: exactly(one.midpoint, BALLS), walker)
-    admitted = lambda t: (
-        evaluate(
-            measure,
-            walker_at_midpoint,
-            map_enclosures(lambda one: exactly(one.midpoint, BALLS), state_at_midpoint(step, t)),
-        ).admits
-    )
+    there = map_enclosures(midpoint_of, state_at_midpoint(step, h))
     admits = True
-    for one in admitted(h):
+    for one in evaluate(measure, map_enclosures(midpoint_of, walker), there).admits:
         admits = admits & (one.midpoint > 0)
     begins = (value(0.0 * h) < 0) & admits
     within = begins & (value(0.85 * h) > 0)
@@ -167,23 +178,20 @@ def guess_strike(walker, step: VerifiedStep) -> tuple[list[Enclosure], Any, Any,
         low, high = choose(up, low, half), choose(up, half, high)
     time = (low + high) / 2
     for _ in range(NEWTON_STEPS):
-        time = time - value(time) / rate(time)
+        time = time - value(time) / rate_at_midpoint(series, time)
     return series, within, choose(within, time, h / 2), soon
 
 
 def state_at_midpoint(step: VerifiedStep, t):
     """Return the state of a box's midpoint at a time, not proved."""
-    middle = step._replace(
-        series=Flow(
-            jax.tree.map(
-                lambda c: [exactly(one.midpoint, BALLS) for one in c],
-                step.series.state,
-                is_leaf=lambda x: isinstance(x, list),
-            )
-        ),
-        rest=Flow(step.rest.state),
-    )
+    series = map_enclosures(midpoint_of, step.series.state)
+    middle = step._replace(series=Flow(series), rest=Flow(step.rest.state))
     return flow_at(middle, exactly(t, BALLS)).state
+
+
+def midpoint_of(one: Enclosure) -> Enclosure:
+    """Return the midpoint of an enclosure, as an interval."""
+    return exactly(one.midpoint, BALLS)
 
 
 def enclose_strike(walker, step: VerifiedStep, series: list[Enclosure], guess) -> Strike:
@@ -227,6 +235,15 @@ def without_radius(one: Enclosure) -> Enclosure:
 
 def dense(one: Enclosure) -> Enclosure:
     """Return the same enclosure with zeros for the terms that are None."""
-    shape = one.midpoint
-    filled = [0.0 * shape if t is None else t + 0.0 * shape for t in one.terms]
-    return Enclosure(filled, one.radius + 0.0 * shape, one.space)
+    return dense_like(one)(one)
+
+
+def dense_like(model: Enclosure) -> Callable[[Enclosure], Enclosure]:
+    """Return `dense` for enclosures of the shape of a model."""
+
+    def fill(one: Enclosure) -> Enclosure:
+        zero = 0.0 * model.midpoint
+        terms = [zero if t is None else t + zero for t in one.terms]
+        return Enclosure(terms, one.radius + zero, one.space)
+
+    return fill

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from walker_jax.integrators.taylor import grow_series
+from walker_jax.integrators.taylor import grow_series, is_list
 from walker_jax.proofs.enclosures import (
     Enclosure,
     as_enclosure,
@@ -82,7 +82,7 @@ def map_enclosures(function: Callable, *trees):
 
 def map_series(function: Callable, series, *trees):
     """Apply a function to each number's list of coefficients."""
-    return jax.tree.map(function, series, *trees, is_leaf=lambda x: isinstance(x, list))
+    return jax.tree.map(function, series, *trees, is_leaf=is_list)
 
 
 def enclosures_in(tree) -> list:
@@ -127,7 +127,7 @@ def suggest_length(series, tolerance):
 
     No proof rests on it: any length is sound.
     """
-    lists = jax.tree.leaves(series, is_leaf=lambda x: isinstance(x, list))
+    lists = jax.tree.leaves(series, is_leaf=is_list)
     largest = lambda k: greatest_of([one[k].norm for one in lists])
     scale, last = greatest(largest(0), largest(1)), len(lists[0]) - 1
     lengths = [(tolerance * scale / (largest(k) + 1e-290)) ** (1 / k) for k in (last - 1, last)]
@@ -155,7 +155,7 @@ def flow_at(step: VerifiedStep, time: Enclosure | Any, *, ranges: bool = False) 
     With `ranges`, the coefficients count as intervals.
     """
     given = time if is_enclosure(time) else exactly(time, enclosures_in(step.series)[0].space)
-    order = len(jax.tree.leaves(step.series, is_leaf=lambda x: isinstance(x, list))[0])
+    order = len(jax.tree.leaves(step.series, is_leaf=is_list)[0])
     power = power_bound(given.magnitude, order)
 
     def at(coefficients, rest):

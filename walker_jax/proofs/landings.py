@@ -18,12 +18,11 @@ from jax import lax
 
 from walker_jax.proofs.enclosures import Enclosure, choose, exactly, greatest, least
 from walker_jax.proofs.evaluation import evaluate
-from walker_jax.proofs.events import TIME, Measures, dense, measure
+from walker_jax.proofs.events import TIME, dense, dense_like, fallen_by, measure, measure_ranges
 from walker_jax.proofs.flows import (
     ORDER,
     Flow,
     VerifiedStep,
-    enclosures_in,
     flow_at,
     map_enclosures,
     ranges_of,
@@ -36,10 +35,10 @@ from walker_jax.proofs.strides import (
     MOST_STEPS,
     TOLERANCE,
     UNDECIDED,
-    WIDEST,
     as_int32,
-    dense_like,
+    is_wide,
     land,
+    next_factor,
     start_flow,
 )
 
@@ -101,21 +100,6 @@ def enclose_landings(walker, x: tuple[Enclosure, Enclosure]) -> tuple[Any, Landi
     return as_int32(choose((last.verdict == FALL) & strikes, PARTLY, last.verdict)), last.bounds
 
 
-def measure_ranges(parameters, flow: Flow) -> Measures:
-    return evaluate(measure, parameters, ranges_of(flow.state))
-
-
-def fallen_by(found: Measures) -> Any:
-    """Return whether all states have fallen: some guard is above zero in all of them.
-
-    As a stride begins, every guard is below zero.
-    """
-    fallen = False
-    for one in found.falls:
-        fallen = fallen | (one.lower > 0)
-    return fallen
-
-
 def advance_landings(walker, parameters, fill, now: LandingSearch) -> LandingSearch:
     """Take one more step. A strike in it ends nothing, as other starts go on."""
     step = take_step(walker, now.flow, now.factor, order=ORDER, tolerance=TOLERANCE)
@@ -123,9 +107,7 @@ def advance_landings(walker, parameters, fill, now: LandingSearch) -> LandingSea
     landings = landings_between(parameters, step, first, last)
     bounds, known = join_landings(now.bounds, landings, first <= last)
     flow = flow_at(step, step.length)
-    wide = ~known
-    for one in enclosures_in(flow.state):
-        wide = wide | ~(one.spread < WIDEST)
+    wide = ~known | is_wide(flow)
     late = now.steps + 1 >= MOST_STEPS
     fallen = fallen_by(measure_ranges(parameters, flow))
     verdict = choose(wide, UNDECIDED, choose(fallen, FALL, choose(late, UNDECIDED, GOING)))
@@ -133,7 +115,7 @@ def advance_landings(walker, parameters, fill, now: LandingSearch) -> LandingSea
     keep = lambda new, old: jax.tree.map(lambda a, b: choose(step.proved, a, b), new, old)
     return LandingSearch(
         keep(map_enclosures(fill, flow), now.flow),
-        choose(step.proved, choose(now.factor < 1, now.factor * 2, 1.0), now.factor / 2),
+        next_factor(now.factor, step),
         keep(bounds, now.bounds),
         as_int32(choose(step.proved, verdict, short)),
         now.steps + 1,

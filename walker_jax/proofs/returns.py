@@ -64,8 +64,7 @@ def verify_points(walker, centres: Float[np.ndarray, "period 2"]) -> VerifiedStr
     return verify_stride(
         walker,
         (exactly(centres[:, 0], ERRORS), exactly(centres[:, 1], ERRORS)),
-        order=POINT_ACCURACY.order,
-        tolerance=POINT_ACCURACY.tolerance,
+        **POINT_ACCURACY._asdict(),
         align=align_errors,
     )
 
@@ -114,13 +113,7 @@ def verify_boxes(walker, centres: Float[np.ndarray, "period 2"], radius: float) 
     tangent = tuple(
         exactly(np.concatenate(parts), FIRST_DEGREE) for parts in ((ones, zeros), (zeros, ones))
     )
-    return verify_stride(
-        walker,
-        (theta, thetadot),
-        (tangent,),
-        order=BOX_ACCURACY.order,
-        tolerance=BOX_ACCURACY.tolerance,
-    )
+    return verify_stride(walker, (theta, thetadot), (tangent,), **BOX_ACCURACY._asdict())
 
 
 def enclose_cycle(walker, states: Float[np.ndarray, "period 2"], radius: float) -> Cycle | None:

@@ -25,14 +25,17 @@ from walker_jax.proofs.events import (
     Strike,
     Watch,
     dense,
+    dense_like,
     enclose_strike,
+    fallen_by,
     guess_strike,
-    measure,
+    measure_ranges,
     watch_step,
 )
 from walker_jax.proofs.flows import (
     ORDER,
     Flow,
+    VerifiedStep,
     enclosures_in,
     flow_at,
     map_enclosures,
@@ -167,15 +170,6 @@ def as_int32(value):
     return array_module(value).asarray(value, "int32")
 
 
-def dense_like(model: Enclosure):
-    def fill(one: Enclosure) -> Enclosure:
-        zero = 0.0 * model.midpoint
-        terms = [zero if t is None else t + zero for t in one.terms]
-        return Enclosure(terms, one.radius + zero, one.space)
-
-    return fill
-
-
 def advance_stride(walker, parameters, method: tuple, now: PartialStride) -> PartialStride:
     """Take one more step, or go to the strike if the step holds it."""
     order, tolerance, align = method
@@ -188,10 +182,9 @@ def advance_stride(walker, parameters, method: tuple, now: PartialStride) -> Par
     watch = watch_step(parameters, step, now.watch, end)
     struck, landing = land_from(walker, parameters, strike, watch)
     flow = flow_at(step, length)
-    fallen = has_fallen(parameters, flow, watch)
-    wide = False
-    for one in enclosures_in(flow.state):
-        wide = wide | ~(one.spread < WIDEST)
+    # a guard has risen, with no strike before
+    fallen = fallen_by(measure_ranges(parameters, flow)) & watch.no_strike & ~watch.rising
+    wide = is_wide(flow)
     verdict = choose(fallen, FALL, choose(wide, UNDECIDED, GOING))
     verdict = choose(last, choose(struck, STRIDE, UNDECIDED), verdict)
     verdict = choose(watch.no_strike, verdict, UNDECIDED)
@@ -204,15 +197,24 @@ def advance_stride(walker, parameters, method: tuple, now: PartialStride) -> Par
         lambda a, b: choose(step.proved, a, b), map_enclosures(fill, new), old
     )
     watch = jax.tree.map(lambda a, b: choose(step.proved, a, b), watch, now.watch)
-    factor = choose(step.proved, choose(now.factor < 1, now.factor * 2, 1.0), now.factor / 2)
+    factor = next_factor(now.factor, step)
+    steps = now.steps + 1
     return PartialStride(
-        keep(flow, now.flow),
-        factor,
-        watch,
-        verdict,
-        keep(landing, now.landing),
-        now.steps + 1,
+        keep(flow, now.flow), factor, watch, verdict, keep(landing, now.landing), steps
     )
+
+
+def is_wide(flow: Flow) -> Any:
+    """Return whether a number of the state has too large a spread to go on."""
+    wide = False
+    for one in enclosures_in(flow.state):
+        wide = wide | ~(one.spread < WIDEST)
+    return wide
+
+
+def next_factor(factor, step: VerifiedStep) -> Any:
+    """Return the factor on the next step: half of it after one that is not proved."""
+    return choose(step.proved, choose(factor < 1, factor * 2, 1.0), factor / 2)
 
 
 def land_from(walker, parameters, strike: Strike, watch: Watch) -> tuple[Any, tuple]:
@@ -222,17 +224,7 @@ def land_from(walker, parameters, strike: Strike, watch: Watch) -> tuple[Any, tu
     admitted, lifts the trailing foot and leads to a feasible start.
     """
     lift, x, tangents = evaluate(land, walker, strike.flow)
-    there = ranges_of(strike.flow.state)
     proved = strike.proved & watch.no_strike & watch.clear & (lift.lower > 0) & is_feasible(x)
-    for one in evaluate(measure, parameters, there).admits:
+    for one in measure_ranges(parameters, strike.flow).admits:
         proved = proved & (one.lower > 0)
     return proved, (x, tangents)
-
-
-def has_fallen(parameters, flow: Flow, watch: Watch):
-    """Return whether all of a box has fallen: a guard has risen, with no strike before."""
-    found = evaluate(measure, parameters, ranges_of(flow.state))
-    fallen = False
-    for one in found.falls:
-        fallen = fallen | (one.lower > 0)
-    return fallen & watch.no_strike & ~watch.rising

@@ -10,7 +10,6 @@ its branch becomes stable, as at a fold or a period doubling, and ends where it 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -41,7 +40,7 @@ from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.slices import default_region
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, check_single
-from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
+from walker_jax.walkers.parameters import check_parameter, describe_source, with_parameter
 from walker_jax.walking.iteration import orbits
 
 SAME_CYCLE = 1e-6
@@ -136,14 +135,11 @@ def continue_basins(
     ]
     about = {
         "parameter": parameter,
-        "walker": walker.label(),
-        **attributes_of(walker, without=parameter),
-        "section": list(walker.section),
+        **describe_source(walker, without=[parameter]),
         "samples": samples,
         "strides": strides,
         "seed": seed,
         "tolerance": tolerance,
-        "version": f"walker-jax {version('walker-jax')}",
     }
     return assemble(values, found, family.branches, samples).assign_attrs(about)
 

@@ -6,14 +6,15 @@ minimum of the distance, and the least minimum is the answer.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from walker_jax.stability.rays import (
     DENSE,
     FINE,
+    Fails,
+    Gradient,
     bisect,
     first_on_ray,
     scan,
@@ -21,7 +22,6 @@ from walker_jax.stability.rays import (
     turned_rays,
 )
 
-Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
 SHARE = 1 / 16
 """Number of random directions, as a share of the number in a plane."""
 RADII = 32
@@ -41,7 +41,7 @@ SETTLED = 1e-10
 def descend_to_failure(
     fails: Fails,
     basis: Float[np.ndarray, "rank size"],
-    gradient: Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]],
+    gradient: Gradient,
     count: int = DENSE,
     roughly_fails: Fails | None = None,
 ) -> Float[np.ndarray, " size"]:
@@ -70,7 +70,7 @@ def descend_to_failure(
 
 def turn(
     fails: Fails,
-    gradient: Callable,
+    gradient: Gradient,
     basis: Float[np.ndarray, "rank size"],
     rays: Float[np.ndarray, "n rank"],
     lengths: Float[np.ndarray, " n"],

@@ -17,7 +17,7 @@ from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed, follow_disturbed_walk
 from walker_jax.walking.disturbed_margins import follow_disturbed_margins
 from walker_jax.walking.failure_margins import failure_margin
-from walker_jax.walking.iteration import Targets, WalkEnd
+from walker_jax.walking.iteration import Targets, WalkEnd, distances
 
 PULLED_BACK = 64
 """Number of walks whose derivatives are computed in one call."""
@@ -123,8 +123,7 @@ def walk_disturbed_on(
         disturbance = Disturbance(*[jnp.where(even, 0, one) for one in row])
         result = follow_disturbed(walker, walk.state, disturbance, integrator)
         x = walker.project(walker.state(*result.state))
-        apart = jnp.abs(jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2))
-        near = even & (jnp.min(jnp.max(apart, axis=1)) < 1)
+        near = even & (jnp.min(distances(x, targets)) < 1)
         made = walk.strides + (result.outcome == Outcome.STRIDE).astype(jnp.int32)
         return WalkEnd(result.state, result.outcome, made, jnp.where(near, 0, -1).astype(jnp.int32))
 

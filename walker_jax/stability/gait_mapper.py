@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from walker_jax.basins.attractor import Attractor, check_cycle
+from walker_jax.basins.attractor import Attractor, capture_radius
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
-from walker_jax.gaits.cycles import Gait, check_found
+from walker_jax.gaits.cycles import Gait, check_cycle, check_found
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.system import System, check_single
@@ -40,7 +40,7 @@ def mapper_of_gait(
     if states.shape[1:] != (len(walker.section),):
         raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
     ends = np.asarray(take_strides(walker, states, tolerance=tolerance).state)
-    check_cycle(states, ends)
+    check_cycle(states, ends, capture_radius(states.dtype))
     integrator = integrator_of(states.dtype, tolerance)
     return with_capture_boxes(Mapper(walker, [Attractor(len(states), states)], integrator, strides))
 

@@ -12,7 +12,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Scalar
-from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walkers.parameters import with_values
 from walker_jax.walking.failure_margins import failure_margin, follow_margins
 from walker_jax.walking.iteration import walk_on
 
@@ -34,11 +34,9 @@ def differentiate_margins(
     zero = np.zeros((len(parameters), x.shape[1]), dtype)
     along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
     names = [None] * len(directions) + list(parameters)
-    tangent = walker
-    for name in numbers_of(walker):  # by name: a constructor may set them in any order
-        tangent = with_parameter(
-            tangent, name, np.tile(np.array([name == one for one in names], dtype), n)
-        )
+    column = lambda name: np.tile(np.array([name == one for one in names], dtype), n)
+    # By name: a constructor may set them in any order.
+    tangent = with_values(walker, {name: column(name) for name in numbers_of(walker)})
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
     shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, Integrator(tolerance)))
     return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)

@@ -14,17 +14,13 @@ chance that independent normal numbers of standard deviation sigma lie beyond th
     chance = Phi(-r / sigma) / sqrt(det(I - r W)),  as sigma goes to 0
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.stability.descents import turn
-from walker_jax.stability.rays import bisect, scan
-
-Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
-Gradient = Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]]
+from walker_jax.stability.rays import Fails, Gradient, bisect, scan, tangents
 
 RADII = 32
 """Distances along each random ray."""
@@ -174,8 +170,3 @@ def misalignment(
         normals = gradient(BEYOND * lengths[known, None] * rays[known])
         miss[known] = normals / np.sum(normals * rays[known], axis=1, keepdims=True) - rays[known]
     return lengths, miss
-
-
-def tangents(ray: Float[np.ndarray, " size"]) -> Float[np.ndarray, "rank size"]:
-    """Return unit vectors across a ray and each other."""
-    return np.linalg.svd(ray[None])[2][1:]

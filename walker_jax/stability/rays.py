@@ -36,12 +36,16 @@ COARSE, FINE = 12, 34
 """Bisections between two points on a ray: to compare rays, and for the final distance."""
 
 
+Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
+Gradient = Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]]
+
+
 def nearest_failure(
-    fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]],
+    fails: Fails,
     basis: Float[np.ndarray, "rank size"],
-    gradient: Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]],
+    gradient: Gradient,
     count: int = DENSE,
-    roughly_fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]] | None = None,
+    roughly_fails: Fails | None = None,
 ) -> Float[np.ndarray, " size"]:
     """Find the shortest failing vector in the span of an orthonormal basis.
 
@@ -261,7 +265,7 @@ def fan(
     direction: Float[np.ndarray, " rank"], width: float, count: int
 ) -> Float[np.ndarray, "n rank"]:
     """Return unit vectors within an angle of a direction; the direction is the first of them."""
-    across = np.linalg.svd(direction[None])[2][1:]
+    across = tangents(direction)
     if len(across) == 1:
         offsets = np.linspace(-1, 1, count - 1)[:, None]
     else:
@@ -270,6 +274,11 @@ def fan(
         offsets = radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     rays = np.concatenate([direction[None], direction + width * offsets @ across])
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def tangents(ray: Float[np.ndarray, " size"]) -> Float[np.ndarray, "rank size"]:
+    """Return unit vectors across a ray and each other."""
+    return np.linalg.svd(ray[None])[2][1:]
 
 
 def local_minima(

@@ -22,12 +22,21 @@ class Field(NamedTuple):
     whole numbers."""
 
 
+def numbers(*names: str) -> dict[str, Field]:
+    """Return variables that are numbers, by their own names."""
+    return {name: Field(name, "number") for name in names}
+
+
+def estimate(name: str) -> dict[str, Field]:
+    """Return the variables of an estimated number: its value, and both ends of its interval."""
+    ends = {end: Field(f"{name}_{end}", "number") for end in ("low", "high")}
+    return {"value": Field(name, "number")} | ends
+
+
 GAIT = {
     "period": Field("gait_period", "count"),
     "state": Field("gait_state", "vector"),
-    "multiplier": Field("multiplier", "number"),
-    "step_time": Field("step_time", "number"),
-    "return_strides": Field("return_strides", "number"),
+    **numbers("multiplier", "step_time", "return_strides"),
 }
 LEAST_DISTURBANCE = {
     "size": Field("least_disturbance", "number"),
@@ -48,31 +57,12 @@ STEP_DOWN = {
     "step_down_failure": Field("step_down_failure", "outcome"),
     "step_down_fall": Field("step_down_fall", "number"),
 }
-STABILITY = {
-    "value": Field("stability", "number"),
-    "low": Field("stability_low", "number"),
-    "high": Field("stability_high", "number"),
-    "in_time": Field("in_time", "number"),
-}
-RETURN = {
-    "median_strides": Field("median_strides", "number"),
-    "slowest_strides": Field("slowest_strides", "number"),
-    "mean_strides": Field("mean_strides", "number"),
-    "pace": Field("pace", "number"),
-    "median_pace": Field("median_pace", "number"),
-    "mean_shock": Field("mean_shock", "number"),
-    "largest_shock": Field("largest_shock", "number"),
-}
-DIMENSION = {
-    "value": Field("dimension", "number"),
-    "low": Field("dimension_low", "number"),
-    "high": Field("dimension_high", "number"),
-}
-GROUND = {
-    "mean": Field("steps_to_fall", "number"),
-    "low": Field("steps_to_fall_low", "number"),
-    "high": Field("steps_to_fall_high", "number"),
-}
+STABILITY = estimate("stability") | numbers("in_time")
+RETURN = numbers("median_strides", "slowest_strides", "mean_strides") | numbers(
+    "pace", "median_pace", "mean_shock", "largest_shock"
+)
+DIMENSION = estimate("dimension")
+GROUND = estimate("steps_to_fall")
 """Variables that require a ground."""
 GROUND_NAMES = tuple(field.name for field in GROUND.values())
 NOTE = Field("note", "text")

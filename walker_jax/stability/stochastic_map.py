@@ -14,7 +14,6 @@ Strides count in P by that weight. Starts within a cell are then distributed as 
 the chance to survive is right for cells of any size.
 """
 
-from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax
@@ -44,7 +43,7 @@ from walker_jax.stability.rough_ground import (
 )
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walkers.parameters import attributes_of
+from walker_jax.walkers.parameters import describe_source
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed
 
 PILOT_WALKS, PILOT_STRIDES = 20_000, 8
@@ -135,15 +134,12 @@ def metastability(
         },
         coords={"direction": np.array(coordinates, object)},
         attrs={
-            "walker": walker.label(),
-            **attributes_of(walker),
-            "section": list(walker.section),
+            **describe_source(walker),
             "ground": describe_ground(ground),
             "side": rough.side,
             "walkers": walkers,
             "repetitions": repetitions,
             "key": np.asarray(jax.random.key_data(key)).tolist(),
-            "version": f"walker-jax {version('walker-jax')}",
         },
     )
 

@@ -7,6 +7,21 @@ VOLUME = "rad³·g/l"
 FATE = "`Outcome` of the last stride; -1 if not computed"
 NUMBER = "number of the attractor; -1 for none"
 STRIDES = "before the attractor or the failure"
+FRAME = {
+    "lower": V("axis", "real", "", "the grid's lower ends"),
+    "upper": V("axis", "real", "", "the grid's upper ends"),
+    "shear": V("coordinate axis", "real", "", "a state is origin + shear · place"),
+    "origin": V("coordinate", "real", STATE, "the state where all axes are 0"),
+}
+"""What the axes of a grid are in the section."""
+REFINEMENT = {
+    "followed": V("level", "integer", "cells", "that were followed"),
+    "boundary": V("level", "integer", "cells", "with a neighbour of another fate"),
+    "checked": V("", "integer", "", "starts of the check"),
+    "mistaken": V("", "integer", "", "of these, starts that the grid has wrong"),
+    "strides_made": V("", "integer", "strides", "in all"),
+}
+"""How the cells of a refined grid were followed and checked."""
 BASINS = {
     "basin": Kind(
         "Fates over a grid, whose axes are its coordinates (`basin`).",
@@ -47,10 +62,7 @@ BASINS = {
                 "level", "real", AREA, "of `outer` cells after it", "with bounds"
             ),
             "axis": V("axis", "text", "", "names of the grid's axes"),
-            "lower": V("axis", "real", "", "the grid's lower ends"),
-            "upper": V("axis", "real", "", "the grid's upper ends"),
-            "shear": V("coordinate axis", "real", "", "a state is origin + shear · place"),
-            "origin": V("coordinate", "real", STATE, "the state where all axes are 0"),
+            **FRAME,
         },
         WALKER
         | SECTION
@@ -95,11 +107,7 @@ BASINS = {
         {
             "total_area": V("", "real", AREA, "of all basins, corrected by a check"),
             "total_area_error": V("", "real", AREA, "its standard error"),
-            "followed": V("level", "integer", "cells", "that were followed"),
-            "boundary": V("level", "integer", "cells", "with a neighbour of another fate"),
-            "checked": V("", "integer", "", "starts of the check"),
-            "mistaken": V("", "integer", "", "of these, starts that the grid has wrong"),
-            "strides_made": V("", "integer", "strides", "in all"),
+            **REFINEMENT,
         },
         {},
         "basin",
@@ -113,10 +121,7 @@ BASINS = {
             "run_fate": V("run", "integer", "", "`Outcome` of the last stride from its cells"),
             "run_attractor": V("run", "integer", "", NUMBER),
             "axis": V("axis", "text", "", "names of the grid's axes, each with its centres"),
-            "lower": V("axis", "real", "", "the grid's lower ends"),
-            "upper": V("axis", "real", "", "the grid's upper ends"),
-            "shear": V("coordinate axis", "real", "", "a state is origin + shear · place"),
-            "origin": V("coordinate", "real", STATE, "the state where all axes are 0"),
+            **FRAME,
             "number": V("number", "integer", "", "of the attractor"),
             "period": V("number", "integer", "strides", "0 for a motion without a period"),
             "states": V("number phase coordinate", "real", STATE, "the cycle; NaN after it"),
@@ -125,11 +130,7 @@ BASINS = {
             "total_area": V("", "real", VOLUME, "volume of all basins, corrected by a check"),
             "total_area_error": V("", "real", VOLUME, "its standard error"),
             "at_border": V("", "integer", "cells", "of basins that are at the grid's border"),
-            "followed": V("level", "integer", "cells", "that were followed"),
-            "boundary": V("level", "integer", "cells", "with a neighbour of another fate"),
-            "checked": V("", "integer", "", "starts of the check"),
-            "mistaken": V("", "integer", "", "of these, starts that the grid has wrong"),
-            "strides_made": V("", "integer", "strides", "in all"),
+            **REFINEMENT,
         },
         WALKER | SECTION | {"method": "`direct, refined`"},
     ),

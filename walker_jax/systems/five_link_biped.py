@@ -9,8 +9,8 @@ from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.roots import Real
 from walker_jax.multibody.single_support import (
     SingleSupport,
-    accelerations_and_forces,
     coordinates_and_rates,
+    normal_force,
 )
 from walker_jax.systems.five_links import LINKS, AbstractFiveLinkRobot
 from walker_jax.systems.outcomes import Outcome
@@ -89,10 +89,9 @@ class FiveLinkBiped(AbstractFiveLinkRobot):
             Guard(sunk, Outcome.OUTSIDE, (ahead, lambda state: -state.angles[0])),
             Guard(sunk, admits=(ahead, lambda state: state.angles[0])),
         )
-        carried = lambda state: accelerations_and_forces(self, state)[1][1]
         above = lambda state: LEAST_SCUFF - sunk(state)
         conditions = (
-            Condition(carried, Outcome.RUNNING),
+            Condition(lambda state: normal_force(self, state), Outcome.RUNNING),
             Condition(above, Outcome.SCUFFED, zero_at_ends=(True, True)),
         )
         return (Mode(SingleSupport(self), guards, conditions, self.strike, as_smooth=True),)

@@ -4,14 +4,13 @@ from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from walker_jax import multibody
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
-from walker_jax.multibody.single_support import SingleSupport, accelerations_and_forces
+from walker_jax.multibody.single_support import SingleSupport, leg, normal_force
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
@@ -82,18 +81,18 @@ class TorsoWheel(HybridSystem):
             tau = self.stiffness * (self.lean - q[3]) - self.damping * qdot[3]
             return jnp.stack([jnp.zeros_like(tau), jnp.zeros_like(tau), tau, tau])
 
-        return self.bodies(lambda q: q[:2] + direction(q[2]), torque)
+        return self.bodies(lambda q: q[:2] + leg(q[2]), torque)
 
     def bodies(self, hub, torque=None) -> multibody.System:
         """Return hub and torso: positions, and the torso's angle psi, the last entry of q."""
 
         def transfer(q):
             place = hub(q)
-            torso = place + self.torso_com * direction(self.slope - q[-1])
+            torso = place + self.torso_com * leg(self.slope - q[-1])
             return jnp.concatenate([place, torso, q[-1:]])
 
         M, one = self.torso_mass, jnp.ones_like(self.torso_mass)
-        down, none = -direction(self.slope), jnp.zeros_like(one)[None]
+        down, none = -leg(self.slope), jnp.zeros_like(one)[None]
         masses = jnp.stack([one, one, M, M, self.torso_inertia])
         return multibody.System(transfer, masses, jnp.concatenate([down, M * down, none]), torque)
 
@@ -101,8 +100,8 @@ class TorsoWheel(HybridSystem):
         """Return the state on the next spoke, which is massless: its impulse is along it."""
 
         def rates(wheel, state):
-            before, spoke = direction(state.theta), direction(state.theta + 2 * wheel.alpha)
-            # the hub is at direction(theta), and its velocity is the derivative of that
+            before, spoke = leg(state.theta), leg(state.theta + 2 * wheel.alpha)
+            # the hub is at leg(theta), and its velocity is the derivative of that
             turned = jnp.stack([-before[1], before[0]])
             q = jnp.stack([*before, state.psi])
             qdot = jnp.stack([*(state.thetadot * turned), state.psidot])
@@ -119,8 +118,7 @@ class TorsoWheel(HybridSystem):
             Guard(lambda state: state.psi - np.pi / 2, Outcome.FORWARD),
             Guard(lambda state: -self.alpha - state.theta),
         )
-        pushed = lambda state: accelerations_and_forces(self, state)[1][1]
-        pushes = Condition(pushed, Outcome.RUNNING)
+        pushes = Condition(lambda state: normal_force(self, state), Outcome.RUNNING)
         return (Mode(SingleSupport(self), guards, (pushes,), self.strike),)
 
     def lift(self, x):
@@ -135,8 +133,3 @@ class TorsoWheel(HybridSystem):
 
     def gait_region(self):
         return Grid.plain(thetadot=(-1.5, 0, 12), psi=(-0.5, 1, 6), psidot=(-1, 1, 4))
-
-
-def direction(angle: Real) -> Float[Array, " 2"]:
-    """Return the unit vector at an angle from the slope's normal, positive backward."""
-    return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

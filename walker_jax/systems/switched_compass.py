@@ -6,7 +6,6 @@ from typing import ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from walker_jax import multibody
 from walker_jax.grids import Grid
@@ -15,8 +14,9 @@ from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import (
     SingleSupport,
-    accelerations_and_forces,
     coordinates_and_rates,
+    leg,
+    normal_force,
 )
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
@@ -118,19 +118,9 @@ class SwitchedCompass(HybridSystem):
         return Grid(axes, np.array([[1, 0, 0], [-1, 1, 0], [0, 0, 1]]))
 
 
-def leg(angle: Real) -> Float[Array, " 2"]:
-    """Return the vector from foot to hip, of a leg at an angle from the slope's normal."""
-    return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
-
-
 def foot_speed(state: CompassState) -> Scalar:
     """Return a number proportional to the trailing foot's upward speed just after heel strike."""
     return state.phidot - 2 * state.thetadot
-
-
-def normal_force(walker: SwitchedCompass, state: CompassState) -> Scalar:
-    """Return the normal force of the ground on the stance foot."""
-    return accelerations_and_forces(walker, state)[1][1]
 
 
 @jax.jit

@@ -23,6 +23,7 @@ from walker_jax.multibody.single_support import (
     coordinates_and_rates,
     stance_coordinates,
 )
+from walker_jax.multibody.single_support import leg as leg
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
 
 
@@ -173,8 +174,3 @@ def weight(system: System, q: Float[Array, " q"]) -> Scalar:
     along = jnp.stack([jnp.zeros_like(q).at[i].set(1) for i in range(2)])
     sums = [multibody.velocity(system.transfer, q, one) @ system.forces for one in along]
     return jnp.hypot(*sums)
-
-
-def leg(angle: Scalar) -> Float[Array, " 2"]:
-    """Return the direction from foot to hip of a leg at an angle from the normal of the slope."""
-    return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

@@ -2,11 +2,13 @@
 
 import dataclasses
 import inspect
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
+from importlib.metadata import version
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, short
@@ -91,13 +93,14 @@ def describe_walker(walker: System) -> dict[str, Any]:
     return {"name": walker.label(), **values, **dict.fromkeys(chosen_options(walker), True)}
 
 
-def attributes_of(walker: System, *, without: str | None = None) -> dict[str, Any]:
+def attributes_of(walker: System, *, without: Container[str] = ()) -> dict[str, Any]:
     """Return the parameters and active options of a walker, as attributes of a data set.
 
-    They include the names of its own failures, and a fingerprint of the code of a class outside the
-    package.
+    Parameters that are variables of the data set are left out by `without`. The attributes include
+    the names of its own failures, and a fingerprint of the code of a class outside the package.
     """
-    values = {name: float(value) for name, value in numbers_of(walker).items() if name != without}
+    values = {name: float(value) for name, value in numbers_of(walker).items()}
+    values = {name: value for name, value in values.items() if name not in without}
     values |= dict.fromkeys(chosen_options(walker), 1)
     code = code_fingerprint(type(walker), code_of(walker))
     about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
@@ -105,10 +108,28 @@ def attributes_of(walker: System, *, without: str | None = None) -> dict[str, An
     return about | ({"code": code} if code else {})
 
 
+def describe_source(walker: System, *, without: Container[str] = ()) -> dict[str, Any]:
+    """Return the attributes of a data set that tell where it is from: a walker, and this version.
+
+    `without` is as in `attributes_of`.
+    """
+    return {
+        "walker": walker.label(),
+        **attributes_of(walker, without=without),
+        "section": list(walker.section),
+        "version": f"walker-jax {version('walker-jax')}",
+    }
+
+
 def describe_in_words(walker: System) -> str:
     """Describe a walker on one line: its name, then each parameter with its value."""
-    name, *values = describe_walker(walker).items()
-    return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
+    return write_description(describe_walker(walker))
+
+
+def write_description(about: dict[str, Any], form: str = "g") -> str:
+    """Write the result of `describe_walker` on one line."""
+    name, *values = about.items()
+    return ", ".join([name[1], *(f"{key} {value:{form}}" for key, value in values)])
 
 
 BRIEF = 48
@@ -170,6 +191,13 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
                 raise
 
 
+def check_parameters(walker: System, parameters: Sequence[str]) -> None:
+    """Raise `WrongUse` for anything but a sequence of names of the walker's parameters."""
+    check_kind("parameters", parameters, Sequence)
+    for name in parameters:
+        check_parameter(walker, name)
+
+
 def parameter_directions(
     walker: AnySystem, parameters: Sequence[str], dtype, rows: int = 1
 ) -> AnySystem:
@@ -179,11 +207,25 @@ def parameter_directions(
     parameters are 0.
     """
     zeros = jax.tree.map(lambda leaf: np.zeros(rows, dtype), walker)
-    for i, parameter in enumerate(parameters):
-        zeros = with_parameter(zeros, parameter, np.eye(1, rows, i, dtype)[0])
-    return zeros
+    units = (np.eye(1, rows, i, dtype)[0] for i in range(len(parameters)))
+    return with_values(zeros, zip(parameters, units, strict=True))
 
 
 def with_parameter(walker: AnySystem, parameter: str, value) -> AnySystem:
     """Return the walker with another value of one parameter; an array makes many walkers."""
     return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)
+
+
+def with_values(
+    walker: AnySystem, values: Mapping[str, Any] | Iterable[tuple[str, Any]]
+) -> AnySystem:
+    """Return the walker with other values of some parameters, by name, unchecked."""
+    for parameter, value in dict(values).items():
+        walker = with_parameter(walker, parameter, value)
+    return walker
+
+
+def along_parameter(walker: AnySystem, parameter: str) -> AnySystem:
+    """Return the direction of one parameter: the walker with 1 for it and 0 for all others."""
+    one = jnp.ones_like(getattr(walker, parameter))
+    return with_parameter(jax.tree.map(jnp.zeros_like, walker), parameter, one)

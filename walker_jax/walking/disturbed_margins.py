@@ -20,17 +20,13 @@ from walker_jax.walking.failure_margins import (
     measure_stride,
     strike_margin,
 )
-from walker_jax.walking.raised_ground import onto_step, raise_ground
+from walker_jax.walking.raised_ground import onto_step
 from walker_jax.walking.starts import during_stride
 from walker_jax.walking.stride import (
     Arrival,
     Part,
-    begin_stride,
     end_stride,
-    follow_phases,
-    follow_to_step,
-    method_of,
-    modes_from,
+    follow_to_contact,
 )
 
 
@@ -48,13 +44,7 @@ def follow_disturbed_margins(
     """
     walker, x, step = disturbed_start(walker, x, disturbance)
     walker = during_stride(walker, x)
-    *phases, swing = modes_from(walker, x, to_the_end=True)
-    raised = [raise_ground(mode, step) for mode in phases]
-    last = follow_phases(raised, begin_stride(walker, x), integrator, measured=True)[-1]
-    last = follow_to_step(walker, swing, last, step, integrator, measured=True)
-    contact = lambda state: step - walker.clearance(state)
-    arrival, delay = method_of(swing, last.state, integrator).refine_event(contact, last.state)
-    last = last._replace(state=arrival, time=last.time + delay)
+    swing, last = follow_to_contact(walker, x, step, integrator, measured=True)
     onto = onto_step(walker, swing, step)
     *before, level, lower = last.parts
     modes = [*(part.mode for part in before), level.mode._replace(at_end=()), onto]

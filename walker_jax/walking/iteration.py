@@ -28,7 +28,7 @@ from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.systems.system import AnySystem, System, numbers_of
 from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walkers.parameters import Parameter, described_by, with_parameter
+from walker_jax.walkers.parameters import Parameter, described_by, with_values
 from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
 from walker_jax.walking.stride import follow_step, follow_stride
 
@@ -58,6 +58,12 @@ class Targets(NamedTuple):
 
     states: Float[Any, "m section"]
     frames: Float[Any, "m section section"]
+
+
+def distances(x: Float[Array, " section"], targets: Targets) -> Float[Array, " m"]:
+    """Return the distance of a state from each target, which is within reach below 1."""
+    distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
+    return jnp.max(jnp.abs(distance), axis=1)
 
 
 class WalkEnd(NamedTuple):
@@ -150,9 +156,7 @@ def with_parameters(
 ) -> AnySystem:
     """Return n walkers, each with its own values of some parameters, unchecked."""
     walkers = broadcast_parameters(walker, len(values), values.dtype)
-    for parameter, column in zip(parameters, values.T, strict=True):
-        walkers = with_parameter(walkers, parameter, column)
-    return walkers
+    return with_values(walkers, zip(parameters, values.T, strict=True))
 
 
 def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) -> AnySystem:
@@ -252,10 +256,6 @@ def walk_on(
     integrator: Integrator,
 ) -> WalkEnd:
     """Walk on until a failure, until a target is reached, or for a number of strides."""
-
-    def distances(x, targets):
-        distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
-        return jnp.max(jnp.abs(distance), axis=1)
 
     def is_near(x):
         return jnp.asarray(False) if targets is None else jnp.any(distances(x, targets) < 1)

@@ -124,9 +124,7 @@ def stride(
 
 @kernel
 def follow_stride(
-    walker: System,
-    x: Float[Array, " coordinates"],
-    integrator: Integrator,
+    walker: System, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Stride:
     if not isinstance(walker, HybridSystem):
         return apply_map(walker, x)
@@ -347,21 +345,31 @@ def follow_step(
 ) -> Stride:
     """Make one stride to ground higher by `step`; the result's state is a full state."""
     walker = during_stride(walker, x)
-    *phases, swing = modes_from(walker, x)
-    raised = [raise_ground(mode, step) for mode in phases]
-    last = follow_phases(raised, begin_stride(walker, x), integrator)[-1]
-    last = follow_to_step(walker, swing, last, step, integrator)
-    # On even ground no swing is left, but its derivative with respect to the step is.
-    contact = lambda state: step - walker.clearance(state)
-    arrival, delay = method_of(swing, last.state, integrator).refine_event(contact, last.state)
-    last = last._replace(state=arrival, time=last.time + delay)
+    swing, last = follow_to_contact(walker, x, step, integrator)
 
     def end(walker, last):
         following, stride = end_stride(walker, [swing], last)
         return jnp.stack(following), stride.outcome
 
-    state, outcome = with_fast_sincos(end)(walker, last)
-    return make_stride(state, outcome, last.time)
+    return make_stride(*with_fast_sincos(end)(walker, last), last.time)
+
+
+def follow_to_contact(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    step: Scalar,
+    integrator: Integrator,
+    measured: bool = False,
+) -> tuple[Mode, Arrival]:
+    """Return the swing of a stride to ground higher by `step`, and the state at its heel strike."""
+    *phases, swing = modes_from(walker, x, to_the_end=measured)
+    raised = [raise_ground(mode, step) for mode in phases]
+    last = follow_phases(raised, begin_stride(walker, x), integrator, measured)[-1]
+    last = follow_to_step(walker, swing, last, step, integrator, measured)
+    # On even ground no swing is left, but its derivative with respect to the step is.
+    contact = lambda state: step - walker.clearance(state)
+    arrival, delay = method_of(swing, last.state, integrator).refine_event(contact, last.state)
+    return swing, last._replace(state=arrival, time=last.time + delay)
 
 
 def follow_to_step(
