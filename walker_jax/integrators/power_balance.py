@@ -30,7 +30,7 @@ class PowerBalance(eqx.Module):
     The balance is linear in some derivatives of the unknowns: accelerations, or rates of momenta.
     """
 
-    degree: eqx.AbstractClassVar[int]
+    degree: ClassVar[int]
     """Order of the derivatives of the unknowns that the balance determines."""
 
     @abc.abstractmethod

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from walker_jax.integrators.power_balance import VirtualPower
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.equations import solve_motion
 from walker_jax.multibody.linear import block, factorise, solve_factored
@@ -93,6 +93,6 @@ def normal_force(walker: HasSystem, state: Any) -> Scalar:
     return accelerations_and_forces(walker, state)[1][1]
 
 
-def leg(angle: Scalar) -> Float[Array, " 2"]:
+def leg(angle: Real) -> Float[Array, " 2"]:
     """Return the direction from foot to hip of a leg at an angle from the normal of the slope."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

@@ -338,10 +338,7 @@ def height_of_step(step: Any, dtype) -> Float[Array, ""]:
 
 @kernel
 def follow_step(
-    walker: Walker,
-    x: Float[Array, " coordinates"],
-    step: Float[Array, ""],
-    integrator: Integrator,
+    walker: Walker, x: Float[Array, " coordinates"], step: Float[Array, ""], integrator: Integrator
 ) -> Stride:
     """Make one stride to ground higher by `step`; the result's state is a full state."""
     walker = during_stride(walker, x)
@@ -351,7 +348,8 @@ def follow_step(
         following, stride = end_stride(walker, [swing], last)
         return jnp.stack(following), stride.outcome
 
-    return make_stride(*with_fast_sincos(end)(walker, last), last.time)
+    state, outcome = with_fast_sincos(end)(walker, last)
+    return make_stride(state, outcome, last.time)
 
 
 def follow_to_contact(
