@@ -51,7 +51,7 @@ def test_the_long_gait_comes_first_then_the_others_each_once():
 def test_of_long_periods_the_smallest_multiplier_is_taken(monkeypatch):
     gait = wj.find_gait(WALKER)
     made_up = [gait._replace(multipliers=np.array([m, 0j])) for m in (-1.5, 0.5j, 0.75)]
-    monkeypatch.setattr(selection, "find_gaits", lambda *_: list(made_up))
+    monkeypatch.setattr(selection, "find_gaits", lambda *_, **__: list(made_up))
     largest = lambda gaits: [one.multipliers[0] for one in gaits]
     assert largest(selection.select_gaits(WALKER, 2)) == [0.5j]
     assert largest(selection.select_gaits(WALKER, 2, every=True)) == [0.5j, 0.75, -1.5]
