@@ -206,6 +206,7 @@ def test_a_sweep_needs_no_region_of_gaits(run, tmp_path):
     assert [one["gait_period"] for one in json.loads(out)["points"]] == [2, 4]
 
 
+@pytest.mark.slow
 def test_other_commands_take_systems_too(run):
     code, out, err = run(
         "explain", "--system", "my_maps.py:system", "--start", "x=0.5", "--start", "y=0"

@@ -188,6 +188,7 @@ def test_the_value_is_about_how_long_walks_last(data):
     assert value.max() / 1.5 < walks.mean < 1.5 * value.max()
 
 
+@pytest.mark.slow
 def test_a_policy_of_a_walker_is_a_walker(steady):
     assert isinstance(steady, type(WALKER)) and steady.label() == "SteeredPoweredWalker"
     heights = np.array([3e-4, -5e-4, 2e-4])

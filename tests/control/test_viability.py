@@ -243,6 +243,7 @@ def test_the_policy_is_a_system_whose_basin_is_about_the_kernel(pushed):
     assert (followed & inner).sum() > 0.9 * inner.sum()
 
 
+@pytest.mark.slow
 def test_the_policy_takes_actions_of_cells_and_means_between(pushed):
     steered = wj.Policy(WALKER, pushed)
     action = pushed["action"].values

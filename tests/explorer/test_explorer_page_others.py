@@ -148,6 +148,7 @@ def test_a_label_says_nothing_twice(opened):
     assert {"hip mass", "leg length", "com offset (length)"} < {*shown["round-foot"]}
 
 
+@pytest.mark.slow
 def test_a_system_of_three_coordinates_is_shown_along_any_two(opened_system):
     page = opened_system("walker=Spiral&section=east-up&at_north=0.5")
     assert page.value("explorer.map.axes") == ["east", "up"]

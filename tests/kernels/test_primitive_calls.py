@@ -136,6 +136,7 @@ check(jax.vmap(stride, (None, 0)), (jnp.asarray(0.009), starts), (None, over), o
 """
 
 
+@pytest.mark.slow
 def test_cells_on_several_devices():
     """Also where JAX divides them: all in one process, as none has four devices of itself."""
     flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"}

@@ -100,7 +100,7 @@ def test_a_step_within_rounding_is_as_good_as_none(walker, step):
 
 @pytest.fixture(scope="module")
 def fall():
-    return wj.most_probable_fall(WALKER, strides=3, directions=40)
+    return wj.most_probable_fall(WALKER, strides=3, directions=12)
 
 
 def test_the_least_sequence_topples_and_shorter_ones_do_not(fall):

@@ -434,6 +434,7 @@ def test_indicators_and_disturbances_may_be_ones_own(gait):
     np.testing.assert_allclose(rates[2], speed, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_unstable_gait_has_no_norm_and_bad_names_are_refused(gait):
     short = min(wj.find_gaits(WALKER), key=lambda one: one.states[0][0])
     assert wj.gait_sensitivity(WALKER, short, *RESPONSE).norm == np.inf

@@ -176,6 +176,7 @@ def test_work_of_a_stride_is_its_gain_of_energy():
     np.testing.assert_allclose(energy(q, w) - energy(*begin(OTHER)), work, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_walks_into_a_gait_whose_impact_takes_the_work():
     states = [OTHER]
     for _ in range(40):

@@ -126,6 +126,7 @@ def test_rough_ground_films_and_basins_take_many_joints():
     assert (data.attractor == 0).all()
 
 
+@pytest.mark.slow
 def test_gaits_are_found_without_a_guess():
     _, gait = walker_and_gait()
     found = wj.find_gait(walker_and_gait()[0])
