@@ -8,6 +8,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.basins import basin_summary, windows
 from walker_jax.basins.attracting_gaits import compare_with_search, is_same_cycle
+from walker_jax.cli.robustness_command import measures_in_words
 from walker_jax.gaits import reasons, selection
 from walker_jax.gaits.gait_summary import (
     find_stable_intervals,
@@ -292,3 +293,14 @@ def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
     assert summarise_robustness(data.assign(at_border=5), {"slope": 0.004})["at_border"] == 5
     assert all(nowhere[name] is None for name in [*nowhere][5:])
     assert summarise_robustness(data.assign(at_border=np.nan), {"slope": 0.2})["at_border"] is None
+
+
+def test_walks_on_rough_ground_are_in_the_summary_and_its_words(monkeypatch):
+    walks = {"steps_to_fall": 120.0, "steps_to_fall_low": 100.0, "steps_to_fall_high": np.inf}
+    data = made_up_robustness(monkeypatch).assign(walks).assign_attrs(ground=0.002)
+    found = summarise_robustness(data, {"slope": 0.004})
+    expected = {"mean": 120.0, "low": 100.0, "high": np.inf, "ground": 0.002}
+    assert found["steps_to_fall"] == expected
+    assert [*measures_in_words(found, "")][-1].endswith(
+        "deviation 0.002 it falls after 120 strides on average (100 to inf)"
+    )

@@ -27,10 +27,10 @@ def numbers(*names: str) -> dict[str, Field]:
     return {name: Field(name, "number") for name in names}
 
 
-def estimate(name: str) -> dict[str, Field]:
-    """Return the variables of an estimated number: its value, and both ends of its interval."""
+def estimate(name: str, key: str = "value") -> dict[str, Field]:
+    """Return the variables of an estimated number: itself, by `key`, and its interval's ends."""
     ends = {end: Field(f"{name}_{end}", "number") for end in ("low", "high")}
-    return {"value": Field(name, "number")} | ends
+    return {key: Field(name, "number")} | ends
 
 
 GAIT = {
@@ -62,7 +62,7 @@ RETURN = numbers("median_strides", "slowest_strides", "mean_strides") | numbers(
     "pace", "median_pace", "mean_shock", "largest_shock"
 )
 DIMENSION = estimate("dimension")
-GROUND = estimate("steps_to_fall")
+GROUND = estimate("steps_to_fall", "mean")
 """Variables that require a ground."""
 GROUND_NAMES = tuple(field.name for field in GROUND.values())
 NOTE = Field("note", "text")

@@ -187,10 +187,9 @@ def warn_if_rounded(system: System) -> None:
         return
     for name, value in numbers_of(system).items():
         if getattr(value, "dtype", None) == np.float32:
-            of_one = (
-                "" if isinstance(value, Tracer) or np.size(value) != 1 else f" {float(value)!r}"
-            )
-            warn_once(f"{name}{of_one} has the seven digits of float32: {FLOAT64_HINT}")
+            single = np.size(value) == 1 and not isinstance(value, Tracer)
+            given = f"{name} {float(value)!r}" if single else name
+            warn_once(f"{given} has the seven digits of float32: {FLOAT64_HINT}")
 
 
 def format_parameter(value: Any) -> str:
