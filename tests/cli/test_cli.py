@@ -256,6 +256,24 @@ def test_help_has_the_parameters_of_the_walker_that_is_named(run):
         assert code == 0 and own <= found and not (others - own) & found
 
 
+@pytest.mark.parametrize("name", ["basin", "gait", "optimise", "robustness", "sweep", "viable"])
+def test_help_of_many_parameters_names_the_other_options(run, name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    whole, short = (run(name, *of, "--help")[1] for of in ([], ["--walker", "kneed"]))
+    lines = short.splitlines()
+    assert len(lines) <= 60 and max(map(len, lines)) <= 80
+    assert "--shank-inertia X    of each shank" in short
+    own = {
+        option_of(one.name)
+        for kind in (wj.KneedWalker, wj.SimplestWalker)
+        for one in parameters(kind)
+    }
+    named = lambda text: set(re.findall(r"--[a-z][\w-]*", text)) - own
+    assert named(whole) <= named(short) | {"--a"}  # of an example
+    monkeypatch.setenv("COLUMNS", "200")
+    assert len(run(name, "--walker", "kneed", "--help")[1].splitlines()) <= len(lines)
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_begins_with_examples_and_is_short(run, name, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")

@@ -12,6 +12,8 @@ from walker_jax.cli.examples import DURATIONS, EXAMPLES
 
 FLAGS = 21
 """Width of the column of options; their meanings stand beside it."""
+WIDTH, LINES = 80, 60
+"""A page of a terminal; a walker of many parameters leaves no room there for all else."""
 OTHERS = "Output"
 """Theme of the options without a group."""
 
@@ -20,18 +22,27 @@ class HelpfulCommand(TyperCommand):
     """A command whose help begins with examples and fits on a page or two of a terminal."""
 
     def format_help(self, ctx, formatter) -> None:
-        name, width = str(self.name), formatter.width
+        whole = self.page(ctx, WIDTH).count("\n") < LINES
+        formatter.write(self.page(ctx, formatter.width, whole=whole) + "\n")
+
+    def page(self, ctx, width: int, *, whole: bool = True) -> str:
+        """Write the help; unless it is `whole`, options after the first theme are only named."""
+        name = str(self.name)
         arguments = [one.name.upper() for one in self.params if one.param_type_name != "option"]
         usage = " ".join([f"walker-jax {name}", *arguments, "[OPTIONS]"])
         first, *more = (self.help or "").split("\n\n")
         examples = (fill(f"  walker-jax {line}", width, 6) for line in EXAMPLES[name])
         parts = [f"{usage}\n\n{fill(first, width)}", "\n".join(["Examples:", *examples])]
-        for theme, options in self.themes(ctx).items():
-            rows = (row(one, width) for one in options)
-            parts.append("\n".join([f"{theme}:", *rows]))
+        described, *others = self.themes(ctx).items()
+        for theme, options in (described, *others) if whole else (described,):
+            parts.append("\n".join([f"{theme}:", *(row(one, width) for one in options)]))
+        if not whole:
+            names = (f"{theme}: {', '.join(map(flags_of, options))}" for theme, options in others)
+            parts.append("\n".join(fill(line, width, 2) for line in names))
+            parts.append(fill(f"walker-jax {name} --help describes these.", width))
         parts += [fill(text, width) for text in more]
         parts.append(fill(f"Time on two cores: {DURATIONS[name]}", width))
-        formatter.write("\n\n".join(parts) + "\n")
+        return "\n\n".join(parts)
 
     def themes(self, ctx) -> dict[str, list[Any]]:
         """Return the arguments and the visible options, by their themes."""
@@ -70,8 +81,13 @@ def as_typed(param: Any) -> str:
     """Write an option as it is typed, with the placeholder of its value."""
     if param.param_type_name != "option":
         return param.name.upper()
-    flags = "/".join([", ".join(sorted(param.opts, key=len)), *param.secondary_opts])
+    flags = flags_of(param)
     return flags if param.is_flag else f"{flags} {param.metavar}"
+
+
+def flags_of(param: Any) -> str:
+    """Write the names of an option, the short one first."""
+    return "/".join([", ".join(sorted(param.opts, key=len)), *param.secondary_opts])
 
 
 def meaning(param: Any) -> str:
