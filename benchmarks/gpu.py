@@ -6,39 +6,48 @@ script compares outcomes, next states of successful strides, and derivatives by 
 (`jax.jacfwd`). Then `wj.basin` follows a million cells directly, on the first device alone: run the
 script again with `JAX_PLATFORMS=cpu` for the processor.
 
-On a GPU each row has a second one, `kernel`, with the same by kernels (`WALKER_JAX_KERNELS=gpu`);
-so has the basin. Then come a sweep of a thousand basins, the strides of the tests' reference map,
-and an ensemble that others have timed, the Lorenz systems of GPUODEBenchmarks: t from 0 to 1, start
-(1, 0, 0), r from 0 to 21, adaptive steps of Tsit5 with tolerances of 1e-8, in float32. For
-8,388,608 of them the published times are 48.8 ms (MPGOS), 69.5 (DiffEqGPU) and 2,611 (diffrax), on
-a V100. `--registers 96 128 168 255` and `--threads 32 64 128` try other
-programs of kernels. Kernels have not been run on a GPU yet: the table below is of XLA.
+On a GPU each row by XLA (`WALKER_JAX_KERNELS=cpu`) has a second one, `kernel`; so has the basin.
+XLA takes minutes to compile: `--without-xla` leaves it out. Then come a sweep of basins, the
+strides of the tests' reference map, and an ensemble that others have timed, the Lorenz systems of
+GPUODEBenchmarks: t from 0 to 1, start (1, 0, 0), r from 0 to 21, adaptive steps of Tsit5 with
+tolerances of 1e-8, in float32. For 8,388,608 of them the published times are 48.8 ms (MPGOS), 69.5
+(DiffEqGPU) and 2,611 (diffrax), on a V100. `--registers 168 208 255` and `--threads 64 128 256` try
+other programs of kernels, in float64.
 
-The answer: the same strides, for the simplest walker six times as many as 16 cores make, and no
-more than they make for walkers with mass on their legs, whose programs XLA splits into many passes
-over the card's memory. XLA compiles for a GPU in 10 s to a minute, and a kneed walker in more than
-6 minutes; the programs of a basin in 24 s. `outcomes` counts those that differ; then come the
-median and the largest difference of the next states, where strides amplify rounding most.
+The answer: the same strides, 16 to 35 times as many as 16 cores make. `outcomes` counts those that
+differ; then come the median and the largest difference of the next states, where strides amplify
+rounding most. Of the 50,000 strides of the reference map no outcome differs.
 
     16 cores; NVIDIA H100 80GB HBM3; jax 0.11.2; 1048576 strides, cpu | gpu
-    walker      dtype    what         compile s              per second   ratio  outcomes   largest
-    simplest    float64  stride      0.8 | 12.4  9,450,714 |  56,920,981     6.0         0    3e-12
-    simplest    float64  jacobian    1.4 | 31.7  2,521,806 |   4,305,693     1.7         0    1e-08
-    simplest    float32  stride      0.3 |  5.3 44,277,454 | 185,764,442     4.2         3    4e-03
-    simplest    float32  jacobian    0.8 | 13.7 12,632,603 |  69,900,859     5.5         0    3e+00
-    point feet  float64  stride      1.4 | 43.2  3,976,423 |   9,258,137     2.3         0    1e-12
-    point feet  float32  stride      1.6 | 27.3 13,667,213 |  16,724,686     1.2         1    5e-04
-    round feet  float64  stride      1.6 | 35.9  2,766,044 |   2,429,279     0.9         0    2e-14
-    round feet  float64  jacobian    5.7 | 73.1    564,546 |     191,973     0.3         0    4e-11
-    round feet  float32  stride      1.8 | 36.6 11,303,861 |  22,994,560     2.0         0    7e-06
-    upper body  float64  stride      2.1 | 53.0  1,718,532 |   1,405,916     0.8         0    3e-13
-    upper body  float32  stride      3.2 | 57.4  6,850,280 |  10,426,695     1.5         0    5e-04
-    basin, 1000 x 1000 cells on gpu: first 26.6 s, then 0.65 s
-    basin, 1000 x 1000 cells on cpu: first 2.2 s, then 0.42 s; the same tally
+    walker      dtype    what       compile s                    per second  ratio  outcomes largest
+    simplest    float64  stride     0.1 | 14.3  11,428,371 |     28,546,657    2.5         0   6e-11
+    simplest    float64  kernel     0.1 |  0.1  11,428,371 |    377,130,670   33.0         0   3e-13
+    simplest    float64  its jac.   1.8 |  2.4   3,470,258 |    123,391,148   35.6         0   4e-11
+    simplest    float32  kernel     0.9 |  0.7  42,172,021 |  1,138,365,736   27.0         0   1e-02
+    simplest    float32  its jac.   0.9 |  1.3  12,625,200 |    518,617,950   41.1         0   5e-01
+    spring      float64  kernel     0.9 |  1.5  11,532,981 |    350,528,663   30.4         0   3e-15
+    spring      float32  kernel     0.5 |  0.7  44,766,946 |  1,182,293,381   26.4         0   2e-04
+    point feet  float64  kernel     1.9 |  1.8   4,432,926 |    115,731,168   26.1         0   2e-13
+    point feet  float32  kernel     2.1 |  1.7  14,960,387 |    351,968,818   23.5         0   3e-04
+    round feet  float64  kernel     2.1 |  2.2   2,686,702 |     85,593,841   31.9         0   6e-15
+    round feet  float32  kernel     1.7 |  2.4   9,459,666 |    307,443,763   32.5         0   7e-06
+    upper body  float64  kernel     4.1 |  2.9   1,704,797 |     29,360,004   17.2         0   1e-13
+    upper body  float32  kernel     2.1 |  2.6   6,831,311 |    131,949,348   19.3         0   3e-05
+    knees       float64  kernel     8.7 |  8.3   1,557,021 |     24,754,402   15.9         0   1e-14
+    basin, kernel: 1000 x 1000 cells on gpu: first 4.8 s, then 0.16 s; by XLA 26.6 s, then 0.65 s
+    8388608 Lorenz systems, kernel: 16.3 ms, 1.4 s to compile
 
-A basin is followed in rounds of a few strides, and the host sorts the cells between rounds. On a
-GPU this sorting takes the time, not the strides. Calls of 32,768 or 131,072 cells took 0.65 s,
-262,144 cells 0.72 s, a million 1.7 s.
+In this table a kernel in float32 has 255 registers; with the 128 that it has now the simplest
+walker makes 1.38 to 1.50 billion strides, and one on round feet as many as before. Blocks have 256
+threads; for the basin and the Lorenz systems 64, which small programs have now. An earlier version
+of the package measured the basin by XLA, and strides of walkers with masses: by XLA 1.4 to 9.3
+million in float64, after compiling for 36 to 53 s, and for more than 6 minutes with knees.
+
+A multiprocessor's units for float64 are busy half of the time for the simplest walker. Its warps
+have 19 of 32 threads at work, as starts are in no order here; with 255 registers there are too few
+warps to hide all waiting. On round feet warps wait for instructions most of all: six cycles for
+each that is issued, with blocks of 64 threads. A basin of a million cells takes the host longer
+than the card.
 """
 
 import argparse
@@ -58,7 +67,7 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.execution import tiles
-from walker_jax.kernels import gpu, launcher, machine, ptx
+from walker_jax.kernels import gpu, machine, ptx
 from walker_jax.kernels import program as of_program
 from walker_jax.systems.outcomes import Outcome
 
@@ -80,8 +89,8 @@ MAP = Path(__file__).parents[1] / "tests" / "data" / "strides_slope_0.004.npz"
 def kernels(on: bool) -> Iterator[None]:
     """Kernels on GPUs, or XLA alone there."""
     before = os.environ.pop(machine.VARIABLE, None)
-    if on:
-        os.environ[machine.VARIABLE] = "gpu"
+    if not on:
+        os.environ[machine.VARIABLE] = "cpu"
     try:
         yield
     finally:
@@ -90,9 +99,12 @@ def kernels(on: bool) -> Iterator[None]:
             os.environ[machine.VARIABLE] = before
 
 
+by_xla = True
+
+
 def ways() -> list[bool]:
-    """By XLA, and by kernels where there is a GPU for them."""
-    return [False, True] if jax.devices()[0].platform == "gpu" else [False]
+    """By XLA, unless it is left out, and by kernels where there is a GPU for them."""
+    return [False] * by_xla + [True] * (jax.devices()[0].platform == "gpu")
 
 
 def starts_about(walker: wj.Walker, count: int) -> np.ndarray:
@@ -257,10 +269,9 @@ def time_lorenz(count: int, repeats: int) -> None:
 
 def try_choices(registers: list[int], threads: list[int], count: int, repeats: int) -> None:
     """Strides by kernels that have other numbers of registers, and of threads in a block."""
-    for most in registers or [ptx.REGISTERS]:
-        for block in threads or [ptx.THREADS]:
-            ptx.REGISTERS = most
-            ptx.THREADS = launcher.THREADS = gpu.THREADS = block
+    for most in registers or [ptx.REGISTERS[8]]:
+        for block in threads or [ptx.THREADS[1]]:
+            ptx.REGISTERS[8], ptx.THREADS = most, (block, block)
             of_program.programs.clear()
             for name, walker in WALKERS.items():
                 xs = starts_about(walker, count)
@@ -280,14 +291,17 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--side", type=int, default=1000, help="cells along a side of the basin")
     parser.add_argument("--tile", type=int, nargs="*", help="cells of a call of XLA, not ours")
-    parser.add_argument("--basins", type=int, default=1000, help="basins of the sweep")
+    parser.add_argument("--basins", type=int, default=20, help="basins of the sweep")
     parser.add_argument("--lorenz", type=int, default=2**23, help="Lorenz systems")
     parser.add_argument("--walkers", nargs="*", default=list(WALKERS), choices=list(WALKERS))
     parser.add_argument("--jacobians", nargs="*", default=["simplest"], choices=list(WALKERS))
     parser.add_argument("--dtypes", nargs="*", default=["float64", "float32"])
+    parser.add_argument("--without-xla", action="store_true", help="by kernels alone on a GPU")
     parser.add_argument("--registers", type=int, nargs="*", default=[], help="of kernels' threads")
     parser.add_argument("--threads", type=int, nargs="*", default=[], help="of kernels' blocks")
     args = parser.parse_args()
+    global by_xla
+    by_xla = not args.without_xla
     device = jax.devices()[0]
     print(f"{os.cpu_count()} cores; {device.device_kind}; jax {jax.__version__}", flush=True)
     if True in ways():
@@ -296,7 +310,7 @@ def main() -> None:
     if args.registers or args.threads:
         return try_choices(args.registers, args.threads, args.count, args.repeats)
     if args.side:
-        for tile in args.tile or [tiles.CALL_SHAPES["gpu"][0]]:
+        for tile in (args.tile or [tiles.CALL_SHAPES["gpu"][0]]) * by_xla:
             tiles.CALL_SHAPES["gpu"] = tile, 1
             print(f"basin, calls of {tile} cells: ", end="")
             with kernels(False):

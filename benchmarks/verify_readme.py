@@ -114,9 +114,9 @@ REPRODUCE = "walker-jax reproduce --out report"
 STRIDES = "python benchmarks/strides.py"
 ACCURACY = "python benchmarks/accuracy.py"
 REFINEMENT = "python benchmarks/refinement.py"
-GPU = "python benchmarks/gpu.py"
+GPU = "python benchmarks/gpu.py --without-xla"
 """What takes an NVIDIA GPU."""
-GPU_ROW = r"^simplest +{} +stride .*\| +"
+GPU_ROW = r"^{} +{} +kernel .*\| +"
 HEYOKA = "heyoka, batches of 16 or 32, a process for each core"
 CLAIMS = [
     Claim("about five seconds", "walker-jax basin", 5, lambda run: run.seconds, 0, 5 * TIMES),
@@ -177,20 +177,28 @@ CLAIMS = [
         *(found(r"^0\.004: .* apart by ([\d.]+)"), 0, 2),
     ),
     Claim(
-        *("57 million a second in float64", GPU, 300),
-        *(found(GPU_ROW.format("float64") + r"([\d,]+)"), *within(57e6, TIMES)),
+        *("377 million a second in float64", GPU, 300),
+        *(found(GPU_ROW.format("simplest", "float64") + r"([\d,]+)"), *within(377e6, TIMES)),
     ),
     Claim(
-        *("186 million in float32", GPU, 300),
-        *(found(GPU_ROW.format("float32") + r"([\d,]+)"), *within(186e6, TIMES)),
+        *("1.4 billion in float32", GPU, 300),
+        *(found(GPU_ROW.format("simplest", "float32") + r"([\d,]+)"), *within(1.4e9, TIMES)),
     ),
     Claim(
-        *("six and four times as many", GPU, 300),
-        *(found(GPU_ROW.format("float64") + r"[\d,]+ +([\d.]+)"), *within(6, TIMES)),
+        *("33 times as many as the 16 cores", GPU, 300),
+        *(found(GPU_ROW.format("simplest", "float64") + r"[\d,]+ +([\d.]+)"), *within(33, TIMES)),
     ),
     Claim(
-        *("six and four times as many", GPU, 300),
-        *(found(GPU_ROW.format("float32") + r"[\d,]+ +([\d.]+)"), *within(4, TIMES)),
+        *("33 times as many as the 16 cores", GPU, 300),
+        *(found(GPU_ROW.format("simplest", "float32") + r"[\d,]+ +([\d.]+)"), *within(33, TIMES)),
+    ),
+    Claim(
+        *("16 to 32 times as many", GPU, 300),
+        *(found(GPU_ROW.format("knees", "float64") + r"[\d,]+ +([\d.]+)"), *within(16, TIMES)),
+    ),
+    Claim(
+        *("16 to 32 times as many", GPU, 300),
+        *(found(GPU_ROW.format("round feet", "float64") + r"[\d,]+ +([\d.]+)"), *within(32, TIMES)),
     ),
 ]
 """Every number that a change of the code could change."""

@@ -135,6 +135,7 @@ def attributes(frame: Any) -> dict[str, Any]:
 ONE_THREAD = """
 @thread = internal global i32 0
 @block = internal global i32 0
+@threads = internal global i32 0
 define internal i32 @number_of_thread() {
   %n = load i32, ptr @thread
   ret i32 %n
@@ -143,7 +144,12 @@ define internal i32 @number_of_block() {
   %n = load i32, ptr @block
   ret i32 %n
 }
-define void @become(i32 %block, i32 %thread) {
+define internal i32 @threads_of_block() {
+  %n = load i32, ptr @threads
+  ret i32 %n
+}
+define void @become(i32 %block, i32 %thread, i32 %threads) {
+  store i32 %threads, ptr @threads
   store i32 %block, ptr @block
   store i32 %thread, ptr @thread
   ret void
@@ -159,6 +165,7 @@ def for_processor(source: str) -> tuple[Any, int]:
     own = re.sub(r"(?m)^(declare .*@llvm.nvvm.read.*|!.*|target .*)\n", "", own)
     own = own.replace("@llvm.nvvm.read.ptx.sreg.tid.x", "@number_of_thread")
     own = own.replace("@llvm.nvvm.read.ptx.sreg.ctaid.x", "@number_of_block")
+    own = own.replace("@llvm.nvvm.read.ptx.sreg.ntid.x", "@threads_of_block")
     return load_program(own + ONE_THREAD), head[1].count("%")
 
 
@@ -168,13 +175,13 @@ one_at_a_time = threading.Lock()
 
 def run(program: Any, arguments: Sequence[int], blocks: int, threads: int) -> None:
     """All threads of a launch."""
-    become = ctypes.CFUNCTYPE(None, INT, INT)(program.get_function_address("become"))
+    become = ctypes.CFUNCTYPE(None, INT, INT, INT)(program.get_function_address("become"))
     kind = ctypes.CFUNCTYPE(None, *[ctypes.c_uint64] * len(arguments))
     entry = kind(program.get_function_address("entry"))
     with one_at_a_time:
         for block in range(blocks):
             for thread in range(threads):
-                become(block, thread)
+                become(block, thread, threads)
                 entry(*arguments)
 
 

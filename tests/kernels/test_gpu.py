@@ -68,7 +68,7 @@ def check(found, expected):
     jax.tree.map(same, found, expected)
 
 
-@pytest.mark.parametrize("n", [0, 1, ptx.THREADS, ptx.THREADS + 1, 300])
+@pytest.mark.parametrize("n", [0, 1, 64, 65, 300])
 def test_a_launch(card, route, n):
     """Its size, its stream, and its arguments in their order."""
     many = lambda of: jax.jit(jax.vmap(of, (None, 0, 0)))(SHARED, *cells(n))
@@ -77,8 +77,8 @@ def test_a_launch(card, route, n):
         assert not card.launches
         return
     (launch,) = card.launches
-    assert launch.grid == (-(-n // ptx.THREADS), 1, 1)
-    assert launch.block == (ptx.THREADS, 1, 1)
+    assert launch.grid == (-(-n // 64), 1, 1)
+    assert launch.block == (64, 1, 1)
     assert (launch.shared_memory, launch.stream, len(launch.arguments)) == (0, STREAM, 1 + 4 + 4)
     if route.fixed:
         assert card.places == [5, 6, 7, 8]
@@ -183,8 +183,8 @@ def another_tiny():
 
 @pytest.fixture
 def switched_on(card, monkeypatch):
-    """A GPU is there, as far as routes look for one, and kernels are to run on it."""
-    monkeypatch.setenv(machine.VARIABLE, "gpu")
+    """A GPU is there, as far as routes look for one."""
+    monkeypatch.delenv(machine.VARIABLE, raising=False)
     monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices())
     monkeypatch.setattr(gpu, "tiny", another_tiny())
     caches = gpu.failure_of, launcher.load_driver, gpu.ffi.available
@@ -211,16 +211,19 @@ def test_the_first_route_that_works_is_taken(switched_on):
 
 def test_what_is_in_use_is_said(switched_on, monkeypatch, capsys):
     """In a report of a bug, and of a function."""
+    gpu.route_in_use()
+    a_gpu = SimpleNamespace(platform="gpu", device_kind="a card")
+    monkeypatch.setattr(jax, "devices", lambda: [a_gpu])
     with pytest.raises(typer.Exit):
         print_version(True)
-    assert "kernels on GPUs are in use, by XLA's foreign function" in capsys.readouterr().out
+    assert "kernels are in use, by XLA's foreign function interface" in capsys.readouterr().out
     there = SimpleNamespace(devices=lambda: [SimpleNamespace(platform="gpu")])
     monkeypatch.setattr(decorator.jnp, "zeros", lambda _: there)
     assert why_not(lambda x: 23 * x, 1.0) is None
     assert str(why_not(lambda x: jnp.sort(x), jnp.ones(3))).startswith(
         "kernels do not support sort"
     )
-    monkeypatch.delenv(machine.VARIABLE)
+    monkeypatch.setenv(machine.VARIABLE, "cpu")
     assert str(why_not(lambda x: 23 * x, 1.0)).startswith("arrays are on a gpu, where kernels are")
 
 
@@ -274,7 +277,7 @@ def test_a_wrong_result_is_no_route(switched_on, monkeypatch):
 
 
 def test_without_a_gpu_xla_computes(card, monkeypatch):
-    monkeypatch.setenv(machine.VARIABLE, "gpu")
+    monkeypatch.delenv(machine.VARIABLE, raising=False)
     gpu.failure_of.cache_clear()
     assert gpu.route_in_use() is None
     for route in gpu.ROUTES:
@@ -284,6 +287,16 @@ def test_without_a_gpu_xla_computes(card, monkeypatch):
         )
     many_of(5.0)
     assert not card.launches
+
+
+def test_a_program_that_the_driver_refuses_is_xlas(switched_on):
+    """Though it took the tiny one of the trial."""
+    assert gpu.route_in_use() is BY_HANDLER
+    switched_on.launches.clear()
+    switched_on.status["load"] = 2
+    with pytest.warns(RuntimeWarning, match="driver fails, with CUDA's error 2: XLA computes"):
+        many_of(8.0)
+    assert not switched_on.launches
 
 
 def test_without_a_compiler_for_cards(switched_on, monkeypatch):
@@ -296,10 +309,12 @@ def test_without_a_compiler_for_cards(switched_on, monkeypatch):
     assert not switched_on.launches
 
 
-def test_kernels_are_not_on_gpus_unless_asked_for(card, monkeypatch):
-    monkeypatch.delenv(machine.VARIABLE, raising=False)
+@pytest.mark.parametrize("setting", ["off", "cpu", "CPU"])
+def test_kernels_on_gpus_are_switched_off(switched_on, monkeypatch, setting):
+    card = switched_on
+    monkeypatch.setenv(machine.VARIABLE, setting)
     assert gpu.route_in_use() is None
-    assert gpu.in_words().startswith("not in use: WALKER_JAX_KERNELS=gpu switches them on")
+    assert gpu.in_words() == f"not in use: WALKER_JAX_KERNELS is {setting.lower()}"
     many_of(7.0)
     assert not card.launches
 

@@ -26,7 +26,7 @@ def compute(shift: float):
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="kernels are for processors")
-@pytest.mark.parametrize("value", ["off", "OFF", "gpu", "haswell", "nehalem", ""])
+@pytest.mark.parametrize("value", ["off", "OFF", "cpu", "CPU", "haswell", "nehalem", ""])
 def test_answers_do_not_depend_on_kernels(value, monkeypatch):
     monkeypatch.delenv(machine.VARIABLE, raising=False)
     expected = compute(0.5)[1]
@@ -55,7 +55,7 @@ def test_a_processor_that_there_is_not_is_refused(value, monkeypatch, capfd):
     with pytest.raises(WrongUse) as refusal:
         compute(0.25)
     assert str(refusal.value) == (
-        f"WALKER_JAX_KERNELS must be off, gpu, or a processor that LLVM knows, such as {own}, "
+        f"WALKER_JAX_KERNELS must be off, cpu, or a processor that LLVM knows, such as {own}, "
         f"not {value}: unset it for this machine's own"
     )
     assert capfd.readouterr().err == ""

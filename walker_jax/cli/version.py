@@ -41,8 +41,6 @@ def print_version(requested: bool) -> bool:
     else:
         named = f", by {machine.VARIABLE}" * bool(os.environ.get(machine.VARIABLE))
         print(f"  kernels are in use, compiled for {target}{named}")
-        if machine.on_gpus():
-            print(f"  kernels on GPUs are {in_words()}")
     print(f"  compiled programs are kept in {cache_folder() or 'no folder'}")
     raise typer.Exit
 

@@ -36,7 +36,6 @@ from walker_jax.kernels.program import (
     program_of,
 )
 from walker_jax.kernels.program_cache import user_code_states
-from walker_jax.kernels.ptx import THREADS
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 CALL_SHAPES = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
@@ -46,6 +45,8 @@ KERNEL_CALL_CELLS = (512, 2**15)
 """Fewest and most cells that a core processes by a kernel without a break."""
 GPU_CALL_CELLS = (2**15, 2**20)
 """The same for a GPU. An H100 processes 33,792 at once, so fewer cells take as long."""
+GPU_SQUARE = 64
+"""Cells that a GPU computes in two warps, each of which ends with its slowest cell."""
 
 
 # A library may set these for its own calls. 512-bit vectors where the processor has them; elsewhere
@@ -311,11 +312,11 @@ def has_option(name: str, value: Any) -> bool:
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
     """Return flat indices of a grid's cells, in the order in which to give them to `map_cells`.
 
-    Neighbours are together in a unit that waits for its slowest cell: a tile, or a block of
+    Neighbours are together in a unit that waits for its slowest cell: a tile, or two warps of
     threads.
     """
     if jax.local_devices()[0].platform != "cpu":
-        return compact_order(shape, THREADS if route_here() else CALL_SHAPES["gpu"][0])
+        return compact_order(shape, GPU_SQUARE if route_here() else CALL_SHAPES["gpu"][0])
     size = math.prod(shape)
     return np.arange(size, dtype=np.int32 if size < 2**31 else np.int64)
 

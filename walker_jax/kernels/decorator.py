@@ -29,9 +29,9 @@ def kernel(
     ```
 
     Call a kernel as its function, and map it over cells by `jax.vmap`. On a CPU it works on as many
-    cells at once as a register holds, and on all cores under `jax.jit`. On other devices, and where
-    `why_not` gives a reason, XLA computes the same function. `WALKER_JAX_KERNELS=gpu` switches on
-    kernels on NVIDIA GPUs.
+    cells at once as a register holds, and on all cores under `jax.jit`; on an NVIDIA GPU each
+    thread computes a cell. On other devices, and where `why_not` gives a reason, XLA computes the
+    same function.
 
     All transformations of JAX apply: `jit`, `vmap`, `jvp`, `vjp`, `grad`, `scan`, `shard_map` and
     others. Reverse mode multiplies by the Jacobian, which is computed in forward mode. So it works

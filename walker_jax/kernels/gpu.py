@@ -1,4 +1,4 @@
-"""Kernels on NVIDIA GPUs, by one of two routes, if a user switches them on.
+"""Kernels on NVIDIA GPUs, by one of two routes.
 
 Both routes give XLA a custom call in which the card runs a program of threads (`ptx`). The first is
 a handler of XLA's public interface, which asks the driver to launch the program (`launcher`). The
@@ -7,6 +7,7 @@ first route on which it works is taken; if there is none, XLA computes everythin
 """
 
 import functools
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
@@ -52,7 +53,8 @@ def lower_to_ptx_call(ctx, operands: Sequence, ptx: Ptx, mapped: Sequence[int]) 
     """Lower to XLA's own call of PTX; its first operand is the number of cells."""
     cells = int(np.prod(cells_shape(ctx.avals_in, mapped), dtype=np.int64))
     config = {f"{what}_{axis}": np.int32(1) for what in ("grid", "block") for axis in "xyz"}
-    config |= {"grid_x": np.int32(max(1, -(-cells // THREADS))), "block_x": np.int32(THREADS)}
+    config |= {"grid_x": np.int32(max(1, -(-cells // ptx.threads)))}
+    config |= {"block_x": np.int32(ptx.threads)}
     config |= {"name": "entry", "kernel_type": "ptx", "kernel_data": ptx.text}
     config = {name: mlir.ir_attribute(value) for name, value in config.items()}
     config["shared_mem_bytes"] = mlir.ir_attribute(np.int32(0))
@@ -89,7 +91,7 @@ def failure_of(route: Route) -> str | None:
 def try_route(route: Route) -> str | None:
     """Try a route in this thread, as `failure_of` does in another."""
     trying.set(route)
-    cells = np.arange(THREADS + 1, dtype=np.float32)  # of two blocks
+    cells = np.arange(THREADS[0] + 1, dtype=np.float32)  # of two blocks
     try:
         there = jax.device_put((np.float32(2), cells), jax.devices("cuda")[0])
         like = jax.ShapeDtypeStruct((), np.float32)
@@ -109,7 +111,7 @@ def tiny(shared, x):
 def in_words() -> str:
     """Say whether kernels run on a GPU, by which route, and why not by the others."""
     if not machine.on_gpus():
-        return f"not in use: {machine.VARIABLE}=gpu switches them on, but no GPU has run them yet"
+        return f"not in use: {machine.VARIABLE} is {machine.setting()}"
     route = route_in_use()
     reasons = [f"not by {one.name}: {why}" for one in ROUTES if (why := failure_of(one))]
     if route and libdevice() is None:
@@ -132,7 +134,12 @@ def lower_on_gpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
         route = None
     ptx = ptx_for(program, [True] * len(mapped) if divided else mapped, route)
     if route and ptx:
-        return route.lower(ctx, operands, ptx, mapped)
+        try:
+            return route.lower(ctx, operands, ptx, mapped)
+        except OSError as error:  # of the driver, for this program alone
+            if tried:
+                raise
+            warnings.warn(f"{error}: XLA computes instead", RuntimeWarning, stacklevel=2)
     if tried:
         raise UnsupportedPrimitive(program.why_not)
     return lower_to_xla(ctx, *operands, program=program, mapped=mapped)

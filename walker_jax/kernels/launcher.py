@@ -12,7 +12,7 @@ from typing import Any
 from walker_jax.kernels import ffi
 from walker_jax.kernels.handler import CALLED, HELPERS, fill_in
 from walker_jax.kernels.machine import load_program
-from walker_jax.kernels.ptx import THREADS, Ptx
+from walker_jax.kernels.ptx import Ptx
 
 LAUNCH_FAILED = "NVIDIA's driver could not launch a kernel"
 
@@ -22,7 +22,7 @@ def target(ptx: Ptx) -> str:
 
     def words():
         launch = ctypes.cast(load_driver().cuLaunchKernel, ctypes.c_void_p).value
-        return load(ptx.text), THREADS, launch
+        return load(ptx.text), ptx.threads, launch
 
     return ffi.registered("CUDA", ptx, load_launcher, words)
 

@@ -16,25 +16,30 @@ OPTIMISATION_LEVEL = 2
 """Optimisation level of LLVM's code generation, 0 to 3, as in `clang -O2`."""
 
 VARIABLE = "WALKER_JAX_KERNELS"
-"""The environment variable that configures kernels. `off` turns them off, and `gpu` turns on those
-for GPUs. LLVM's name of a processor compiles for that one instead of this machine's (`haswell` has
-no AVX-512, `x86-64` no AVX)."""
+"""The environment variable that configures kernels. `off` turns them off, and `cpu` those for GPUs
+alone. LLVM's name of a processor compiles for that one instead of this machine's (`haswell` has no
+AVX-512, `x86-64` no AVX)."""
+
+
+def setting() -> str:
+    """Return what the user wants of kernels: `off`, `cpu`, a processor's name, or nothing."""
+    return os.environ.get(VARIABLE, "").lower()
 
 
 def switched_off() -> bool:
     """Return whether XLA alone is to compute everything."""
-    return os.environ.get(VARIABLE, "").lower() == "off"
+    return setting() == "off"
 
 
 def on_gpus() -> bool:
-    """Return whether kernels are to run on GPUs too (`gpu`)."""
-    return os.environ.get(VARIABLE, "").lower() == "gpu"
+    """Return whether kernels are to run on GPUs too."""
+    return setting() not in ("off", "cpu")
 
 
 def processor() -> tuple[str, str]:
     """Return LLVM's name of the processor that kernels are compiled for, and its features."""
     named = os.environ.get(VARIABLE)
-    if named and not on_gpus():
+    if named and setting() != "cpu":
         check_processor(named)
         return named, ""
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
@@ -49,7 +54,7 @@ def check_processor(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", TRIAL, name], capture_output=True, text=True)
     if done.returncode or "not a recognized processor" in done.stderr:
         raise WrongUse(
-            f"{VARIABLE} must be off, gpu, or a processor that LLVM knows, such as "
+            f"{VARIABLE} must be off, cpu, or a processor that LLVM knows, such as "
             f"{llvm.get_host_cpu_name()}, not {name}: unset it for this machine's own"
         )
 

@@ -28,15 +28,24 @@ TRIPLE, CARD, PTX_VERSION = "nvptx64-nvidia-cuda", "sm_70", "+ptx60"
 """The oldest supported cards, from 2017, and the first PTX version for them. A driver accepts PTX
 no newer than itself, and translates it for any newer card; newer PTX makes XLA end the process. A
 newer target needs as many registers, according to `ptxas`."""
-THREADS = 64
-"""Threads of a block, two warps: the fewest with which the 32 blocks that a multiprocessor runs at
-once fill it. A block ends with its slowest cell, so a larger one would wait longer."""
-REGISTERS = 255
-"""Most 32-bit registers of a thread, the hardware's limit. The 65,536 registers of a multiprocessor
-then hold 256 threads. With 128 registers they would hold twice as many, which would hide more
-waiting. But numbers without a register go through memory: with 128, eight times as many for the
-simplest walker in float64, and three times as many for one with knees, according to `ptxas`.
-`benchmarks/gpu.py` can try this on a card."""
+THREADS = 64, 256
+"""Threads of a block that runs a small program, and a large one.
+
+A block ends with its slowest cell, so it has two warps alone if the multiprocessor's cache holds
+the program. Otherwise it has as many threads as there are registers for: they begin together, and
+need the same instructions at about the same time. On an H100 such blocks make 1.2 (point feet) and
+1.5 times (round feet) as many strides as small ones."""
+CACHED = 6000
+"""Instructions of PTX of a small program: 1.4 times as many of the card take 128 KB. `walker-jax`'s
+smallest walker has 4,000, and one with point feet 7,000."""
+REGISTERS = {8: 255, 4: 128}
+"""Most 32-bit registers of a thread, by the bytes of the longest floating-point numbers.
+
+255 is the hardware's limit, with which the 65,536 registers of a multiprocessor hold 256 threads.
+More threads hide more waiting, but numbers without a register go through memory. On an H100, with
+168 registers in float64 the simplest walker makes 1.03 times as many strides, and walkers with
+masses less than half as many; 128 in float32 make 1.3 times as many strides of the simplest walker
+as 255, and as many on round feet. `benchmarks/gpu.py` tries this."""
 MAX_ARRAYS = 500
 """Most operands and results: all their addresses must fit into the 4352 bytes of arguments."""
 LIBDEVICE = "nvvm/libdevice/libdevice.10.bc"
@@ -50,6 +59,12 @@ class Ptx(NamedTuple):
     text: str
     digest: str
     """The hash of all that the text depends on; its name on disk."""
+
+    @property
+    def threads(self) -> int:
+        """Threads of a block."""
+        small, large = THREADS
+        return small if self.text.count(";\n") <= CACHED else large
 
 
 def find_ptx(
@@ -91,7 +106,8 @@ def entry_of(operands: list, results: list, mapped: tuple[bool, ...], in_memory:
         stride = math.prod(shape) if result or mapped[i] else 0
         arguments.append(f"ptr noalias {'' if result else 'readonly '}%a{i}")
         tables.append(TABLES.format(i=i, stride=stride))
-    counts = {"count": len(arguments), "threads": THREADS, "registers": REGISTERS}
+    longest = max((d.itemsize for _, d in (*operands, *results) if d.kind == "f"), default=4)
+    counts = {"count": len(arguments), "registers": REGISTERS[max(longest, 4)]}
     return ENTRY.format(arguments=", ".join(arguments), tables="\n".join(tables), **counts)
 
 
@@ -103,6 +119,7 @@ TABLES = """
 ENTRY = """
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+declare i32 @llvm.nvvm.read.ptx.sreg.ntid.x()
 !nvvm.annotations = !{{!0}}
 !0 = !{{ptr @entry, !"maxnreg", i32 {registers}}}
 
@@ -112,9 +129,11 @@ define ptx_kernel void @entry({arguments}) {{
 {tables}
   %thread32 = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
   %block32 = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+  %threads32 = call i32 @llvm.nvvm.read.ptx.sreg.ntid.x()
   %thread = zext i32 %thread32 to i64
   %block = zext i32 %block32 to i64
-  %first = mul i64 %block, {threads}
+  %threads = zext i32 %threads32 to i64
+  %first = mul i64 %block, %threads
   %cell = add i64 %first, %thread
   %some = icmp slt i64 %cell, %cells
   br i1 %some, label %compute, label %end
