@@ -14,17 +14,17 @@ tolerances of 1e-8, in float32. For 8,388,608 of them the published times are 48
 (DiffEqGPU) and 2,611 (diffrax), on a V100. `--registers 168 208 255` and `--threads 64 128 256` try
 other programs of kernels, in float64.
 
-The answer: the same strides, 16 to 35 times as many as 16 cores make. `outcomes` counts those that
-differ; then come the median and the largest difference of the next states, where strides amplify
-rounding most. Of the 50,000 strides of the reference map no outcome differs.
+The answer: the same strides, 16 to 33 times as many as 16 cores make. `outcomes` counts those that
+differ, and `largest` is the largest difference of the next states, where strides amplify rounding
+most; the script prints the median too. Of the 50,000 strides of the reference map no outcome
+differs.
 
     16 cores; NVIDIA H100 80GB HBM3; jax 0.11.2; 1048576 strides, cpu | gpu
     walker      dtype    what       compile s                    per second  ratio  outcomes largest
-    simplest    float64  stride     0.1 | 14.3  11,428,371 |     28,546,657    2.5         0   6e-11
-    simplest    float64  kernel     0.1 |  0.1  11,428,371 |    377,130,670   33.0         0   3e-13
-    simplest    float64  its jac.   1.8 |  2.4   3,470,258 |    123,391,148   35.6         0   4e-11
-    simplest    float32  kernel     0.9 |  0.7  42,172,021 |  1,138,365,736   27.0         0   1e-02
-    simplest    float32  its jac.   0.9 |  1.3  12,625,200 |    518,617,950   41.1         0   5e-01
+    simplest    float64  kernel     1.3 |  1.5  11,702,312 |    363,658,307   31.1         0   3e-13
+    simplest    float64  its jac.   2.0 |  2.0   3,880,853 |    112,004,483   28.9         0   4e-11
+    simplest    float32  kernel     0.6 |  0.7  46,061,739 |  1,497,747,471   32.5         0   1e-02
+    simplest    float32  its jac.   0.8 |  1.0  14,393,156 |    430,190,673   29.9         0   5e-01
     spring      float64  kernel     0.9 |  1.5  11,532,981 |    350,528,663   30.4         0   3e-15
     spring      float32  kernel     0.5 |  0.7  44,766,946 |  1,182,293,381   26.4         0   2e-04
     point feet  float64  kernel     1.9 |  1.8   4,432,926 |    115,731,168   26.1         0   2e-13
@@ -34,20 +34,21 @@ rounding most. Of the 50,000 strides of the reference map no outcome differs.
     upper body  float64  kernel     4.1 |  2.9   1,704,797 |     29,360,004   17.2         0   1e-13
     upper body  float32  kernel     2.1 |  2.6   6,831,311 |    131,949,348   19.3         0   3e-05
     knees       float64  kernel     8.7 |  8.3   1,557,021 |     24,754,402   15.9         0   1e-14
-    basin, kernel: 1000 x 1000 cells on gpu: first 4.8 s, then 0.16 s; by XLA 26.6 s, then 0.65 s
+    simplest    float64  stride     0.1 | 14.3  11,428,371 |     28,546,657    2.5         0   6e-11
+    basin, kernel: 1000 x 1000 cells on gpu: first 4.8 s, then 0.16 s
     8388608 Lorenz systems, kernel: 16.3 ms, 1.4 s to compile
 
-In this table a kernel in float32 has 255 registers; with the 128 that it has now the simplest
-walker makes 1.38 to 1.50 billion strides, and one on round feet as many as before. Blocks have 256
-threads; for the basin and the Lorenz systems 64, which small programs have now. An earlier version
-of the package measured the basin by XLA, and strides of walkers with masses: by XLA 1.4 to 9.3
-million in float64, after compiling for 36 to 53 s, and for more than 6 minutes with knees.
+The rows are of several runs on two such machines. Those of the simplest walker by kernels, the
+basin and the Lorenz systems had blocks of 64 threads, the others of 256, also of the spring walker,
+which now has blocks of 64. The last stride is by XLA. An earlier version of the package made 57
+million of these by XLA, and 9.3 (point feet), 2.4 (round feet) and 1.4 million (upper body) in
+float64, after compiling for 36 to 53 s, and for more than 6 minutes with knees; its basin took
+26.6 s, then 0.65 s.
 
-A multiprocessor's units for float64 are busy half of the time for the simplest walker. Its warps
-have 19 of 32 threads at work, as starts are in no order here; with 255 registers there are too few
-warps to hide all waiting. On round feet warps wait for instructions most of all: six cycles for
-each that is issued, with blocks of 64 threads. A basin of a million cells takes the host longer
-than the card.
+A profile of the simplest walker with 64 threads: the units for float64 are busy half of the time.
+Of a warp's 32 threads 19 are at work, as starts are in no order here, and eight warps are too few
+to hide all waiting. The basin has 1.1 million strides, for which the card takes 3 ms at the rate
+above; the rest is the host's work.
 """
 
 import argparse
@@ -91,6 +92,7 @@ def kernels(on: bool) -> Iterator[None]:
     before = os.environ.pop(machine.VARIABLE, None)
     if not on:
         os.environ[machine.VARIABLE] = "cpu"
+    jax.clear_caches()  # programs know nothing of the setting
     try:
         yield
     finally:
@@ -267,13 +269,16 @@ def time_lorenz(count: int, repeats: int) -> None:
             print(f"{compiling:.1f} s to compile; the last ends at {found[-1]}", flush=True)
 
 
-def try_choices(registers: list[int], threads: list[int], count: int, repeats: int) -> None:
+def try_choices(
+    names: list[str], registers: list[int], threads: list[int], count: int, repeats: int
+) -> None:
     """Strides by kernels that have other numbers of registers, and of threads in a block."""
-    for most in registers or [ptx.REGISTERS[8]]:
+    for most in registers or [ptx.REGISTERS]:
         for block in threads or [ptx.THREADS[1]]:
-            ptx.REGISTERS[8], ptx.THREADS = most, (block, block)
+            ptx.REGISTERS, ptx.THREADS = most, (block, block)
             of_program.programs.clear()
-            for name, walker in WALKERS.items():
+            for name in names:
+                walker = WALKERS[name]
                 xs = starts_about(walker, count)
                 with kernels(True):
                     _, seconds, _ = time_on(
@@ -303,12 +308,14 @@ def main() -> None:
     global by_xla
     by_xla = not args.without_xla
     device = jax.devices()[0]
+    if args.without_xla and device.platform != "gpu":
+        parser.error(f"--without-xla leaves nothing to compare on a {device.platform}")
     print(f"{os.cpu_count()} cores; {device.device_kind}; jax {jax.__version__}", flush=True)
     if True in ways():
         with kernels(True):
             print(f"kernels are {gpu.in_words()}", flush=True)
     if args.registers or args.threads:
-        return try_choices(args.registers, args.threads, args.count, args.repeats)
+        return try_choices(args.walkers, args.registers, args.threads, args.count, args.repeats)
     if args.side:
         for tile in (args.tile or [tiles.CALL_SHAPES["gpu"][0]]) * by_xla:
             tiles.CALL_SHAPES["gpu"] = tile, 1

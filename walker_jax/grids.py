@@ -248,7 +248,7 @@ class Grid(eqx.Module):
             for low, step, i in zip(lower, spacing, places, strict=True)
         ]
         found = np.empty((len(indices), len(origin)), dtype)
-        # Coordinate by coordinate: NumPy takes ten times as long over short rows.
+        # Coordinate by coordinate: NumPy is slow over short rows.
         for k, row in enumerate(shear):
             found[:, k] = origin[k] + sum(each * along for each, along in zip(row, u, strict=True))
         return found

@@ -17,6 +17,7 @@ from jax import lax
 from test_primitive_calls import A_FUNCTION, ON_DEVICES, ON_MESHES
 
 import walker_jax as wj
+from walker_jax.checks import WrongUse
 from walker_jax.cli.version import print_version
 from walker_jax.execution import tiles
 from walker_jax.kernels import decorator, gpu, kernel, launcher, machine, ptx, why_not
@@ -68,17 +69,19 @@ def check(found, expected):
     jax.tree.map(same, found, expected)
 
 
-@pytest.mark.parametrize("n", [0, 1, 64, 65, 300])
-def test_a_launch(card, route, n):
+@pytest.mark.parametrize(("n", "block"), [(0, 64), (1, 64), (64, 64), (65, 64), (257, 256)])
+def test_a_launch(card, route, n, block, monkeypatch):
     """Its size, its stream, and its arguments in their order."""
+    if block == 256:
+        monkeypatch.setattr(ptx, "CACHED", -1)  # the program counts as large
     many = lambda of: jax.jit(jax.vmap(of, (None, 0, 0)))(SHARED, *cells(n))
     check(many(kernel(function)), many(function))
     if n == 0:
         assert not card.launches
         return
     (launch,) = card.launches
-    assert launch.grid == (-(-n // 64), 1, 1)
-    assert launch.block == (64, 1, 1)
+    assert launch.grid == (-(-n // block), 1, 1)
+    assert launch.block == (block, 1, 1)
     assert (launch.shared_memory, launch.stream, len(launch.arguments)) == (0, STREAM, 1 + 4 + 4)
     if route.fixed:
         assert card.places == [5, 6, 7, 8]
@@ -185,7 +188,8 @@ def another_tiny():
 def switched_on(card, monkeypatch):
     """A GPU is there, as far as routes look for one."""
     monkeypatch.delenv(machine.VARIABLE, raising=False)
-    monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices())
+    here = jax.local_devices()
+    monkeypatch.setattr(jax, "local_devices", lambda *_, **__: here)
     monkeypatch.setattr(gpu, "tiny", another_tiny())
     caches = gpu.failure_of, launcher.load_driver, gpu.ffi.available
     for function in caches:
@@ -217,6 +221,12 @@ def test_what_is_in_use_is_said(switched_on, monkeypatch, capsys):
     with pytest.raises(typer.Exit):
         print_version(True)
     assert "kernels are in use, by XLA's foreign function interface" in capsys.readouterr().out
+    monkeypatch.setattr(jax, "devices", jax.local_devices)
+    monkeypatch.setenv(machine.VARIABLE, "cpu")
+    with pytest.raises(typer.Exit):
+        print_version(True)
+    assert f"compiled for {machine.processor()[0]}\n" in capsys.readouterr().out
+    monkeypatch.delenv(machine.VARIABLE)
     there = SimpleNamespace(devices=lambda: [SimpleNamespace(platform="gpu")])
     monkeypatch.setattr(decorator.jnp, "zeros", lambda _: there)
     assert why_not(lambda x: 23 * x, 1.0) is None
@@ -246,7 +256,8 @@ def failing(what, status):
         (failing("load", 218), "OSError: NVIDIA's driver fails, with CUDA's error 218"),
         (
             failing("launch", 701),
-            "JaxRuntimeError: INTERNAL: NVIDIA's driver could not launch a kernel",
+            "JaxRuntimeError: INTERNAL: NVIDIA's driver could not launch a kernel: "
+            "WALKER_JAX_KERNELS=cpu leaves what is on GPUs to XLA",
         ),
     ],
     ids=["the driver", "a card", "a driver that takes the PTX", "room for a launch"],
@@ -297,6 +308,22 @@ def test_a_program_that_the_driver_refuses_is_xlas(switched_on):
     with pytest.warns(RuntimeWarning, match="driver fails, with CUDA's error 2: XLA computes"):
         many_of(8.0)
     assert not switched_on.launches
+
+
+def test_a_launch_that_fails_names_the_way_out(switched_on):
+    assert gpu.route_in_use() is BY_HANDLER
+    switched_on.status["launch"] = 701
+    with pytest.raises(jax.errors.JaxRuntimeError, match="WALKER_JAX_KERNELS=cpu leaves"):
+        many_of(9.0)
+
+
+def test_a_setting_that_is_none_is_refused(switched_on, monkeypatch):
+    """Before anything is tried, whose failure would be kept."""
+    monkeypatch.setenv(machine.VARIABLE, "gpu")
+    with pytest.raises(WrongUse, match="must be off, cpu, or a processor that LLVM knows"):
+        gpu.route_in_use()
+    monkeypatch.delenv(machine.VARIABLE)
+    assert gpu.route_in_use() is BY_HANDLER
 
 
 def test_without_a_compiler_for_cards(switched_on, monkeypatch):

@@ -25,7 +25,7 @@ def compute(shift: float):
     return function, map_cells(function, (np.float64(shift), XS))
 
 
-@pytest.mark.skipif(jax.default_backend() != "cpu", reason="kernels are for processors")
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="a GPU has its own kernels")
 @pytest.mark.parametrize("value", ["off", "OFF", "cpu", "CPU", "haswell", "nehalem", ""])
 def test_answers_do_not_depend_on_kernels(value, monkeypatch):
     monkeypatch.delenv(machine.VARIABLE, raising=False)
@@ -45,7 +45,7 @@ def test_answers_do_not_depend_on_kernels(value, monkeypatch):
         assert machine.processor() == (value, "")
 
 
-@pytest.mark.skipif(jax.default_backend() != "cpu", reason="kernels are for processors")
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="a GPU has its own kernels")
 @pytest.mark.parametrize("value", ["on", "no such processor"])
 def test_a_processor_that_there_is_not_is_refused(value, monkeypatch, capfd):
     """LLVM would end the process, or compile for the oldest of all processors."""

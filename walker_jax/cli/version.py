@@ -1,6 +1,5 @@
 """The option `--version`, which prints all that a bug report needs."""
 
-import os
 import platform
 from importlib.metadata import version
 from pathlib import Path
@@ -39,7 +38,7 @@ def print_version(requested: bool) -> bool:
     elif devices[0].platform != "cpu":
         print(f"  kernels are {in_words()}")
     else:
-        named = f", by {machine.VARIABLE}" * bool(os.environ.get(machine.VARIABLE))
+        named = f", by {machine.VARIABLE}" * (machine.setting() not in ("", "cpu"))
         print(f"  kernels are in use, compiled for {target}{named}")
     print(f"  compiled programs are kept in {cache_folder() or 'no folder'}")
     raise typer.Exit

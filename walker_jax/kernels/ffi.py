@@ -87,7 +87,8 @@ def registered(
         for shape, dtype in (*code.operands, *code.results)
     ]
     # Programs that XLA keeps on disk refer to the name, so it is the same in every process.
-    digest = hashlib.sha256(repr((code.digest, buffers)).encode()).hexdigest()
+    facts = code.digest, getattr(code, "threads", None), buffers
+    digest = hashlib.sha256(repr(facts).encode()).hexdigest()
     name = f"walker_jax_{digest[:32]}"
     with registration_lock:
         if name not in registrations:

@@ -78,6 +78,7 @@ def route_in_use() -> Route | None:
     """Return the first route on which a tiny kernel works; None if none does or none is wanted."""
     if not machine.on_gpus():
         return None
+    machine.processor()  # refuses a setting that is none
     return next((route for route in ROUTES if failure_of(route) is None), None)
 
 
@@ -93,7 +94,7 @@ def try_route(route: Route) -> str | None:
     trying.set(route)
     cells = np.arange(THREADS[0] + 1, dtype=np.float32)  # of two blocks
     try:
-        there = jax.device_put((np.float32(2), cells), jax.devices("cuda")[0])
+        there = jax.device_put((np.float32(2), cells), jax.local_devices(backend="cuda")[0])
         like = jax.ShapeDtypeStruct((), np.float32)
         program, _ = program_of(tiny, jax.tree.structure((0, 0)), [like, like])
         run = jax.jit(lambda *x: kernel_p.bind(*x, program=program, mapped=(0, 1)))

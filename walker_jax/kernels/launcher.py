@@ -11,10 +11,12 @@ from typing import Any
 
 from walker_jax.kernels import ffi
 from walker_jax.kernels.handler import CALLED, HELPERS, fill_in
-from walker_jax.kernels.machine import load_program
+from walker_jax.kernels.machine import VARIABLE, load_program
 from walker_jax.kernels.ptx import Ptx
 
-LAUNCH_FAILED = "NVIDIA's driver could not launch a kernel"
+LAUNCH_FAILED = (
+    f"NVIDIA's driver could not launch a kernel: {VARIABLE}=cpu leaves what is on GPUs to XLA"
+)
 
 
 def target(ptx: Ptx) -> str:

@@ -16,9 +16,9 @@ OPTIMISATION_LEVEL = 2
 """Optimisation level of LLVM's code generation, 0 to 3, as in `clang -O2`."""
 
 VARIABLE = "WALKER_JAX_KERNELS"
-"""The environment variable that configures kernels. `off` turns them off, and `cpu` those for GPUs
-alone. LLVM's name of a processor compiles for that one instead of this machine's (`haswell` has no
-AVX-512, `x86-64` no AVX)."""
+"""The environment variable that configures kernels. `off` turns them off, and `cpu` turns off those
+for GPUs only. LLVM's name of a processor compiles for that one instead of this machine's (`haswell`
+has no AVX-512, `x86-64` no AVX)."""
 
 
 def setting() -> str:

@@ -1,8 +1,9 @@
 """The JAX primitive that stands for a function of one cell, and its transformations.
 
 A program becomes one primitive of JAX. It is compiled separately, and works under `jit`, `vmap`,
-`scan` and every other transformation. On a CPU the primitive calls machine code (`ffi`). On other
-devices, and for a function without a kernel, XLA compiles the same function.
+`scan` and every other transformation. The primitive calls machine code, on a CPU (`ffi`) and on
+NVIDIA GPUs (`gpu`). On other devices, and for a function without a kernel, XLA compiles the same
+function.
 
 Each `vmap` adds an axis of cells; all cells share an operand that no `vmap` maps over. Cells are
 independent, so if they are sharded, each device computes its own. `jax.export` leaves programs to

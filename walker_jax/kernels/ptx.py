@@ -31,21 +31,20 @@ newer target needs as many registers, according to `ptxas`."""
 THREADS = 64, 256
 """Threads of a block that runs a small program, and a large one.
 
-A block ends with its slowest cell, so it has two warps alone if the multiprocessor's cache holds
-the program. Otherwise it has as many threads as there are registers for: they begin together, and
-need the same instructions at about the same time. On an H100 such blocks make 1.2 (point feet) and
-1.5 times (round feet) as many strides as small ones."""
-CACHED = 6000
-"""Instructions of PTX of a small program: 1.4 times as many of the card take 128 KB. `walker-jax`'s
-smallest walker has 4,000, and one with point feet 7,000."""
-REGISTERS = {8: 255, 4: 128}
-"""Most 32-bit registers of a thread, by the bytes of the longest floating-point numbers.
-
-255 is the hardware's limit, with which the 65,536 registers of a multiprocessor hold 256 threads.
-More threads hide more waiting, but numbers without a register go through memory. On an H100, with
-168 registers in float64 the simplest walker makes 1.03 times as many strides, and walkers with
-masses less than half as many; 128 in float32 make 1.3 times as many strides of the simplest walker
-as 255, and as many on round feet. `benchmarks/gpu.py` tries this."""
+A block ends with its slowest cell, so it has only two warps if a multiprocessor's cache holds the
+program. Threads of a large program wait for instructions most of all. Then a block has as many
+threads as there are registers for: they begin together, and need the same instructions at about
+the same time. On an H100 such blocks make 1.2 (point feet) and 1.5 times (round feet) as many
+strides as small ones, and of the simplest walker as many."""
+CACHED = 5000
+"""Instructions of PTX of a small program. The card has 1.4 times as many, of 16 bytes, for which
+its cache has 128 KB. In float64 a stride of the simplest walker has 4,000, and one with point feet
+7,000."""
+REGISTERS = 255
+"""Most 32-bit registers of a thread, the hardware's limit. The 65,536 registers of a multiprocessor
+then hold 256 threads. With 168 registers they hold 384, which hides more waiting, but numbers
+without a register go through memory. On an H100 the simplest walker in float64 makes 1.03 times as
+many strides with 168, and walkers with masses make half as many or fewer."""
 MAX_ARRAYS = 500
 """Most operands and results: all their addresses must fit into the 4352 bytes of arguments."""
 LIBDEVICE = "nvvm/libdevice/libdevice.10.bc"
@@ -106,8 +105,7 @@ def entry_of(operands: list, results: list, mapped: tuple[bool, ...], in_memory:
         stride = math.prod(shape) if result or mapped[i] else 0
         arguments.append(f"ptr noalias {'' if result else 'readonly '}%a{i}")
         tables.append(TABLES.format(i=i, stride=stride))
-    longest = max((d.itemsize for _, d in (*operands, *results) if d.kind == "f"), default=4)
-    counts = {"count": len(arguments), "registers": REGISTERS[max(longest, 4)]}
+    counts = {"count": len(arguments), "registers": REGISTERS}
     return ENTRY.format(arguments=", ".join(arguments), tables="\n".join(tables), **counts)
 
 
