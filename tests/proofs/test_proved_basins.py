@@ -10,6 +10,7 @@ import pytest
 from interruptions import stop_writes
 
 import walker_jax as wj
+from walker_jax import storage
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
 from walker_jax.proofs.basin_proofs import summarise_proof
@@ -153,12 +154,15 @@ def test_wrong_use_of_basins_is_refused():
 def test_an_interrupted_proof_goes_on_with_the_same_bits(tmp_path, monkeypatch, cells):
     for module in ("subdivision", "stores", "basin_proofs"):
         monkeypatch.setattr(f"walker_jax.proofs.{module}.BATCH", 2048)
-    path, stops = tmp_path / "a.zarr", {0, 3}
+    path, stops, request = tmp_path / "a.zarr", {0, 3}, {"command": "prove", "levels": 3}
+    prove = lambda: wj.prove_basin(WALKER, cells[0], levels=3, out=path, request=request)
     stop_writes(monkeypatch, stops, arrays=1)
     while stops:
         with pytest.raises(KeyboardInterrupt):
-            wj.prove_basin(WALKER, cells[0], levels=3, out=path)
-    found, plain = wj.prove_basin(WALKER, cells[0], levels=3, out=path), cells[1]
+            prove()
+        assert storage.find(path, request) is None  # the command may go on
+    found, plain = prove(), cells[1]
+    assert storage.find(path, request) is not None
     assert found.load().drop_attrs().identical(plain.drop_attrs())
     assert {name: found.attrs[name] for name in plain.attrs} == plain.attrs
     assert {one.name for one in path.iterdir() if one.is_dir()} == {*map(str, found.variables)}

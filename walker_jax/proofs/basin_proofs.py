@@ -76,7 +76,7 @@ def prove_basin(
     - `out`, `overwrite`: as in `basin`. A piece holds the fates of some cells of a level. An
       interrupted proof resumes from there; on the same machine, the result is the same to the last
       bit.
-    - `request`: further entries by which the stored proof is recognised.
+    - `request`: by which the stored proof is recognised; by default, all that it depends on.
 
     **Returns** a data set of the kind `proof`. `proved` has the proved fate of each cell; the
     attribute `all_walk` is 1 if all cells provably walk, so all of the disc; `area_lower` and
@@ -116,8 +116,8 @@ def prove_basin(
     asked |= {"gait": np.asarray(gait.states).tolist()}
     asked |= {name: np.asarray(one).tolist() for name, one in window._asdict().items()}
     asked |= {"command": "prove", "walker": type(walker).__name__, **attributes_of(walker)}
-    asked |= {"version": version("walker-jax"), **(request or {})}
-    return prove_in_batches(Path(out), asked, levels, find, prove, overwrite=overwrite)
+    asked |= {"version": version("walker-jax")}
+    return prove_in_batches(Path(out), request or asked, levels, find, prove, overwrite=overwrite)
 
 
 def dataset_of(
