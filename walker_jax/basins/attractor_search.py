@@ -12,8 +12,8 @@ from walker_jax.basins.attractor import (
     match_attractor,
     targets_of,
 )
-from walker_jax.gaits.cycles import gait_at
-from walker_jax.gaits.search import cycle_guesses, iterate_newton
+from walker_jax.gaits.cycles import gait_at, iterate_newton
+from walker_jax.gaits.search import cycle_guesses
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
