@@ -16,17 +16,27 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from walker_jax.basins.memory import BYTES_PER_CELL, check_grid
+from walker_jax.basins.memory import check_memory
 from walker_jax.basins.methods import cell_mapping, direct_iteration, mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.pieces import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
-from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+    short,
+)
 from walker_jax.execution.workers import check_cluster
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, integrator_of
+from walker_jax.storage.schema import names_in_use
 from walker_jax.systems.system import System, warn_if_rounded
 
+BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
+"""Peak memory in bytes, for each cell of a grid."""
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """Peak memory in bytes for each cell, as `BYTES_PER_CELL`, if the result goes into a store."""
 
@@ -137,6 +147,55 @@ def basin(
         basins = direct_iteration(mapper.with_sorted_attractors(), window, progress)
         basins = basins._replace(strides=basins.strides + np.int32(made))
     return to_dataset(walker, grid, basins, settings)
+
+
+def check_grid(
+    walker: System,
+    grid: Grid,
+    method: str,
+    each: int = BYTES_PER_CELL["direct"],
+    *,
+    kind: str | None = None,
+) -> None:
+    """Raise `WrongUse` for a grid that does not fit the walker's section, or the memory.
+
+    The names of its axes must differ from names of arrays in the `kind` of data set to be made.
+    """
+    check_kind("walker", walker, System)
+    check_kind("grid", grid, Grid)
+    if grid.coordinates != len(walker.section):
+        raise WrongUse(
+            f"grid must have the {len(walker.section)} dimensions of the section, "
+            f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
+        )
+    if method == "cell-map" and len(grid.names) < grid.coordinates:
+        raise WrongUse(
+            f"method must be direct, not 'cell-map', for a slice ({', '.join(grid.fixed)} fixed), "
+            "as walkers leave it"
+        )
+    for place, name in enumerate((*grid.names, *grid.fixed)):
+        wrong = name in walker.section and not lies_along(grid, place, walker.section.index(name))
+        if wrong or (name in grid.fixed and name not in walker.section):
+            raise WrongUse(
+                f"grid must name coordinates in the order of the section, {walker.section}, "
+                f"not {(*grid.names, *grid.fixed)}"
+            )
+        if kind is not None and name in names_in_use(kind):
+            raise WrongUse(
+                f"grid must not have an axis called {name}, as data sets have an array or a "
+                "dimension of that name: call it another"
+            )
+    check_memory(grid.size * each, f"grid of {grid.size} cells needs", "lower a count")
+
+
+def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
+    """Return whether an axis of a grid is at its coordinate's place, or is that coordinate."""
+    if place == coordinate:
+        return True
+    if place >= len(grid.names):
+        return False
+    alone = np.eye(grid.coordinates)[coordinate]
+    return bool((np.asarray(grid.shear)[:, place] == alone).all())
 
 
 @refuses_tracers()

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Labels
-from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import WrongUse, refuses_tracers
