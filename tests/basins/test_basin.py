@@ -13,7 +13,7 @@ from reference import DATA
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.basins import attractor, attractor_search, methods, pieces
+from walker_jax.basins import attractor, attractor_search, methods
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.schema import Basins
@@ -354,7 +354,7 @@ def computed_at_once(method):
 
 @pytest.fixture
 def small_pieces(monkeypatch):
-    monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 600)
+    monkeypatch.setattr("walker_jax.basins.methods.PIECE", 600)
 
 
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
@@ -392,10 +392,10 @@ def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
 
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
 def test_pieces_are_all_cells_one_after_the_other(small_pieces, shape):
-    block = pieces.block_shape(shape)
+    block = methods.block_shape(shape)
     place = storage.Pieces(Path(), Path(), None, shape[: len(block)], block, None, (), ())
     grid = wj.Grid({str(i): (0, 1, n) for i, n in enumerate(shape)}, np.eye(len(shape)))
-    parts = [pieces.block_at(grid, place, i) for i in range(place.count)]
+    parts = [methods.block_at(grid, place, i) for i in range(place.count)]
     assert [i for part in parts for i in range(grid.size)[part.cells]] == [*range(grid.size)]
     sizes = [math.prod(part.shape) for part in parts]
     assert max(sizes) < 2 * 600 and (len(parts) == 1 or max(sizes) >= 600)
@@ -416,7 +416,7 @@ def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch
     grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
     wanted = computed_at_once(method)
     piece, stops, runs = [], {0, 2, 3, 4, 6, 8}, 0
-    kind = pieces.MappedPieces if method == "cell-map" else pieces.FollowedPieces
+    kind = methods.CellMapping if method == "cell-map" else methods.DirectIteration
     compute = kind.piece
 
     def counted(self, notes, part):
@@ -444,10 +444,10 @@ from pathlib import Path
 import jax
 from zarr.storage import LocalStore
 import walker_jax as wj
-from walker_jax.basins import pieces
+from walker_jax.basins import methods
 jax.config.update("jax_enable_x64", True)
-pieces.PIECE = 2**12
-kind = pieces.MappedPieces if sys.argv[1] == "cell-map" else pieces.FollowedPieces
+methods.PIECE = 2**12
+kind = methods.CellMapping if sys.argv[1] == "cell-map" else methods.DirectIteration
 compute, put, left = kind.piece, LocalStore.set, int(sys.argv[3])
 def told(self, notes, part):
     print("begun", part.first, flush=True)

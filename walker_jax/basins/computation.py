@@ -17,9 +17,7 @@ import numpy as np
 import xarray as xr
 
 from walker_jax.basins.memory import check_memory
-from walker_jax.basins.methods import cell_mapping, direct_iteration, mapper_of_grid
-from walker_jax.basins.narrow_windows import follow_window
-from walker_jax.basins.pieces import METHODS, compute_in_pieces
+from walker_jax.basins.methods import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import (
     WrongUse,
@@ -129,9 +127,10 @@ def basin(
             raise WrongUse(
                 f"solver must not be given with a cluster, unlike {solver!r}: leave out one of them"
             )
+    work = METHODS[method](walker, grid, settings, integrator)
     if out is not None:
         return compute_in_pieces(
-            METHODS[method](walker, grid, settings, integrator),
+            work,
             Path(out),
             request=request,
             overwrite=overwrite,
@@ -139,14 +138,7 @@ def basin(
             progress=progress,
         )
     check_cluster(cluster, out)
-    if method == "cell-map":
-        basins = cell_mapping(walker, grid, integrator, progress)
-    else:
-        window, made = follow_window(walker, grid, integrator, strides)
-        mapper = mapper_of_grid(walker, window, integrator, strides - made)
-        basins = direct_iteration(mapper.with_sorted_attractors(), window, progress)
-        basins = basins._replace(strides=basins.strides + np.int32(made))
-    return to_dataset(walker, grid, basins, settings)
+    return to_dataset(walker, grid, work.at_once(progress), settings)
 
 
 def check_grid(
