@@ -18,7 +18,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.integrators import method, roots, taylor_steps
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.taylor_solver import Taylor
+from walker_jax.integrators.taylor_steps import Taylor
 from walker_jax.kernels import object_cache, program, program_cache
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking import stride, trajectories

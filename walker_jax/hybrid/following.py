@@ -19,7 +19,7 @@ from walker_jax.hybrid.crossings import Crossing, begins_below, first_rise, may_
 from walker_jax.hybrid.misses import Misses, Seen, add_misses, no_misses
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.method import MAX_STEPS, Method, zero_at
+from walker_jax.integrators.integrator import MAX_STEPS, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import function_series, is_list

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, PyTree
 from walker_jax.hybrid.conditions import least_between, value_and_rate
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.method import zero_at
+from walker_jax.integrators.integrator import zero_at
 from walker_jax.integrators.roots import (
     Instant,
     Jet,

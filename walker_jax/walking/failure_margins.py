@@ -24,8 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.modes import Guard
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.method import zero_at
+from walker_jax.integrators.integrator import Integrator, zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem

@@ -26,8 +26,7 @@ from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.misses import Misses
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.integrator import AnySolver, Integrator
-from walker_jax.integrators.method import Method, zero_at
+from walker_jax.integrators.integrator import AnySolver, Integrator, Method, zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, check_outcomes
