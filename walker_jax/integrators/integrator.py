@@ -29,10 +29,10 @@ from walker_jax.integrators.taylor import (
     solution_series,
 )
 from walker_jax.integrators.taylor_steps import (
+    SERIES_ORDER,
     SeriesSteps,
     Taylor,
     evaluate_series,
-    series_order,
     taylor_step,
 )
 
@@ -95,7 +95,7 @@ class Integrator(eqx.Module):
         watched: tuple[Callable[[PyTree], Scalar], ...] = (),
     ) -> "Method":
         """Return the method that integrates y' = f(y) from a state."""
-        solver = self.solver or Taylor(series_order(state))
+        solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
         return Method(field, solver, self.tolerance, others, watched)
 
 

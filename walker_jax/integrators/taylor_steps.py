@@ -141,11 +141,6 @@ def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar
     return length
 
 
-def series_order(state: PyTree) -> int:
-    """Return the order of the series in a step from a state."""
-    return SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
-
-
 def evaluate_series(series: PyTree, t) -> PyTree:
     return jax.tree.map(lambda c: evaluate_polynomial(c, t), series, is_leaf=is_list)
 

@@ -20,7 +20,6 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.hybrid.conditions import is_negative
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.misses import Misses
@@ -215,7 +214,7 @@ def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
     verdict = jnp.where(going, with_fast_sincos(partial(fall_of, mode))(last.state), last.verdict)
     for one in mode.conditions:
         if one.outcome == Outcome.RUNNING:
-            pulled = going & ~over & (last.time == 0) & is_negative(one, last.state)
+            pulled = going & ~over & (last.time == 0) & one.is_negative(last.state)
             verdict = jnp.where(pulled, Outcome.RUNNING, verdict)
     return last._replace(verdict=verdict.astype(jnp.int8))
 
