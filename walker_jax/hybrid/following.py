@@ -50,7 +50,8 @@ class End(NamedTuple):
     an end, `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
     """Conditions that were violated, at both ends of the mode too."""
-    misses: Misses | None
+    misses: Any
+    """`Misses` of a mode that is measured, else None."""
 
 
 class Step(NamedTuple):

@@ -22,7 +22,6 @@ from jaxtyping import Array, Bool, Float, Int
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
-from walker_jax.hybrid.misses import Misses
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator, Method, zero_at
@@ -54,7 +53,7 @@ class Part(NamedTuple):
     verdict: Int[Array, ""]
     """Verdict as it began; the mode was followed if that is `UNDECIDED`."""
     end: End
-    misses: Misses
+    """The end of the mode, with its misses."""
 
 
 class Arrival(NamedTuple):
@@ -245,7 +244,7 @@ def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool 
     violated = {key: either(key) for key in keys}
     parts = last.parts
     if found.misses is not None:
-        parts = *parts, Part(mode, last.state, last.verdict, found, found.misses)
+        parts = *parts, Part(mode, last.state, last.verdict, found)
     return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated, parts)
 
 
