@@ -13,7 +13,7 @@ from reference import DATA
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.basins import attractor, attractor_search, methods
+from walker_jax.basins import attractor, methods
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.schema import Basins
@@ -127,7 +127,7 @@ def test_the_period_is_right_close_to_the_doubling_at_0_01509(slope, period):
 @pytest.mark.slow
 def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
     """Beyond the cascade of doublings: survivors are on one attractor, without a period."""
-    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor.PATIENCE", 2)
     grid = wj.Grid.sheared(theta=(0.2, 0.3, 12), sum=(-0.01, 0.0, 12))
     data = wj.basin(wj.SimplestWalker(0.0186), grid, "direct", strides=60)
     assert data.period.values.tolist() == [0]
@@ -197,7 +197,7 @@ def test_attractors_are_numbered_by_period_then_angle():
     ],
 )
 def test_wrong_requests_are_refused(arguments, message, monkeypatch):
-    monkeypatch.setattr("walker_jax.basins.memory.memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr("walker_jax.basins.computation.memory_of_machine", lambda: 8 * 2**30)
     arguments = {"grid": wj.Grid.sheared(theta=(0, 1, 3), sum=(0, 1, 3))} | arguments
     with pytest.raises(ValueError, match=message):
         wj.basin(wj.SimplestWalker(0.004), **arguments)
@@ -211,7 +211,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     outcome = REFERENCE["outcome"].ravel()[::97]
     assert (single.outcome == outcome).mean() > 0.99
     walking = xs[direct.fate.values.ravel()[::97] == 0].astype(np.float32)
-    found = attractor_search.find_attractors(wj.SimplestWalker(0.004), walking, Integrator(1e-6))
+    found = attractor.find_attractors(wj.SimplestWalker(0.004), walking, Integrator(1e-6))
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
@@ -331,8 +331,8 @@ def test_a_cycle_of_cells_belongs_to_where_most_centres_lead(slope, joined):
 
 def test_a_cycle_of_cells_may_belong_to_one_without_a_period(monkeypatch):
     """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
-    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
-    monkeypatch.setattr("walker_jax.basins.attractor_search.ATTEMPTS", 1)
+    monkeypatch.setattr("walker_jax.basins.attractor.PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor.ATTEMPTS", 1)
     monkeypatch.setattr("walker_jax.basins.methods.PATIENCE", 2)
     data = wj.basin(wj.SimplestWalker(0.0188), wj.Grid.sheared(**PAPER))
     assert data.period.values.tolist() == [0] and not data.artefact.any()

@@ -6,8 +6,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basins.attractor import CLOSE, Attractor
-from walker_jax.basins.attractor_search import find_attractors, on_lasting_motion
+from walker_jax.basins.attractor import CLOSE, Attractor, find_attractors, on_lasting_motion
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import attractors_of_cycles
 from walker_jax.cellmaps import resolve

@@ -12,12 +12,13 @@ import xarray as xr
 from jaxtyping import Array, Int
 
 from walker_jax import storage
-from walker_jax.basins.attractor import Attractor, sorted_numbers
-from walker_jax.basins.attractor_search import (
+from walker_jax.basins.attractor import (
     LONGEST_PERIOD,
     PATIENCE,
+    Attractor,
     sample,
     sample_indices,
+    sorted_numbers,
 )
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.narrow_windows import follow_window

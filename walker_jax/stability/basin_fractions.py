@@ -18,8 +18,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.attractor_search import sample
+from walker_jax.basins.attractor import Attractor, sample
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.matching import NONE, match_cycles
