@@ -38,9 +38,9 @@ from walker_jax.design.evaluation import (
     Evaluation,
     check_starts,
 )
-from walker_jax.design.limits import BINDING_SLACK
 from walker_jax.design.measures import cost_is_known
 from walker_jax.design.problem import (
+    BINDING_SLACK,
     SIZES,
     Problem,
     check_bounds,
