@@ -196,8 +196,7 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
     refined = method.refine_time(event, last.start, series, until)
     until = jnp.where(jnp.isfinite(when), refined, last.length)
     arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
-    sides = [(one.below, one.ends_below) for one in crossings]
-    seen = Seen(last.start, series, last.length, arrival, until, sides, now.violated)
+    seen = Seen(last.start, series, last.length, arrival, until, crossings, now.violated)
     misses = None if now.misses is None else add_misses(mode, now.misses, seen)
     if mode.foregone is not None:
         foregone = (number == NO_GUARD) & value_at(mode.foregone.holds, last.end)

@@ -18,6 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
+from walker_jax.hybrid.crossings import Crossing
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import zero_at
@@ -67,8 +68,8 @@ class Seen(NamedTuple):
     arrival: Any
     until: Scalar
     """Time of the arrival since the start of the step."""
-    sides: list[tuple[Bool[Array, ""], Bool[Array, ""]]]
-    """Whether each guard is below zero at the start and at the end of the whole step."""
+    crossings: list[Crossing]
+    """The guards in the whole step."""
     violated: dict[int, Bool[Array, ""]]
     """Whether each condition was violated before the step."""
 
@@ -82,7 +83,7 @@ def no_misses(mode: Mode, start: Any) -> Misses:
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
     """Add the misses of a step to those that are known. All values have their derivatives."""
-    found = [turns_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
+    found = [turns_in_step(*one, step) for one in zip(mode.guards, step.crossings, strict=True)]
     nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
     least, before = {}, {}
     for one in mode.conditions:
@@ -110,9 +111,7 @@ class Turns(NamedTuple):
     rises: Bool[Array, ""]
 
 
-def turns_in_step(
-    guard: Guard, sides: tuple[Bool[Array, ""], Bool[Array, ""]], step: Seen
-) -> Turns:
+def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
     """Find where a guard turns in a step, and where it rises without being admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
@@ -152,7 +151,7 @@ def turns_in_step(
     last = jnp.where(falls, top.time, until)
     whole = ~falls & (step.until == step.length)
     above_zero = jnp.where(falls, high, end.value) >= 0
-    rises = (turned | sides[0]) & jnp.where(whole, ~sides[1], above_zero)
+    rises = (turned | crossing.below) & jnp.where(whole, ~crossing.ends_below, above_zero)
     time = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, first, last), last)
     lacks = admitted(differentiable_zero(value, time))
     miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)

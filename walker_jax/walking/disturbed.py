@@ -26,7 +26,7 @@ from walker_jax.walking.failure_margins import (
     strike_margin,
 )
 from walker_jax.walking.raised_ground import onto_step
-from walker_jax.walking.starts import during_stride
+from walker_jax.walking.starts import during_stride, on_section
 from walker_jax.walking.stride import Arrival, Part, end_stride, follow_step, follow_to_contact
 
 
@@ -69,7 +69,7 @@ def disturbed_start(
     """Return the walker on a disturbed slope, its state after the push, and the step's height."""
     slope = vars(walker)["slope"] + disturbance.slope
     steeper = with_parameter(walker, "slope", slope)
-    start = walker.lift(x) if x.shape == (len(walker.section),) else walker.state(*x)
+    start = walker.lift(x) if on_section(walker, x) else walker.state(*x)
     pushed = jnp.stack(walker.push(start, jnp.asarray(disturbance.push)))
     return steeper, pushed, jnp.asarray(disturbance.step)
 

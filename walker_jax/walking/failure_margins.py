@@ -33,7 +33,7 @@ from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import for_each_start
-from walker_jax.walking.starts import during_stride, prepare
+from walker_jax.walking.starts import during_stride, on_section, prepare
 from walker_jax.walking.stride import (
     Arrival,
     Part,
@@ -165,7 +165,7 @@ def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
 
 def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
     """Return `System.margin`; NaN where there is none."""
-    known = walker.margin(x) if x.shape == (len(walker.section),) else None
+    known = walker.margin(x) if on_section(walker, x) else None
     return jnp.sum(x) * jnp.nan if known is None else known
 
 

@@ -190,10 +190,9 @@ def follow_phases(
         now = follow_on(mode, now, integrator, measured)
         judged = with_fast_sincos(partial(judge_end, mode))(now.state, now.verdict)
         verdict = jnp.where(now.verdict == Outcome.STRIDE, judged, now.verdict)
-        now = now._replace(verdict=verdict)
-        ended = now.verdict == Outcome.STRIDE
-        time = jnp.where(now.verdict == Outcome.UNDECIDED, jnp.inf, now.time)
-        verdict = jnp.where(ended, Outcome.UNDECIDED, now.verdict).astype(jnp.int8)
+        ended = verdict == Outcome.STRIDE
+        time = jnp.where(verdict == Outcome.UNDECIDED, jnp.inf, now.time)
+        verdict = jnp.where(ended, Outcome.UNDECIDED, verdict).astype(jnp.int8)
         state = with_fast_sincos(mode.reset)(now.state)
         ends.append(now._replace(state=state, time=time, verdict=verdict))
     return ends
