@@ -44,7 +44,7 @@ import walker_jax as wj
 from walker_jax import multibody
 from walker_jax.gaits.branches import continue_gaits
 from walker_jax.gaits.continuation import start_at_doubling
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import coordinates_and_rates

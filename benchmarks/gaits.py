@@ -28,7 +28,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import walker_jax as wj
-from walker_jax.gaits.search import iterate_newton
+from walker_jax.gaits.cycles import iterate_newton
 from walker_jax.integrators.integrator import Integrator
 
 SLOPE = 0.009

@@ -63,9 +63,8 @@ from walker_jax.execution.tiles import CALL_SHAPES, COMPILER_OPTIONS, compact_or
 from walker_jax.hybrid.following import follow_mode
 from walker_jax.hybrid.modes import Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.method import Method
-from walker_jax.integrators.taylor_solver import Taylor
-from walker_jax.integrators.taylor_steps import SERIES_ORDER
+from walker_jax.integrators.integrator import Method
+from walker_jax.integrators.taylor_steps import SERIES_ORDER, Taylor
 from walker_jax.kernels.program import Program
 from walker_jax.walking.starts import prepare
 from walker_jax.walking.stride import follow_stride

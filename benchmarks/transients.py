@@ -25,8 +25,7 @@ import walker_jax as wj
 from walker_jax import figures
 from walker_jax.figures.layout import figure_of
 from walker_jax.figures.style import BASINS, INK
-from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import Gait, linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walking.iteration import iterate, orbits
 

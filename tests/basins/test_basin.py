@@ -13,7 +13,7 @@ from reference import DATA
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.basins import attractor, attractor_search, methods, pieces
+from walker_jax.basins import attractor, methods
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.schema import Basins
@@ -127,7 +127,7 @@ def test_the_period_is_right_close_to_the_doubling_at_0_01509(slope, period):
 @pytest.mark.slow
 def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
     """Beyond the cascade of doublings: survivors are on one attractor, without a period."""
-    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor.PATIENCE", 2)
     grid = wj.Grid.sheared(theta=(0.2, 0.3, 12), sum=(-0.01, 0.0, 12))
     data = wj.basin(wj.SimplestWalker(0.0186), grid, "direct", strides=60)
     assert data.period.values.tolist() == [0]
@@ -197,7 +197,7 @@ def test_attractors_are_numbered_by_period_then_angle():
     ],
 )
 def test_wrong_requests_are_refused(arguments, message, monkeypatch):
-    monkeypatch.setattr("walker_jax.basins.memory.memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr("walker_jax.basins.computation.memory_of_machine", lambda: 8 * 2**30)
     arguments = {"grid": wj.Grid.sheared(theta=(0, 1, 3), sum=(0, 1, 3))} | arguments
     with pytest.raises(ValueError, match=message):
         wj.basin(wj.SimplestWalker(0.004), **arguments)
@@ -211,7 +211,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     outcome = REFERENCE["outcome"].ravel()[::97]
     assert (single.outcome == outcome).mean() > 0.99
     walking = xs[direct.fate.values.ravel()[::97] == 0].astype(np.float32)
-    found = attractor_search.find_attractors(wj.SimplestWalker(0.004), walking, Integrator(1e-6))
+    found = attractor.find_attractors(wj.SimplestWalker(0.004), walking, Integrator(1e-6))
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
@@ -331,8 +331,8 @@ def test_a_cycle_of_cells_belongs_to_where_most_centres_lead(slope, joined):
 
 def test_a_cycle_of_cells_may_belong_to_one_without_a_period(monkeypatch):
     """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
-    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
-    monkeypatch.setattr("walker_jax.basins.attractor_search.ATTEMPTS", 1)
+    monkeypatch.setattr("walker_jax.basins.attractor.PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor.ATTEMPTS", 1)
     monkeypatch.setattr("walker_jax.basins.methods.PATIENCE", 2)
     data = wj.basin(wj.SimplestWalker(0.0188), wj.Grid.sheared(**PAPER))
     assert data.period.values.tolist() == [0] and not data.artefact.any()
@@ -354,7 +354,7 @@ def computed_at_once(method):
 
 @pytest.fixture
 def small_pieces(monkeypatch):
-    monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 600)
+    monkeypatch.setattr("walker_jax.basins.methods.PIECE", 600)
 
 
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
@@ -392,10 +392,10 @@ def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
 
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
 def test_pieces_are_all_cells_one_after_the_other(small_pieces, shape):
-    block = pieces.block_shape(shape)
+    block = methods.block_shape(shape)
     place = storage.Pieces(Path(), Path(), None, shape[: len(block)], block, None, (), ())
     grid = wj.Grid({str(i): (0, 1, n) for i, n in enumerate(shape)}, np.eye(len(shape)))
-    parts = [pieces.block_at(grid, place, i) for i in range(place.count)]
+    parts = [methods.block_at(grid, place, i) for i in range(place.count)]
     assert [i for part in parts for i in range(grid.size)[part.cells]] == [*range(grid.size)]
     sizes = [math.prod(part.shape) for part in parts]
     assert max(sizes) < 2 * 600 and (len(parts) == 1 or max(sizes) >= 600)
@@ -416,7 +416,7 @@ def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch
     grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
     wanted = computed_at_once(method)
     piece, stops, runs = [], {0, 2, 3, 4, 6, 8}, 0
-    kind = pieces.MappedPieces if method == "cell-map" else pieces.FollowedPieces
+    kind = methods.CellMapping if method == "cell-map" else methods.DirectIteration
     compute = kind.piece
 
     def counted(self, notes, part):
@@ -444,10 +444,10 @@ from pathlib import Path
 import jax
 from zarr.storage import LocalStore
 import walker_jax as wj
-from walker_jax.basins import pieces
+from walker_jax.basins import methods
 jax.config.update("jax_enable_x64", True)
-pieces.PIECE = 2**12
-kind = pieces.MappedPieces if sys.argv[1] == "cell-map" else pieces.FollowedPieces
+methods.PIECE = 2**12
+kind = methods.CellMapping if sys.argv[1] == "cell-map" else methods.DirectIteration
 compute, put, left = kind.piece, LocalStore.set, int(sys.argv[3])
 def told(self, notes, part):
     print("begun", part.first, flush=True)

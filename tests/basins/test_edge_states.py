@@ -280,7 +280,7 @@ def test_a_window_in_the_basin_has_strides_that_converge():
 def test_a_window_of_1e_12_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch):
     window = wj.Grid.sheared(theta=(0, 0.4, 24), sum=(-0.03, 0.02, 24)).zoom(CENTRE, 1e12)
     whole = wj.basin(STEEP, window, "direct")
-    monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 100)
+    monkeypatch.setattr("walker_jax.basins.methods.PIECE", 100)
     stored = wj.basin(STEEP, window, "direct", out=tmp_path / "w.zarr")
     for name in ("fate", "attractor", "strides"):
         np.testing.assert_array_equal(whole[name], stored[name])

@@ -6,10 +6,9 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basins.attractor import CLOSE, Attractor
-from walker_jax.basins.attractor_search import find_attractors, on_lasting_motion
+from walker_jax.basins.attractor import CLOSE, Attractor, find_attractors, on_lasting_motion
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.methods import attractors_of_cycles, direct_iteration
+from walker_jax.basins.methods import attractors_of_cycles
 from walker_jax.cellmaps import resolve
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walking import iteration
@@ -189,10 +188,13 @@ def test_a_transient_that_ends_at_a_gait_is_no_attractor(slope, periods):
 def test_a_motion_without_a_period_is_listed_if_walkers_stay():
     wandering = Attractor(None, np.array([[0.2, -0.3]]))
     mapper = Mapper(WALKER, [Attractor(1, GAIT), wandering], Integrator(1e-12), 5)
-    few = direct_iteration(mapper, REGION)
-    assert (few.attractor == 1).any() and len(few.attractors) == 2
-    many = direct_iteration(mapper._replace(strides=300), REGION)
-    assert (many.attractor == 0).any() and [one.period for one in many.attractors] == [1]
+    starts = REGION.centres(np.arange(REGION.size))
+    few, all_of_few = mapper.label_all(starts)
+    listed = all_of_few.without_unseen_motion(few.attractor).attractors
+    assert (few.attractor == 1).any() and len(listed) == 2
+    many, all_of_many = mapper._replace(strides=300).label_all(starts)
+    listed = all_of_many.without_unseen_motion(many.attractor).attractors
+    assert (many.attractor == 0).any() and [one.period for one in listed] == [1]
 
 
 def test_an_attractor_without_a_cycle_of_cells_is_not_listed():

@@ -10,8 +10,8 @@ from command_lines import RESUME
 import walker_jax as wj
 from walker_jax.cli import optimise_command
 from walker_jax.design import evaluation
-from walker_jax.design.design_summary import summarise_optimum
 from walker_jax.design.measures import Measure
+from walker_jax.design.results import summarise_optimum
 
 FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.015", "--objective", "speed"]
 FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3"]
@@ -33,7 +33,7 @@ def proportional(walker, parameters=(), *_, **__):
 def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, slope, speed):
     monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)  # of the picture
     if made_up:
-        for module in ("climbs", "evaluation", "limits"):
+        for module in ("climbs", "evaluation", "problem"):
             monkeypatch.setattr(f"walker_jax.design.{module}.gait_measures", proportional)
     code, out, err = run(*FASTEST, "--json")
     assert (code, err) == (0, "")
@@ -59,7 +59,7 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
 
 def test_an_optimisation_that_is_out_of_time_goes_on(run, monkeypatch):
     monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)
-    for module in ("climbs", "evaluation", "limits"):
+    for module in ("climbs", "evaluation", "problem"):
         monkeypatch.setattr(f"walker_jax.design.{module}.gait_measures", proportional)
     code, out, err = run(*FASTEST, "--seconds", "1e-9", "--json")
     short = json.loads(out)

@@ -8,10 +8,9 @@ from scipy.optimize import brentq
 import walker_jax as wj
 from walker_jax.design import climbs, problem
 from walker_jax.design.evaluation import Evaluation
-from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
-from walker_jax.design.problem import latin_hypercube, starting_places
+from walker_jax.design.problem import Slack, latin_hypercube, starting_places
 from walker_jax.design.trace import Trace
 
 

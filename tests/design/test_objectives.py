@@ -15,8 +15,12 @@ from walker_jax.basins import refinement
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.refinement import refine_cells
 from walker_jax.basins.runs import Runs, label_of
-from walker_jax.design.area_gradients import area_gradient, boundary_pairs, integrate_along_boundary
-from walker_jax.design.bands import walkers_at_band_ends
+from walker_jax.design.area_gradients import (
+    area_gradient,
+    boundary_pairs,
+    integrate_along_boundary,
+    walkers_at_band_ends,
+)
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import GAIT_MEASURES, gait_measures
 from walker_jax.integrators.integrator import Integrator

@@ -38,7 +38,7 @@ def test_a_bar_begins_with_what_was_done_and_ends_with_all(shown, monkeypatch):
 def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 8), sum=(-0.03, 0.01, 6))
     walker, out = wj.SimplestWalker(0.004), tmp_path / "a.zarr"
-    monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 12)
+    monkeypatch.setattr("walker_jax.basins.methods.PIECE", 12)
     monkeypatch.setattr("walker_jax.control.images.TILE", (12, 12))
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", lambda *_: {"area": 0.001})
     calls = {

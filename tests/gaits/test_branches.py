@@ -7,7 +7,7 @@ from simplest_gaits import REGION, assert_repeats, walker
 
 import walker_jax as wj
 from walker_jax.gaits import arclength, branches, continuation, events
-from walker_jax.gaits.derivatives import Linearisation
+from walker_jax.gaits.cycles import Linearisation
 from walker_jax.gaits.search import search_gait
 
 VALUES = read_values("values")

@@ -9,7 +9,8 @@ from reference import read_values
 from simplest_gaits import REGION, assert_repeats, walker
 
 import walker_jax as wj
-from walker_jax.gaits import cycles, derivatives, search
+from walker_jax.gaits import cycles, search
+from walker_jax.gaits.cycles import iterate_newton
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers import parameters
@@ -101,9 +102,7 @@ def test_gaits_of_the_reference(value):
     assert gait.stable == all(abs(m) < 1 for m in multipliers)
     assert_walks(slope, gait)
     if "jacobian" in value:
-        local = derivatives.linearise(
-            walker(slope), np.array([[value["state"]]]), Integrator(1e-12)
-        )
+        local = cycles.linearise(walker(slope), np.array([[value["state"]]]), Integrator(1e-12))
         np.testing.assert_allclose(local.jacobian[0, 0], value["jacobian"], rtol=0, atol=1e-9)
 
 
@@ -406,11 +405,11 @@ def test_descent_reaches_gaits_from_where_newton_diverges():
     grid = wj.Grid.plain(theta=(0, np.pi / 4, 30), thetadot=(-1, 0, 30))
     starts = grid.centres(np.arange(grid.size))
     _, cycles = search.cycle_guesses(walker(), starts, 1, Integrator(1e-12))
-    newton = search.iterate_newton(walker(), cycles, Integrator(1e-12))
+    newton = iterate_newton(walker(), cycles, Integrator(1e-12))
     assert 0.6 < newton.found.mean() < 0.85
     lost = cycles[~newton.found]
     nearer = wj.descend(walker(), lost)
-    rescued = search.iterate_newton(walker(), nearer, Integrator(1e-12))
+    rescued = iterate_newton(walker(), nearer, Integrator(1e-12))
     assert rescued.found.mean() > 0.7
     before, after = (
         np.abs(wj.strides(walker(), x[:, 0]).state - x[:, 0]).max(axis=1) for x in (lost, nearer)
@@ -434,7 +433,7 @@ def test_each_search_may_have_its_own_walker():
         if (v["slope"], v["kind"]) == (s, "long")
     ]
     walkers = parameters.with_parameter(walker(), "slope", slopes)
-    found = search.iterate_newton(walkers, np.array(states)[:, None] + 1e-3, Integrator(1e-12))
+    found = iterate_newton(walkers, np.array(states)[:, None] + 1e-3, Integrator(1e-12))
     np.testing.assert_allclose(found.states[:, 0], states, rtol=0, atol=1e-11)
     ends = wj.strides(walkers, np.array(states))
     np.testing.assert_allclose(ends.state, states, rtol=0, atol=1e-11)

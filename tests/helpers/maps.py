@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from walker_jax.gaits.derivatives import Linearisation, SecondDerivatives
+from walker_jax.gaits.cycles import Linearisation
+from walker_jax.gaits.derivatives import SecondDerivatives
 from walker_jax.gaits.jets import Curves, Jet
 from walker_jax.gaits.requests import Expansion, Request, Task
 

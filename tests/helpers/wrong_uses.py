@@ -26,7 +26,7 @@ from starlette.requests import Request
 
 import walker_jax as wj
 from walker_jax import cellmaps, figures, kernels, multibody, storage
-from walker_jax.basins import memory
+from walker_jax.basins import computation
 from walker_jax.execution import tiles
 from walker_jax.explorer import lattice, offers, service, subjects, walks
 from walker_jax.integrators import integrator
@@ -332,4 +332,4 @@ def prepare(patch: pytest.MonkeyPatch) -> None:
     for name, text in FILES.items():
         Path(name).write_text(text)
     Path("folder").mkdir()
-    patch.setattr(memory, "memory_of_machine", lambda: 8.0 * 2**30)
+    patch.setattr(computation, "memory_of_machine", lambda: 8.0 * 2**30)

@@ -12,10 +12,9 @@ from polynomials import ascending
 from walker_jax.hybrid.crossings import HOP, Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.following import NO_GUARD, follow_mode
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
-from walker_jax.integrators.method import Method
+from walker_jax.integrators.integrator import Method
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.taylor_solver import Taylor
-from walker_jax.integrators.taylor_steps import SERIES_ORDER
+from walker_jax.integrators.taylor_steps import SERIES_ORDER, Taylor
 from walker_jax.kernels import kernel
 
 pytestmark = pytest.mark.usefixtures("quick_references")

@@ -12,13 +12,18 @@ from polynomials import ascending
 from scipy.integrate import solve_ivp
 
 from walker_jax.hybrid.crossings import Crossing, begins_below, rise_of
-from walker_jax.integrators.integrator import default_tolerance
-from walker_jax.integrators.method import Method
+from walker_jax.integrators.integrator import Method, default_tolerance
 from walker_jax.integrators.roots import bracketed_newton, polynomial_jet
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import solution_series
-from walker_jax.integrators.taylor_solver import SeriesSteps, Taylor, TaylorInterpolation
-from walker_jax.integrators.taylor_steps import SERIES_ORDER, evaluate_series, step_size
+from walker_jax.integrators.taylor_steps import (
+    SERIES_ORDER,
+    SeriesSteps,
+    Taylor,
+    TaylorInterpolation,
+    evaluate_series,
+    step_size,
+)
 from walker_jax.kernels import kernel
 
 TOLERANCE = 1e-12

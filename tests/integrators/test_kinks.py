@@ -13,7 +13,7 @@ from jax import lax
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series

@@ -14,7 +14,7 @@ import optimistix
 import pytest
 from test_kernels import run
 
-from walker_jax.integrators.taylor_solver import Taylor
+from walker_jax.integrators.taylor_steps import Taylor
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
 pytestmark = pytest.mark.usefixtures("quick_references")

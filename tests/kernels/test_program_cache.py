@@ -16,9 +16,9 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.integrators import method, roots, taylor_steps
+from walker_jax.integrators import integrator, roots, taylor_steps
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.taylor_solver import Taylor
+from walker_jax.integrators.taylor_steps import Taylor
 from walker_jax.kernels import object_cache, program, program_cache
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking import stride, trajectories
@@ -140,7 +140,7 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
     plain: Any = roots.differentiable_zero
     replaced = functools.wraps(plain)(lambda *args: plain(*args))
     changes = [
-        (method, "MAX_STEPS", 7),
+        (integrator, "MAX_STEPS", 7),
         (program_cache, "register_bits", lambda: 64),
         (taylor_steps, "differentiable_zero", replaced),
         (taylor_steps, "differentiable_zero", roots.first_zero),

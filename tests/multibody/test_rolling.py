@@ -10,8 +10,8 @@ import pytest
 from kane import Rolling
 
 from walker_jax import multibody
-from walker_jax.integrators.method import Method
-from walker_jax.integrators.taylor_solver import Taylor
+from walker_jax.integrators.integrator import Method
+from walker_jax.integrators.taylor_steps import Taylor
 from walker_jax.kernels import kernel
 from walker_jax.multibody import ConstrainedMotion, System, space
 

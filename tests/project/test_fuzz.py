@@ -21,8 +21,8 @@ from unchecked import unchecked
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import Refined, dataset_of_runs, finer
 from walker_jax.basins.runs import Runs
 from walker_jax.checks import ComputationFailed, WrongUse

@@ -16,8 +16,7 @@ from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.nearest_points import descend, solve_nearest
 from walker_jax.stability.probable_falls import ProbableFall
 from walker_jax.stability.rays import spread_directions
-from walker_jax.walking.disturbed import follow_disturbed
-from walker_jax.walking.disturbed_margins import follow_disturbed_margins
+from walker_jax.walking.disturbed import follow_disturbed, follow_disturbed_margins
 
 WALKER = wj.SpringWalker(0.01, 0.2)
 ONE = np.array([1.0, 0.0, 0.0])

@@ -25,7 +25,7 @@ from part_of_swing import PartOfSwing
 
 import walker_jax as wj
 from walker_jax import BentState, KneedWalker, Outcome
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.kneed import FreeKnee, stance_knee_moment
 from walker_jax.walkers.parameters import parameters

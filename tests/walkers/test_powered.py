@@ -14,7 +14,7 @@ import walker_jax as wj
 from walker_jax import State, multibody
 from walker_jax.checks import WrongUse
 from walker_jax.design.measures import cost_is_known
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import Parameter

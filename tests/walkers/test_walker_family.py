@@ -17,7 +17,7 @@ from walker_jax import (
     State,
     UpperBodyWalker,
 )
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.program import programs
 from walker_jax.walkers.parameters import parameters

@@ -11,7 +11,7 @@ from part_of_swing import PartOfSwing
 
 import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.parameters import with_parameter
 

@@ -9,8 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import Attractor, capture_radius
-from walker_jax.basins.attractor_search import sample_indices
+from walker_jax.basins.attractor import Attractor, capture_radius, sample_indices
 from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.search import search_gait

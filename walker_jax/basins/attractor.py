@@ -1,16 +1,52 @@
-"""Attractors, their capture boxes, and their numbering."""
+"""Attractors of strides, and the search for them.
+
+Attractors are cycles of strides, and attracting sets that never repeat. A walker has reached a
+cycle once it is in one of its capture boxes.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from walker_jax.walking.iteration import Targets, nearest_target
+from walker_jax.gaits.cycles import gait_at, iterate_newton
+from walker_jax.gaits.search import cycle_guesses
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
+from walker_jax.walking.iteration import Targets, iterate, nearest_target, orbits
 
 CLOSE = 0.01
 """Distance from a cycle within which a walk that has made all its strides may still be approaching
 it: near a period doubling, convergence is too slow to come within `capture_radius`."""
+SAMPLE = 2**14
+"""Number of starts that are followed in search of attractors."""
+SCOUTS = 2**8
+"""Number of starts that are followed first; most of the others end on the cycles that these
+find."""
+LONGEST_PERIOD = 64
+"""Longest cycle, in strides, that is recognised as one."""
+PATIENCE = 8
+"""Rounds of `LONGEST_PERIOD` strides in which a walker is to converge to a cycle."""
+ATTEMPTS = 8
+"""Number of undecided walkers from which Newton's iteration solves for a cycle."""
+NEARLY = 1e-4
+"""Distance to which a walker that approaches a cycle, however slowly, has returned after those
+rounds. At a period doubling the distance from the cycle falls like n^-1/2 after n strides, and the
+distance of a return like n^-3/2. A motion without a period returns to about 1e-3, the best of 64
+tries."""
+BLOCKS = 4
+"""Number of stretches of `LONGEST_PERIOD` strides, over which walkers come nearer to a cycle or
+leave it."""
+MAX_DISTANCES = 2**24
+"""Most distances from the states of a cycle that are held at once: an eighth of a gigabyte."""
+WITNESSES = 128
+"""Number of walkers followed to see whether a motion without a period lasts."""
+SURVIVAL = 1000, 2000
+"""Strides after which all of these walkers are on it, and further strides in which none may fall or
+converge to a cycle. This tells an attractor from a transient whose mean life is below some 85,000
+strides."""
 
 
 class Attractor(NamedTuple):
@@ -81,3 +117,246 @@ def sorted_numbers(attractors: Sequence[Attractor]) -> list[int]:
     """Return their numbers, sorted by period and angle; aperiodic ones, then artefacts, last."""
     key = [(one.artefact, one.period or np.inf, one.states[0, 0]) for one in attractors]
     return sorted(range(len(key)), key=key.__getitem__)
+
+
+def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
+    """Return some of many points, evenly spread over their order."""
+    return x[sample_indices(len(x), most)]
+
+
+def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
+    """Return the indices of a sample of n items, evenly spread over their order."""
+    return np.linspace(0, n - 1, min(n, most)).astype(int)
+
+
+def find_attractors(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    integrator: Integrator,
+    known: Sequence[Attractor] = (),
+) -> list[Attractor]:
+    """Find the attractors to which walkers converge from x, and add them to the known ones.
+
+    Walkers are followed until each has failed, or repeats itself to rounding. Some do neither in
+    some hundred strides, as close to a period doubling: for these a stable cycle is solved for. If
+    there is none, and none of these walkers falls or converges to a cycle for long, they are on an
+    attractor without a period. One such attractor is added for them all.
+    """
+    found = list(known)
+    if len(x) > SCOUTS:
+        add_cycles(walker, sample(x, SCOUTS), found, integrator)
+        if any(one.period for one in found):
+            x = x[stay_undecided(found, walker, x, integrator)]
+    x, solved = add_cycles(walker, x, found, integrator)
+    if len(x) and not solved and all(one.period for one in found):
+        wandering = on_lasting_motion(walker, x[:WITNESSES], found, integrator)
+        if len(wandering):
+            found.append(Attractor(None, x[wandering[:1]]))
+    return found
+
+
+def add_cycles(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    found: list[Attractor],
+    integrator: Integrator,
+) -> tuple[Float[np.ndarray, "m section"], bool]:
+    """Add the cycles to which walkers converge.
+
+    Returns the states of walkers that neither failed nor came to a cycle, and whether some of them
+    approach a cycle that was solved for.
+    """
+    x, period, nearest = add_repeated(walker, x, found, integrator)
+    slow = np.flatnonzero(nearest < NEARLY)[:ATTEMPTS]
+    solved = [
+        cycle
+        for start, count in zip(x[slow], period[slow], strict=True)
+        if (cycle := stable_cycle(walker, start, int(count), integrator)) is not None
+    ]
+    for states in solved:
+        if cycle := new_cycle(states, found):
+            found.append(cycle)
+    return x, bool(solved)
+
+
+def add_repeated(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    found: list[Attractor],
+    integrator: Integrator,
+) -> tuple[Float[np.ndarray, "m section"], Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Add the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
+
+    For walkers that neither failed nor came to a cycle, it returns their states, the strides after
+    which each came nearest to its present state, and that distance.
+    """
+    exact = 1e3 * np.finfo(x.dtype).eps
+    starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
+    for _ in range(PATIENCE):
+        states, outcome = orbits(walker, x, LONGEST_PERIOD, integrator)
+        walks = outcome == Outcome.STRIDE
+        starts, back = starts[walks], states[walks, ::-1]  # (walkers, strides back, coordinates)
+        misses = np.abs(back[:, 1:] - back[:, :1]).max(axis=2)
+        repeated = (misses < exact).any(axis=1)
+        for start, path, miss in zip(
+            starts[repeated], back[repeated], misses[repeated], strict=True
+        ):
+            # A slow approach that alternates returns close after two strides before it does after
+            # one.
+            count = first_period(miss, capture_radius(x.dtype))
+            cycle = new_cycle(path[:count][::-1], found)
+            # A walker started on an unstable cycle repeats itself too; one that arrived there was
+            # attracted.
+            if cycle and (
+                began_elsewhere(cycle, start) or attracts(walker, cycle.states, integrator)
+            ):
+                found.append(cycle)
+        x = back[:, 0]
+        left = ~repeated & (match_attractor(x, found) < 0)
+        x, starts, misses = x[left], starts[left], misses[left]
+        period, nearest = misses.argmin(axis=1) + 1, misses.min(axis=1)
+        if len(x) == 0:
+            break
+    return x, period, nearest
+
+
+def stay_undecided(
+    found: Sequence[Attractor],
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    integrator: Integrator,
+) -> Bool[np.ndarray, " n"]:
+    """Return whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
+    targets, _ = targets_of(found, x.shape[1])
+    end = iterate(walker, x, PATIENCE * LONGEST_PERIOD, integrator, targets)
+    return (end.outcome == Outcome.STRIDE) & (end.target < 0)
+
+
+def on_lasting_motion(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    cycles: Sequence[Attractor],
+    integrator: Integrator,
+) -> Int[np.ndarray, " m"]:
+    """Return the indices of the walkers on a motion that lasts; none if there is no such motion.
+
+    They neither fall nor converge to a cycle for long, and none of them does so later either.
+    """
+    early, late = SURVIVAL
+    left, x = still_wandering(walker, x, early, cycles, integrator)
+    later, _ = still_wandering(walker, x, late, cycles, integrator)
+    return left if len(later) == len(left) else left[:0]
+
+
+def still_wandering(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    strides: int,
+    cycles: Sequence[Attractor],
+    integrator: Integrator,
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
+    """Return the walkers that neither fall nor converge to a cycle, and their states."""
+    end = iterate(walker, x, strides, integrator)
+    left = np.flatnonzero(end.outcome == Outcome.STRIDE)
+    left = left[match_approaching(walker, end.state[left], cycles, integrator) < 0]
+    return left, end.state[left]
+
+
+def match_approaching(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    attractors: Sequence[Attractor],
+    integrator: Integrator,
+) -> Int[np.ndarray, " n"]:
+    """Return the numbers of the cycles that walkers come ever nearer to; -1 for none."""
+    number = match_attractor(x, attractors, CLOSE)
+    for i in np.unique(number[number >= 0]).tolist():
+        near = np.flatnonzero(number == i)
+        nearer = approaches(walker, x[near], attractors[i].states, integrator)
+        number[near[~nearer]] = -1
+    return number
+
+
+def approaches(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    cycle: Float[np.ndarray, "period section"],
+    integrator: Integrator,
+) -> Bool[np.ndarray, " n"]:
+    """Return whether walkers that are `CLOSE` to a cycle come ever nearer to it.
+
+    They do if the largest distance from the cycle falls from one stretch of strides to the next, or
+    if they arrive. A walker on another motion, which passes by, moves away again.
+    """
+    largest = largest_distances(walker, x, cycle, integrator)
+    nearer = (largest[:, 0] < 2 * CLOSE) & (np.diff(largest, axis=1) < 0).all(axis=1)
+    return nearer | (largest[:, -1] < capture_radius(x.dtype))
+
+
+def attracts(
+    walker: System, cycle: Float[np.ndarray, "period section"], integrator: Integrator
+) -> bool:
+    """Return whether walkers that start beside a cycle stay there, and do not move away."""
+    radius = capture_radius(cycle.dtype)
+    beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
+    largest = largest_distances(walker, beside, cycle, integrator).max(axis=0)
+    return bool(largest[-1] < max(radius, 1.5 * largest[1]))  # False for NaN, after a failure
+
+
+def largest_distances(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    cycle: Float[np.ndarray, "period section"],
+    integrator: Integrator,
+) -> Float[np.ndarray, "n blocks"]:
+    """Return the largest distance from a cycle in each stretch of strides; NaN after a failure."""
+    largest = np.empty((len(x), BLOCKS), x.dtype)
+    size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
+    for start in range(0, len(x), size):
+        part = slice(start, start + size)
+        states, _ = orbits(walker, x[part], BLOCKS * LONGEST_PERIOD, integrator)
+        distance = distance_from(cycle, states[:, 1:])
+        largest[part] = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=2)
+    return largest
+
+
+def distance_from(
+    cycle: Float[np.ndarray, "period section"], x: Float[np.ndarray, "*n section"]
+) -> Float[np.ndarray, "*n"]:
+    """Return the largest difference in a coordinate from the nearest state of a cycle."""
+    return np.abs(x[..., None, :] - cycle).max(axis=-1).min(axis=-1)
+
+
+def stable_cycle(
+    walker: System, start: Float[np.ndarray, " section"], period: int, integrator: Integrator
+) -> Float[np.ndarray, "period section"] | None:
+    """Find a stable cycle `CLOSE` to a walker, by Newton's iteration; None if it fails."""
+    _, cycles = cycle_guesses(walker, start[None], period, integrator)
+    if len(cycles) == 0:
+        return None
+    gait = gait_at(iterate_newton(walker, cycles, integrator), 0)
+    states = np.asarray(gait.states)
+    exact = gait.residual < 1e3 * np.finfo(start.dtype).eps
+    stable = exact and np.abs(gait.multipliers[0]) < 1  # both False for NaN
+    if not stable or not np.abs(states[0] - start).max() < CLOSE:
+        return None
+    misses = np.abs(np.roll(states, -1, axis=0) - states[0]).max(axis=1)
+    return states[: first_period(misses, capture_radius(start.dtype))]
+
+
+def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
+    """Return the strides to the first return within a distance, given all distances."""
+    return int(np.flatnonzero(misses < within)[0]) + 1
+
+
+def new_cycle(
+    states: Float[np.ndarray, "period section"], known: Sequence[Attractor]
+) -> Attractor | None:
+    """Make a cycle, from its state of the smallest angle on; None if it is known."""
+    states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
+    return None if match_attractor(states[:1], known)[0] >= 0 else Attractor(len(states), states)
+
+
+def began_elsewhere(cycle: Attractor, start: Float[np.ndarray, " section"]) -> bool:
+    """Return whether a walk that ended on a cycle began elsewhere."""
+    return bool(distance_from(cycle.states, start[None])[0] > capture_radius(start.dtype))

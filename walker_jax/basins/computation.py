@@ -9,6 +9,7 @@ walkers from the centres of each cycle's cells are also followed, to the attract
 converge to.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +17,30 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from walker_jax.basins.memory import BYTES_PER_CELL, check_grid
-from walker_jax.basins.methods import cell_mapping, direct_iteration, mapper_of_grid
-from walker_jax.basins.narrow_windows import follow_window
-from walker_jax.basins.pieces import METHODS, compute_in_pieces
+from walker_jax.basins.methods import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
-from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+    short,
+)
 from walker_jax.execution.workers import check_cluster
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, integrator_of
+from walker_jax.storage.schema import names_in_use
 from walker_jax.systems.system import System, warn_if_rounded
 
+BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
+"""Peak memory in bytes, for each cell of a grid."""
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """Peak memory in bytes for each cell, as `BYTES_PER_CELL`, if the result goes into a store."""
+
+
+class TooLarge(WrongUse, MemoryError):
+    """A computation needs more memory than this machine has."""
 
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")
@@ -119,9 +131,10 @@ def basin(
             raise WrongUse(
                 f"solver must not be given with a cluster, unlike {solver!r}: leave out one of them"
             )
+    work = METHODS[method](walker, grid, settings, integrator)
     if out is not None:
         return compute_in_pieces(
-            METHODS[method](walker, grid, settings, integrator),
+            work,
             Path(out),
             request=request,
             overwrite=overwrite,
@@ -129,14 +142,80 @@ def basin(
             progress=progress,
         )
     check_cluster(cluster, out)
-    if method == "cell-map":
-        basins = cell_mapping(walker, grid, integrator, progress)
-    else:
-        window, made = follow_window(walker, grid, integrator, strides)
-        mapper = mapper_of_grid(walker, window, integrator, strides - made)
-        basins = direct_iteration(mapper.with_sorted_attractors(), window, progress)
-        basins = basins._replace(strides=basins.strides + np.int32(made))
-    return to_dataset(walker, grid, basins, settings)
+    return to_dataset(walker, grid, work.at_once(progress), settings)
+
+
+def check_grid(
+    walker: System,
+    grid: Grid,
+    method: str,
+    each: int = BYTES_PER_CELL["direct"],
+    *,
+    kind: str | None = None,
+) -> None:
+    """Raise `WrongUse` for a grid that does not fit the walker's section, or the memory.
+
+    The names of its axes must differ from names of arrays in the `kind` of data set to be made.
+    """
+    check_kind("walker", walker, System)
+    check_kind("grid", grid, Grid)
+    if grid.coordinates != len(walker.section):
+        raise WrongUse(
+            f"grid must have the {len(walker.section)} dimensions of the section, "
+            f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
+        )
+    if method == "cell-map" and len(grid.names) < grid.coordinates:
+        raise WrongUse(
+            f"method must be direct, not 'cell-map', for a slice ({', '.join(grid.fixed)} fixed), "
+            "as walkers leave it"
+        )
+    for place, name in enumerate((*grid.names, *grid.fixed)):
+        wrong = name in walker.section and not lies_along(grid, place, walker.section.index(name))
+        if wrong or (name in grid.fixed and name not in walker.section):
+            raise WrongUse(
+                f"grid must name coordinates in the order of the section, {walker.section}, "
+                f"not {(*grid.names, *grid.fixed)}"
+            )
+        if kind is not None and name in names_in_use(kind):
+            raise WrongUse(
+                f"grid must not have an axis called {name}, as data sets have an array or a "
+                "dimension of that name: call it another"
+            )
+    check_memory(grid.size * each, f"grid of {grid.size} cells needs", "lower a count")
+
+
+def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
+    """Return whether an axis of a grid is at its coordinate's place, or is that coordinate."""
+    if place == coordinate:
+        return True
+    if place >= len(grid.names):
+        return False
+    alone = np.eye(grid.coordinates)[coordinate]
+    return bool((np.asarray(grid.shear)[:, place] == alone).all())
+
+
+def check_memory(needed: int, subject: str, instead: str) -> None:
+    """Raise `TooLarge` if a subject needs more bytes than there are, and say what to do instead."""
+    memory = memory_of_machine()
+    if needed > memory:
+        raise TooLarge(
+            f"{subject} {needed / 2**30:.1f} GiB of memory, and this machine has "
+            f"{memory / 2**30:.1f} GiB: {instead}"
+        )
+
+
+def check_level(levels: int, level: int, count: int, each: int) -> None:
+    """Raise `TooLarge` for a level of refinement with more cells than fit the memory."""
+    subject = f"levels={levels}: level {level} follows {count} cells, which need"
+    check_memory(count * each, subject, "lower levels")
+
+
+def memory_of_machine() -> float:
+    """Return the bytes of memory; infinite where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError):  # not a POSIX system
+        return float("inf")
 
 
 @refuses_tracers()

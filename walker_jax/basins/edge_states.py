@@ -9,7 +9,7 @@ comes to rest upright, or the swing foot only grazes the ground.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,14 +19,15 @@ from jaxtyping import Float, Int
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.edge_tracking import follow_edge
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.memory import check_state
 from walker_jax.basins.runs import label_of
 from walker_jax.checks import (
     WrongUse,
     check_kind,
     check_precision,
     check_whole,
+    numbers,
     refuses_tracers,
+    short,
 )
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
@@ -178,3 +179,12 @@ def failing_margin(
     sizes = np.array([np.abs(getattr(found, name)) for name in MARGIN_NAMES])
     sizes = np.nanmin(np.where(np.isnan(sizes), np.inf, sizes), axis=1)
     return MARGIN_NAMES[int(sizes.argmin())], float(sizes.min())
+
+
+def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " section"]:
+    """Return a state on the walker's section as float64; raise `WrongUse` for any other value."""
+    values = numbers(name, x)
+    if values.shape != (len(walker.section),) or not np.isfinite(values).all():
+        section = ", ".join(walker.section)
+        raise WrongUse(f"{name} must be finite numbers on the section, {section}, not {short(x)}")
+    return values

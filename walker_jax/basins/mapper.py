@@ -6,17 +6,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.attractor import (
-    Attractor,
-    match_attractor,
-    sorted_numbers,
-    targets_of,
-)
-from walker_jax.basins.attractor_search import (
     LONGEST_PERIOD,
     SAMPLE,
+    Attractor,
     find_attractors,
     match_approaching,
+    match_attractor,
     sample,
+    sorted_numbers,
+    targets_of,
 )
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import Outcome
@@ -64,7 +62,7 @@ class Mapper(NamedTuple):
     """Maps starts to the attractors to which walkers converge: labels = mapper(starts).
 
     A walker has converged to a cycle once it is in one of its capture boxes. After all its strides,
-    it has also converged if it comes ever nearer to the cycle (`attractor_search.approaches`). To
+    it has also converged if it comes ever nearer to the cycle (`attractor.approaches`). To
     label the remaining walkers too, they are followed further, each to its cycle.
     """
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 
 from walker_jax.basins.edge_states import failing_margin
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.grids import Grid, steps_around
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import Outcome

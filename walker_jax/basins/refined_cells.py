@@ -8,8 +8,8 @@ dimensions as in three.
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from walker_jax.basins.computation import check_level
 from walker_jax.basins.mapper import Labels, Mapper
-from walker_jax.basins.memory import check_level
 from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
 from walker_jax.grids import Grid
 

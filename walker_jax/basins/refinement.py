@@ -15,8 +15,8 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.refined_cells import REDRAWN, RefinedCells
 from walker_jax.basins.runs import Runs

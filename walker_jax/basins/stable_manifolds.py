@@ -24,8 +24,7 @@ from walker_jax.checks import (
     check_whole,
     refuses_tracers,
 )
-from walker_jax.gaits.cycles import Gait, check_cycle, multiply_jacobians
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import Gait, check_cycle, linearise, multiply_jacobians
 from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.systems.system import System
 

@@ -11,9 +11,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
 from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.computation import check_grid
+from walker_jax.basins.edge_states import check_state
 from walker_jax.basins.edge_tracking import POINTS
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.memory import check_grid, check_state
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.runs import label_of

@@ -22,8 +22,8 @@ from walker_jax.cli.options import (
 )
 from walker_jax.cli.section import AXIS, Axis, Volume, asked_of
 from walker_jax.cli.walker_options import takes_walker
-from walker_jax.design.design_summary import ENDS, summarise_optimum
 from walker_jax.design.problem import default_levels
+from walker_jax.design.results import ENDS, summarise_optimum
 from walker_jax.execution.progress import bar
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, describe_in_words

@@ -15,7 +15,7 @@ from walker_jax.cli.groups import option
 from walker_jax.cli.options import Pieces, read_range, refuse_again
 from walker_jax.cli.section import Volume, asked_of
 from walker_jax.cli.walker_options import takes_walker
-from walker_jax.design.design_summary import tabulate_sweep
+from walker_jax.design.results import tabulate_sweep
 from walker_jax.design.sweeps import MAX_COMBINATIONS, check_values
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import space_decimals

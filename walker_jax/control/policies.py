@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Array, Bool, Float, Int32
 
-from walker_jax.basins.memory import check_grid
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.control.actions import Actions

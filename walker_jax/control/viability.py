@@ -21,7 +21,7 @@ import xarray as xr
 from jaxtyping import Bool
 
 from walker_jax import storage
-from walker_jax.basins.memory import check_grid
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.refinement import BYTES_PER_REFINED_CELL, FINEST, finer
 from walker_jax.basins.schema import describe, request_of
 from walker_jax.basins.volumes import frame_of, grid_of

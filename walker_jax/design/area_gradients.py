@@ -12,20 +12,21 @@ the band.
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Labels
-from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.basins.runs import flat_index
-from walker_jax.checks import WrongUse, refuses_tracers
-from walker_jax.design.bands import check_bands, walkers_at_band_ends
+from walker_jax.checks import WrongUse, numbers, refuses_tracers, short
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import check_parameter, check_parameters, with_parameter
 
 BISECTIONS = 8
 """Bisections that locate the boundary between two centres."""
@@ -37,6 +38,8 @@ Without a limit there is no bias, but few crossings decide the sum. In two dimen
 fine that weights would add more noise than they remove bias: there all crossings count once."""
 MAX_RELATIVE_ERROR = 0.05
 """Relative error above which a band, if given, replaces the integral along the boundary."""
+MAX_BAND_HALVINGS = 20
+"""Most halvings of a band on a side where the walker refuses the value."""
 
 
 Density = Callable[[Float[np.ndarray, "n section"]], Float[np.ndarray, " n"]]
@@ -328,3 +331,32 @@ def boundary_pairs(
     differ = here != ahead
     first, ahead = index[differ] + 0.5, ahead[differ][:, None]
     return np.where(ahead, first + step, first), np.where(ahead, first, first + step)
+
+
+def check_bands(
+    walker: System,
+    parameters: Sequence[str],
+    bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
+) -> Float[np.ndarray, " parameters"]:
+    """Return the half widths of bands, 1 if none are given; refuse wrong parameters and widths."""
+    check_parameters(walker, parameters)
+    widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
+    if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
+        raise WrongUse(f"bands must be a number above 0 for each parameter, not {short(bands)}")
+    return widths
+
+
+def walkers_at_band_ends(walker: System, parameter: str, width: float) -> tuple[System, System]:
+    """Return walkers with a parameter lower and higher by a width, or by less if refused."""
+    value, ends = float(getattr(walker, parameter)), []
+    for step in (-width, width):
+        for _ in range(MAX_BAND_HALVINGS):
+            try:
+                check_parameter(walker, parameter, value + step)
+                break
+            except ValueError:
+                step /= 2
+        else:
+            step = 0.0
+        ends.append(with_parameter(walker, parameter, jnp.asarray(value + step)))
+    return ends[0], ends[1]

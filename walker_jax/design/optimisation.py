@@ -18,8 +18,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.basins.computation import basin
-from walker_jax.basins.memory import check_grid
+from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
 from walker_jax.basins.windows import grid_along, whole_section
 from walker_jax.checks import (
@@ -39,9 +38,9 @@ from walker_jax.design.evaluation import (
     Evaluation,
     check_starts,
 )
-from walker_jax.design.limits import BINDING_SLACK
 from walker_jax.design.measures import cost_is_known
 from walker_jax.design.problem import (
+    BINDING_SLACK,
     SIZES,
     Problem,
     check_bounds,

@@ -1,18 +1,19 @@
-"""A design problem: the walker, its free parameters, the objective and the limits."""
+"""A design problem: the walker, its free parameters, the objective, and limits and their slack."""
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.basins.attractor_search import sample_indices
+from walker_jax.basins.attractor import sample_indices
 from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.area_gradients import Density, density_at
-from walker_jax.design.measures import GAIT_MEASURES
+from walker_jax.design.measures import GAIT_MEASURES, gait_measures
+from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, describe_source, with_values
@@ -34,6 +35,13 @@ SIZES = {"area": 2, "volume": 3, "basin-stability": 2}
 
 DENSITY_CELLS = 10_000
 """Number of cells at which densities are compared."""
+MAX_NEWTON_STEPS = 20
+"""Most Newton steps to a place that keeps the limits; each roughly squares the error."""
+MAX_VIOLATION = 1e-9
+"""Largest relative violation of a limit: the error left by the last Newton step."""
+BINDING_SLACK = 1e-6
+"""Distance below which a limit or bound counts as reached, relative to the limit or to the width of
+the bounds; well above `MAX_VIOLATION`."""
 
 
 class Problem(NamedTuple):
@@ -239,3 +247,99 @@ def describe_density(problem: Problem) -> dict:
     cells = sample_indices(problem.grid.size, DENSITY_CELLS)
     values = density_at(problem.density, problem.grid.centres(cells))
     return {"density": hashlib.sha256(values.tobytes()).hexdigest()[:16]}
+
+
+class Slack(NamedTuple):
+    """Relative slack of a limit, negative if the limit is violated, and its gradient by place."""
+
+    name: str
+    value: float
+    gradient: Float[np.ndarray, " parameters"]
+
+
+class Limits:
+    """The limits of a problem, evaluated at places, with a cache of the results."""
+
+    def __init__(
+        self, problem: Problem, gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait]
+    ):
+        self.problem, self.gait_of = problem, gait_of
+        self.known: dict[bytes, list[Slack]] = {}
+
+    def slacks(self, place: Float[np.ndarray, " parameters"]) -> list[Slack]:
+        """Return the slacks of all limits at a place; NaN if there is no gait."""
+        problem, values = self.problem, self.problem.values(place)
+        if not problem.limits:
+            return []
+        if values.tobytes() in self.known:
+            return self.known[values.tobytes()]
+        walker, gait = problem.walker_at(values), self.gait_of(values)
+        measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
+        found = []
+        for name, ends in problem.limits.items():
+            for limit, side in zip(ends, (1, -1), strict=True):
+                if np.isfinite(limit):
+                    scale = side / (abs(limit) or 1.0)
+                    value, gradient = measures[name]
+                    gradient = gradient * (problem.high - problem.low)
+                    found.append(Slack(name, scale * (value - limit), scale * gradient))
+        self.known[values.tobytes()] = found
+        return found
+
+    def nearest_allowed(
+        self, place: Float[np.ndarray, " parameters"]
+    ) -> Float[np.ndarray, " parameters"] | None:
+        """Return the place, or one near it that keeps all limits; None if none is found."""
+        violating = None
+        for _ in range(MAX_NEWTON_STEPS):
+            if self.problem.refusal(self.problem.values(place)):
+                return None
+            found = self.slacks(place)
+            broken = [one for one in found if not one.value >= -MAX_VIOLATION]
+            if not broken:
+                smallest = min((one.value for one in found), default=0.0)
+                if violating is None or smallest < BINDING_SLACK:
+                    return place
+                return self.crossing(place, violating)  # the Newton step was too long
+            violating, worst = place, min(broken, key=lambda one: one.value)
+            at_bound = ((place == 0) & (worst.gradient < 0)) | ((place == 1) & (worst.gradient > 0))
+            gradient = np.where(at_bound, 0.0, worst.gradient)
+            if not (np.isfinite(worst.value) and np.sum(gradient**2) > 0):
+                return None
+            place = np.clip(place - worst.value * gradient / np.sum(gradient**2), 0, 1)
+        return None
+
+    def crossing(
+        self,
+        within: Float[np.ndarray, " parameters"],
+        violating: Float[np.ndarray, " parameters"],
+    ) -> Float[np.ndarray, " parameters"]:
+        """Find where a limit binds, between a place that keeps it and one that violates it."""
+
+        def smallest_slack(share: float) -> float:
+            slack = min(one.value for one in self.slacks(within + share * (violating - within)))
+            return slack if np.isfinite(slack) else -1.0
+
+        from scipy.optimize import brentq
+
+        share: Any = brentq(smallest_slack, 0.0, 1.0, xtol=1e-13)
+        return within + share * (violating - within)
+
+    def feasible_direction(
+        self,
+        place: Float[np.ndarray, " parameters"],
+        direction: Float[np.ndarray, " parameters"],
+    ) -> Float[np.ndarray, " parameters"]:
+        """Project a direction so that it crosses neither bounds nor binding limits."""
+        binding = [one.gradient for one in self.slacks(place) if one.value < BINDING_SLACK]
+        for _ in range(1 + len(place)):
+            leaves = ((place == 0) & (direction < 0)) | ((place == 1) & (direction > 0))
+            direction = np.where(leaves, 0.0, direction)
+            for gradient in (np.where(leaves, 0.0, one) for one in binding):
+                if direction @ gradient < 0:
+                    direction = direction - (direction @ gradient) / np.sum(gradient**2) * gradient
+        return direction
+
+    def binding(self, place: Float[np.ndarray, " parameters"]) -> set[str]:
+        """Return the measures whose limits bind at a place."""
+        return {one.name for one in self.slacks(place) if one.value < BINDING_SLACK}

@@ -18,10 +18,9 @@ from jaxtyping import Float
 
 from walker_jax import storage
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basins
-from walker_jax.basins.attractor_search import LONGEST_PERIOD
-from walker_jax.basins.computation import basin
+from walker_jax.basins.attractor import LONGEST_PERIOD
+from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.matching import number_alike
-from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, refine
 from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short

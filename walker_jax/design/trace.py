@@ -13,8 +13,7 @@ from jaxtyping import Float
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
 from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
-from walker_jax.design.limits import Limits
-from walker_jax.design.problem import Problem, describe_problem
+from walker_jax.design.problem import Limits, Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait

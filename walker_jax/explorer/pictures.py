@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.methods import cell_mapping
+from walker_jax.basins.methods import CellMapping
 from walker_jax.explorer.lattice import (
     HOME_CELLS,
     TILE,
@@ -123,7 +123,8 @@ def label_cells(
 def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attractor]]:
     """Compute the bytes of a rectangle of cells by cell mapping; return its attractors too."""
     home, at = home_of(subject.offer, subject.section), plane_of(subject)
-    found = cell_mapping(subject.walker, home.grid(subject, cells, at), INTEGRATOR)
+    grid = home.grid(subject, cells, at)
+    found = CellMapping(subject.walker, grid, {}, INTEGRATOR).at_once()
     label, strides = in_bytes(found.fate, found.attractor, found.strides)
     return label.tobytes() + strides.tobytes(), found.attractors
 

@@ -24,9 +24,8 @@ from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
 from walker_jax.walkers.masses import MultibodyWalker
 from walker_jax.walkers.model import State, Walker
-from walker_jax.walking.frames import find_ends, frames_shown, swings_at
 from walker_jax.walking.iteration import strides
-from walker_jax.walking.movement import FALL_TIME, leg_shape
+from walker_jax.walking.movement import FALL_TIME, find_ends, frames_shown, leg_shape, swings_at
 from walker_jax.walking.starts import full_state
 from walker_jax.walking.trajectories import legs, state_after
 

@@ -9,8 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.gaits.cycles import MAX_RESIDUAL, cycle_matrices, solve_linear_systems
-from walker_jax.gaits.derivatives import Linearisation
+from walker_jax.gaits.cycles import (
+    MAX_RESIDUAL,
+    Linearisation,
+    cycle_matrices,
+    solve_linear_systems,
+)
 from walker_jax.gaits.requests import Request, Task
 
 CORRECTOR_STEPS = 12

@@ -14,9 +14,9 @@ from jaxtyping import Float
 from walker_jax.execution.progress import track
 from walker_jax.gaits.branches import Branch, continue_gaits, interpolate_cycles, solve_at
 from walker_jax.gaits.continuation import Start, start_at_doubling
-from walker_jax.gaits.cycles import Gait, cycle_distance, remove_duplicates
+from walker_jax.gaits.cycles import Gait, cycle_distance, iterate_newton
 from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE
-from walker_jax.gaits.search import cycle_guesses, iterate_newton
+from walker_jax.gaits.search import cycle_guesses, remove_duplicates
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System

@@ -32,12 +32,12 @@ from walker_jax.gaits.cycles import (
     Gait,
     check_found,
     find_multipliers,
+    iterate_newton,
     multiply_jacobians,
 )
 from walker_jax.gaits.defining_systems import BRANCH, DOUBLING, FOLD, TORUS
 from walker_jax.gaits.events import Bifurcation, add_normal_form
 from walker_jax.gaits.requests import Request, compute_responses, run_batched
-from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator, default_tolerance
 from walker_jax.integrators.roots import Real

@@ -19,14 +19,13 @@ from walker_jax.execution.progress import bar
 from walker_jax.gaits.branches import Branch, continue_gaits, float64_tolerance
 from walker_jax.gaits.codimension_two import SPECIAL
 from walker_jax.gaits.continuation import Start, start_at_doubling
-from walker_jax.gaits.cycles import Gait, check_found
+from walker_jax.gaits.cycles import Gait, check_found, iterate_newton
 from walker_jax.gaits.defining_systems import KINDS
 from walker_jax.gaits.diagrams import pad, real_and_imaginary
 from walker_jax.gaits.event_curves import EventCurve, check_bounds, continue_events
 from walker_jax.gaits.event_paths import Ranges
 from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.long_runs import START_OFFSET, settle
-from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,10 +13,13 @@ from jax import lax
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind
+from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import parameter_directions
+from walker_jax.walking.iteration import broadcast_parameters, select_walkers
 from walker_jax.walking.stride import follow_stride
 
 MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
@@ -27,6 +31,9 @@ in float64, ten times in float32."""
 MAX_SEARCH_STEPS = 40
 """Newton steps of a search. Near a gait the iteration converges quadratically, in a few steps; a
 search that takes more than this is far from any gait."""
+
+FEW_STRIDES = 128
+"""Most strides for which all columns are computed at once: a second call would cost more."""
 
 
 class Gait(NamedTuple):
@@ -96,12 +103,6 @@ def cycle_distance(
     return min((float(np.abs(one - cycle).max()) for cycle in turned), default=0.0)
 
 
-def clear_values(gait: Gait) -> Gait:
-    """Return a failed search with NaN for its states, multipliers and step times."""
-    states, multipliers, times = (np.full_like(x, np.nan) for x in gait[:3])
-    return gait._replace(states=states, multipliers=multipliers, step_times=times)
-
-
 @jax.jit
 def solve_cycle(
     walker: System, states: Float[Array, "period section"], integrator: Integrator
@@ -144,6 +145,145 @@ def solve_cycle(
     )
 
 
+def iterate_newton(
+    walker: System,
+    cycles: Float[np.ndarray, "n period section"],
+    integrator: Integrator,
+    steps: int = MAX_SEARCH_STEPS,
+) -> Gait:
+    """Iterate Newton's method from n guesses of cycles; the first axis of each field is n.
+
+    The walker's parameters may be arrays of n. A search ends once its residual is rounding, or a
+    state makes no stride.
+    """
+    n, period, size = cycles.shape
+    cycles = cycles.copy()
+    best = Gait(
+        states=cycles.copy(),
+        multipliers=np.full((n, size), np.nan, np.result_type(cycles, np.complex64)),
+        step_times=np.full((n, period), np.nan, cycles.dtype),
+        stable=np.zeros(n, bool),
+        residual=np.full(n, np.nan, cycles.dtype),
+        found=np.zeros(n, bool),
+    )
+    jacobians = np.full((n, period, size, size), np.nan, cycles.dtype)
+    active = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
+    rounding = 10 * float(np.finfo(cycles.dtype).eps)
+    for _ in range(steps):
+        local = linearise(select_walkers(walker, active), cycles[active], integrator)
+        mismatch = local.state - np.roll(cycles[active], -1, axis=1)
+        residual = np.abs(mismatch).max(axis=(1, 2))
+        # near rounding errors a step no longer reduces the residual
+        better = ~(residual >= best.residual[active]) & np.isfinite(residual)
+        improved = active[better]
+        best.states[improved] = cycles[improved]
+        best.residual[improved] = residual[better]
+        best.step_times[improved] = local.time[better]
+        jacobians[improved] = local.jacobian[better]
+        ended = (residual <= rounding) | (
+            ~better & (best.residual[active] < MAX_RESIDUAL[cycles.dtype])
+        )
+        going = np.isfinite(residual) & ~ended
+        active, mismatch, jacobian = active[going], mismatch[going], local.jacobian[going]
+        if len(active) == 0:
+            break
+        step = solve_linear_systems(cycle_matrices(jacobian), -mismatch.reshape(len(active), -1))
+        cycles[active] += step.reshape(len(active), period, size)
+    known = np.flatnonzero(np.isfinite(best.residual))
+    best.multipliers[known] = find_multipliers(multiply_jacobians(jacobians[known]))
+    near = (best.residual < MAX_RESIDUAL[cycles.dtype]) & ~has_shorter_period(best.states)
+    with np.errstate(divide="ignore"):
+        error = estimate_error(best.residual[near], cycle_matrices(jacobians[near]))
+    best.found[near] = error < SAME_STATE_DISTANCE[cycles.dtype] / 10
+    best.stable[:] = best.found & (np.abs(best.multipliers[:, 0]) < 1)
+    return best
+
+
+class Linearisation(NamedTuple):
+    """Strides from n cycles of states, with the derivatives of their ends."""
+
+    state: Float[np.ndarray, "n period section"]
+    """Ends of the strides; NaN where one fails."""
+    time: Float[np.ndarray, "n period"]
+    """Durations of the strides, in the unit of time."""
+    jacobian: Float[np.ndarray, "n period section section"]
+    """Jacobian J of each stride: derivatives of its end by its start; NaN where it fails."""
+    by_parameter: Float[np.ndarray, "n period section"]
+    """Derivatives of the ends by the parameter; zero if none is given."""
+
+
+def linearise(
+    walker: System,
+    cycles: Float[np.ndarray, "n period section"],
+    integrator: Integrator,
+    parameter: str | None = None,
+) -> Linearisation:
+    """Make one stride from each state, with its derivatives; each column is a cell of its own.
+
+    The walker's parameters may be arrays of n. The first column shows which states make a stride.
+    The other columns are computed for these alone, unless there are few states.
+    """
+    size, names = cycles.shape[2], [] if parameter is None else [parameter]
+    shared = integrator.in_dtype(cycles.dtype), parameter_directions(walker, names, cycles.dtype)
+    directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
+    walkers, starts = repeat_cells(walker, cycles, 1)
+
+    def differentiate(columns, which):
+        each = lambda leaf: np.repeat(leaf[which], len(columns), axis=0)
+        cells = *jax.tree.map(each, (walkers, starts)), np.tile(columns, (len(which), 1))
+        return map_cells(jvp, (shared, cells))
+
+    everything = np.arange(len(starts))
+    by = np.full((len(starts), len(directions), size), np.nan, cycles.dtype)
+    few = len(starts) <= FEW_STRIDES
+    first = len(directions) if few else 1
+    (state, time), (changes, _) = differentiate(directions[:first], everything)
+    state, time = state[::first], time[::first]
+    by[:, :first] = changes.reshape(len(starts), first, size)
+    walks = np.isfinite(state).all(axis=1)
+    if not few:
+        walking = np.flatnonzero(walks)
+        _, (others, _) = differentiate(directions[1:], walking)
+        by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
+    shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])
+    return Linearisation(
+        state=shaped(state),
+        time=shaped(time),
+        jacobian=np.swapaxes(shaped(by[:, :size]), 2, 3),
+        by_parameter=shaped(by[:, size]) if parameter else np.zeros_like(cycles),
+    )
+
+
+def repeat_cells(
+    walker: System, cycles: Float[np.ndarray, "n period section"], columns: int
+) -> tuple[System, Float[np.ndarray, "cells section"]]:
+    """Repeat the walker and the start of every stride of the cycles, once for each column."""
+    n, period, size = cycles.shape
+    walkers = broadcast_parameters(walker, n, cycles.dtype)
+    return (
+        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), walkers),
+        np.repeat(cycles.reshape(-1, size), columns, axis=0),
+    )
+
+
+def jvp(shared: tuple[Integrator, System], cell):
+    """Return the stride of one cell, and its derivative along a direction (start, parameters)."""
+    integrator, axes = shared
+    walker, x, direction = cell
+    return jax.jvp(partial(timed_stride, integrator), (walker, x), split(axes, x, direction))
+
+
+def split(axes: System, x: Float[Array, " section"], direction: Float[Array, " columns"]):
+    """Split a direction into those of the walker and of the start."""
+    size = x.shape[0]
+    return jax.tree.map(lambda leaf: jnp.sum(leaf * direction[size:]), axes), direction[:size]
+
+
+def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " section"]):
+    result = follow_stride(walker, x, integrator)
+    return result.state, result.time
+
+
 def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
     """Return the eigenvalues of a matrix; distinct ones have derivatives up to the third order.
 
@@ -178,8 +318,7 @@ def apply_strides(
     walker: System, states: Float[Array, "n section"], integrator: Integrator
 ) -> tuple[Float[Array, "n section"], Float[Array, " n"]]:
     """Return the ends of strides, and their durations."""
-    ends = jax.vmap(follow_stride, (None, 0, None))(walker, states, integrator)
-    return ends.state, ends.time
+    return jax.vmap(timed_stride, (None, None, 0))(integrator, walker, states)
 
 
 def estimate_error(residual, matrix):
@@ -256,24 +395,3 @@ def find_multipliers(
 def order_by_modulus(values: Complex[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
     """Sort multipliers along the last axis, the upper one of a conjugate pair first: indices."""
     return np.lexsort((-np.imag(values), -np.abs(values)), axis=-1)
-
-
-def remove_duplicates(gaits: Gait) -> Gait:
-    """Return each gait found once, from its state with the smallest first coordinate."""
-    found = gait_at(gaits, np.asarray(gaits.found))
-    states, times = np.asarray(found.states), np.asarray(found.step_times)
-    first = states[..., 0].argmin(axis=1)
-    order_in_cycle = (first[:, None] + np.arange(states.shape[1])) % states.shape[1]
-    rotated = np.take_along_axis(states, order_in_cycle[..., None], axis=1)
-    times = np.take_along_axis(times, order_in_cycle, axis=1)
-    found = found._replace(states=rotated, step_times=times)
-    order = np.argsort(rotated[:, 0, 0], kind="stable")
-    kept = []
-    while len(order):
-        kept.append(order[0])
-        far = (
-            np.abs(rotated[order] - rotated[order[0]]).max(axis=(1, 2))
-            > SAME_STATE_DISTANCE[states.dtype]
-        )
-        order = order[far]
-    return Gait(*(field[kept] for field in found))

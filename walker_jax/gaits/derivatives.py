@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Complex, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.execution.tiles import map_cells
@@ -19,20 +17,19 @@ from walker_jax.gaits.cycles import (
     check_cycle,
     check_found,
     cycle_matrices,
+    jvp,
+    linearise,
     multiply_jacobians,
     order_by_modulus,
+    repeat_cells,
     solve_linear_systems,
+    split,
 )
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, parameter_directions
-from walker_jax.walking.iteration import broadcast_parameters
 from walker_jax.walking.starts import prepare
-from walker_jax.walking.stride import follow_stride
-
-FEW_STRIDES = 128
-"""Most strides for which all columns are computed at once: a second call would cost more."""
 
 MOST_PARAMETERS = 2
 """Parameters of second derivatives: the same program serves one or two."""
@@ -104,61 +101,6 @@ def gait_derivatives(
     return GaitDerivatives(dx[0], rates[order].astype(complex), second.time[0])
 
 
-class Linearisation(NamedTuple):
-    """Strides from n cycles of states, with the derivatives of their ends."""
-
-    state: Float[np.ndarray, "n period section"]
-    """Ends of the strides; NaN where one fails."""
-    time: Float[np.ndarray, "n period"]
-    """Durations of the strides, in the unit of time."""
-    jacobian: Float[np.ndarray, "n period section section"]
-    """Jacobian J of each stride: derivatives of its end by its start; NaN where it fails."""
-    by_parameter: Float[np.ndarray, "n period section"]
-    """Derivatives of the ends by the parameter; zero if none is given."""
-
-
-def linearise(
-    walker: System,
-    cycles: Float[np.ndarray, "n period section"],
-    integrator: Integrator,
-    parameter: str | None = None,
-) -> Linearisation:
-    """Make one stride from each state, with its derivatives; each column is a cell of its own.
-
-    The walker's parameters may be arrays of n. The first column shows which states make a stride.
-    The other columns are computed for these alone, unless there are few states.
-    """
-    size, names = cycles.shape[2], [] if parameter is None else [parameter]
-    shared = integrator.in_dtype(cycles.dtype), parameter_directions(walker, names, cycles.dtype)
-    directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
-    walkers, starts = repeat_cells(walker, cycles, 1)
-
-    def differentiate(columns, which):
-        each = lambda leaf: np.repeat(leaf[which], len(columns), axis=0)
-        cells = *jax.tree.map(each, (walkers, starts)), np.tile(columns, (len(which), 1))
-        return map_cells(jvp, (shared, cells))
-
-    everything = np.arange(len(starts))
-    by = np.full((len(starts), len(directions), size), np.nan, cycles.dtype)
-    few = len(starts) <= FEW_STRIDES
-    first = len(directions) if few else 1
-    (state, time), (changes, _) = differentiate(directions[:first], everything)
-    state, time = state[::first], time[::first]
-    by[:, :first] = changes.reshape(len(starts), first, size)
-    walks = np.isfinite(state).all(axis=1)
-    if not few:
-        walking = np.flatnonzero(walks)
-        _, (others, _) = differentiate(directions[1:], walking)
-        by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
-    shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])
-    return Linearisation(
-        state=shaped(state),
-        time=shaped(time),
-        jacobian=np.swapaxes(shaped(by[:, :size]), 2, 3),
-        by_parameter=shaped(by[:, size]) if parameter else np.zeros_like(cycles),
-    )
-
-
 class SecondDerivatives(NamedTuple):
     """Derivatives of strides from n cycles along a direction, and their own derivatives.
 
@@ -210,36 +152,6 @@ def differentiate_twice(
         time=time.reshape(shape)[:, :, 0],
         changes=np.swapaxes(each(changes), 2, 3),
     )
-
-
-def repeat_cells(
-    walker: System, cycles: Float[np.ndarray, "n period section"], columns: int
-) -> tuple[System, Float[np.ndarray, "cells section"]]:
-    """Repeat the walker and the start of every stride of the cycles, once for each column."""
-    n, period, size = cycles.shape
-    walkers = broadcast_parameters(walker, n, cycles.dtype)
-    return (
-        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), walkers),
-        np.repeat(cycles.reshape(-1, size), columns, axis=0),
-    )
-
-
-def jvp(shared: tuple[Integrator, System], cell):
-    """Return the stride of one cell, and its derivative along a direction (start, parameters)."""
-    integrator, axes = shared
-    walker, x, direction = cell
-    return jax.jvp(partial(timed_stride, integrator), (walker, x), split(axes, x, direction))
-
-
-def split(axes: System, x: Float[Array, " section"], direction: Float[Array, " columns"]):
-    """Split a direction into those of the walker and of the start."""
-    size = x.shape[0]
-    return jax.tree.map(lambda leaf: jnp.sum(leaf * direction[size:]), axes), direction[:size]
-
-
-def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " section"]):
-    result = follow_stride(walker, x, integrator)
-    return result.state, result.time
 
 
 def second_jvp(shared: tuple[Integrator, System], cell):

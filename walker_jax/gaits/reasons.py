@@ -5,8 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from walker_jax.checks import ComputationFailed
-from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import Gait, linearise
 from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.parameters import describe_briefly

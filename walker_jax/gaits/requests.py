@@ -10,12 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.gaits.derivatives import (
-    Linearisation,
-    SecondDerivatives,
-    differentiate_twice,
-    linearise,
-)
+from walker_jax.gaits.cycles import Linearisation, linearise
+from walker_jax.gaits.derivatives import SecondDerivatives, differentiate_twice
 from walker_jax.gaits.jets import Curves, differentiate_curves
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.system import System

@@ -32,21 +32,13 @@ from walker_jax.checks import (
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.cycles import (
     MAX_RESIDUAL,
-    MAX_SEARCH_STEPS,
     SAME_STATE_DISTANCE,
     Gait,
-    clear_values,
-    cycle_matrices,
-    estimate_error,
-    find_multipliers,
     gait_at,
-    has_shorter_period,
-    multiply_jacobians,
-    remove_duplicates,
+    iterate_newton,
+    linearise,
     solve_cycle,
-    solve_linear_systems,
 )
-from walker_jax.gaits.derivatives import linearise
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, Integrator
@@ -55,7 +47,7 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, warn_if_rounded
 from walker_jax.walkers.model import moves_like
 from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
+from walker_jax.walking.iteration import follow_walk, orbits, strides
 from walker_jax.walking.starts import as_floating, prepare
 
 
@@ -136,7 +128,10 @@ def search_gait(
     # The same iteration, in the program that is compiled for all searches.
     gaits = iterate_newton(walker, np.asarray(cycle)[None], integrator)
     gait = gait_at(confirm_gaits(walker, gaits, integrator), 0)
-    return gait if gait.found else clear_values(gait)
+    if gait.found:
+        return gait
+    states, multipliers, times = (np.full_like(x, np.nan) for x in gait[:3])
+    return gait._replace(states=states, multipliers=multipliers, step_times=times)
 
 
 def first_guess(
@@ -345,56 +340,22 @@ def cycle_guesses(
     return walking, states[walking, :period]
 
 
-def iterate_newton(
-    walker: System,
-    cycles: Float[np.ndarray, "n period section"],
-    integrator: Integrator,
-    steps: int = MAX_SEARCH_STEPS,
-) -> Gait:
-    """Iterate Newton's method from n guesses of cycles; the first axis of each field is n.
-
-    The walker's parameters may be arrays of n. A search ends once its residual is rounding, or a
-    state makes no stride.
-    """
-    n, period, size = cycles.shape
-    cycles = cycles.copy()
-    best = Gait(
-        states=np.full_like(cycles, np.nan),
-        multipliers=np.full((n, size), np.nan, np.result_type(cycles, np.complex64)),
-        step_times=np.full((n, period), np.nan, cycles.dtype),
-        stable=np.zeros(n, bool),
-        residual=np.full(n, np.nan, cycles.dtype),
-        found=np.zeros(n, bool),
-    )
-    best.states[:] = cycles
-    jacobians = np.full((n, period, size, size), np.nan, cycles.dtype)
-    active = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
-    rounding = 10 * float(np.finfo(cycles.dtype).eps)
-    for _ in range(steps):
-        local = linearise(select_walkers(walker, active), cycles[active], integrator)
-        mismatch = local.state - np.roll(cycles[active], -1, axis=1)
-        residual = np.abs(mismatch).max(axis=(1, 2))
-        # near rounding errors a step no longer reduces the residual
-        better = ~(residual >= best.residual[active]) & np.isfinite(residual)
-        improved = active[better]
-        best.states[improved] = cycles[improved]
-        best.residual[improved] = residual[better]
-        best.step_times[improved] = local.time[better]
-        jacobians[improved] = local.jacobian[better]
-        ended = (residual <= rounding) | (
-            ~better & (best.residual[active] < MAX_RESIDUAL[cycles.dtype])
+def remove_duplicates(gaits: Gait) -> Gait:
+    """Return each gait found once, from its state with the smallest first coordinate."""
+    found = gait_at(gaits, np.asarray(gaits.found))
+    states, times = np.asarray(found.states), np.asarray(found.step_times)
+    first = states[..., 0].argmin(axis=1)
+    order_in_cycle = (first[:, None] + np.arange(states.shape[1])) % states.shape[1]
+    rotated = np.take_along_axis(states, order_in_cycle[..., None], axis=1)
+    times = np.take_along_axis(times, order_in_cycle, axis=1)
+    found = found._replace(states=rotated, step_times=times)
+    order = np.argsort(rotated[:, 0, 0], kind="stable")
+    kept = []
+    while len(order):
+        kept.append(order[0])
+        far = (
+            np.abs(rotated[order] - rotated[order[0]]).max(axis=(1, 2))
+            > SAME_STATE_DISTANCE[states.dtype]
         )
-        going = np.isfinite(residual) & ~ended
-        active, mismatch, jacobian = active[going], mismatch[going], local.jacobian[going]
-        if len(active) == 0:
-            break
-        step = solve_linear_systems(cycle_matrices(jacobian), -mismatch.reshape(len(active), -1))
-        cycles[active] += step.reshape(len(active), period, size)
-    known = np.flatnonzero(np.isfinite(best.residual))
-    best.multipliers[known] = find_multipliers(multiply_jacobians(jacobians[known]))
-    near = (best.residual < MAX_RESIDUAL[cycles.dtype]) & ~has_shorter_period(best.states)
-    with np.errstate(divide="ignore"):
-        error = estimate_error(best.residual[near], cycle_matrices(jacobians[near]))
-    best.found[near] = error < SAME_STATE_DISTANCE[cycles.dtype] / 10
-    best.stable[:] = best.found & (np.abs(best.multipliers[:, 0]) < 1)
-    return best
+        order = order[far]
+    return Gait(*(field[kept] for field in found))

@@ -30,8 +30,6 @@ from walker_jax.integrators.series import evaluate_polynomial
 HOP = 1e-7
 """Distance, as part of a step, within which two zeros count as one, which is no crossing. In
 float32 it is 64 times the dtype's epsilon."""
-
-
 MOVED = 7
 """Number of coefficients that are moved to the middle of a step; later ones are small."""
 
@@ -110,15 +108,10 @@ def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
     """
     falls = (series[1] < 0) | ((series[1] == 0) & (series[2] < 0))
     sign = jnp.where(falls, -1, 1).astype(length.dtype)
-    later = size_of_rest(series, length)
+    later = evaluate_polynomial(sizes(series)[2:], length) * length**2
     rounding = 64 * float(jnp.finfo(length.dtype).eps) * (jnp.abs(series[1]) * length + later)
     others = later - jnp.abs(series[2]) * length**2
     return (sign * series[0] >= -rounding) & (sign * series[2] * length**2 >= others)
-
-
-def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
-    """Return the sum over k >= 2 of |c_k| length^k, a bound on the nonlinear part."""
-    return evaluate_polynomial(sizes(series)[2:], length) * length**2
 
 
 def is_monotone(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:

@@ -14,16 +14,20 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
-from walker_jax.hybrid.conditions import is_negative, least_between, value_and_rate
 from walker_jax.hybrid.crossings import Crossing, begins_below, first_rise, may_rise
-from walker_jax.hybrid.misses import Misses, Seen, add_misses, no_misses
-from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
-from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.method import MAX_STEPS, Method, zero_at
+from walker_jax.hybrid.misses import (
+    Misses,
+    Seen,
+    add_misses,
+    find_least,
+    no_misses,
+    value_and_rate,
+)
+from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
+from walker_jax.integrators.integrator import MAX_STEPS, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import function_series, is_list
-from walker_jax.integrators.taylor_steps import evaluate_series
 
 FIRST_ORDER = 6
 """Order to which guards are expanded in every step, to exclude a rise. If that does not exclude
@@ -46,7 +50,8 @@ class End(NamedTuple):
     an end, `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
     """Conditions that were violated, at both ends of the mode too."""
-    misses: Misses | None
+    misses: Any
+    """`Misses` of a mode that is measured, else None."""
 
 
 class Step(NamedTuple):
@@ -110,7 +115,7 @@ def follow_mode(
 
     zero = zero_at(start)
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
-    violated = {one.outcome: going & is_negative(one, start) for one in mode.conditions}
+    violated = {one.outcome: going & one.is_negative(start) for one in mode.conditions}
     misses = no_misses(mode, start) if measured else None
     first = before_first_step(mode, method, start)
     begun = Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
@@ -123,7 +128,7 @@ def follow_mode(
     arrival = jax.tree.map(keep, refined, last.arrival)
     violated = dict(last.violated)
     for condition in mode.conditions:
-        violated[condition.outcome] |= going & is_negative(condition, arrival)
+        violated[condition.outcome] |= going & condition.is_negative(arrival)
     return End(arrival, last.time + keep(delay, zero), last.guard, violated, last.misses)
 
 
@@ -131,7 +136,7 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
     """Return a step of no length at the start of a mode."""
     zero = zero_at(start)
     sides = [zero for _ in mode.guards]
-    rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched(mode)]
+    rates = [(zero, value_and_rate(mode, one, start)[1]) for one in watched(mode)]
     # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
     nothing = sum(0 * x for x in jax.tree.leaves(start))
     start = jax.tree.map(lambda x: x + nothing, start)
@@ -153,11 +158,11 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
         ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
     rates = []
     for condition, (_, before) in zip(watched(mode), step.rates, strict=True):
-        value, rate = value_and_rate(condition.value, mode.rates, end)
+        value, rate = value_and_rate(mode, condition, end)
         may |= ((value < 0) | ((before < 0) & (rate > 0))) & ~violated[condition.outcome]
         rates.append((before, rate))
     if mode.foregone is not None:
-        may |= holds(mode.foregone, end)
+        may |= value_at(mode.foregone.holds, end)
     kept = series if method.carries_series(begins) else ()
     time = step.time + step.length
     return Step(begins, end, time, length, sides, ends, rates, ~may, memory, kept)
@@ -168,7 +173,7 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
     series, end, length, memory = method.step(step.end, step.memory)
     ends = []
     for guard, side in zip(mode.guards, step.ends, strict=True):
-        below = with_fast_sincos(guard.value)(lax.stop_gradient(end)) < 0
+        below = value_at(guard.value, end) < 0
         ends.append(jnp.where(length == 0, side, jnp.where(below, -1, 1).astype(length.dtype)))
     kept = series if method.carries_series(step.end) else ()
     time = step.time + step.length
@@ -191,23 +196,18 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
     refined = method.refine_time(event, last.start, series, until)
     until = jnp.where(jnp.isfinite(when), refined, last.length)
     arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
-    misses = now.misses
-    if misses is not None:
-        sides = [(one.below, one.ends_below) for one in crossings]
-        seen = Seen(last.start, series, last.length, arrival, until, sides, now.violated)
-        misses = add_misses(mode, misses, seen)
+    seen = Seen(last.start, series, last.length, arrival, until, crossings, now.violated)
+    misses = None if now.misses is None else add_misses(mode, now.misses, seen)
     if mode.foregone is not None:
-        foregone = (number == NO_GUARD) & holds(mode.foregone, last.end)
+        foregone = (number == NO_GUARD) & value_at(mode.foregone.holds, last.end)
         number = jnp.where(foregone, len(mode.guards), number)
     for condition in watched(mode):
         key = condition.outcome
         if misses is not None:
             least = misses.least[key]
         else:
-            at = partial(value_and_rate, condition.value, mode.rates)
-            between = lambda t: evaluate_series(series, t)
-            _, least = least_between(at, last.start, arrival, between, until, above=0.0)
-        violated[key] |= (least < 0) | is_negative(condition, arrival)
+            _, least = find_least(mode, condition, seen, sign_alone=True)
+        violated[key] |= (least < 0) | condition.is_negative(arrival)
     return Unfinished(last, arrival, last.time + until, number, now.count, violated, misses)
 
 
@@ -238,16 +238,15 @@ def rises_perhaps(
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
     """Return whether a guard may rise in a step, and whether it ends below zero."""
     value, admits = polynomials
-    at_end = lambda one: with_fast_sincos(one)(lax.stop_gradient(end))
     below = is_below(side, value)
     # A step that its method rejects has no length, and changes no side.
-    ends_below = jnp.where(length == 0, below, at_end(guard.value) < 0)
+    ends_below = jnp.where(length == 0, below, value_at(guard.value, end) < 0)
     if not guard.persists:
         return may_rise(value, admits, length, below, ends_below), ends_below
     slope = evaluate_polynomial(derivative_of(value), length)
     rises = ~ends_below & (below | ((value[1] < 0) & (slope > 0)))
     for function, series in zip(guard.admits, admits, strict=True):
-        rises &= (series[0] > 0) | (at_end(function) > 0)
+        rises &= (series[0] > 0) | (value_at(function, end) > 0)
     return rises, ends_below
 
 
@@ -257,7 +256,3 @@ def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any) -> Scalar:
     for i, guard in enumerate(mode.guards[1:], 1):
         value = jnp.where(number == i, guard.value(state), value)
     return value
-
-
-def holds(foregone: Foregone, state: Any) -> Bool[Array, ""]:
-    return with_fast_sincos(foregone.holds)(lax.stop_gradient(state))

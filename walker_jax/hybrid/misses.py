@@ -3,19 +3,25 @@
 A guard misses a rise where its value turns below zero, or turns or rises most slowly above zero,
 where it is admitted. It also misses one where it rises through zero and is not admitted. A step of
 the integration must be so short that the rate of a value turns at most once in it.
+
+The value of a condition may cost as much as a vector field, as a force does. So it is not expanded
+in a series but evaluated where steps end, with its rate. A step has a minimum within it if the rate
+is negative at its start and positive at its end.
 """
 
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
-from walker_jax.hybrid.conditions import least_between, value_and_rate
+from walker_jax.hybrid.crossings import Crossing
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.method import zero_at
+from walker_jax.integrators.integrator import zero_at
 from walker_jax.integrators.roots import (
     Instant,
     Jet,
@@ -29,8 +35,9 @@ from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import function_series
 from walker_jax.integrators.taylor_steps import evaluate_series
 
-FINE = 1e-9
-"""Resolution of the time at which a condition is least, as part of a step."""
+FINE, FINEST = 1e-6, 1e-9
+"""Resolutions of the time at which a condition is least, as part of a step, to tell its sign and to
+find its value. The error of a value is about the square of it."""
 
 
 class Misses(NamedTuple):
@@ -61,8 +68,8 @@ class Seen(NamedTuple):
     arrival: Any
     until: Scalar
     """Time of the arrival since the start of the step."""
-    sides: list[tuple[Bool[Array, ""], Bool[Array, ""]]]
-    """Whether each guard is below zero at the start and at the end of the whole step."""
+    crossings: list[Crossing]
+    """The guards in the whole step."""
     violated: dict[int, Bool[Array, ""]]
     """Whether each condition was violated before the step."""
 
@@ -76,7 +83,7 @@ def no_misses(mode: Mode, start: Any) -> Misses:
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
     """Add the misses of a step to those that are known. All values have their derivatives."""
-    found = [turns_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
+    found = [turns_in_step(*one, step) for one in zip(mode.guards, step.crossings, strict=True)]
     nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
     least, before = {}, {}
     for one in mode.conditions:
@@ -104,9 +111,7 @@ class Turns(NamedTuple):
     rises: Bool[Array, ""]
 
 
-def turns_in_step(
-    guard: Guard, sides: tuple[Bool[Array, ""], Bool[Array, ""]], step: Seen
-) -> Turns:
+def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
     """Find where a guard turns in a step, and where it rises without being admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
@@ -146,7 +151,7 @@ def turns_in_step(
     last = jnp.where(falls, top.time, until)
     whole = ~falls & (step.until == step.length)
     above_zero = jnp.where(falls, high, end.value) >= 0
-    rises = (turned | sides[0]) & jnp.where(whole, ~sides[1], above_zero)
+    rises = (turned | crossing.below) & jnp.where(whole, ~crossing.ends_below, above_zero)
     time = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, first, last), last)
     lacks = admitted(differentiable_zero(value, time))
     miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)
@@ -202,9 +207,54 @@ def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -
 
 def least_in_step(mode: Mode, condition: Condition, step: Seen) -> Scalar:
     """Return the least value of a condition where it turns in a step; infinite if it does not."""
-    at = partial(value_and_rate, condition.value, mode.rates)
-    between = lambda time: evaluate_series(step.series, time)
-    ends = step.start, step.arrival
-    time, value = least_between(at, *ends, between, step.until, resolution=FINE)
+    time, value = find_least(mode, condition, step)
     there = with_fast_sincos(condition.value)(evaluate_series(step.series, time))
     return jnp.where(jnp.isfinite(value), there, value)
+
+
+def find_least(
+    mode: Mode, condition: Condition, step: Seen, *, sign_alone: bool = False
+) -> tuple[Scalar, Scalar]:
+    """Find the time at which a condition is least in a step, and its value then.
+
+    It is at a root of the rate, bracketed by secants (Illinois) to a part of the step; for its
+    `sign_alone`, until the value is not above zero. The value is infinite where it does not turn in
+    the step. Results are constants to derivatives.
+    """
+    resolution, above = (FINE, 0.0) if sign_alone else (FINEST, -np.inf)
+    at = partial(value_and_rate, mode, condition)
+    before, after, time = lax.stop_gradient((step.start, step.arrival, step.until))
+    below, beyond, zero = at(before)[1], at(after)[1], jnp.zeros_like(time)
+    # A finer resolution would never be reached.
+    resolution = max(resolution, 8 * float(jnp.finfo(time.dtype).eps))
+
+    def unfinished(carry):
+        low, high, *_, least = carry
+        return (high - low > resolution * time) & (least > above)
+
+    def narrow(carry):
+        low, high, below, beyond, best, least = carry
+        t = low + (high - low) * jnp.clip(below / (below - beyond), 0.01, 0.99)
+        value, rate = at(lax.stop_gradient(evaluate_series(step.series, t)))
+        falling = rate < 0
+        # An end that stays counts half as much the next time.
+        return (
+            jnp.where(falling, t, low),
+            jnp.where(falling, high, t),
+            jnp.where(falling, rate, below / 2),
+            jnp.where(falling, beyond / 2, rate),
+            jnp.where(value < least, t, best),
+            jnp.minimum(least, value),
+        )
+
+    active = (below < 0) & (beyond > 0)
+    high = jnp.where(active, time, zero)
+    carry = (zero, high, below, beyond, zero, jnp.full_like(time, jnp.inf))
+    *_, best, least = lax.while_loop(unfinished, narrow, carry)
+    return best, least
+
+
+def value_and_rate(mode: Mode, condition: Condition, state: Any) -> tuple[Scalar, Scalar]:
+    """Return a condition's value and its rate along the motion; constants to derivatives."""
+    both = with_fast_sincos(lambda state: jax.jvp(condition.value, (state,), (mode.rates(state),)))
+    return lax.stop_gradient(both(lax.stop_gradient(state)))

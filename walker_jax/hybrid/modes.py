@@ -9,12 +9,19 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool
 
+from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 
 Function = Callable[[Any], Scalar]
+
+
+def value_at(function: Callable[[Any], Array], state: Any) -> Any:
+    """Return a function's value in a state, constant to derivatives."""
+    return with_fast_sincos(function)(lax.stop_gradient(state))
 
 
 class Guard(NamedTuple):
@@ -50,6 +57,10 @@ class Condition(NamedTuple):
     zero_at_ends: tuple[bool, bool] = (False, False)
     """Whether it is zero by definition as the mode starts, and where its last guard rises. Its
     margin then counts values elsewhere."""
+
+    def is_negative(self, state: Any) -> Bool[Array, ""]:
+        """Return whether a state violates it."""
+        return value_at(self.value, state) < 0
 
 
 class Foregone(NamedTuple):

@@ -112,21 +112,12 @@ def dense_coefficient(k: int, x: Series) -> Any:
     return jnp.zeros_like(x[0]) if x[k] is None else x[k]
 
 
-def larger_operand(k: int, operands: list[Series], bind: Callable) -> Any:
+def one_of_two(takes_left: Callable, k: int, operands: list[Series], bind: Callable) -> Any:
     left, right = operands
-    return select_branch(k, left[0] >= right[0], left, right)
-
-
-def smaller_operand(k: int, operands: list[Series], bind: Callable) -> Any:
-    left, right = operands
-    return select_branch(k, left[0] <= right[0], left, right)
-
-
-def select_branch(k: int, which, one: Series, other: Series) -> Any:
-    """Return the k-th coefficient of one series where a flag is true, else of another."""
-    if one[k] is None and other[k] is None:
+    which = takes_left(left[0], right[0])
+    if left[k] is None and right[k] is None:
         return None
-    return jnp.where(which, dense_coefficient(k, one), dense_coefficient(k, other))
+    return jnp.where(which, dense_coefficient(k, left), dense_coefficient(k, right))
 
 
 def clamped_operand(k: int, operands: list[Series], bind: Callable) -> Any:
@@ -332,8 +323,8 @@ Expansion.rules = {
     "cumprod": by_definition(cumulative_product),
     "div": division_rule,
     "integer_pow": integer_power_rule,
-    "max": by_coefficients(larger_operand),
-    "min": by_coefficients(smaller_operand),
+    "max": by_coefficients(partial(one_of_two, operator.ge)),
+    "min": by_coefficients(partial(one_of_two, operator.le)),
     "mul": by_coefficients(times),
     "one_minus_square": by_coefficients(one_minus_square),
     "polynomial": by_definition(lambda x, *c, **_: evaluate_polynomial(list(c), x)),

@@ -1,24 +1,57 @@
-"""The tolerance and the solver of an integration, checked."""
+"""Integration of equations of motion: its checked settings, and single steps of any method.
 
+A method is a Taylor series, or an explicit Runge-Kutta method of diffrax. The loop around its steps
+is in `hybrid.following`.
+"""
+
+import math
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jax.core import Tracer
-from jaxtyping import PyTree
+from jaxtyping import Array, Float, PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.integrators.method import Method, Solver
-from walker_jax.integrators.roots import Real, Scalar
-from walker_jax.integrators.taylor import VectorField
-from walker_jax.integrators.taylor_solver import Taylor
-from walker_jax.integrators.taylor_steps import series_order
+from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.roots import Real, Scalar, derivative_of
+from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.taylor import (
+    VectorField,
+    function_series,
+    is_absent,
+    solution_series,
+)
+from walker_jax.integrators.taylor_steps import (
+    SERIES_ORDER,
+    SeriesSteps,
+    Taylor,
+    evaluate_series,
+    taylor_step,
+)
 
 AnySolver = diffrax.AbstractSolver
+Solver = diffrax.AbstractAdaptiveSolver
 
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
+MAX_STEPS = 1000
+"""Most steps of one integration, so that it always ends."""
+MOST_EXPANDED_AGAIN = 6
+"""Most variables of a state whose series is expanded again for the search within a step. For more
+variables it is cheaper to carry the series from step to step."""
+INTERPOLATION_ORDER = 8
+"""Order of the polynomial that represents a Runge-Kutta interpolation; diffrax has none higher."""
+NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
+"""Fractions of a step at which the interpolation is evaluated to fit the polynomial."""
+TIME_REFINEMENTS = 3
+"""Newton iterations on a time found by interpolation; each squares its error."""
 
 
 def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
@@ -60,9 +93,9 @@ class Integrator(eqx.Module):
         state: PyTree,
         *others: Callable[[PyTree], PyTree],
         watched: tuple[Callable[[PyTree], Scalar], ...] = (),
-    ) -> Method:
+    ) -> "Method":
         """Return the method that integrates y' = f(y) from a state."""
-        solver = self.solver or Taylor(series_order(state))
+        solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
         return Method(field, solver, self.tolerance, others, watched)
 
 
@@ -84,3 +117,185 @@ def integrator_of(
             f"such as diffrax.Dopri8(), or a Taylor, not {short(solver)}"
         )
     return Integrator(tolerance, solver)
+
+
+def zero_at(state: PyTree) -> Scalar:
+    """Return zero, as a function of a state.
+
+    The values of a loop should start from this zero if they depend on the state in later turns. If
+    a value has no derivative at first, JAX differentiates the whole loop once more.
+    """
+    return 0 * jnp.sum(jax.tree.leaves(state)[0])
+
+
+def stop_gradients(tree: PyTree) -> PyTree:
+    """Return a tree in which all arrays are constant to derivatives."""
+    return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
+
+
+def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scalar]:
+    """Fit the polynomial in 0 <= t <= length with these values at t = `NODES` length."""
+    changes, unit, found = values - values[0], jnp.ones_like(length), [values[0]]
+    for row in np.linalg.inv(np.vander(NODES, increasing=True))[1:]:
+        unit = unit * length
+        whole = sum(float(part) * change for part, change in zip(row, changes, strict=True))
+        found.append(whole / unit)
+    return found
+
+
+class Method(eqx.Module):
+    """Equations y' = f(y), with the diffrax solver and the tolerance of their solution."""
+
+    field: VectorField
+    solver: Solver
+    tolerance: Real
+    others: tuple[Callable[[PyTree], PyTree], ...] = ()
+    """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f."""
+    watched: tuple[Callable[[PyTree], Scalar], ...] = ()
+    """Functions of the state whose series limit the steps as the solution's series does."""
+
+    @property
+    def terms(self):
+        field = self.field if isinstance(self.solver, Taylor) else with_fast_sincos(self.field)
+        return diffrax.ODETerm(lambda t, y, args: field(y))
+
+    @property
+    def forward_solver(self) -> Solver:
+        """Return the solver with a loop over stages that supports forward mode."""
+        if not isinstance(self.solver, diffrax.AbstractRungeKutta):
+            return self.solver
+        return eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=is_absent)
+
+    def controller(self) -> diffrax.AbstractStepSizeController:
+        if isinstance(self.solver, Taylor):
+            order = self.solver.taylor_order
+            return SeriesSteps(self.field, order, self.tolerance, self.others)
+        return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
+
+    def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
+        """Integrate from `state` at t0 to t1."""
+        solver = self.solver
+        if isinstance(solver, Taylor):
+            solver = Taylor(solver.taylor_order, self.field)
+        return diffrax.diffeqsolve(
+            self.terms,
+            solver,
+            t0,
+            t1,
+            None,
+            state,
+            saveat=diffrax.SaveAt(t1=True),
+            stepsize_controller=self.controller(),
+            adjoint=diffrax.ForwardMode(),
+            max_steps=MAX_STEPS,
+            throw=False,
+        )
+
+    def carries_series(self, state: PyTree) -> bool:
+        """Return whether a loop should carry a step's polynomial instead of computing it again."""
+        series = isinstance(self.solver, Taylor)
+        return not series or len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
+
+    def first_memory(self, state: PyTree) -> PyTree:
+        """Return the method's memory for the first step."""
+        if isinstance(self.solver, Taylor):
+            return ()
+        zero, terms, controller = zero_at(state), self.terms, self.controller()
+        order = self.solver.error_order(terms)
+        first = self.forward_solver.init(terms, zero, zero + 1, state, None)
+        length, kept = controller.init(
+            terms, zero, jnp.full_like(zero, jnp.inf), state, None, None, self.solver.func, order
+        )
+        return length, kept, first
+
+    def step(self, state: PyTree, memory: PyTree) -> tuple[PyTree[list], PyTree, Scalar, PyTree]:
+        """Make one step of the method from a state.
+
+        Returns the polynomial of the step, from its start (the series of the solution, or the
+        interpolation of a Runge-Kutta method); its end; its length, zero if the method rejects the
+        step; and the memory for the next step.
+        """
+        if isinstance(self.solver, Taylor):
+            order = self.solver.taylor_order
+            series, length = taylor_step(
+                self.field, state, order, self.tolerance, *self.others, watched=self.watched
+            )
+            return series, evaluate_series(series, length), length, ()
+        length, kept, first = memory
+        zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
+        end, error, dense, last, _ = self.forward_solver.step(
+            terms, zero, length, state, None, first, False
+        )
+        order: Any = self.solver.error_order(terms)
+        good, begins, ends, _, kept, _ = controller.adapt_step_size(
+            zero, length, state, end, None, error, order, kept
+        )
+        inside = self.solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
+        series = jax.tree.map(partial(fit_polynomial, length), jax.vmap(inside)(length * NODES))
+        keep = lambda new, old: jax.tree.map(partial(jnp.where, good), new, old)
+        memory = ends - begins, kept, keep(last, first)
+        return series, keep(end, state), jnp.where(good, length, 0), memory
+
+    def series_of(self, state: PyTree) -> PyTree[list]:
+        """Return the series of the solution from a state, for a Taylor method."""
+        assert isinstance(self.solver, Taylor)
+        return solution_series(self.field, state, self.solver.taylor_order)
+
+    def no_series(self, state: PyTree) -> PyTree[list]:
+        """Return a constant polynomial with as many coefficients as those of steps."""
+        solver = self.solver
+        order = solver.taylor_order if isinstance(solver, Taylor) else INTERPOLATION_ORDER
+        return jax.tree.map(lambda x: [x, *[0 * x] * order], state)
+
+    def state_at(self, state: PyTree, series: PyTree[list], time: Scalar) -> PyTree:
+        """Return the state at a time after the start of a step, by its series or a shorter step."""
+        if isinstance(self.solver, Taylor):
+            return evaluate_series(series, time)
+        zero, solver = jnp.zeros_like(time), self.forward_solver
+        first = solver.init(self.terms, zero, time, state, None)
+        return solver.step(self.terms, zero, time, state, None, first, False)[0]
+
+    def refine_time(
+        self, event: Callable[[PyTree], Scalar], state: PyTree, series: PyTree[list], time: Scalar
+    ) -> Scalar:
+        """Refine the time from the start of a step to an event; constant to derivatives.
+
+        The interpolation of a Runge-Kutta method is less accurate than its steps. So each Newton
+        iteration takes a step to the latest time. A series needs no refinement.
+        """
+        if isinstance(self.solver, Taylor):
+            return time
+        method, state, time = stop_gradients((self, state, time))
+        for _ in range(TIME_REFINEMENTS):
+            there = method.state_at(state, series, time)
+            value, rate = jax.jvp(event, (there,), (method.field(there),))
+            time = time - value / rate
+        return time
+
+    def series(self, function: Callable, state: PyTree, order: int) -> PyTree[list]:
+        """Return the Taylor coefficients of function(y(t)) along the solution y from a state."""
+        if isinstance(self.solver, Taylor):
+            return function_series(function, solution_series(self.field, state, order))
+        values = []
+        for k in range(order + 1):
+            value = jax.tree.map(lambda x, k=k: x / math.factorial(k), function(state))
+            values.append(value)
+            along = lambda state, last=function: jax.jvp(last, (state,), (self.field(state),))[1]
+            function = along
+        return jax.tree.map(lambda *coefficients: list(coefficients), *values)
+
+    def refine_event(
+        self, event: Callable[[PyTree], Scalar], state: PyTree
+    ) -> tuple[PyTree, Scalar]:
+        """Return the state at which `event` is zero, and the time to it, with their derivatives.
+
+        `state` is already that state to rounding, at a time that is constant to derivatives, so the
+        returned values are `state` and 0. Two Newton iterations, dt = -event / (d event / dt), on a
+        series of third order make their derivatives exact to third order.
+        """
+        values = self.series(event, state, 3)
+        values[0] -= lax.stop_gradient(values[0])
+        slopes = derivative_of(values)
+        time = -values[0] / values[1]
+        time = time - evaluate_polynomial(values, time) / evaluate_polynomial(slopes, time)
+        return evaluate_series(self.series(lambda state: state, state, 3), time), time

@@ -199,12 +199,12 @@ def coefficient_product(
     return apply_once(multiply, one, other)
 
 
-def newest_last(first: int, last: int) -> list[int]:
-    """Return first ... last, with these two moved to the end, as their terms are known last.
+def newest_last(last: int) -> list[int]:
+    """Return 0 ... last, with these two moved to the end, as their terms are known last.
 
     A processor can then sum the other terms while it waits for them.
     """
-    return [*range(first + 1, last), *dict.fromkeys((first, last))]
+    return [*range(1, last), *dict.fromkeys((0, last))]
 
 
 # Rules: the k-th coefficient of a result, given the operands and the operation on coefficients.
@@ -229,7 +229,7 @@ def minus(k: int, operands: list[Series], bind: Callable = operator.sub) -> Any:
 
 def bilinear(k: int, operands: list[Series], bind: Callable) -> Any:
     left, right = operands
-    return add_terms(coefficient_product(left, j, right, k - j, bind) for j in newest_last(0, k))
+    return add_terms(coefficient_product(left, j, right, k - j, bind) for j in newest_last(k))
 
 
 def times(k: int, operands: list[Series], bind: Callable = operator.mul) -> Any:
@@ -239,7 +239,7 @@ def times(k: int, operands: list[Series], bind: Callable = operator.mul) -> Any:
 
 def square(k: int, x: Series, multiply: Callable) -> Any:
     """Return the k-th coefficient of a square; each product of coefficients is computed once."""
-    pairs = (coefficient_product(x, j, x, k - j, multiply) for j in newest_last(0, (k - 1) // 2))
+    pairs = (coefficient_product(x, j, x, k - j, multiply) for j in newest_last((k - 1) // 2))
     double = scale(add_terms(pairs), 2) if k else None
     middle = coefficient_product(x, k // 2, x, k // 2, multiply) if k % 2 == 0 else None
     return add_terms([middle, double])

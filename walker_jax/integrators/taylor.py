@@ -64,9 +64,7 @@ def grow_series(vector_field, state, order):
     return jax.tree.map(lambda series: coefficients_up_to(series, order), solutions)
 
 
-@eqx.filter_custom_jvp
-def expand_solution(vector_field, state, *, order):
-    return grow_series(vector_field, state, order)
+expand_solution = eqx.filter_custom_jvp(grow_series)
 
 
 @expand_solution.def_jvp
@@ -138,12 +136,19 @@ class VariedField(eqx.Module):
 
 def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> PyTree[list]:
     """Return the Taylor coefficients of function(y(t)), given those of y(t), to the same order."""
+    results = compose(function, *expandable(series))
+    return jax.tree.map(lambda result: coefficients_up_to(result, order_of(series)), results)
+
+
+def expandable(series: PyTree[list]) -> tuple[PyTree[Series], PyTree]:
+    """Return lists of coefficients as `Series`, and their values at t = 0."""
     known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
-    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
-    start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
-    return jax.tree.map(
-        lambda result: coefficients_up_to(result, order), compose(function, known, start)
-    )
+    return known, jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
+
+
+def order_of(series: PyTree[list]) -> int:
+    """Return the order of the last coefficients."""
+    return len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
 
 
 @eqx.filter_jit
@@ -161,9 +166,7 @@ def switching_series(
     time; an empty list if `function` is smooth. Their order is that of the series, less two for a
     `PowerBalance`.
     """
-    known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
-    start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
-    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
+    (known, start), order = expandable(series), order_of(series)
     with recording(switches) as found:
         if isinstance(function, PowerBalance):
             function.balance(jax.tree.leaves(known), jax.tree.leaves(start))

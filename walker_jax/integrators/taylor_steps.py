@@ -1,7 +1,14 @@
-"""Steps by Taylor series: their size, and the solution within them."""
+"""Steps by Taylor series: their size, and a solver that makes them in `diffrax.diffeqsolve`.
+
+`SeriesSteps` is the step size controller that suits the solver, which never rejects a step.
+Derivatives are taken in forward mode; `kernels.kernel` derives reverse mode from them.
+"""
 
 from collections.abc import Callable
+from typing import ClassVar
 
+import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -19,6 +26,7 @@ from walker_jax.integrators.taylor import (
     VectorField,
     function_series,
     is_list,
+    order_of,
     solution_series,
     switching_series,
 )
@@ -55,7 +63,7 @@ def step_size(series: PyTree, tolerance: Real) -> Scalar:
 
 def uncapped_step_size(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
     """Return the h of `step_size` without its cap, infinite if the last terms vanish; float32."""
-    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
+    order = order_of(series)
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
     def log_length(k):
@@ -133,10 +141,107 @@ def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar
     return length
 
 
-def series_order(state: PyTree) -> int:
-    """Return the order of the series in a step from a state."""
-    return SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
-
-
 def evaluate_series(series: PyTree, t) -> PyTree:
     return jax.tree.map(lambda c: evaluate_polynomial(c, t), series, is_leaf=is_list)
+
+
+class TaylorInterpolation(diffrax.AbstractLocalInterpolation):
+    """A step's own polynomial."""
+
+    t0: Scalar
+    t1: Scalar
+    series: PyTree
+
+    def evaluate(self, t0, t1=None, left=True):
+        del left
+        if t1 is not None:
+            return jax.tree.map(lambda a, b: a - b, self.evaluate(t1), self.evaluate(t0))
+        return evaluate_series(self.series, t0 - self.t0)
+
+
+class Taylor(diffrax.AbstractAdaptiveSolver):
+    """Explicit Taylor method for `diffrax.diffeqsolve`, of any order.
+
+    The error estimate is the last term of the series, so adaptive steps keep that term below the
+    tolerance. Dense output is the series itself, of the full order. Equations may depend on time.
+    """
+
+    taylor_order: int = eqx.field(static=True, default=SERIES_ORDER[jnp.dtype("float64")])
+    field: VectorField | None = None
+    """f, if it depends on the state alone; it may be a `PowerBalance`."""
+
+    term_structure: ClassVar = diffrax.ODETerm
+    interpolation_cls: ClassVar = TaylorInterpolation
+
+    def order(self, terms):
+        return self.taylor_order
+
+    def error_order(self, terms):
+        return self.taylor_order
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def expand(self, terms, t0, y0, args) -> tuple[PyTree[list], list[list[Scalar]]]:
+        """Expand the solution from a state, and its switching functions."""
+        if self.field is not None:
+            series = solution_series(self.field, y0, self.taylor_order)
+            return series, switching_series(self.field, series)
+
+        def autonomous(state):
+            time, y = state
+            return jnp.ones_like(time), terms.vf(time, y, args)
+
+        both = solution_series(autonomous, (jnp.asarray(t0), y0), self.taylor_order)
+        return both[1], switching_series(autonomous, both)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del solver_state, made_jump
+        series, switches = self.expand(terms, t0, y0, args)
+        length = jnp.asarray(t1 - t0)
+        power = length**self.taylor_order
+        error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
+        if switches:
+            # A step over a kink gets an error that every controller rejects; a step that ends just
+            # behind the kink does not.
+            eps = float(jnp.finfo(length.dtype).eps)
+            least = 1e3 * eps * jnp.maximum(step_size(series, eps), jnp.abs(t1))
+            over = length > cut_at_switches(switches, length, least)
+            error = jax.tree.map(lambda e: jnp.where(over, scale_of(series), e), error)
+        return (
+            evaluate_series(series, length),
+            error,
+            dict(series=series),
+            None,
+            diffrax.RESULTS.successful,
+        )
+
+
+class SeriesSteps(diffrax.AbstractStepSizeController):
+    """Makes steps as long as the series of the solution allows, so that none is rejected.
+
+    The steps and the arguments are those of `taylor_step`.
+    """
+
+    field: VectorField
+    order: int = eqx.field(static=True)
+    tolerance: Real
+    others: tuple[Callable[[PyTree], PyTree], ...] = ()
+
+    def wrap(self, direction):
+        return self
+
+    def longest(self, state: PyTree) -> Scalar:
+        return taylor_step(self.field, state, self.order, self.tolerance, *self.others)[1]
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        return t0 + self.longest(y0), None
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        following = t1 + self.longest(y1_candidate)
+        return jnp.array(True), t1, following, False, None, diffrax.RESULTS.successful

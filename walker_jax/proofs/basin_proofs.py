@@ -10,8 +10,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers, short
-from walker_jax.gaits.cycles import Gait, check_found, multiply_jacobians
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import Gait, check_found, linearise, multiply_jacobians
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of

@@ -18,11 +18,10 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.attractor_search import sample
+from walker_jax.basins.attractor import Attractor, sample
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.matching import NONE, match_cycles
-from walker_jax.basins.memory import check_grid
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers
 from walker_jax.execution.progress import track
 from walker_jax.gaits.branches import (

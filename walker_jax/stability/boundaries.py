@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from walker_jax.basins.computation import basin
+from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.edge_states import EdgeState, edge_state
-from walker_jax.basins.memory import check_grid
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.entropies import BOX, basin_entropy

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
 from walker_jax.basins.capture_boxes import with_capture_boxes
-from walker_jax.basins.memory import check_grid
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers

@@ -14,8 +14,12 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Scalar, Walker
-from walker_jax.walking.disturbed import Disturbance, follow_disturbed, follow_disturbed_walk
-from walker_jax.walking.disturbed_margins import follow_disturbed_margins
+from walker_jax.walking.disturbed import (
+    Disturbance,
+    follow_disturbed,
+    follow_disturbed_margins,
+    follow_disturbed_walk,
+)
 from walker_jax.walking.failure_margins import failure_margin
 from walker_jax.walking.iteration import Targets, WalkEnd, distances
 

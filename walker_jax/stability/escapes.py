@@ -31,7 +31,7 @@ from walker_jax.checks import (
     refuses_tracers,
     short,
 )
-from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.stability.rough_ground import mean_life
 from walker_jax.systems.outcomes import Outcome

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basins
-from walker_jax.basins.memory import check_grid
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar, track

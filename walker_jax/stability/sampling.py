@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import cubes
-from walker_jax.basins.memory import check_grid
+from walker_jax.basins.computation import check_grid
 from walker_jax.checks import (
     WrongUse,
     check_confidence,

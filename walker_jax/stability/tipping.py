@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Labels, Mapper
-from walker_jax.basins.memory import check_grid
 from walker_jax.checks import (
     WrongUse,
     check_confidence,

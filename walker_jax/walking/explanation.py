@@ -19,8 +19,7 @@ from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import along
 from walker_jax.hybrid.modes import Condition, Mode
-from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.method import MAX_STEPS
+from walker_jax.integrators.integrator import MAX_STEPS, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem

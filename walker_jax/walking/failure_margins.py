@@ -24,8 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.modes import Guard
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.method import zero_at
+from walker_jax.integrators.integrator import Integrator, zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
@@ -34,7 +33,7 @@ from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import for_each_start
-from walker_jax.walking.starts import during_stride, prepare
+from walker_jax.walking.starts import during_stride, on_section, prepare
 from walker_jax.walking.stride import (
     Arrival,
     Part,
@@ -166,7 +165,7 @@ def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
 
 def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
     """Return `System.margin`; NaN where there is none."""
-    known = walker.margin(x) if x.shape == (len(walker.section),) else None
+    known = walker.margin(x) if on_section(walker, x) else None
     return jnp.sum(x) * jnp.nan if known is None else known
 
 
@@ -313,7 +312,7 @@ def guards_of(part: Part) -> Guards:
         return [jnp.where((value < 0) & (admit > 0), value, -jnp.inf) for value, admit in both]
 
     start, admits = look(part.start)
-    before = list(map(jnp.maximum, part.misses.nearest, below(start, admits)))
+    before = list(map(jnp.maximum, part.end.misses.nearest, below(start, admits)))
     state = part.end.state
     (end, admits), (rates, _) = jax.jvp(look, (state,), (part.mode.rates(state),))
     return Guards(start, before, below(end, admits), rates, admits)
@@ -330,7 +329,7 @@ def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> 
     margin = jnp.full_like(unit, jnp.nan)
     ended = jnp.asarray(True)
     for part, known in zip(parts, guards, strict=True):
-        late = jnp.maximum(part.misses.nearest[-1], known.end[-1])
+        late = jnp.maximum(part.end.misses.nearest[-1], known.end[-1])
         for i, guard in enumerate(part.mode.guards[:-1]):
             begins = ended & (part.verdict == guard.leads_to)
             margin = jnp.where(begins, -guard.measure(-known.start[i]), margin)
@@ -353,7 +352,7 @@ def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar
     It would not have happened if the foot had not passed the contact before, or had not been ahead;
     or if the foot came up again at once and had not come down as deep.
     """
-    depth, height = swing.misses.depth, swing.misses.height
+    depth, height = swing.end.misses.depth, swing.end.misses.height
     passed = jnp.where(depth > 0, depth, jnp.inf)
     margin = jnp.minimum(jnp.minimum(passed, height), known.admits[-1])
     return jnp.where(struck, margin, jnp.inf)
@@ -371,11 +370,11 @@ def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
         for condition in part.mode.conditions:
             if condition.outcome != of:
                 continue
-            value, ends = part.misses.least[of], (part.start, part.end.state)
+            value, ends = part.end.misses.least[of], (part.start, part.end.state)
             for state, is_zero in zip(ends, condition.zero_at_ends, strict=True):
                 value = value if is_zero else jnp.minimum(value, condition.value(state))
             least = jnp.where(followed, jnp.minimum(least, value), least)
-            before = jnp.where(broken, before, jnp.maximum(before, part.misses.before[of]))
+            before = jnp.where(broken, before, jnp.maximum(before, part.end.misses.before[of]))
             broken |= part.end.violated[of]
     return least, before
 

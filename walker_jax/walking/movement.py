@@ -1,7 +1,9 @@
 """Walks as motions: angles and places at many times, over consecutive strides.
 
 They serve pictures and films. Places are along the slope and normal to it, relative to the stance
-foot of the first stride when its leg is upright.
+foot of the first stride when its leg is upright. In space they are along the slope, to the left and
+normal to it, relative to the first place. There, every other stride is that of a walker in a mirror
+(`SpatialWalker`), which is undone here.
 """
 
 from __future__ import annotations
@@ -15,20 +17,35 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
+from walker_jax.hybrid.modes import Mode
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
-from walker_jax.walkers.spatial import SpatialWalker
-from walker_jax.walking.frames import frames_of_stride
+from walker_jax.walkers.rolling_stance import SpatialState
+from walker_jax.walkers.spatial import SpatialWalker, on_ground
 from walker_jax.walking.iteration import walk
-from walker_jax.walking.movement_in_space import SHOWN_IN_SPACE, move_in_space
-from walker_jax.walking.trajectories import legs
+from walker_jax.walking.raised_ground import raise_ground
+from walker_jax.walking.starts import during_stride, prepare
+from walker_jax.walking.stride import (
+    begin_stride,
+    follow_phases,
+    follow_swing,
+    follow_to_step,
+    modes_from,
+)
+from walker_jax.walking.trajectories import legs, trajectory
 
 FALL_TIME = 40.0
 """Time after which a failing walker is on the ground, for legs of length 1."""
+SHOWN_IN_SPACE = 6.0
+"""Time for which a failing walker is followed, for legs of length 1: most are down before."""
+PLACES = "stance", "swing", "stance_hip", "swing_hip", "axle"
+ANGLES = SpatialState._fields[2:6]
 
 
 @refuses_tracers()
@@ -129,6 +146,104 @@ def motion(
     return xr.Dataset(variables, attrs=about)
 
 
+def frames_of_stride(
+    walker: Walker,
+    x: Float[np.ndarray, " coordinates"],
+    stride: tuple[Outcome, float],
+    step: float,
+    *,
+    longest: float,
+    height: float | None = None,
+    tolerance: float | None = None,
+) -> tuple[Float[np.ndarray, " frames"], Any]:
+    """Return times about `step` apart from the start of a stride to its end, and the states then.
+
+    `stride` is its outcome and duration. A failing stride is shown to its end, or to the violation
+    of a condition, and for `longest` at most. `height` is the step up to the next foothold, on
+    rough ground.
+    """
+    outcome, duration = stride
+    ends = np.array([duration])
+    if outcome != Outcome.STRIDE:
+        ends = np.minimum(find_ends(walker, x, height, tolerance), longest)
+    times = np.linspace(0, ends[-1], 1 + max(1, round(ends[-1] / step)))
+    states = jax.tree.map(np.asarray, trajectory(walker, x, times, tolerance=tolerance))
+    count = frames_shown(walker, outcome, states, swings_at(times, ends))
+    return times[:count], jax.tree.map(lambda values: values[:count], states)
+
+
+def find_ends(
+    walker: Walker,
+    x: Float[np.ndarray, " coordinates"],
+    height: float | None = None,
+    tolerance: float | None = None,
+) -> Float[np.ndarray, " modes"]:
+    """Compute `ends_of_modes`, with arguments as in `stride`."""
+    walker, start, integrator = prepare(walker, x, tolerance)
+    step = None if height is None else jnp.asarray(height, start.dtype)
+    return np.asarray(ends_of_modes(walker, start, step, integrator))
+
+
+@kernel
+def ends_of_modes(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    step: Float[Array, ""] | None,
+    integrator: Integrator,
+) -> Float[Array, " modes"]:
+    """Return the time at which each phase ends, and at which the picture ends; infinite if never.
+
+    The picture ends where the swing foot comes down, or the walker is on the ground.
+    """
+    walker = during_stride(walker, x)
+    *phases, swing = map(to_the_ground, modes_from(walker, x, to_the_end=True))
+    begun = begin_stride(walker, x)
+    if step is None:
+        ends = follow_phases(phases, begun, integrator)
+        last = follow_swing(swing, ends[-1], integrator)
+    else:
+        ends = follow_phases([raise_ground(one, step) for one in phases], begun, integrator)
+        last = follow_to_step(walker, swing, ends[-1], step, integrator)
+    times = [jnp.where(one.verdict == Outcome.UNDECIDED, one.time, jnp.inf) for one in ends[1:]]
+    end = jnp.where(last.verdict == Outcome.UNDECIDED, jnp.inf, last.time)
+    return jnp.stack([*times, end])
+
+
+def to_the_ground(mode: Mode) -> Mode:
+    """Return the same motion, in which a leg that stops goes on until it is down."""
+    down = lambda state: state.theta - np.pi / 2
+    guards = [
+        one._replace(value=down, persists=False) if one.leads_to == Outcome.BACKWARD else one
+        for one in mode.guards
+    ]
+    return mode._replace(guards=tuple(guards), conditions=())
+
+
+def swings_at(
+    times: Float[np.ndarray, " frames"], ends: Float[np.ndarray, " modes"]
+) -> Bool[np.ndarray, " frames"]:
+    """Return whether the phases before the swing are over."""
+    return times >= (ends[-2] if len(ends) > 1 else 0)
+
+
+def frames_shown(
+    walker: Walker, outcome: Outcome, states: Any, swings: Bool[np.ndarray, " frames"]
+) -> int:
+    """Count the frames before the violation of the condition that ended a stride, if one did.
+
+    The count is at least one. Before the swing, states are those of the first phase.
+    """
+    violated, modes = np.zeros(len(swings), bool), walker.modes()
+    parts = [(modes[-1], legs(states) if len(modes) > 1 else states, swings)]
+    parts += [(modes[0], states, ~swings)] if len(modes) > 1 else []
+    for mode, at, here in parts:
+        for one in mode.conditions:
+            if one.outcome == outcome:
+                value = jax.vmap(one.value)(jax.tree.map(jnp.asarray, at))
+                violated |= here & (np.asarray(value) < 0)
+    return max(1, int(violated.argmax())) if violated.any() else len(swings)
+
+
 def step_ahead(
     walker: Walker, states: Any, height: float | None, failed: bool
 ) -> Float[np.ndarray, "2"]:
@@ -166,3 +281,29 @@ def leg_positions(
         return {"stance": stance, "hip": hip, "swing": hip - length * along(theta - phi)}
     knee, end = np.moveaxis(np.asarray(bent), 1, 0)
     return {"stance": stance, "hip": hip, "swing": hip + end, "swing_knee": hip + knee}
+
+
+def move_in_space(
+    walker: SpatialWalker, states: SpatialState, foot: Float[np.ndarray, " 3"], number: int
+) -> tuple[dict[str, Float[np.ndarray, " n"]], dict[str, Float[np.ndarray, "n 3"]], Any]:
+    """Return angles and places in a stride of some number, and the place of the next foot."""
+    found, sole = map(np.asarray, jax.vmap(places_of, (None, 0))(walker, states))
+    mirror = np.array([1, (-1) ** number, 1])
+    places = {name: foot + mirror * found[:, i] for i, name in enumerate(PLACES)}
+    places["axle"] = mirror * found[:, PLACES.index("axle")]
+    angles = {name: np.asarray(getattr(states, name)) for name in ANGLES}
+    return angles, places, foot + mirror * sole[-1]
+
+
+@kernel
+def places_of(
+    walker: SpatialWalker, state: SpatialState
+) -> tuple[Float[jax.Array, "places 3"], Float[jax.Array, " 3"]]:
+    """Return both discs' centres, the axle's ends and direction; and the swing disc's sole."""
+    q, shank = on_ground(jnp.stack(state[:6])), walker.leg_length - walker.disc_radius
+    discs = [walker.disc(q, swing) for swing in (False, True)]
+    ends = [
+        disc + shank * walker.rotation(q, swing)[:, 2]
+        for disc, swing in zip(discs, (False, True), strict=True)
+    ]
+    return jnp.stack([*discs, *ends, walker.axle(q)[:, 1]]), walker.sole(q, True)

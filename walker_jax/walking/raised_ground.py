@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool
 from walker_jax.hybrid.modes import Guard, Mode
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Scalar, Walker
-from walker_jax.walking.starts import overrides
+from walker_jax.walking.starts import overrides_is_ahead
 
 
 def raise_ground(mode: Mode, step: Scalar) -> Mode:
@@ -31,7 +31,7 @@ def onto_step(
     *others, strike = swing.guards
     above = lambda state: step - walker.clearance(state)
     passed = lambda state: -state.phi
-    admits = (passed, walker.is_ahead) if overrides(walker, "is_ahead") else (passed,)
+    admits = (passed, walker.is_ahead) if overrides_is_ahead(walker) else (passed,)
     if to_step is None:
         onto = Guard(above, Outcome.STRIDE, admits)
         return swing._replace(guards=(*others, onto), foregone=None)

@@ -123,14 +123,14 @@ def check_vector_field(walker: Walker, start: Any) -> None:
         )
 
 
-def overrides(walker: Walker, name: str) -> bool:
-    """Return whether the class of a walker overrides a method of the package's own walkers."""
+def overrides_is_ahead(walker: Walker) -> bool:
+    """Return whether the class of a walker has a rule of its own of when a foot is ahead."""
     usual = Walker if is_planar(walker) else SpatialWalker
-    return getattr(type(walker), name) is not getattr(usual, name)
+    return type(walker).is_ahead is not usual.is_ahead
 
 
 def check_is_ahead(walker: Walker, state: Any) -> None:
     """Raise `WrongUse` for a user's own rule that is not a real number."""
-    if overrides(walker, "is_ahead"):
+    if overrides_is_ahead(walker):
         label = f"is_ahead of {type(walker).__name__}"
         check_real(label, jax.eval_shape(walker.is_ahead, state))

@@ -20,14 +20,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.hybrid.conditions import is_negative
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
-from walker_jax.hybrid.misses import Misses
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.integrator import AnySolver, Integrator
-from walker_jax.integrators.method import Method, zero_at
+from walker_jax.integrators.integrator import AnySolver, Integrator, Method, zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, check_outcomes
@@ -56,7 +53,7 @@ class Part(NamedTuple):
     verdict: Int[Array, ""]
     """Verdict as it began; the mode was followed if that is `UNDECIDED`."""
     end: End
-    misses: Misses
+    """The end of the mode, with its misses."""
 
 
 class Arrival(NamedTuple):
@@ -193,10 +190,9 @@ def follow_phases(
         now = follow_on(mode, now, integrator, measured)
         judged = with_fast_sincos(partial(judge_end, mode))(now.state, now.verdict)
         verdict = jnp.where(now.verdict == Outcome.STRIDE, judged, now.verdict)
-        now = now._replace(verdict=verdict)
-        ended = now.verdict == Outcome.STRIDE
-        time = jnp.where(now.verdict == Outcome.UNDECIDED, jnp.inf, now.time)
-        verdict = jnp.where(ended, Outcome.UNDECIDED, now.verdict).astype(jnp.int8)
+        ended = verdict == Outcome.STRIDE
+        time = jnp.where(verdict == Outcome.UNDECIDED, jnp.inf, now.time)
+        verdict = jnp.where(ended, Outcome.UNDECIDED, verdict).astype(jnp.int8)
         state = with_fast_sincos(mode.reset)(now.state)
         ends.append(now._replace(state=state, time=time, verdict=verdict))
     return ends
@@ -216,7 +212,7 @@ def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
     verdict = jnp.where(going, with_fast_sincos(partial(fall_of, mode))(last.state), last.verdict)
     for one in mode.conditions:
         if one.outcome == Outcome.RUNNING:
-            pulled = going & ~over & (last.time == 0) & is_negative(one, last.state)
+            pulled = going & ~over & (last.time == 0) & one.is_negative(last.state)
             verdict = jnp.where(pulled, Outcome.RUNNING, verdict)
     return last._replace(verdict=verdict.astype(jnp.int8))
 
@@ -247,7 +243,7 @@ def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool 
     violated = {key: either(key) for key in keys}
     parts = last.parts
     if found.misses is not None:
-        parts = *parts, Part(mode, last.state, last.verdict, found, found.misses)
+        parts = *parts, Part(mode, last.state, last.verdict, found)
     return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated, parts)
 
 
