@@ -148,10 +148,18 @@ def is_higher(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
 
 
 def may_be_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
-    """Return whether a place may be better, as far as that is known without its gradient."""
+    """Return whether a place may be better, as far as that is known without its gradient.
+
+    If errors hide the gain, the gradient here must promise more than the error. If the way goes
+    uphill at both ends, the gain is about half of that promise at least.
+    """
     gain = sure_gain(problem, here, there)
-    step = problem.sign * (there.parameters - here.parameters)
-    return walks(problem, there) and (gain > 0 or (gain == 0 and bool(here.gradient @ step > 0)))
+    if gain != 0 or not walks(problem, there):
+        return gain > 0 and walks(problem, there)
+    promise = problem.sign * float(here.gradient @ (there.parameters - here.parameters))
+    error = float(np.hypot(here.value_error, there.value_error))
+    most = problem.sign * (there.value - here.value) + SIGNIFICANT_ERRORS * error
+    return promise > error and most >= promise / 2
 
 
 def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
