@@ -83,13 +83,8 @@ def evaluate_value(
     values: Float[np.ndarray, " parameters"],
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
 ) -> Evaluation:
-    """Measure as `evaluate_objective`, but no gradient if that takes many times as long.
-
-    The gradient of an area may take two areas more for each parameter.
-    """
-    if problem.size:
-        return evaluate(problem, stage, values, gait_of, ())
-    return evaluate_objective(problem, stage, values, gait_of)
+    """Measure as `evaluate_objective`, but no gradient."""
+    return evaluate(problem, stage, values, gait_of, ())
 
 
 def evaluate(

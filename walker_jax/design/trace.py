@@ -94,7 +94,8 @@ class Trace:
     ) -> Evaluation:
         """Measure the walker at a place, or return the known measurement.
 
-        With `value_only` the gradient may be missing, if it takes long.
+        With `value_only` the gradient may be missing. That of an area may take two areas more for
+        each parameter; other gradients are always measured.
         """
         (row,) = self.measure_all(run, stage, [place], value_only=value_only)
         return row
@@ -109,6 +110,7 @@ class Trace:
     ) -> list[Evaluation]:
         """Measure the walker at several places side by side, or return known measurements."""
         all_values = [self.problem.values(place) for place in places]
+        value_only = value_only and bool(self.problem.size)
         with_gradient = stage >= 0 and not value_only
         unknown = {
             one.tobytes(): one
