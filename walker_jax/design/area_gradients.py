@@ -200,8 +200,9 @@ def differentiate_area(
     )
     unsure = ~(error <= MAX_RELATIVE_ERROR * np.abs(gradient)) & (found.area > 0)
     averaged = unsure & (widths is not None)
+    half_widths = np.zeros(len(parameters)) if widths is None else widths
     for k in map(int, np.flatnonzero(averaged)):
-        low, high = walkers_at_band_ends(walker, parameters[k], widths[k])
+        low, high = walkers_at_band_ends(walker, parameters[k], half_widths[k])
         below, above = side_by_side(lambda one: at_band_ends.measure(one).size, (low, high))
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
