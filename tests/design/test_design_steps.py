@@ -187,3 +187,53 @@ def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective,
     assert float(found.objective_start) == heights[best]
     assert float(found.objective_optimum) == heights[best] + 0.03 + 0.005
     assert float(found.exact_start) == float(found.exact_optimum) == 0.125 and found.converged
+
+
+def test_a_hidden_gain_is_sought_where_the_gradient_promises_it():
+    def row(place, value, gradient, error=0.1):
+        numbers = (np.array([place]), value, error, np.array([gradient]), np.zeros(1))
+        return Evaluation(0, 0, *numbers, np.zeros(1), 0)
+
+    problem, none = problem_of(WALKER, SLOPES), np.nan
+    here = row(0.010, 1.0, 100.0)  # promises 0.2 at a distance of 0.002
+    assert climbs.may_be_better(problem, here, row(0.012, 1.5, none))
+    assert climbs.may_be_better(problem, here, row(0.012, 0.9, none))
+    assert not climbs.may_be_better(problem, here, row(0.012, 0.5, none))
+    assert not climbs.may_be_better(problem, here, row(0.008, 1.1, none))  # downhill
+    assert not climbs.may_be_better(problem, here, row(0.011, 1.0, none))  # promises too little
+    steep = row(0.010, 1.0, 1000.0)
+    assert not climbs.may_be_better(problem, steep, row(0.012, 1.1, none))  # half of 2 would show
+    assert not climbs.may_be_better(problem, here, row(0.012, none, none))
+
+
+@pytest.mark.parametrize(("top", "reached"), [(0.012, 4), (0.021, 8), (0.0049, 0.5)])
+def test_a_step_is_doubled_as_long_as_it_improves(monkeypatch, top, reached):
+    """Values alone are measured on the way, and the gradient where it ends."""
+    problem = problem_of(WALKER, {"slope": (0.0, 0.1)})._replace(weights={"area": 1.0})
+    with_gradient, alone = [], []
+
+    def at(values, gradient):
+        height = float(1 - abs(values[0] - top))
+        found = made_up(problem, 0, values, height, area=1.0)
+        return found._replace(gradient=gradient, gradient_error=0 * gradient)
+
+    def evaluate_objective(problem, stage, values, _):
+        with_gradient.append(values[0])
+        return at(values, np.sign(top - values))
+
+    def evaluate_value(problem, stage, values, _):
+        alone.append(values[0])
+        return at(values, np.array([np.nan]))
+
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_value", evaluate_value)
+    trace = Trace(problem, None, None, False, 1)
+    best = trace.measure(0, 0, problem.place_of(np.array([0.004])))
+    higher = climbs.step_up(trace, 0, 0, best, np.array([0.02]))
+    expected = 0.004 + 0.002 * reached
+    assert higher is not None and higher.parameters == pytest.approx([expected], rel=1e-9)
+    assert with_gradient == pytest.approx([0.004, expected], rel=1e-9)
+    assert len(alone) > 2 and np.isclose(alone, expected, rtol=1e-9).any()
+    # the trace holds each place once, with the gradient where there is one
+    assert len(trace.rows) == 1 + len(alone)
+    assert sum(row.has_gradient for row in trace.rows) == 2

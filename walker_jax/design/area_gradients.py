@@ -9,6 +9,8 @@ only the average derivative over a band of the parameter is meaningful: the chan
 the band.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -142,24 +144,57 @@ def area_gradient(
     check_grid(walker, grid, "direct")
     if len(grid.names) not in MAX_WEIGHTS:
         raise WrongUse(f"grid must have two axes or three, not {len(grid.names)}")
+    how = AreaSettings(grid, levels, strides, check, seed, tolerance, density)
+    area = how.measure(walker)
+    return differentiate_area(area, parameters, None if bands is None else widths, how)
 
-    def basin_of(walker: System) -> Refined:
-        return refine_cells(
+
+class AreaSettings(NamedTuple):
+    """How areas are measured; the arguments of `area_gradient`."""
+
+    grid: Grid
+    levels: int
+    strides: int
+    check: int
+    seed: int
+    tolerance: float | None
+    density: Density | None
+
+    def measure(self, walker: System) -> MeasuredArea:
+        """Measure the area of a walker's basin."""
+        found = refine_cells(
             walker,
-            grid,
-            levels,
-            strides=strides,
-            check=check,
-            seed=seed,
-            tolerance=tolerance,
+            self.grid,
+            self.levels,
+            strides=self.strides,
+            check=self.check,
+            seed=self.seed,
+            tolerance=self.tolerance,
             by_centres=True,
         )
+        return MeasuredArea(walker, found, integrate_over_basin(found, self.density), self.density)
 
-    def size_of(walker: System) -> Size:
-        return integrate_over_basin(basin_of(walker), density)
 
-    found = basin_of(walker)
-    size = integrate_over_basin(found, density)
+class MeasuredArea(NamedTuple):
+    """The basin of a walker and its area, from which derivatives follow."""
+
+    walker: System
+    found: Refined
+    size: Size
+    density: Density | None
+
+
+def differentiate_area(
+    area: MeasuredArea,
+    parameters: Sequence[str],
+    widths: Float[np.ndarray, " parameters"] | None,
+    at_band_ends: AreaSettings,
+) -> AreaGradient:
+    """Differentiate a measured area, over bands of some half widths where the integral is unsure.
+
+    The areas at the ends of bands may have settings of their own.
+    """
+    walker, found, size, density = area
     integral = integrate_along_boundary(walker, found, parameters, density)
     gradient, error, made = (
         integral.gradient,
@@ -167,10 +202,11 @@ def area_gradient(
         found.total_strides + integral.strides,
     )
     unsure = ~(error <= MAX_RELATIVE_ERROR * np.abs(gradient)) & (found.area > 0)
-    averaged = unsure & (bands is not None)
+    averaged = unsure & (widths is not None)
+    half_widths = np.zeros(len(parameters)) if widths is None else widths
     for k in map(int, np.flatnonzero(averaged)):
-        low, high = walkers_at_band_ends(walker, parameters[k], widths[k])
-        below, above = side_by_side(size_of, (low, high))
+        low, high = walkers_at_band_ends(walker, parameters[k], half_widths[k])
+        below, above = side_by_side(lambda one: at_band_ends.measure(one).size, (low, high))
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width

@@ -7,12 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.design.area_gradients import area_gradient
+from walker_jax.design.area_gradients import AreaSettings, differentiate_area
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import Measure, gait_measures
 from walker_jax.design.problem import Problem
 from walker_jax.design.sensitivity_gradients import sensitivity_gradient
 from walker_jax.gaits.cycles import Gait
+from walker_jax.grids import Grid
 from walker_jax.stability.disturbances import SEARCH_TOLERANCE
 from walker_jax.stability.rays import DENSE
 from walker_jax.systems.system import System
@@ -25,6 +26,9 @@ BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
 They are wide enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
 """Levels of refinement omitted in each stage; areas at the ends have all."""
+BAND_LEVELS_OMITTED = 1
+"""Levels omitted besides at the ends of bands. A band is so wide that its derivative is still known
+to a few hundredths of the largest one, and takes half to a quarter of the time."""
 SCAN_LEVELS_OMITTED = 2
 """Levels omitted in the scan, which serves a picture."""
 HOW_MEASURED = tuple(zip(LEVELS_OMITTED, BAND_HALF_WIDTHS, strict=True))
@@ -57,6 +61,11 @@ class Evaluation(NamedTuple):
     strides: int
     """Strides made for areas or volumes."""
 
+    @property
+    def has_gradient(self) -> bool:
+        """Return whether the gradient was measured too; its error is then not NaN."""
+        return not np.isnan(self.gradient_error).all()
+
 
 def evaluate_objective(
     problem: Problem,
@@ -65,27 +74,36 @@ def evaluate_objective(
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
 ) -> Evaluation:
     """Measure the objective, the limited measures and, in a stage, the objective's gradient."""
-    walker, names = problem.walker_at(values), problem.names if stage >= 0 else ()
+    return evaluate(problem, stage, values, gait_of, problem.names if stage >= 0 else ())
+
+
+def evaluate_value(
+    problem: Problem,
+    stage: int,
+    values: Float[np.ndarray, " parameters"],
+    gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
+) -> Evaluation:
+    """Measure as `evaluate_objective`, but no gradient."""
+    return evaluate(problem, stage, values, gait_of, ())
+
+
+def evaluate(
+    problem: Problem,
+    stage: int,
+    values: Float[np.ndarray, " parameters"],
+    gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
+    names: tuple[str, ...],
+) -> Evaluation:
+    """Measure the objective, the limited measures, and derivatives by some parameters or none."""
+    walker = problem.walker_at(values)
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
     exact = stage == ENDS_STAGE
-    in_scan = stage == SCAN_STAGE
-    omitted = 0 if exact else SCAN_LEVELS_OMITTED if in_scan else LEVELS_OMITTED[stage]
-    tolerance = problem.tolerance if exact or problem.tolerance else SEARCH_TOLERANCE
     if problem.size and problem.grid is not None:
-        area = area_gradient(
-            walker,
-            problem.grid,
-            names,
-            bands=bands,
-            levels=max(0, problem.levels - omitted),
-            strides=problem.strides,
-            check=check_starts(walker, exact),
-            seed=problem.seed,
-            tolerance=tolerance,
-            density=problem.density,
-        )
+        how = area_settings(problem, problem.grid, stage)
+        at_band_ends = how._replace(levels=max(0, how.levels - BAND_LEVELS_OMITTED))
+        area = differentiate_area(how.measure(walker), names, bands, at_band_ends)
         found[problem.size], made = Measure(area.area, area.gradient), area.strides
         weight = abs(problem.weights[problem.size])
         value_error, gradient_error = weight * area.area_error, weight * area.error
@@ -117,6 +135,21 @@ def evaluate_objective(
         gradient_error=gradient_error if names else none,
         measures=np.array([found[name].value for name in problem.measures]),
         strides=made,
+    )
+
+
+def area_settings(problem: Problem, grid: Grid, stage: int) -> AreaSettings:
+    """Return how areas are measured in a stage, in the scan or at the ends."""
+    exact, in_scan = stage == ENDS_STAGE, stage == SCAN_STAGE
+    omitted = 0 if exact else SCAN_LEVELS_OMITTED if in_scan else LEVELS_OMITTED[stage]
+    return AreaSettings(
+        grid=grid,
+        levels=max(0, problem.levels - omitted),
+        strides=problem.strides,
+        check=check_starts(problem.walker, exact),
+        seed=problem.seed,
+        tolerance=problem.tolerance if exact or problem.tolerance else SEARCH_TOLERANCE,
+        density=problem.density,
     )
 
 

@@ -3,9 +3,11 @@
 The place of a parameter is its position between its bounds, from 0 to 1. From each of several
 starts, Adam (optax) climbs the gradient of an objective by long steps, with areas on coarse grids.
 The best of these climbs continues by ever shorter steps on finer grids. A step that leads no higher
-is rejected, and shorter ones are tried. Steps end between the bounds. A step that breaks a limit
-goes back to it by Newton's iteration along the limit's gradient. At the end both the start and the
-optimum are measured again, with areas on the finest grid.
+is rejected, and shorter ones are tried; one that leads higher is doubled as long as that leads
+higher still. The gradient of an area takes many times as long as the area, so it is measured only
+where a step may lead higher. Steps end between the bounds. A step that breaks a limit goes back to
+it by Newton's iteration along the limit's gradient. At the end both the start and the optimum are
+measured again, with areas on the finest grid.
 """
 
 import math
@@ -149,12 +151,12 @@ def optimise(
     - `note_start` and `note_optimum`: the gait of `find_gait`, if that is another one.
 
     Over all evaluations, the trace: `run`, `stage` (-1 for the scan, -2 for the ends),
-    `parameters`, `value` and `value_error`, `gradient` and `gradient_error` (by the parameters),
-    `measures`, and the number of `strides` made for them. Over the starts, `note`: the reason why a
-    run failed. Of the scan: `scan_parameters`, `scan_value` and `scan_allowed` (by the limits). Of
-    both ends: the basins `fate_start` and `fate_optimum`, on a grid that shows them; -1 where a
-    walker converges to an attractor. If `found` is false, all starts failed, and everything but the
-    trace is missing.
+    `parameters`, `value` and `value_error`, `gradient` and `gradient_error` (by the parameters; NaN
+    where a step was rejected by its area alone), `measures`, and the number of `strides` made for
+    them. Over the starts, `note`: the reason why a run failed. Of the scan: `scan_parameters`,
+    `scan_value` and `scan_allowed` (by the limits). Of both ends: the basins `fate_start` and
+    `fate_optimum`, on a grid that shows them; -1 where a walker converges to an attractor. If
+    `found` is false, all starts failed, and everything but the trace is missing.
 
     The measured gait is the one with the largest basin in the grid, of any period; if none attracts
     there, the one that `find_gait` finds.

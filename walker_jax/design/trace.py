@@ -12,7 +12,12 @@ from jaxtyping import Float
 
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
-from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
+from walker_jax.design.evaluation import (
+    HOW_MEASURED,
+    Evaluation,
+    evaluate_objective,
+    evaluate_value,
+)
 from walker_jax.design.problem import Limits, Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
@@ -78,26 +83,49 @@ class Trace:
         searched = search_gait(walker, tolerance=problem.tolerance)
         return compare_with_search(self.gait(values), searched)
 
-    def measure(self, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Evaluation:
-        """Measure the walker at a place, or return the known measurement."""
-        (row,) = self.measure_all(run, stage, [place])
+    def measure(
+        self,
+        run: int,
+        stage: int,
+        place: Float[np.ndarray, " parameters"],
+        *,
+        value_only: bool = False,
+    ) -> Evaluation:
+        """Measure the walker at a place, or return the known measurement.
+
+        With `value_only` the gradient may be missing. That of an area may take two areas more for
+        each parameter; other gradients are always measured.
+        """
+        (row,) = self.measure_all(run, stage, [place], value_only=value_only)
         return row
 
     def measure_all(
-        self, run: int, stage: int, places: Iterable[Float[np.ndarray, " parameters"]]
+        self,
+        run: int,
+        stage: int,
+        places: Iterable[Float[np.ndarray, " parameters"]],
+        *,
+        value_only: bool = False,
     ) -> list[Evaluation]:
         """Measure the walker at several places side by side, or return known measurements."""
         all_values = [self.problem.values(place) for place in places]
-        unknown = {one.tobytes(): one for one in all_values if key_at(stage, one) not in self.known}
+        value_only = value_only and bool(self.problem.size)
+        with_gradient = stage >= 0 and not value_only
+        unknown = {
+            one.tobytes(): one
+            for one in all_values
+            if self.find(key_at(stage, one), with_gradient) is None
+        }
         rows: list[Evaluation] = []
-        evaluate = lambda values: evaluate_objective(self.problem, stage, values, self.gait)
+        measured = evaluate_value if value_only else evaluate_objective
+        evaluate = lambda values: measured(self.problem, stage, values, self.gait)
         with closing(side_by_side(evaluate, unknown.values())) as evaluated:
             for values in all_values:
                 key = key_at(stage, values)
                 with self.lock:
                     mine = self.measuring.setdefault(key, threading.Lock())
                 with mine:
-                    row = self.known.get(key)
+                    row = self.find(key, with_gradient)
                     new = row is None
                     if row is None:
                         with bar(self.label(values), self.progress):
@@ -106,19 +134,33 @@ class Trace:
                     self.add(key, row, rows[-1], new=new)
         return rows
 
+    def find(self, key: tuple, with_gradient: bool) -> Evaluation | None:
+        """Return a known measurement; None if there is none, or if it lacks a needed gradient."""
+        row = self.known.get(key)
+        return None if row is None or (with_gradient and not row.has_gradient) else row
+
     def add(self, key: tuple, row: Evaluation, own: Evaluation, *, new: bool) -> None:
         """Add a row with its own run and stage; keep the trace if the measurement is new."""
         with self.lock:
             if self.failure is not None:
                 raise self.failure
             self.known[key] = row
-            self.rows.append(own)
+            self.insert(own)
             try:
                 if new:
                     self.keep_all()
             except BaseException as failure:
                 self.failure = failure
                 raise
+
+    def insert(self, row: Evaluation) -> None:
+        """Append a row, or put it in place of the same measurement without a gradient."""
+        about = lambda one: (one.run, one.stage, one.parameters.tobytes())
+        for i, one in enumerate(self.rows):
+            if row.has_gradient and not one.has_gradient and about(one) == about(row):
+                self.rows[i] = row
+                return
+        self.rows.append(row)
 
     def sort_runs(self) -> None:
         """Sort the measurements by run, as runs were made side by side."""

@@ -22,8 +22,11 @@ FAN = 61
 """Directions of a fan around one of the nearest rays."""
 CANDIDATES = 128 / DENSE
 """Largest number of local minima of the distance that are refined, as a share of directions."""
-ZOOMS = 3
-"""Number of times that fans are narrowed."""
+ZOOMS, NARROWER = 3, 0.25
+"""Number of times that fans are narrowed, and the ratio of their widths."""
+ZOOM_DEPTH, ZOOM_DISTANCES = 0.015, 10
+"""Share of the nearest distance by which the first fan reaches below it, and distances along each
+ray. Narrower fans hold nearer failures by less: depth and `KEPT` narrow with them."""
 POLISHES = 4
 """Number of steps along the boundary's gradient that follow."""
 FINALISTS = 32
@@ -99,15 +102,16 @@ def nearest_rays(
     width = 4 * width / CLOSER
     minima = local_minima(rays, first, width, candidates)
     best, lengths = rays[minima], first[minima]
-    for _ in range(ZOOMS if rank > 1 else 0):
-        fans = np.concatenate([fan(ray, width, FAN) for ray in best])
+    for zoom in NARROWER ** np.arange(ZOOMS if rank > 1 else 0):
+        nearest, kept = lengths.min(), KEPT * zoom
+        fans = best[lengths <= (1 + kept) * nearest]
+        fans = np.concatenate([fan(ray, width * zoom, FAN) for ray in fans])
         # The nearest failures of a fan lie slightly before those of the wider one.
-        nearest = lengths.min()
-        rays, first = keep_nearest(fails, fans, basis, 0.95 * nearest, 1.01 * nearest, 24)
+        low, high = (1 - ZOOM_DEPTH * zoom) * nearest, (1 + kept) * nearest
+        rays, first = keep_nearest(fails, fans, basis, low, high, ZOOM_DISTANCES, kept)
         if first.size:
-            minima = local_minima(rays, first, width, candidates)
+            minima = local_minima(rays, first, width * zoom, candidates)
             best, lengths = rays[minima], first[minima]
-        width *= 0.25
     return best, lengths
 
 
@@ -157,8 +161,14 @@ def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Floa
 
 
 def keep_nearest(
-    fails: Callable, rays: np.ndarray, basis: np.ndarray, low: float, high: float, count: int
-) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+    fails: Callable,
+    rays: Float[np.ndarray, "n rank"],
+    basis: Float[np.ndarray, "rank size"],
+    low: float,
+    high: float,
+    count: int,
+    kept: float = KEPT,
+) -> tuple[Float[np.ndarray, "m rank"], Float[np.ndarray, " m"]]:
     """Return the rays whose first failure is among the nearest, and its distance."""
     while True:
         gap = (high - low) / count
@@ -166,7 +176,7 @@ def keep_nearest(
         if low == 0 or first.min() > low + 1.5 * gap:
             break
         low, high = max(0.0, low - count * gap), low + gap  # there may be nearer ones
-    near = first < max(first.min() + 1.5 * gap, (1 + KEPT) * first.min())
+    near = first < max(first.min() + 1.5 * gap, (1 + kept) * first.min())
     return rays[near], bisect(fails, rays[near] @ basis, first[near], gap, COARSE)
 
 
