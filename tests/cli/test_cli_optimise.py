@@ -108,7 +108,7 @@ def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
         lambda *all: stages.append(all[1]) or measured(*all),
     )
     assert run(*FASTEST)[0] == 0
-    assert 0 not in stages and {1, 2, 3} < set(stages)
+    assert 0 not in stages and {1, 2} <= set(stages)
 
 
 def test_an_optimum_is_told_with_both_ends_as_measured():

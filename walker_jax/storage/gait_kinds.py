@@ -132,7 +132,7 @@ GAITS = {
             "parameters": V("evaluation parameter", "real", "", "that were tried"),
             "value": V("evaluation", "real", "", "of the objective"),
             "value_error": V("evaluation", "real", "", "its standard error"),
-            "gradient": V("evaluation parameter", "real", "", "by the parameters"),
+            "gradient": V("evaluation parameter", "real", "", "by the parameters; NaN where none"),
             "gradient_error": V("evaluation parameter", "real", "", "its standard error"),
             "measures": V("evaluation measure", "real", "", "all that is measured"),
             "strides": V("evaluation", "integer", "strides", "made for areas"),
