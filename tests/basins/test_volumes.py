@@ -284,17 +284,27 @@ def test_the_whole_section_is_in_units_of_the_leg():
     assert axes["sum"][0] == pytest.approx(1.4 + 2 * low) and axes["sum"][1] >= 1.4 + 2 * high
 
 
+def use_made_up_sizes(monkeypatch, gradient):
+    """`gradient` takes the place of measured basins: (walker, grid, parameters)."""
+    measure = lambda how, walker: (walker, how.grid)
+    monkeypatch.setattr("walker_jax.design.evaluation.AreaSettings.measure", measure)
+    monkeypatch.setattr(
+        "walker_jax.design.evaluation.differentiate_area",
+        lambda area, parameters, *_: gradient(*area, parameters),
+    )
+
+
 def test_the_volume_is_optimised(monkeypatch):
     """Of a size that is made up, with its maximum at a foot radius of 0.3."""
 
-    def gradient(walker, grid, parameters, **options):
+    def gradient(walker, grid, parameters):
         assert len(grid.names) == 3 and grid.shape == (84, 72, 84)
         radius = float(walker.foot_radius)
         slope = np.array([-2 * (radius - 0.3)] * len(parameters))
         none = np.zeros(len(parameters))
         return AreaGradient(1 - (radius - 0.3) ** 2, slope, 1e-9, none, none > 0, 1, 0, 1)
 
-    monkeypatch.setattr("walker_jax.design.evaluation.area_gradient", gradient)
+    use_made_up_sizes(monkeypatch, gradient)
     monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
     found = wj.optimise(WALKER, {"foot_radius": (0.05, 0.7)}, "volume", starts=1)
     assert float(found.optimum[0]) == pytest.approx(0.3, abs=2e-3)
@@ -307,12 +317,12 @@ def test_the_volume_is_optimised(monkeypatch):
 def test_an_optimum_beside_a_bound_by_rounding_is_at_it(monkeypatch):
     """The first step, a tenth of the bounds, ends there; beyond, rounding makes the size less."""
 
-    def gradient(walker, grid, parameters, **options):
+    def gradient(walker, grid, parameters):
         radius, none = float(walker.foot_radius), np.zeros(len(parameters))
         size = radius - 1e-9 * (radius == 0.7)
         return AreaGradient(size, none + 1, 0.0, none, none > 0, 1, 0, 1)
 
-    monkeypatch.setattr("walker_jax.design.evaluation.area_gradient", gradient)
+    use_made_up_sizes(monkeypatch, gradient)
     monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
     walker = wj.RoundFootWalker(0.01, foot_radius=0.635)
     found = wj.optimise(walker, {"foot_radius": (0.05, 0.7)}, "volume", starts=1)
