@@ -6,6 +6,7 @@ The errors themselves are in `refusals.py`, which loads without JAX.
 import functools
 import inspect
 import operator
+import os
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -19,6 +20,7 @@ from jaxtyping import Float, Shaped
 from walker_jax.refusals import ComputationFailed as ComputationFailed
 from walker_jax.refusals import NotWritten as NotWritten
 from walker_jax.refusals import Refusal as Refusal
+from walker_jax.refusals import TooLarge as TooLarge
 from walker_jax.refusals import WrongPlace as WrongPlace
 from walker_jax.refusals import WrongUse as WrongUse
 
@@ -52,6 +54,24 @@ def check_kind(name: str, value: Any, kind: type) -> None:
     if not isinstance(value, (bool, np.bool_) if kind is bool else kind):
         example = EXAMPLES.get(kind.__name__, "")
         raise WrongUse(f"{name} must be a {kind.__name__}{example}, not {short(value)}", of=name)
+
+
+def check_memory(needed: int, subject: str, instead: str) -> None:
+    """Raise `TooLarge` if a subject needs more bytes than there are, and say what to do instead."""
+    memory = memory_of_machine()
+    if needed > memory:
+        raise TooLarge(
+            f"{subject} {needed / 2**30:.1f} GiB of memory, and this machine has "
+            f"{memory / 2**30:.1f} GiB: {instead}"
+        )
+
+
+def memory_of_machine() -> float:
+    """Return the bytes of memory; infinite where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError):  # not a POSIX system
+        return float("inf")
 
 
 def check_number(name: str, value: Any) -> None:

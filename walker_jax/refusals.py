@@ -28,6 +28,10 @@ class WrongPlace(WrongUse):
     """A place on disk is refused: the message says what is wrong, and which arguments may help."""
 
 
+class TooLarge(WrongUse, MemoryError):
+    """A computation needs more memory than this machine has."""
+
+
 class ComputationFailed(Refusal, RuntimeError):
     """A computation failed, for the reason given, though its arguments are right."""
 

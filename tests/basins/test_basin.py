@@ -197,7 +197,7 @@ def test_attractors_are_numbered_by_period_then_angle():
     ],
 )
 def test_wrong_requests_are_refused(arguments, message, monkeypatch):
-    monkeypatch.setattr("walker_jax.basins.computation.memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr("walker_jax.checks.memory_of_machine", lambda: 8 * 2**30)
     arguments = {"grid": wj.Grid.sheared(theta=(0, 1, 3), sum=(0, 1, 3))} | arguments
     with pytest.raises(ValueError, match=message):
         wj.basin(wj.SimplestWalker(0.004), **arguments)

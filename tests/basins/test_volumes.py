@@ -11,9 +11,9 @@ import walker_jax as wj
 from walker_jax import Outcome, figures
 from walker_jax.basins import refinement
 from walker_jax.basins.basin_summary import summarise_basin, tally
-from walker_jax.basins.computation import TooLarge
 from walker_jax.basins.runs import Runs, neighbours
 from walker_jax.basins.windows import WHOLE_SECTION, grid_along, whole_section
+from walker_jax.checks import TooLarge
 from walker_jax.design.area_gradients import AreaGradient, area_gradient
 from walker_jax.grids import edge
 
@@ -138,7 +138,7 @@ def test_volumes_are_right_within_errors_as_large_as_said(walks_in, inside):
 
 def test_a_volume_of_too_much_memory_is_refused_at_once(walks_in, monkeypatch):
     asked = walks_in(ellipsoid)
-    monkeypatch.setattr("walker_jax.basins.computation.memory_of_machine", lambda: 1e6)
+    monkeypatch.setattr("walker_jax.checks.memory_of_machine", lambda: 1e6)
     with pytest.raises(TooLarge, match=r"levels=3: level 2 follows \d+ cells, which need .* GiB"):
         wj.refine(WALKER, cube(12), 3)
     assert len(asked) == 2

@@ -120,7 +120,7 @@ ROWS = [re.split(r"\s+\| ", row) for row in re.split(r"\n(?! )", WRONG.strip())]
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_wrong_usage_gets_one_line_and_changes_nothing(run, tmp_path, monkeypatch, row):
-    monkeypatch.setattr("walker_jax.basins.computation.memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr("walker_jax.checks.memory_of_machine", lambda: 8 * 2**30)
     arguments, *named = row
     code, out, err = run(*shlex.split(arguments))
     assert (code, out) == (2, "") and named

@@ -118,6 +118,6 @@ def test_bounds_lie_within_each_other_and_a_policy_takes_them():
 
 
 def test_a_level_that_needs_too_much_memory_is_refused(monkeypatch):
-    monkeypatch.setattr("walker_jax.basins.computation.memory_of_machine", lambda: 2e6)
+    monkeypatch.setattr("walker_jax.checks.memory_of_machine", lambda: 2e6)
     with pytest.raises(ValueError, match="lower levels"):
         wj.viable(PUSHED, oblique_grid(24), ACTIONS, levels=2)

@@ -25,8 +25,7 @@ import xarray as xr
 from starlette.requests import Request
 
 import walker_jax as wj
-from walker_jax import cellmaps, figures, kernels, multibody, storage
-from walker_jax.basins import computation
+from walker_jax import cellmaps, checks, figures, kernels, multibody, storage
 from walker_jax.execution import tiles
 from walker_jax.explorer import lattice, offers, service, subjects, walks
 from walker_jax.integrators import integrator
@@ -332,4 +331,4 @@ def prepare(patch: pytest.MonkeyPatch) -> None:
     for name, text in FILES.items():
         Path(name).write_text(text)
     Path("folder").mkdir()
-    patch.setattr(computation, "memory_of_machine", lambda: 8.0 * 2**30)
+    patch.setattr(checks, "memory_of_machine", lambda: 8.0 * 2**30)

@@ -9,7 +9,6 @@ walkers from the centres of each cycle's cells are also followed, to the attract
 converge to.
 """
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import (
     WrongUse,
     check_kind,
+    check_memory,
     check_precision,
     check_whole,
     refuses_tracers,
@@ -37,10 +37,6 @@ BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
 """Peak memory in bytes, for each cell of a grid."""
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """Peak memory in bytes for each cell, as `BYTES_PER_CELL`, if the result goes into a store."""
-
-
-class TooLarge(WrongUse, MemoryError):
-    """A computation needs more memory than this machine has."""
 
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")
@@ -192,30 +188,6 @@ def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
         return False
     alone = np.eye(grid.coordinates)[coordinate]
     return bool((np.asarray(grid.shear)[:, place] == alone).all())
-
-
-def check_memory(needed: int, subject: str, instead: str) -> None:
-    """Raise `TooLarge` if a subject needs more bytes than there are, and say what to do instead."""
-    memory = memory_of_machine()
-    if needed > memory:
-        raise TooLarge(
-            f"{subject} {needed / 2**30:.1f} GiB of memory, and this machine has "
-            f"{memory / 2**30:.1f} GiB: {instead}"
-        )
-
-
-def check_level(levels: int, level: int, count: int, each: int) -> None:
-    """Raise `TooLarge` for a level of refinement with more cells than fit the memory."""
-    subject = f"levels={levels}: level {level} follows {count} cells, which need"
-    check_memory(count * each, subject, "lower levels")
-
-
-def memory_of_machine() -> float:
-    """Return the bytes of memory; infinite where the system does not say."""
-    try:
-        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError):  # not a POSIX system
-        return float("inf")
 
 
 @refuses_tracers()

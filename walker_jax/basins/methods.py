@@ -114,8 +114,10 @@ class DirectIteration(NamedTuple):
 
     def at_once(self, progress: bool = False) -> Basins:
         """Compute all cells in memory."""
-        notes = self.notes()
-        labels, mapper = self.mapper(notes).complete_labels(self.labels(notes, None, progress))
+        window = self.window()
+        notes = self.notes_in(*window)
+        labels = self.labels(notes, *window, progress=progress)
+        labels, mapper = self.mapper(notes).complete_labels(labels)
         attractors = mapper.without_unseen_motion(labels.attractor).attractors
         return Basins(labels.fate, labels.attractor, labels.strides, attractors)
 
@@ -126,7 +128,10 @@ class DirectIteration(NamedTuple):
 
     def notes(self) -> dict:
         """Return the results that are computed and stored before all pieces."""
-        window, made = self.window()
+        return self.notes_in(*self.window())
+
+    def notes_in(self, window: Grid, made: int) -> dict:
+        """Return the attractors of the grid that is followed after some strides."""
         strides = self.settings["strides"] - made
         mapper = mapper_of_grid(self.walker, window, self.integrator, strides)
         found = mapper.with_sorted_attractors().attractors
@@ -145,15 +150,22 @@ class DirectIteration(NamedTuple):
         strides = self.settings["strides"] - made
         return Mapper(self.walker, known, self.integrator, strides)
 
-    def labels(self, notes: dict, block: Block | None, progress: bool = False) -> Labels:
-        """Follow the centres of the cells of a block, or of all cells."""
-        window, made = self.window()
+    def labels(
+        self,
+        notes: dict,
+        window: Grid,
+        made: int,
+        block: Block | None = None,
+        *,
+        progress: bool = False,
+    ) -> Labels:
+        """Follow the centres of the cells of a block, or of all cells, from `window` on."""
         labels = map_block(self.mapper(notes, made), window, block, progress=progress)
         return labels._replace(strides=labels.strides + np.int32(made))
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
         """Compute the values of arrays over a piece; `ends` are states of walkers that remain."""
-        labels = self.labels(notes, block)
+        labels = self.labels(notes, *self.window(), block)
         ends, remaining = np.full_like(labels.states, np.nan), labels.remaining
         ends[remaining] = labels.states[remaining]
         return dict(zip(ARRAYS, labels, strict=False)) | {"ends": ends}

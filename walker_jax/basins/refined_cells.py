@@ -8,9 +8,9 @@ dimensions as in three.
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from walker_jax.basins.computation import check_level
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
+from walker_jax.checks import check_memory
 from walker_jax.grids import Grid
 
 BYTES_PER_FOLLOWED_CELL = 150
@@ -151,3 +151,9 @@ class RefinedCells:
         # One more counts as different than was found, so that a lack of differences is not
         # certainty.
         return len(self.cells) * (differ + 1) / (2 * count)
+
+
+def check_level(levels: int, level: int, count: int, each: int) -> None:
+    """Raise `TooLarge` for a level of refinement with more cells than fit the memory."""
+    subject = f"levels={levels}: level {level} follows {count} cells, which need"
+    check_memory(count * each, subject, "lower levels")

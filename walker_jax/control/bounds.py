@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int, Int32
 
-from walker_jax.basins.computation import check_level
+from walker_jax.basins.refined_cells import check_level
 from walker_jax.basins.refinement import finer
 from walker_jax.control.images import MappedCells, Task, bytes_of_cell
 from walker_jax.controlled_maps import Points, find_viable
