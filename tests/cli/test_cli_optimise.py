@@ -93,10 +93,10 @@ def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     measured = evaluation.evaluate_objective
 
-    def interrupted(problem, stage, values, gait_of):
+    def interrupted(problem, stage, values, gait_of, **how):
         if stage == 1:
             raise KeyboardInterrupt
-        return measured(problem, stage, values, gait_of)
+        return measured(problem, stage, values, gait_of, **how)
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", interrupted)
     code, _, err = run(*FASTEST)
@@ -105,7 +105,7 @@ def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     stages = []
     monkeypatch.setattr(
         "walker_jax.design.trace.evaluate_objective",
-        lambda *all: stages.append(all[1]) or measured(*all),
+        lambda *all, **how: stages.append(all[1]) or measured(*all, **how),
     )
     assert run(*FASTEST)[0] == 0
     assert 0 not in stages and {1, 2} <= set(stages)

@@ -226,7 +226,7 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(
         "walker_jax.design.trace.evaluate_objective",
-        lambda *all: made.append(all) or evaluate_objective(*all),
+        lambda *all, **how: made.append(all) or evaluate_objective(*all, **how),
     )
     storage.save(kept[-1], tmp_path / "trace.zarr", {})
     known = storage.load(tmp_path / "trace.zarr")
@@ -296,8 +296,8 @@ def test_limits_hold_at_a_loose_tolerance(no_basins):
 
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
 
-    def failing(problem, stage, values, gait_of):
-        row = evaluate_objective(problem, stage, values, gait_of)
+    def failing(problem, stage, values, gait_of, **how):
+        row = evaluate_objective(problem, stage, values, gait_of, **how)
         return row._replace(gradient=row.gradient * np.nan) if stage >= 1 else row
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", failing)

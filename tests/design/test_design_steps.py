@@ -148,7 +148,7 @@ def test_where_nothing_walks_steps_lead_to_more_stable_gaits(monkeypatch, walkin
     monkeypatch.setattr(Trace, "gait", lambda *_: None)
     asked = []
 
-    def evaluate_objective(problem, stage, values, gait_of):
+    def evaluate_objective(problem, stage, values, gait_of, **_):
         asked.append(values)
         return made_up(problem, stage, values, 1.0, area=float(values[0] < walking_below))
 
@@ -177,7 +177,9 @@ def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective,
         start = made_up(trace.problem, stage, trace.problem.values(place), high)
         return climbs.Climb(start, start._replace(value=high + 0.005), True)
 
-    evaluate_objective = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
+    evaluate_objective = lambda problem, stage, values, *_, **__: made_up(
+        problem, stage, values, 0.125
+    )
     monkeypatch.setattr("walker_jax.design.optimisation.climb", climb)
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
     found = optimise(WALKER, SLOPES, objective, starts=4)
@@ -217,16 +219,11 @@ def test_a_step_is_doubled_as_long_as_it_improves(monkeypatch, top, reached):
         found = made_up(problem, 0, values, height, area=1.0)
         return found._replace(gradient=gradient, gradient_error=0 * gradient)
 
-    def evaluate_objective(problem, stage, values, _):
-        with_gradient.append(values[0])
-        return at(values, np.sign(top - values))
-
-    def evaluate_value(problem, stage, values, _):
-        alone.append(values[0])
-        return at(values, np.array([np.nan]))
+    def evaluate_objective(problem, stage, values, _, *, value_only):
+        (alone if value_only else with_gradient).append(values[0])
+        return at(values, np.array([np.nan]) if value_only else np.sign(top - values))
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
-    monkeypatch.setattr("walker_jax.design.trace.evaluate_value", evaluate_value)
     trace = Trace(problem, None, None, False, 1)
     best = trace.measure(0, 0, problem.place_of(np.array([0.004])))
     higher = climbs.step_up(trace, 0, 0, best, np.array([0.02]))

@@ -133,7 +133,7 @@ def climb(trace, run, stage, place):
     return Climb(row, row, True)
 
 
-def measured(problem, stage, values, gait_of):
+def measured(problem, stage, values, gait_of, **_):
     gradient, of_measures = np.ones(len(values)), np.zeros(len(problem.measures))
     return Evaluation(
         -1, stage, values, float(values.sum()), 0.0, gradient, 0 * gradient, of_measures, 0

@@ -72,29 +72,14 @@ def evaluate_objective(
     stage: int,
     values: Float[np.ndarray, " parameters"],
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
+    *,
+    value_only: bool = False,
 ) -> Evaluation:
-    """Measure the objective, the limited measures and, in a stage, the objective's gradient."""
-    return evaluate(problem, stage, values, gait_of, problem.names if stage >= 0 else ())
+    """Measure the objective, the limited measures and, in a stage, the objective's gradient.
 
-
-def evaluate_value(
-    problem: Problem,
-    stage: int,
-    values: Float[np.ndarray, " parameters"],
-    gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
-) -> Evaluation:
-    """Measure as `evaluate_objective`, but no gradient."""
-    return evaluate(problem, stage, values, gait_of, ())
-
-
-def evaluate(
-    problem: Problem,
-    stage: int,
-    values: Float[np.ndarray, " parameters"],
-    gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
-    names: tuple[str, ...],
-) -> Evaluation:
-    """Measure the objective, the limited measures, and derivatives by some parameters or none."""
+    With `value_only` there is no gradient.
+    """
+    names = problem.names if stage >= 0 and not value_only else ()
     walker = problem.walker_at(values)
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}

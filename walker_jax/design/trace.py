@@ -12,12 +12,7 @@ from jaxtyping import Float
 
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
-from walker_jax.design.evaluation import (
-    HOW_MEASURED,
-    Evaluation,
-    evaluate_objective,
-    evaluate_value,
-)
+from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
 from walker_jax.design.problem import Limits, Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
@@ -117,8 +112,9 @@ class Trace:
             if self.find(key_at(stage, one), with_gradient) is None
         }
         rows: list[Evaluation] = []
-        measured = evaluate_value if value_only else evaluate_objective
-        evaluate = lambda values: measured(self.problem, stage, values, self.gait)
+        evaluate = lambda values: evaluate_objective(
+            self.problem, stage, values, self.gait, value_only=value_only
+        )
         with closing(side_by_side(evaluate, unknown.values())) as evaluated:
             for values in all_values:
                 key = key_at(stage, values)
