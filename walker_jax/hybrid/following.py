@@ -21,7 +21,7 @@ from walker_jax.hybrid.misses import (
     add_misses,
     find_least,
     no_misses,
-    value_and_rate,
+    with_rates,
 )
 from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
 from walker_jax.integrators.integrator import MAX_STEPS, Method, zero_at
@@ -113,11 +113,11 @@ def follow_mode(
         last, count = lax.while_loop(quiet, take, begun)
         return search_step(mode, method, now._replace(last=last, count=count))
 
-    zero = zero_at(start)
+    mode, zero = with_rates(mode, start), zero_at(start)
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
-    violated = {one.outcome: going & one.is_negative(start) for one in mode.conditions}
     misses = no_misses(mode, start) if measured else None
-    first = before_first_step(mode, method, start)
+    first, values = before_first_step(mode, method, start)
+    violated = {key: going & (value < 0) for key, value in values.items()}
     begun = Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
     last = lax.while_loop(unfinished, follow, begun)
 
@@ -128,22 +128,30 @@ def follow_mode(
     arrival = jax.tree.map(keep, refined, last.arrival)
     violated = dict(last.violated)
     for condition in mode.conditions:
-        violated[condition.outcome] |= going & condition.is_negative(arrival)
+        if condition.least_at_ends:
+            violated[condition.outcome] |= going & condition.is_negative(arrival)
     return End(arrival, last.time + keep(delay, zero), last.guard, violated, last.misses)
 
 
-def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
-    """Return a step of no length at the start of a mode."""
+def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, dict[int, Scalar]]:
+    """Return a step of no length at the start of a mode, and the conditions there by outcome."""
     zero = zero_at(start)
     sides = [zero for _ in mode.guards]
-    rates = [(zero, value_and_rate(mode, one, start)[1]) for one in watched(mode)]
+    values, rates = {}, []
+    for one in mode.conditions:
+        if one.least_at_ends:
+            values[one.outcome] = value_at(one.value, start)
+        else:
+            values[one.outcome], rate = one.and_rate(start)
+            rates.append((zero, rate))
     # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
     nothing = sum(0 * x for x in jax.tree.leaves(start))
     start = jax.tree.map(lambda x: x + nothing, start)
     series = method.no_series(start) if method.carries_series(start) else ()
     memory = method.first_memory(start)
     going = jnp.asarray(True)
-    return Step(start, start, zero, zero, sides, sides, rates, going, memory, series)
+    step = Step(start, start, zero, zero, sides, sides, rates, going, memory, series)
+    return step, values
 
 
 def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Step:
@@ -158,7 +166,7 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
         ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
     rates = []
     for condition, (_, before) in zip(watched(mode), step.rates, strict=True):
-        value, rate = value_and_rate(mode, condition, end)
+        value, rate = condition.and_rate(end)
         may |= ((value < 0) | ((before < 0) & (rate > 0))) & ~violated[condition.outcome]
         rates.append((before, rate))
     if mode.foregone is not None:
@@ -201,13 +209,14 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
     if mode.foregone is not None:
         foregone = (number == NO_GUARD) & value_at(mode.foregone.holds, last.end)
         number = jnp.where(foregone, len(mode.guards), number)
-    for condition in watched(mode):
+    for condition, (rate, _) in zip(watched(mode), last.rates, strict=True):
         key = condition.outcome
         if misses is not None:
-            least = misses.least[key]
+            below = (misses.least[key] < 0) | condition.is_negative(arrival)
         else:
-            _, least = find_least(mode, condition, seen, sign_alone=True)
-        violated[key] |= (least < 0) | condition.is_negative(arrival)
+            least = find_least(condition, seen, below=rate, sign_alone=True)
+            below = (least.value < 0) | (least.at_end < 0)
+        violated[key] |= below
     return Unfinished(last, arrival, last.time + until, number, now.count, violated, misses)
 
 

@@ -9,7 +9,6 @@ in a series but evaluated where steps end, with its rate. A step has a minimum w
 is negative at its start and positive at its end.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -20,7 +19,7 @@ from jaxtyping import Array, Bool, PyTree
 
 from walker_jax.hybrid.crossings import Crossing
 from walker_jax.hybrid.modes import Condition, Guard, Mode
-from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
 from walker_jax.integrators.integrator import zero_at
 from walker_jax.integrators.roots import (
     Instant,
@@ -89,7 +88,7 @@ def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
     for one in mode.conditions:
         key, value = one.outcome, known.least[one.outcome]
         if not one.least_at_ends:
-            value = jnp.minimum(value, least_in_step(mode, one, step))
+            value = jnp.minimum(value, least_in_step(one, step))
         least[key] = value
         before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])
     depth = jnp.maximum(known.depth, found[-1].depth)
@@ -205,56 +204,89 @@ def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -
     return Instant(early | late, bracketed_newton(rate_and_slope, first, last))
 
 
-def least_in_step(mode: Mode, condition: Condition, step: Seen) -> Scalar:
+def least_in_step(condition: Condition, step: Seen) -> Scalar:
     """Return the least value of a condition where it turns in a step; infinite if it does not."""
-    time, value = find_least(mode, condition, step)
-    there = with_fast_sincos(condition.value)(evaluate_series(step.series, time))
-    return jnp.where(jnp.isfinite(value), there, value)
+    least = find_least(condition, step)
+    there = with_fast_sincos(condition.value)(evaluate_series(step.series, least.time))
+    return jnp.where(jnp.isfinite(least.value), there, least.value)
+
+
+class Least(NamedTuple):
+    """A condition in a step, up to the end of the mode; constant to derivatives."""
+
+    time: Scalar
+    """The time at which it is least."""
+    value: Scalar
+    """Its value then; infinite if it does not turn in the step."""
+    at_end: Scalar
+    """Its value at the end."""
 
 
 def find_least(
-    mode: Mode, condition: Condition, step: Seen, *, sign_alone: bool = False
-) -> tuple[Scalar, Scalar]:
-    """Find the time at which a condition is least in a step, and its value then.
+    condition: Condition,
+    step: Seen,
+    *,
+    below: Scalar | None = None,
+    sign_alone: bool = False,
+) -> Least:
+    """Find where a condition is least in a step; `below` is its rate at the start, if known.
 
-    It is at a root of the rate, bracketed by secants (Illinois) to a part of the step; for its
-    `sign_alone`, until the value is not above zero. The value is infinite where it does not turn in
-    the step. Results are constants to derivatives.
+    It is least at a root of its rate, bracketed by secants (Illinois) to a part of the step; for
+    its `sign_alone`, until the value is not above zero. The loop begins with both ends of the step,
+    as a condition is costly: each further copy of it would take as long to compile.
     """
     resolution, above = (FINE, 0.0) if sign_alone else (FINEST, -np.inf)
-    at = partial(value_and_rate, mode, condition)
-    before, after, time = lax.stop_gradient((step.start, step.arrival, step.until))
-    below, beyond, zero = at(before)[1], at(after)[1], jnp.zeros_like(time)
+    before, series, after, until = lax.stop_gradient(
+        (step.start, step.series, step.arrival, step.until)
+    )
     # A finer resolution would never be reached.
-    resolution = max(resolution, 8 * float(jnp.finfo(time.dtype).eps))
+    resolution = max(resolution, 8 * float(jnp.finfo(until.dtype).eps))
 
     def unfinished(carry):
-        low, high, *_, least = carry
-        return (high - low > resolution * time) & (least > above)
+        turn, low, high, *_, least = carry
+        return (turn < 2) | ((high - low > resolution * until) & (least.value > above))
 
     def narrow(carry):
-        low, high, below, beyond, best, least = carry
+        turn, low, high, below, beyond, least = carry
+        first, second, inside = turn == 0, turn == 1, turn > 1
         t = low + (high - low) * jnp.clip(below / (below - beyond), 0.01, 0.99)
-        value, rate = at(lax.stop_gradient(evaluate_series(step.series, t)))
-        falling = rate < 0
-        # An end that stays counts half as much the next time.
+        choose = lambda start, end, within: jnp.where(first, start, jnp.where(second, end, within))
+        state = jax.tree.map(choose, before, after, evaluate_series(series, t))
+        value, rate = condition.and_rate(state)
+        falling, less = rate < 0, inside & (value < least.value)
+        turns = jnp.where((below < 0) & (rate > 0), until, 0)
         return (
-            jnp.where(falling, t, low),
-            jnp.where(falling, high, t),
-            jnp.where(falling, rate, below / 2),
-            jnp.where(falling, beyond / 2, rate),
-            jnp.where(value < least, t, best),
-            jnp.minimum(least, value),
+            turn + 1,
+            jnp.where(inside & falling, t, low),
+            choose(high, turns, jnp.where(falling, high, t)),
+            # The rate at an end that stays counts half as much the next time.
+            choose(rate, below, jnp.where(falling, rate, below / 2)),
+            choose(beyond, rate, jnp.where(falling, beyond / 2, rate)),
+            Least(
+                jnp.where(less, t, least.time),
+                jnp.where(less, value, least.value),
+                jnp.where(second, value, least.at_end),
+            ),
         )
 
-    active = (below < 0) & (beyond > 0)
-    high = jnp.where(active, time, zero)
-    carry = (zero, high, below, beyond, zero, jnp.full_like(time, jnp.inf))
-    *_, best, least = lax.while_loop(unfinished, narrow, carry)
-    return best, least
+    zero, one = jnp.zeros_like(until), jnp.ones_like(until)
+    nowhere = Least(zero, zero + jnp.inf, zero)
+    known = below is not None
+    turn = jnp.asarray(int(known), jnp.int32)
+    carry = (turn, zero, zero, lax.stop_gradient(below) if known else zero, one, nowhere)
+    *_, least = lax.while_loop(unfinished, narrow, carry)
+    return least
 
 
-def value_and_rate(mode: Mode, condition: Condition, state: Any) -> tuple[Scalar, Scalar]:
-    """Return a condition's value and its rate along the motion; constants to derivatives."""
-    both = with_fast_sincos(lambda state: jax.jvp(condition.value, (state,), (mode.rates(state),)))
-    return lax.stop_gradient(both(lax.stop_gradient(state)))
+def with_rates(mode: Mode, start: Any) -> Mode:
+    """Return the mode, with the rates of conditions that may be least within it.
+
+    A condition is costly, so all evaluations share one trace.
+    """
+
+    def with_rate(one: Condition) -> Condition:
+        both = lambda state: jax.jvp(one.value, (state,), (mode.rates(state),))
+        rated = None if one.least_at_ends else without_derivatives(both, start)
+        return one._replace(and_rate=rated)
+
+    return mode._replace(conditions=tuple(map(with_rate, mode.conditions)))

@@ -9,10 +9,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool
 
-from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 
@@ -21,7 +20,7 @@ Function = Callable[[Any], Scalar]
 
 def value_at(function: Callable[[Any], Array], state: Any) -> Any:
     """Return a function's value in a state, constant to derivatives."""
-    return with_fast_sincos(function)(lax.stop_gradient(state))
+    return without_derivatives(function, state)(state)
 
 
 class Guard(NamedTuple):
@@ -57,6 +56,8 @@ class Condition(NamedTuple):
     zero_at_ends: tuple[bool, bool] = (False, False)
     """Whether it is zero by definition as the mode starts, and where its last guard rises. Its
     margin then counts values elsewhere."""
+    and_rate: Callable[[Any], tuple[Scalar, Scalar]] | None = None
+    """Its value and its rate along the motion, constant to derivatives (`with_rates`)."""
 
     def is_negative(self, state: Any) -> Bool[Array, ""]:
         """Return whether a state violates it."""

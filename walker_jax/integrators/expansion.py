@@ -13,8 +13,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import Literal
-from jaxtyping import PyTree
+from jax.extend.core import ClosedJaxpr, Literal
+from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.series import (
     EQUATIONS,
@@ -39,22 +39,49 @@ switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
 
 def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
     """Return the series of function(y(t)), given those of y(t), with `start` = y(0)."""
-    structure = jax.tree.structure(start)
-    flat = lambda *leaves: function(jax.tree.unflatten(structure, leaves))
-    closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*jax.tree.leaves(start))
+    closed, shapes = trace(function, start)
     results = Expansion().interpret(closed, jax.tree.leaves(series))
     return jax.tree.unflatten(jax.tree.structure(shapes), results)
+
+
+def trace(function: Callable, start: PyTree) -> tuple[ClosedJaxpr, PyTree]:
+    """Return the jaxpr of a function of the leaves of `start`, and the shapes of its results."""
+    leaves, structure = jax.tree.flatten(start)
+    flat = lambda *leaves: function(jax.tree.unflatten(structure, leaves))
+    return jax.make_jaxpr(flat, return_shape=True)(*leaves)
 
 
 def with_fast_sincos(function: Callable) -> Callable:
     """Return the function with every sine and cosine computed by `sincos`."""
 
     def faster(*args):
-        constants = jax.tree.map(constant, args)
-        results = compose(lambda a: function(*a), constants, args)
-        return jax.tree.map(lambda series: jnp.asarray(series[0]), results)
+        closed, shapes = trace(lambda a: function(*a), args)
+        results = first_coefficients(closed, jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
     return faster
+
+
+def first_coefficients(closed: ClosedJaxpr, leaves: list) -> list[Array]:
+    results = Expansion().interpret(closed, list(map(constant, leaves)))
+    return [jnp.asarray(series[0]) for series in results]
+
+
+def without_derivatives(function: Callable, start: PyTree) -> Callable:
+    """Return a function like this one, with `sincos`, whose results are constant to derivatives.
+
+    So are the values in its closure: derivatives of neither are computed. It is traced here, at
+    `start`, once for all calls, in loops too.
+    """
+    closed, shapes = trace(function, start)
+    held = lax.stop_gradient(closed.consts)
+    compute = jax.jit(lambda held, leaves: first_coefficients(closed.replace(consts=held), leaves))
+
+    def constant_function(state):
+        results = compute(held, lax.stop_gradient(jax.tree.leaves(state)))
+        return jax.tree.unflatten(jax.tree.structure(shapes), results)
+
+    return constant_function
 
 
 class Expansion(Interpreter):

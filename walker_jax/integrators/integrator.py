@@ -43,7 +43,7 @@ TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
 MAX_STEPS = 1000
 """Most steps of one integration, so that it always ends."""
-MOST_EXPANDED_AGAIN = 6
+MOST_EXPANDED_AGAIN = 5
 """Most variables of a state whose series is expanded again for the search within a step. For more
 variables it is cheaper to carry the series from step to step."""
 INTERPOLATION_ORDER = 8

@@ -20,6 +20,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from walker_jax.kernels.products import sum_of_products
+
 
 @jax.jit  # traced once for all calls
 def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
@@ -190,13 +192,21 @@ def add_terms(terms):
     return reduce(partial(apply_once, lax.add), terms) if terms else None
 
 
-def coefficient_product(
-    left: Series, i: int, right: Series, j: int, multiply: Callable = operator.mul
-):
-    """Multiply two coefficients; the right one is not read if the left one is zero."""
-    if (one := left[i]) is None or (other := right[j]) is None:
-        return None
-    return apply_once(multiply, one, other)
+def add_products(left: Series, right: Series, places: Iterable[tuple[int, int]], start=None):
+    """Return the sum of left_i right_j over the places (i, j), in this order, and of `start`.
+
+    The right coefficient is not read if the left one is zero. Where results are kept, so is the
+    sum without its last two products.
+    """
+    products: list = []
+    for i, j in places:
+        if (one := left[i]) is not None and (other := right[j]) is not None:
+            products += one, other
+    known = 0 if results_known.get() is None else max(len(products) - 4, 0)
+    for part in (products[:known], products[known:]):
+        if part:
+            start = apply_once(sum_of_products, *part, *(() if start is None else (start,)))
+    return start
 
 
 def newest_last(last: int) -> list[int]:
@@ -229,20 +239,21 @@ def minus(k: int, operands: list[Series], bind: Callable = operator.sub) -> Any:
 
 def bilinear(k: int, operands: list[Series], bind: Callable) -> Any:
     left, right = operands
-    return add_terms(coefficient_product(left, j, right, k - j, bind) for j in newest_last(k))
+    pairs = ((left[j], right[k - j]) for j in newest_last(k) if left[j] is not None)
+    return add_terms(apply_once(bind, a, b) for a, b in pairs if b is not None)
 
 
-def times(k: int, operands: list[Series], bind: Callable = operator.mul) -> Any:
+def times(k: int, operands: list[Series], bind: Callable | None = None) -> Any:
     left, right = operands
-    return square(k, left, bind) if left is right else bilinear(k, operands, bind)
+    if left is right:
+        return square(k, left)
+    return add_products(left, right, ((j, k - j) for j in newest_last(k)))
 
 
-def square(k: int, x: Series, multiply: Callable) -> Any:
+def square(k: int, x: Series) -> Any:
     """Return the k-th coefficient of a square; each product of coefficients is computed once."""
-    pairs = (coefficient_product(x, j, x, k - j, multiply) for j in newest_last((k - 1) // 2))
-    double = scale(add_terms(pairs), 2) if k else None
-    middle = coefficient_product(x, k // 2, x, k // 2, multiply) if k % 2 == 0 else None
-    return add_terms([middle, double])
+    pairs = add_products(x, x, ((j, k - j) for j in newest_last((k - 1) // 2))) if k else None
+    return add_products(x, x, [(k // 2, k // 2)] if k % 2 == 0 else [], start=scale(pairs, 2))
 
 
 def quotient(numerator: Series, denominator: Series, divide: Callable | None = None) -> Series:
@@ -253,7 +264,7 @@ def quotient(numerator: Series, denominator: Series, divide: Callable | None = N
     def rule(k):
         if k == 0 and divide is not None:
             return divide(numerator[0], denominator[0])
-        known = add_terms(coefficient_product(result, j, denominator, k - j) for j in range(k))
+        known = add_products(result, denominator, ((j, k - j) for j in newest_last(k - 1) if k))
         difference = add_terms([numerator[k], scale(known, -1)])
         return None if difference is None else difference * reciprocal[0]
 

@@ -23,6 +23,7 @@ from walker_jax.identity import sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
+from walker_jax.kernels.products import sum_of_products_p
 from walker_jax.kernels.program_cache import (
     Traced,
     code_of_program,
@@ -167,13 +168,22 @@ class Program:
         return self.derivatives[by, directions]
 
 
-def count_operations(jaxpr) -> int:
-    """Count the scalars that a jaxpr computes; each loop counts for one turn."""
+def count_operations(jaxpr, known: dict[int, int] | None = None) -> int:
+    """Count the scalars that a jaxpr computes; each loop counts for one turn.
+
+    A sum of products counts for as many as it has operands. `known` holds the counts of inner
+    jaxprs by identity.
+    """
+    known = {} if known is None else known
+    if id(jaxpr) in known:
+        return known[id(jaxpr)]
     total = 0
     for equation in jaxpr.eqns:
         inner = list(jaxprs_in_params(equation.params))
-        total += sum(map(count_operations, inner))
-        total += 0 if inner else sum(math.prod(v.aval.shape) for v in equation.outvars)
+        total += sum(count_operations(one, known) for one in inner)
+        each = len(equation.invars) if equation.primitive is sum_of_products_p else 1
+        total += 0 if inner else each * sum(math.prod(v.aval.shape) for v in equation.outvars)
+    known[id(jaxpr)] = total
     return total
 
 

@@ -23,6 +23,7 @@ from jaxtyping import PyTree
 
 from walker_jax.identity import AsItIs
 from walker_jax.kernels.jaxprs import CALLS, Interpreter, called_function
+from walker_jax.kernels.products import pairs_of
 from walker_jax.kernels.program_cache import code_of_program, identify_by_code
 from walker_jax.kernels.shortcuts import SHORTCUTS, is_known
 
@@ -192,6 +193,19 @@ class Unrolling(Interpreter):
         for term in terms:
             result = self.term(lax.add_p, params_of(lax.add), [result, term], [dtype, dtype])
         return result
+
+    def add_products(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        """Evaluate a `sum_of_products` one product after the other."""
+        aval = equation.outvars[0].aval
+        result = np.empty(aval.shape, object)
+        if aval.shape:
+            operands = [np.broadcast_to(operand, aval.shape) for operand in operands]
+        for place in np.ndindex(*aval.shape):
+            entries = [operand[place] for operand in operands]
+            start = entries[len(entries) // 2 * 2 :]
+            products = (self.multiply(a, b, aval.dtype) for a, b in pairs_of(entries))
+            result[place] = self.total([*start, *products], aval.dtype)
+        return [result]
 
     def sum(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         dtype = equation.outvars[0].aval.dtype
@@ -365,5 +379,6 @@ Unrolling.rules = {
     "pad": pad_entries,
     "reduce_sum": Unrolling.sum,
     "split": split_axis,
+    "sum_of_products": Unrolling.add_products,
     "unstack": unstack,
 }

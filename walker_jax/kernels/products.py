@@ -1,0 +1,112 @@
+"""A sum of products as one primitive of JAX.
+
+The coefficients of a product of two power series are sums of products. In the program of a long
+series most operations are such products and sums, and tracing and differentiating them one by one
+would take most of the time until its first use. As one primitive, a sum is traced at once, and its
+derivative is a sum of products too.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+sum_of_products_p = Primitive("sum_of_products")
+"""a_1 b_1 + a_2 b_2 + ... + c, of operands a_1, b_1, a_2, b_2, ..., and c if their number is odd.
+
+All operands have the same type, and the same shape unless they are scalars.
+"""
+
+
+def sum_of_products(*operands) -> Any:
+    """Return a_1 b_1 + a_2 b_2 + ... + c of operands a_1, b_1, a_2, b_2, ..., and c if given.
+
+    Operands of several types or shapes are promoted and broadcast by JAX's own operations.
+    """
+    try:
+        alike = len({(x.shape, x.dtype) for x in operands}) == 1
+    except AttributeError:  # a number of Python
+        alike = False
+    if alike:
+        return sum_of_products_p.bind(*operands)
+    start = operands[len(operands) // 2 * 2 :]
+    return sum((a * b for a, b in pairs_of(operands)), *start)
+
+
+def pairs_of(operands: Sequence) -> list[tuple]:
+    """Return the factors of each product."""
+    return list(zip(operands[::2], operands[1::2], strict=False))
+
+
+@sum_of_products_p.def_impl
+def add_one_by_one(*operands):
+    """Compute the sum, beginning with c."""
+    shape = max(map(np.shape, operands), key=len)
+    operands = [jnp.broadcast_to(x, shape) for x in operands]
+    total = operands[-1] if len(operands) % 2 else None
+    for a, b in pairs_of(operands):
+        total = lax.mul(a, b) if total is None else lax.add(total, lax.mul(a, b))
+    return total
+
+
+@sum_of_products_p.def_abstract_eval
+def abstract_sum(*avals):
+    like = max(avals, key=lambda aval: (aval.ndim, len(aval.manual_axis_type.varying)))
+    return like.update(weak_type=False)
+
+
+def push_forward(operands, tangents):
+    """Return the sum and its derivative: the sum of da b + a db over all pairs, and dc."""
+    total, changes = sum_of_products_p.bind(*operands), []
+    for (a, b), (da, db) in zip(pairs_of(operands), pairs_of(tangents), strict=True):
+        for pair in ((da, b), (a, db)):
+            if not any(isinstance(x, ad.Zero) for x in pair):
+                changes += pair
+    if len(tangents) % 2 and not isinstance(tangents[-1], ad.Zero):
+        changes.append(tangents[-1])
+    if not changes:
+        return total, ad.Zero(jax.typeof(total).to_tangent_aval())
+    change = changes[0] if len(changes) == 1 else sum_of_products_p.bind(*changes)
+    return total, change if change.shape == total.shape else jnp.broadcast_to(change, total.shape)
+
+
+def pull_back(cotangent, *operands):
+    """Return the cotangents of the operands in which the sum is linear."""
+    found: list = [None] * len(operands)
+    for i, x in enumerate(operands):
+        if ad.is_undefined_primal(x) and not isinstance(cotangent, ad.Zero):
+            alone = i == len(operands) - 1 and len(operands) % 2
+            change = cotangent if alone else cotangent * operands[i ^ 1]
+            found[i] = change if x.aval.shape else jnp.sum(change)
+    return found
+
+
+def batch(operands, axes):
+    """Map over an axis. Among scalars, those that are not mapped remain scalars."""
+    pairs = list(zip(operands, axes, strict=True))
+    size = next(x.shape[axis] for x, axis in pairs if axis is not None)
+    rank = max(np.ndim(x) - (axis is not None) for x, axis in pairs)
+    if rank == 0:
+        return sum_of_products_p.bind(*operands), 0
+    moved = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
+    shape = next(
+        x.shape[axis is not None :]
+        for x, (_, axis) in zip(moved, pairs, strict=True)
+        if x.ndim == rank + (axis is not None)
+    )
+    full = [
+        x.reshape(x.shape + (1,) * (rank + 1 - x.ndim)) if axis is not None else x
+        for x, (_, axis) in zip(moved, pairs, strict=True)
+    ]
+    return sum_of_products_p.bind(*(jnp.broadcast_to(x, (size, *shape)) for x in full)), 0
+
+
+ad.primitive_jvps[sum_of_products_p] = push_forward
+ad.primitive_transposes[sum_of_products_p] = pull_back
+batching.primitive_batchers[sum_of_products_p] = batch
+mlir.register_lowering(sum_of_products_p, mlir.lower_fun(add_one_by_one, multiple_results=False))
