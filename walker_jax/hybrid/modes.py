@@ -56,8 +56,9 @@ class Condition(NamedTuple):
     zero_at_ends: tuple[bool, bool] = (False, False)
     """Whether it is zero by definition as the mode starts, and where its last guard rises. Its
     margin then counts values elsewhere."""
-    and_rate: Callable[[Any], tuple[Scalar, Scalar]] | None = None
-    """Its value and its rate along the motion, constant to derivatives (`with_rates`)."""
+    and_rate: Any = None
+    """Function from a state to its value and its rate along the motion, constant to derivatives;
+    set while a mode is followed (`misses.with_rates`)."""
 
     def is_negative(self, state: Any) -> Bool[Array, ""]:
         """Return whether a state violates it."""
