@@ -26,16 +26,21 @@ All operands have the same type, and the same shape unless they are scalars.
 def sum_of_products(*operands) -> Any:
     """Return a_1 b_1 + a_2 b_2 + ... + c of operands a_1, b_1, a_2, b_2, ..., and c if given.
 
-    Operands of several types or shapes are promoted and broadcast by JAX's own operations.
+    JAX's own operations promote and broadcast operands of several types or shapes. Within
+    `jax.shard_map` they also keep track of the axes along which values vary.
     """
-    try:
-        alike = len({(x.shape, x.dtype) for x in operands}) == 1
-    except AttributeError:  # a number of Python
-        alike = False
-    if alike:
+    if is_one_type(operands) and not jax.sharding.get_abstract_mesh().manual_axes:
         return sum_of_products_p.bind(*operands)
     start = operands[len(operands) // 2 * 2 :]
     return sum((a * b for a, b in pairs_of(operands)), *start)
+
+
+def is_one_type(operands: Sequence) -> bool:
+    """Return whether operands are arrays of one shape and one type."""
+    try:
+        return len({(x.shape, x.dtype) for x in operands}) == 1
+    except AttributeError:  # a number of Python
+        return False
 
 
 def pairs_of(operands: Sequence) -> list[tuple]:
@@ -69,8 +74,6 @@ def push_forward(operands, tangents):
                 changes += pair
     if len(tangents) % 2 and not isinstance(tangents[-1], ad.Zero):
         changes.append(tangents[-1])
-    if not changes:
-        return total, ad.Zero(jax.typeof(total).to_tangent_aval())
     change = changes[0] if len(changes) == 1 else sum_of_products_p.bind(*changes)
     return total, change if change.shape == total.shape else jnp.broadcast_to(change, total.shape)
 
@@ -89,21 +92,19 @@ def pull_back(cotangent, *operands):
 def batch(operands, axes):
     """Map over an axis. Among scalars, those that are not mapped remain scalars."""
     pairs = list(zip(operands, axes, strict=True))
-    size = next(x.shape[axis] for x, axis in pairs if axis is not None)
     rank = max(np.ndim(x) - (axis is not None) for x, axis in pairs)
-    if rank == 0:
-        return sum_of_products_p.bind(*operands), 0
-    moved = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
-    shape = next(
-        x.shape[axis is not None :]
-        for x, (_, axis) in zip(moved, pairs, strict=True)
-        if x.ndim == rank + (axis is not None)
-    )
-    full = [
-        x.reshape(x.shape + (1,) * (rank + 1 - x.ndim)) if axis is not None else x
-        for x, (_, axis) in zip(moved, pairs, strict=True)
-    ]
-    return sum_of_products_p.bind(*(jnp.broadcast_to(x, (size, *shape)) for x in full)), 0
+    if rank > 0:
+        moved = [
+            x if axis is None else lead_by(jnp.moveaxis(x, axis, 0), rank) for x, axis in pairs
+        ]
+        shape = np.broadcast_shapes(*map(np.shape, moved))
+        operands = [jnp.broadcast_to(x, shape) for x in moved]
+    return sum_of_products_p.bind(*operands), 0
+
+
+def lead_by(x: jax.Array, rank: int) -> jax.Array:
+    """Give an array `rank` axes after its first one."""
+    return x.reshape(x.shape + (1,) * (rank + 1 - x.ndim))
 
 
 ad.primitive_jvps[sum_of_products_p] = push_forward

@@ -1,0 +1,98 @@
+"""Conditions within a mode: traced once, constant to derivatives, and least where they turn."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from walker_jax.hybrid.misses import Least, Seen, find_least, with_rates
+from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.integrators.expansion import without_derivatives
+
+LENGTH = 2.0
+
+
+def test_without_derivatives():
+    """Neither the argument nor the closure has derivatives, and none are computed."""
+    calls = []
+
+    def value(p):
+        def function(x):
+            calls.append(x)
+            return {"wave": jnp.sin(p * x) * p}
+
+        constant = without_derivatives(function, 0.0)
+        first = constant(2.0)["wave"]
+        turn = lambda carry: (carry[0] + 1, carry[1] + constant(carry[1])["wave"])
+        _, last = lax.while_loop(lambda carry: carry[0] < 3, turn, (0, first))
+        return first, last
+
+    first, last = value(jnp.float64(0.5))
+    expected = [np.sin(1.0) / 2]
+    for _ in range(3):
+        expected.append(expected[-1] + np.sin(expected[-1] / 2) / 2)
+    assert (float(first), float(last)) == pytest.approx((expected[0], expected[-1]), abs=1e-15)
+    assert len(calls) == 1  # for both calls, one of them in a loop
+    assert jax.jacfwd(lambda p: value(p)[0])(0.5) == 0
+    plain, varied = (
+        str(jax.make_jaxpr(f)(0.5)).count(" mul ")
+        for f in (value, lambda p: jax.jvp(value, (p,), (p,)))
+    )
+    assert plain == varied > 0
+
+
+def seen_step(value, start: float = 0.0) -> tuple[Condition, Seen]:
+    """Return a condition of time alone, and a step in which time goes on at the rate one."""
+    mode = Mode(
+        field=lambda state: (jnp.ones_like(state[0]),),
+        guards=(Guard(lambda state: state[0] - 5),),
+        conditions=(Condition(lambda state: value(state[0]), 7),),
+    )
+    begin, until = (jnp.float64(start),), jnp.float64(LENGTH)
+    series = ([begin[0], jnp.float64(1), jnp.float64(0)],)
+    step = Seen(begin, series, until, (begin[0] + LENGTH,), until, [], {})
+    return with_rates(mode, begin).conditions[0], step
+
+
+def least_of(value, **options) -> Least:
+    condition, step = seen_step(value)
+    if options.pop("known", False):
+        options["below"] = condition.and_rate(step.start)[1]
+    return jax.jit(lambda: find_least(condition, step, **options))()
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_condition_is_least_where_it_turns(known):
+    least = least_of(lambda t: jnp.exp(t) - 3 * t, known=known)
+    assert float(least.time) == pytest.approx(np.log(3), abs=1e-8)
+    assert float(least.value) == pytest.approx(3 - 3 * np.log(3), abs=1e-15)
+    assert float(least.at_end) == pytest.approx(np.exp(2) - 6, abs=1e-14)
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize(
+    "value",
+    [lambda t: t + 1, lambda t: -t - 1, lambda t: 1 - (t - 1) ** 2, lambda t: (t + 1) ** 2],
+    ids=["rises", "falls", "has a maximum", "turned before"],
+)
+def test_a_condition_does_not_turn(value, known):
+    least = least_of(value, known=known)
+    assert float(least.value) == np.inf
+    assert float(least.at_end) == float(value(LENGTH))
+
+
+def test_the_sign_alone_is_found_earlier():
+    """The search for a sign ends at a negative value; where there is none, near the least one."""
+    deep = least_of(lambda t: (t - 0.3) ** 2 - 0.5, sign_alone=True)
+    assert -0.5 <= float(deep.value) < 0
+    shallow = least_of(lambda t: (t - 0.3) ** 4 + 1e-3 * (t - 0.3) ** 2 + 1e-9, sign_alone=True)
+    assert 0 < float(shallow.value) < 1.01e-9 and float(shallow.time) == pytest.approx(
+        0.3, abs=1e-4
+    )
+
+
+def test_a_value_that_is_not_finite_hides_no_other():
+    """A condition that is not finite at the end of a step has no least value there."""
+    least = least_of(lambda t: jnp.where(t < 1, (t - 0.5) ** 2, jnp.nan))
+    assert float(least.value) == np.inf and np.isnan(float(least.at_end))

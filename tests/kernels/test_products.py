@@ -1,0 +1,138 @@
+"""Sums of products: values and derivatives, against JAX's own operations."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.extend.core import jaxprs_in_params
+
+from walker_jax.kernels import kernel
+from walker_jax.kernels.products import sum_of_products, sum_of_products_p
+from walker_jax.kernels.program import count_operations
+
+
+def plainly(*operands):
+    pairs = zip(operands[::2], operands[1::2], strict=False)
+    start = operands[-1] if len(operands) % 2 else 0.0
+    return start + sum(a * b for a, b in pairs)
+
+
+def numbers(count: int, shape=(), dtype=np.float64) -> list[jax.Array]:
+    random = np.random.default_rng(count)
+    return [jnp.asarray(random.normal(size=shape), dtype) for _ in range(count)]
+
+
+def agree(found, expected, tolerance=1e-14) -> None:
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert one.dtype == other.dtype and one.shape == other.shape
+        np.testing.assert_allclose(one, other, tolerance, tolerance)
+
+
+def primitives(function, *args) -> list[str]:
+    return [equation.primitive.name for equation in jax.make_jaxpr(function)(*args).eqns]
+
+
+@pytest.mark.parametrize("count", [2, 3, 6, 7])
+@pytest.mark.parametrize("shape", [(), (3,), (2, 2)])
+def test_values_and_derivatives(count, shape):
+    given, changes = numbers(count, shape), numbers(count + 10, shape)[:count]
+    assert primitives(sum_of_products, *given) == ["sum_of_products"]
+    agree(sum_of_products(*given), plainly(*given))
+    agree(jax.jit(sum_of_products)(*given), plainly(*given))
+    along = lambda f: jax.jvp(f, tuple(given), tuple(changes))
+    agree(along(sum_of_products), along(plainly))
+    names = primitives(lambda *x: jax.jvp(sum_of_products, x, tuple(changes)), *given)
+    assert names == ["sum_of_products"] * 2  # the derivative is one sum too
+    every = tuple(range(count))
+    for derivative in (jax.jacfwd, jax.jacrev, jax.hessian):
+        agree(derivative(sum_of_products, every)(*given), derivative(plainly, every)(*given))
+
+
+def test_derivatives_by_some_operands():
+    given = numbers(5)
+    for by in range(5):
+        agree(jax.grad(sum_of_products, by)(*given), jax.grad(plainly, by)(*given))
+    only_constant = lambda c: sum_of_products(*given[:4], c)
+    assert primitives(lambda c: jax.jvp(only_constant, (c,), (c,)), 1.0) == ["sum_of_products"]
+    square = lambda x: sum_of_products(x, x, x, x, x)
+    agree(jax.grad(square)(3.0), jnp.asarray(13.0))
+    still = lambda x: sum_of_products(*map(jax.lax.stop_gradient, (x, x)))
+    three = jnp.float64(3.0)
+    agree(jax.jvp(still, (three,), (three,)), (three * three, 0 * three))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "axes"),
+    [
+        ([(4,), (), (), (4,), ()], (0, None, None, 0, None)),
+        ([(4, 2), (2, 4), (2,), (2,), (2,)], (0, 1, None, None, None)),
+        ([(2,), (2,), (2, 4)], (None, None, 1)),
+    ],
+)
+def test_batches(shapes, axes):
+    given = [numbers(1, shape)[0] for shape in shapes]
+    mapped = lambda f: jax.vmap(f, axes)
+    agree(mapped(sum_of_products)(*given), mapped(plainly)(*given))
+    total = lambda f: lambda *x: jnp.sum(jnp.sin(mapped(f)(*x)))
+    every = tuple(range(len(given)))
+    for derivative in (jax.grad, jax.jacfwd):
+        found, expected = (derivative(total(f), every)(*given) for f in (sum_of_products, plainly))
+        agree(found, expected)
+
+
+def test_batch_of_batches():
+    a, b, c = numbers(3, (3,))
+    table = lambda f: jax.vmap(lambda x: jax.vmap(lambda y: f(x, y, c[0], y, x))(b))(a)
+    agree(table(sum_of_products), table(plainly))
+    rows = lambda f: jax.vmap(lambda x: jax.vmap(lambda y: f(y, a, a, a, x * a))(b))(a)
+    agree(rows(lambda y, *x: sum_of_products(y * jnp.ones(3), *x)), rows(plainly))
+
+
+def test_several_types_are_promoted():
+    x, vector = jnp.float64(2.0), jnp.arange(3.0)
+    assert sum_of_products(2, x, 1.5) == 5.5
+    agree(sum_of_products(x, vector, x, x, vector), plainly(x, vector, x, x, vector))
+    single = numbers(4, (), np.float32)
+    assert sum_of_products(*single).dtype == np.float32
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_kernels(dtype):
+    """Machine code adds the same products, of numbers and of arrays, with their derivatives."""
+    given, arrays = numbers(5, (), dtype), numbers(5, (2, 2), dtype)
+    tolerance = 8 * float(np.finfo(dtype).eps)
+    for operands in (given, arrays):
+        fast = kernel(sum_of_products)
+        agree(fast(*operands), plainly(*operands), tolerance)
+        every = tuple(range(5))
+        found, expected = (jax.jacfwd(f, every)(*operands) for f in (fast, plainly))
+        agree(found, expected, tolerance)
+    zero = kernel(lambda x: sum_of_products(x, jnp.zeros_like(x), x, jnp.ones_like(x)))
+    agree(zero(given[0]), given[0])
+
+
+def test_operations_are_counted():
+    """A sum counts for its products and additions, and an inner function at each call."""
+    five = jax.make_jaxpr(sum_of_products)(*numbers(5, (2,))).jaxpr
+    assert count_operations(five) == 10
+    inner = jax.jit(lambda x: x * x + x)
+    twice = jax.make_jaxpr(lambda x: inner(inner(x)))(1.0).jaxpr
+    assert count_operations(twice) == 4
+    assert [*jaxprs_in_params(twice.eqns[0].params)] == [*jaxprs_in_params(twice.eqns[1].params)]
+
+
+def test_shard_map():
+    """Gradients by what all devices share are sums over devices."""
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("cells",))
+    spec = jax.sharding.PartitionSpec
+    x, p = jnp.arange(4.0), jnp.asarray(3.0)
+
+    def loss(f):
+        each = lambda p, x: jax.lax.psum(jnp.sum(jax.vmap(lambda x: f(p, x, x, x, p))(x)), "cells")
+        whole = jax.shard_map(each, mesh=mesh, in_specs=(spec(), spec("cells")), out_specs=spec())
+        return lambda p, x: whole(p, x)
+
+    found, expected = (jax.grad(loss(f), (0, 1))(p, x) for f in (sum_of_products, plainly))
+    agree(found, expected)
+    assert "sum_of_products" not in str(jax.make_jaxpr(loss(sum_of_products))(p, x))
+    assert sum_of_products_p.name in str(jax.make_jaxpr(sum_of_products)(p, p))
