@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from jax import lax
 
+from walker_jax.hybrid.following import follow_mode
 from walker_jax.hybrid.misses import Least, Seen, find_least, with_rates
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.expansion import without_derivatives
+from walker_jax.integrators.integrator import integrator_of
 
 LENGTH = 2.0
 
@@ -22,7 +24,7 @@ def test_without_derivatives():
             calls.append(x)
             return {"wave": jnp.sin(p * x) * p}
 
-        constant = without_derivatives(function, 0.0)
+        constant = without_derivatives(function, 0.0, once=True)
         first = constant(2.0)["wave"]
         turn = lambda carry: (carry[0] + 1, carry[1] + constant(carry[1])["wave"])
         _, last = lax.while_loop(lambda carry: carry[0] < 3, turn, (0, first))
@@ -35,6 +37,7 @@ def test_without_derivatives():
     assert (float(first), float(last)) == pytest.approx((expected[0], expected[-1]), abs=1e-15)
     assert len(calls) == 1  # for both calls, one of them in a loop
     assert jax.jacfwd(lambda p: value(p)[0])(0.5) == 0
+    assert jax.grad(lambda x: without_derivatives(lambda y: y * y, 0.0)(x))(3.0) == 0
     plain, varied = (
         str(jax.make_jaxpr(f)(0.5)).count(" mul ")
         for f in (value, lambda p: jax.jvp(value, (p,), (p,)))
@@ -92,7 +95,50 @@ def test_the_sign_alone_is_found_earlier():
     )
 
 
-def test_a_value_that_is_not_finite_hides_no_other():
-    """A condition that is not finite at the end of a step has no least value there."""
-    least = least_of(lambda t: jnp.where(t < 1, (t - 0.5) ** 2, jnp.nan))
-    assert float(least.value) == np.inf and np.isnan(float(least.at_end))
+def test_a_condition_that_is_not_finite():
+    """Where a condition has no value, its least one is not known."""
+    least = least_of(lambda t: jnp.where((t > 0.9) & (t < 1.1), jnp.nan, 1 + (t - 1) ** 2))
+    assert np.isnan(float(least.value)) and float(least.at_end) == 2
+    at_end = least_of(lambda t: jnp.where(t < 1, (t - 0.5) ** 2, jnp.nan))
+    assert float(at_end.value) == np.inf and np.isnan(float(at_end.at_end))
+
+
+@pytest.mark.parametrize("until", [0.0, -1e-18, np.nan])
+def test_a_step_of_no_length(until):
+    condition, step = seen_step(lambda t: t * t)
+    step = step._replace(until=jnp.float64(until), arrival=step.start)
+    least = jax.jit(lambda: find_least(condition, step, sign_alone=True))()
+    assert float(least.value) == np.inf and float(least.at_end) == 0
+
+
+def test_least_values_are_constant_to_derivatives():
+    condition, step = seen_step(lambda t: jnp.exp(t) - 3 * t)
+
+    def least(shift):
+        moved = [step.series[0][0] + shift, *step.series[0][1:]]
+        begin = (moved[0],)
+        along = step._replace(start=begin, series=(moved,), arrival=(moved[0] + LENGTH,))
+        return tuple(find_least(condition, along))
+
+    assert jax.tree.leaves(jax.jit(jax.jacfwd(least))(0.0)) == [0, 0, 0]
+    several = jax.vmap(least)(jnp.array([0.0, 0.5, -3.0]))
+    expected = [3 - 3 * np.log(3)] * 2 + [np.inf]  # the last one does not turn
+    np.testing.assert_allclose(several[1], expected, 1e-14)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_conditions_that_share_an_outcome(order):
+    """Each counts: at the start, where it turns, and if several turn in the same step."""
+    both = Condition(lambda s: 0.99 - s[0], 7), Condition(lambda s: s[1] + 10, 7)
+    mode = Mode(lambda s: (-s[0], s[0]), (Guard(lambda s: s[1] - 0.5),), both[::order])
+    start = jnp.float64(1.0), jnp.float64(0.0)
+
+    def follow(measured):
+        method = integrator_of(np.float64).method(mode.field, start)
+        return follow_mode(mode, start, jnp.asarray(True), method, measured=measured)
+
+    assert bool(jax.jit(lambda: follow(False).violated[7])())
+    deep, shallow = (Condition(lambda s, c=c: (s[1] - 0.3) ** 2 + c, 7) for c in (0.25, 4.0))
+    mode = mode._replace(conditions=(deep, shallow)[::order])
+    least = jax.jit(lambda: follow(True).misses.least[7])()
+    assert float(least) == pytest.approx(0.25, abs=1e-12)

@@ -516,3 +516,15 @@ def test_series_go_through_stop_gradient():
     series = solution_series(lambda y: jax.lax.stop_gradient(y), jnp.array(1.0), 4)
     np.testing.assert_allclose(np.array(series), [1, 1, 1 / 2, 1 / 6, 1 / 24], rtol=1e-15)
     assert with_fast_sincos(lambda x: jnp.array(True))(jnp.array(1.0)).dtype == bool
+
+
+def test_a_series_of_a_function_that_holds_a_series():
+    """The second coefficient of z exp(z), z = y + t, is (2 + y) exp(y) / 2: a function of y."""
+
+    def second(y):
+        rate, zero = jnp.ones_like(y), jnp.zeros_like(y)
+        return function_series(lambda z: z * jnp.exp(z), [y, rate, zero])[2]
+
+    start = jnp.float64(0.3)
+    found = function_series(second, [start, jnp.float64(1), jnp.float64(0), jnp.float64(0)])
+    assert_series(found, expected_series(lambda t: (2.3 + t) * mpmath.exp(0.3 + t) / 2, 3))

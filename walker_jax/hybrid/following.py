@@ -67,7 +67,7 @@ class Step(NamedTuple):
     ends: list[Scalar]
     """The sides at its end."""
     rates: list[tuple[Scalar, Scalar]]
-    """The rates of conditions at both ends."""
+    """The rates of watched conditions at both ends, unless the mode is measured."""
     quiet: Bool[Array, ""]
     """Whether the step certainly ends nothing."""
     memory: PyTree
@@ -98,6 +98,8 @@ def follow_mode(
     its misses are recorded.
     """
 
+    mode, zero = with_rates(mode, start), zero_at(start)
+
     def unfinished(now: Unfinished):
         finite = jnp.isfinite(now.last.time + now.last.length)
         return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
@@ -113,11 +115,12 @@ def follow_mode(
         last, count = lax.while_loop(quiet, take, begun)
         return search_step(mode, method, now._replace(last=last, count=count))
 
-    mode, zero = with_rates(mode, start), zero_at(start)
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
     misses = no_misses(mode, start) if measured else None
     first, values = before_first_step(mode, method, start)
-    violated = {key: going & (value < 0) for key, value in values.items()}
+    violated = {one.outcome: jnp.asarray(False) for one in mode.conditions}
+    for condition, value in zip(mode.conditions, values, strict=True):
+        violated[condition.outcome] |= going & (value < 0)
     begun = Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
     last = lax.while_loop(unfinished, follow, begun)
 
@@ -128,21 +131,22 @@ def follow_mode(
     arrival = jax.tree.map(keep, refined, last.arrival)
     violated = dict(last.violated)
     for condition in mode.conditions:
-        if condition.least_at_ends:
+        if condition.least_at_ends:  # others were evaluated as the arrival was found
             violated[condition.outcome] |= going & condition.is_negative(arrival)
     return End(arrival, last.time + keep(delay, zero), last.guard, violated, last.misses)
 
 
-def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, dict[int, Scalar]]:
-    """Return a step of no length at the start of a mode, and the conditions there by outcome."""
+def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, list[Scalar]]:
+    """Return a step of no length at the start of a mode, and the values of conditions there."""
     zero = zero_at(start)
     sides = [zero for _ in mode.guards]
-    values, rates = {}, []
+    values, rates = [], []
     for one in mode.conditions:
         if one.least_at_ends:
-            values[one.outcome] = value_at(one.value, start)
+            values.append(value_at(one.value, start))
         else:
-            values[one.outcome], rate = one.and_rate(start)
+            value, rate = one.and_rate(start)
+            values.append(value)
             rates.append((zero, rate))
     # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
     nothing = sum(0 * x for x in jax.tree.leaves(start))

@@ -84,12 +84,11 @@ def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
     """Add the misses of a step to those that are known. All values have their derivatives."""
     found = [turns_in_step(*one, step) for one in zip(mode.guards, step.crossings, strict=True)]
     nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
-    least, before = {}, {}
+    least, before = dict(known.least), {}
     for one in mode.conditions:
-        key, value = one.outcome, known.least[one.outcome]
+        key = one.outcome
         if not one.least_at_ends:
-            value = jnp.minimum(value, least_in_step(one, step))
-        least[key] = value
+            least[key] = jnp.minimum(least[key], least_in_step(one, step))
         before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])
     depth = jnp.maximum(known.depth, found[-1].depth)
     depth = jnp.where(found[-1].rises & (step.until == step.length), -jnp.inf, depth)
@@ -233,11 +232,11 @@ def find_least(
 
     It is least at a root of its rate, bracketed by secants (Illinois) to a part of the step; for
     its `sign_alone`, until the value is not above zero. The loop begins with both ends of the step,
-    as a condition is costly: each further copy of it would take as long to compile.
+    as a condition is costly: a copy of it for each end would have to be compiled too.
     """
     resolution, above = (FINE, 0.0) if sign_alone else (FINEST, -np.inf)
     before, series, after, until = lax.stop_gradient(
-        (step.start, step.series, step.arrival, step.until)
+        (step.start, step.series, step.arrival, jnp.maximum(step.until, 0))
     )
     # A finer resolution would never be reached.
     resolution = max(resolution, 8 * float(jnp.finfo(until.dtype).eps))
@@ -264,7 +263,7 @@ def find_least(
             choose(beyond, rate, jnp.where(falling, beyond / 2, rate)),
             Least(
                 jnp.where(less, t, least.time),
-                jnp.where(less, value, least.value),
+                jnp.minimum(least.value, jnp.where(inside, value, jnp.inf)),
                 jnp.where(second, value, least.at_end),
             ),
         )
@@ -281,12 +280,12 @@ def find_least(
 def with_rates(mode: Mode, start: Any) -> Mode:
     """Return the mode, with the rates of conditions that may be least within it.
 
-    A condition is costly, so all evaluations share one trace.
+    A condition is costly, so all evaluations with its rate share one trace.
     """
 
     def with_rate(one: Condition) -> Condition:
         both = lambda state: jax.jvp(one.value, (state,), (mode.rates(state),))
-        rated = None if one.least_at_ends else without_derivatives(both, start)
+        rated = None if one.least_at_ends else without_derivatives(both, start, once=True)
         return one._replace(and_rate=rated)
 
     return mode._replace(conditions=tuple(map(with_rate, mode.conditions)))

@@ -58,7 +58,7 @@ class Condition(NamedTuple):
     margin then counts values elsewhere."""
     and_rate: Any = None
     """Function from a state to its value and its rate along the motion, constant to derivatives;
-    set while a mode is followed (`misses.with_rates`)."""
+    set while a mode is followed, unless it is least at ends (`misses.with_rates`)."""
 
     def is_negative(self, state: Any) -> Bool[Array, ""]:
         """Return whether a state violates it."""

@@ -32,6 +32,7 @@ from walker_jax.integrators.series import (
     times,
 )
 from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, changes_entries
+from walker_jax.kernels.products import add_one_by_one
 
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
 """The list that collects switching functions; None if they are not wanted."""
@@ -67,15 +68,16 @@ def first_coefficients(closed: ClosedJaxpr, leaves: list) -> list[Array]:
     return [jnp.asarray(series[0]) for series in results]
 
 
-def without_derivatives(function: Callable, start: PyTree) -> Callable:
-    """Return a function like this one, with `sincos`, whose results are constant to derivatives.
+def without_derivatives(function: Callable, start: PyTree, *, once: bool = False) -> Callable:
+    """Return a function with `sincos` in which nothing is differentiated.
 
-    So are the values in its closure: derivatives of neither are computed. It is traced here, at
-    `start`, once for all calls, in loops too.
+    Neither its argument nor the values in its closure are. It is traced at `start`. If `once`, all
+    calls with states of the same types share one program, in loops too.
     """
     closed, shapes = trace(function, start)
     held = lax.stop_gradient(closed.consts)
-    compute = jax.jit(lambda held, leaves: first_coefficients(closed.replace(consts=held), leaves))
+    compute = lambda held, leaves: first_coefficients(closed.replace(consts=held), leaves)
+    compute = jax.jit(compute) if once else compute
 
     def constant_function(state):
         results = compute(held, lax.stop_gradient(jax.tree.leaves(state)))
@@ -363,6 +365,7 @@ Expansion.rules = {
     "sinh": by_pair(lambda x: (jnp.sinh(x), jnp.cosh(x)), 1, 0),
     "square": by_coefficients(square_operand),
     "sub": by_coefficients(minus),
+    "sum_of_products": by_definition(add_one_by_one),
 }
 SWITCHES: dict[str, Callable[..., list[Series]]] = {
     **dict.fromkeys(("ge", "gt", "le", "lt", "max", "min"), lambda left, right: [left - right]),

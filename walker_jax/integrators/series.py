@@ -244,6 +244,7 @@ def bilinear(k: int, operands: list[Series], bind: Callable) -> Any:
 
 
 def times(k: int, operands: list[Series], bind: Callable | None = None) -> Any:
+    """Return the k-th coefficient of a product; the primitive itself is not needed."""
     left, right = operands
     if left is right:
         return square(k, left)
@@ -264,7 +265,8 @@ def quotient(numerator: Series, denominator: Series, divide: Callable | None = N
     def rule(k):
         if k == 0 and divide is not None:
             return divide(numerator[0], denominator[0])
-        known = add_products(result, denominator, ((j, k - j) for j in newest_last(k - 1) if k))
+        places = ((j, k - j) for j in newest_last(k - 1)) if k else ()
+        known = add_products(result, denominator, places)
         difference = add_terms([numerator[k], scale(known, -1)])
         return None if difference is None else difference * reciprocal[0]
 

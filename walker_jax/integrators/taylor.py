@@ -85,7 +85,9 @@ def expand_variation(primals, tangents, *, order):
     return series, expand_solution(varied, (state, dstate), order=order)[1]
 
 
-SMOOTH = frozenset("add add_any cos div exp integer_pow log mul neg sin sqrt square sub".split())
+SMOOTH = frozenset(
+    "add add_any cos div exp integer_pow log mul neg sin sqrt square sub sum_of_products".split()
+)
 """Primitives whose derivatives consist of these primitives too."""
 
 

@@ -6,7 +6,9 @@ would take most of the time until its first use. As one primitive, a sum is trac
 derivative is a sum of products too.
 """
 
+import operator
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import jax
@@ -32,7 +34,7 @@ def sum_of_products(*operands) -> Any:
     if is_one_type(operands) and not jax.sharding.get_abstract_mesh().manual_axes:
         return sum_of_products_p.bind(*operands)
     start = operands[len(operands) // 2 * 2 :]
-    return sum((a * b for a, b in pairs_of(operands)), *start)
+    return reduce(operator.add, [*start, *(a * b for a, b in pairs_of(operands))])
 
 
 def is_one_type(operands: Sequence) -> bool:
@@ -62,7 +64,7 @@ def add_one_by_one(*operands):
 @sum_of_products_p.def_abstract_eval
 def abstract_sum(*avals):
     like = max(avals, key=lambda aval: (aval.ndim, len(aval.manual_axis_type.varying)))
-    return like.update(weak_type=False)
+    return like.update(weak_type=all(aval.weak_type for aval in avals))
 
 
 def push_forward(operands, tangents):

@@ -171,7 +171,7 @@ class Program:
 def count_operations(jaxpr, known: dict[int, int] | None = None) -> int:
     """Count the scalars that a jaxpr computes; each loop counts for one turn.
 
-    A sum of products counts for as many as it has operands. `known` holds the counts of inner
+    A sum of products counts for its products and additions. `known` holds the counts of inner
     jaxprs by identity.
     """
     known = {} if known is None else known
@@ -181,7 +181,7 @@ def count_operations(jaxpr, known: dict[int, int] | None = None) -> int:
     for equation in jaxpr.eqns:
         inner = list(jaxprs_in_params(equation.params))
         total += sum(count_operations(one, known) for one in inner)
-        each = len(equation.invars) if equation.primitive is sum_of_products_p else 1
+        each = len(equation.invars) - 1 if equation.primitive is sum_of_products_p else 1
         total += 0 if inner else each * sum(math.prod(v.aval.shape) for v in equation.outvars)
     known[id(jaxpr)] = total
     return total
