@@ -1,5 +1,7 @@
 """Sums of products: values and derivatives, against JAX's own operations."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,7 @@ def plainly(*operands):
     return start + sum(a * b for a, b in pairs)
 
 
-def numbers(count: int, shape=(), dtype=np.float64) -> list[jax.Array]:
+def numbers(count: int, shape=(), dtype: Any = np.float64) -> list[jax.Array]:
     random = np.random.default_rng(count)
     return [jnp.asarray(random.normal(size=shape), dtype) for _ in range(count)]
 
