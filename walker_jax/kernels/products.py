@@ -14,7 +14,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -33,8 +32,7 @@ def sum_of_products(*operands) -> Any:
     """
     if is_one_type(operands) and not jax.sharding.get_abstract_mesh().manual_axes:
         return sum_of_products_p.bind(*operands)
-    start = operands[len(operands) // 2 * 2 :]
-    return reduce(operator.add, [*start, *(a * b for a, b in pairs_of(operands))])
+    return add_one_by_one(*operands)
 
 
 def is_one_type(operands: Sequence) -> bool:
@@ -50,15 +48,14 @@ def pairs_of(operands: Sequence) -> list[tuple]:
     return list(zip(operands[::2], operands[1::2], strict=False))
 
 
-@sum_of_products_p.def_impl
 def add_one_by_one(*operands):
-    """Compute the sum, beginning with c."""
-    shape = max(map(np.shape, operands), key=len)
-    operands = [jnp.broadcast_to(x, shape) for x in operands]
-    total = operands[-1] if len(operands) % 2 else None
-    for a, b in pairs_of(operands):
-        total = lax.mul(a, b) if total is None else lax.add(total, lax.mul(a, b))
-    return total
+    """Compute the sum by the operators of its operands, beginning with c."""
+    start = operands[len(operands) // 2 * 2 :]
+    return reduce(operator.add, [*start, *(a * b for a, b in pairs_of(operands))])
+
+
+# numbers of Python, which JAX passes on as they are, give an array too
+sum_of_products_p.def_impl(lambda *operands: jnp.asarray(add_one_by_one(*operands)))
 
 
 @sum_of_products_p.def_abstract_eval

@@ -9,9 +9,8 @@ walkers, each number is whole or was rounded once. In a user's own class, a numb
 NumPy computed before JAX saw it counts as rounded once.
 """
 
-import operator
 from collections.abc import Callable
-from functools import cache, reduce
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +24,7 @@ from walker_jax.kernels.jaxprs import (
     UnsupportedPrimitive,
     called_function,
 )
-from walker_jax.kernels.products import pairs_of
+from walker_jax.kernels.products import add_one_by_one
 from walker_jax.kernels.program_cache import user_code_states
 from walker_jax.proofs.elementary import enclose_sine_and_cosine
 from walker_jax.proofs.enclosures import (
@@ -146,12 +145,6 @@ def call_rule(interpreter: EnclosureInterpreter, equation, operands: list) -> li
     return interpreter.interpret(called_function(equation), operands)
 
 
-def add_products(*operands: Enclosure) -> Enclosure:
-    """Return the sum of the products of pairs of operands, and of the last one if it is alone."""
-    alone = operands[len(operands) // 2 * 2 :]
-    return reduce(operator.add, [*alone, *(a * b for a, b in pairs_of(operands))])
-
-
 def power_rule(interpreter: EnclosureInterpreter, equation, operands: list) -> list:
     (x,), exponent = operands, equation.params["y"]
     value = exactly(1.0, interpreter.space)
@@ -182,5 +175,5 @@ EnclosureInterpreter.rules = {
     "sin": lambda interpreter, equation, operands: [interpreter.sine_and_cosine(*operands)[0]],
     "square": rule_of(lambda a: a * a),
     "sub": rule_of(lambda a, b: a - b),
-    "sum_of_products": rule_of(add_products),
+    "sum_of_products": rule_of(add_one_by_one),
 }
