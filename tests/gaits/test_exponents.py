@@ -54,9 +54,44 @@ def test_those_of_a_stable_gait_are_its_multipliers():
         many = jax.tree.map(lambda _: values, system)
         found = wj.lyapunov(many, points, 300, walks=3)
         exact = -np.sort(-np.log(np.stack(exact, axis=1)), axis=1)
-        np.testing.assert_allclose(found.exponents, exact, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(found.exponents, exact, rtol=0, atol=1e-13)
         assert (found.dimension == 0).all() and (found.errors < 1.001 / 300).all()
         assert found.exponents.shape == (3, 2) and found.states.shape == (3, 3, 2)
+
+
+def test_one_turn_of_a_cycle_gives_what_walks_give():
+    """Of a gait of period 2, and of one of period 4 from two of its states."""
+    slopes = np.array([0.0165, 0.0179])
+    gaits = [
+        wj.find_gait(wj.SimplestWalker(slope), period=period)
+        for slope, period in zip(slopes, (2, 4), strict=True)
+    ]
+    walkers = jax.vmap(wj.SimplestWalker)(jnp.append(slopes, slopes[1]))
+    x = np.stack([gaits[0].states[0], gaits[1].states[0], gaits[1].states[3]])
+    found = wj.lyapunov(walkers, x, 400, walks=3, settling=201)
+    walked = wj.lyapunov(walkers, x + 1e-7, 400, walks=3, settling=201)
+    exact = [np.log(np.abs(gait.multipliers)) / len(gait.states) for gait in gaits]
+    np.testing.assert_allclose(found.exponents[:2], exact, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.exponents[2], exact[1], rtol=0, atol=1e-9)
+    assert (np.abs(walked.exponents - found.exponents) < 3 * walked.errors).all()
+    assert (np.abs(walked.exponents - found.exponents) > 1e-9).any()
+    np.testing.assert_allclose(found.states, walked.states, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.log_determinant, found.exponents.sum(axis=1), atol=1e-12)
+
+
+def test_of_an_unstable_gait_walks_tell():
+    """Walks from near a gait that is unstable leave it for the attractor, a gait of period 2."""
+    walker = wj.SimplestWalker(0.0165)
+    found = wj.lyapunov(walker, wj.find_gait(walker).states[0], 400, walks=2, settling=800)
+    exact = np.log(np.abs(wj.find_gait(walker, period=2).multipliers)) / 2
+    assert (np.abs(found.exponents - exact) < 3 * found.errors).all()
+
+
+def test_a_multiplier_of_zero_has_no_finite_logarithm():
+    system = wj.Map(lambda x: jnp.stack([0.5 * x[0] + x[1], 0 * x[1]]), ("x", "y"))
+    found = wj.lyapunov(system, np.zeros(2), 10)
+    np.testing.assert_allclose(found.exponents, [np.log(0.5), -np.inf], rtol=1e-14)
+    assert found.dimension == 0 and found.log_determinant == -np.inf
 
 
 def test_walks_that_fail_have_none():

@@ -149,7 +149,7 @@ def find_starts(
         grid = with_parameter(walker, parameter, value).gait_region()
         points.append(grid.centres(np.arange(0, grid.size, CELLS_PER_SEARCH)))
     walkers = with_parameter(walker, parameter, np.repeat(values, [len(p) for p in points]))
-    integrator = Integrator(tolerance)
+    integrator = Integrator(tolerance).in_dtype(float)
     walking, cycles = cycle_guesses(walkers, np.concatenate(points), period, integrator)
     walkers = select_walkers(walkers, walking)
     found = iterate_newton(walkers, cycles, integrator)

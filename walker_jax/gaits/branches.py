@@ -160,7 +160,7 @@ def continue_gaits(
         for start in starts
         for sign in ((-1.0, 1.0) if start.direction is None else (1.0,))
     ]
-    integrator = Integrator(tolerance)
+    integrator = Integrator(tolerance).in_dtype(float)
     covered = [start.value for start in starts]
     with bar(progress or "", progress is not None, 100) as update:
 

@@ -150,7 +150,7 @@ def continue_events(
 
     A curve is None where there is no such bifurcation.
     """
-    integrator = Integrator(float64_tolerance(tolerance))
+    integrator = Integrator(float64_tolerance(tolerance)).in_dtype(float)
     compute = partial(compute_responses, system, names, integrator)
     starts = [
         first_point(one.kind, values, np.asarray(one.states, float), one.multipliers, ranges)

@@ -3,7 +3,8 @@
 The derivative of a stride rotates and stretches the columns of an orthogonal matrix Q. After every
 stride the product is factored anew, J Q = Q' R. The means of log |R_ii| are the exponents (Benettin
 and others 1980, Meccanica 15, 9-20). Walks that start close together soon become independent if the
-first exponent is positive; their scatter gives the errors.
+first exponent is positive; their scatter gives the errors. Those of a stable cycle follow from one
+turn of it: they are the logarithms of the moduli of its multipliers, divided by its period.
 """
 
 from __future__ import annotations
@@ -27,13 +28,17 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.execution.tiles import map_cells
-from walker_jax.gaits.long_runs import START_OFFSET
+from walker_jax.gaits.cycles import find_multipliers, linearise, multiply_jacobians
+from walker_jax.gaits.long_runs import RECORDED_STATES, SETTLED_DISTANCE, START_OFFSET
 from walker_jax.integrators.integrator import Integrator, default_tolerance
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walking.iteration import as_arrays, select_walkers
+from walker_jax.walking.iteration import as_arrays, orbits, select_walkers
 from walker_jax.walking.stride import follow_stride
+
+LOST_DIGITS = 1e-8
+"""Least ratio of the moduli of two multipliers of a cycle that still has eight digits."""
 
 
 class Lyapunov(NamedTuple):
@@ -85,15 +90,17 @@ def lyapunov(
     - `x`: a state on its section, of shape (section,), or one for each of n systems, (n, section).
       Of many, one that is not finite has the outcome `OUTSIDE`; the others have their exponents.
     - `strides`: strides of each walk over which the exponents are averaged.
-    - `walks`: number of walks from near x, which start `START_OFFSET` apart.
+    - `walks`: number of walks from near x, which start `START_OFFSET` apart. None are made from a
+      stable cycle of at most `RECORDED_STATES` strides: one turn of it gives its exponents.
     - `settling`: strides before these, which do not count.
     - `seed`: seed of the random starts.
     - `tolerance`: tolerance of the integration, as in `stride`.
     - `progress`: label of a progress bar, which is shown on a terminal only.
 
-    **Returns** a `Lyapunov`. On a stable gait or a closed curve the walks keep step and do not
-    scatter; their exponents are then accurate to about 1/strides. The exponents of a stable gait
-    are the logarithms of the moduli of its multipliers, divided by its period.
+    **Returns** a `Lyapunov`. On a closed curve the walks keep step and do not scatter; the
+    exponents are then accurate to about 1/strides. The exponents of a stable gait are the
+    logarithms of the moduli of its multipliers, divided by its period. They are much more accurate
+    than the errors say, if x is on the gait.
 
     Raises `ValueError` for states of a wrong shape, one that is not finite, and numbers out of
     range.
@@ -112,28 +119,66 @@ def lyapunov(
         ("seed", seed, 0),
     ):
         check_whole(name, number, least)
-    starts = np.repeat(np.asarray(x, float).reshape(-1, size), walks, axis=0)
-    offsets = np.random.default_rng(seed).standard_normal((walks, size))
-    starts = starts + START_OFFSET * np.tile(offsets, (len(starts) // walks, 1))
-    system, many = as_arrays(system, len(starts) // walks, starts.dtype)
-    if many:
-        system = select_walkers(system, np.repeat(np.arange(len(starts) // walks), walks))
+    starts = np.asarray(x, float).reshape(-1, size)
+    system, many = as_arrays(system, len(starts), starts.dtype)
     integrator = Integrator(default_tolerance(jnp.float64, tolerance)).in_dtype(starts.dtype)
-    count = np.int32(settling), np.int32(settling + strides)
-    state, logs, determinant, outcome = map_cells(
-        follow_frames,
-        (system, starts, count, integrator),
-        (many, True, False, False),
-        progress=progress,
-    )
+    rates, determinant, states = exponents_of_cycles(system, starts, settling + strides, integrator)
+    every = lambda values: np.repeat(values[:, None], walks, axis=1)
+    rates, determinant, states = map(every, (rates, determinant, states))
+    outcome = np.full(determinant.shape, Outcome.STRIDE, np.int8)
+    others = np.flatnonzero(np.isnan(rates).any(axis=(1, 2)))
+    if len(others):
+        offsets = START_OFFSET * np.random.default_rng(seed).standard_normal((walks, size))
+        near = (starts[others, None] + offsets).reshape(-1, size)
+        count = np.int32(settling), np.int32(settling + strides)
+        found = map_cells(
+            follow_frames,
+            (select_walkers(system, np.repeat(others, walks)), near, count, integrator),
+            (many, True, False, False),
+            progress=progress,
+        )
+        states[others], logs, logs_of_determinant, outcome[others] = (
+            values.reshape(len(others), walks, *values.shape[1:]) for values in found
+        )
+        rates[others], determinant[others] = logs / strides, logs_of_determinant / strides
     shape = (*x.shape[:-1], walks)
     return summarise(
         strides,
-        logs.reshape(*shape, size) / strides,
-        determinant.reshape(shape) / strides,
-        state.reshape(*shape, size),
+        rates.reshape(*shape, size),
+        determinant.reshape(shape),
+        states.reshape(*shape, size),
         outcome.reshape(shape),
     )
+
+
+def exponents_of_cycles(
+    system: System, x: Float[np.ndarray, "n section"], strides: int, integrator: Integrator
+) -> tuple[Float[np.ndarray, "n section"], Float[np.ndarray, " n"], Float[np.ndarray, "n section"]]:
+    """Return the exponents of stable cycles through n states, their sums, and ends of walks.
+
+    They are NaN where a state is on no stable cycle of at most `RECORDED_STATES` strides, or where
+    rounding hides a multiplier beside the first. The last exponent is the sum less the others, as
+    its own multiplier is lost first.
+    """
+    visited, _ = orbits(system, x, RECORDED_STATES, integrator)
+    returns = np.abs(visited[:, 1:] - visited[:, :1]).max(axis=2) < SETTLED_DISTANCE
+    periods = np.where(returns.any(axis=1), returns.argmax(axis=1) + 1, 0)
+    exponents, total, ends = np.full_like(x, np.nan), np.full(len(x), np.nan), x.copy()
+    for period in np.unique(periods[periods > 0]):
+        which = np.flatnonzero(periods == period)
+        cycles = visited[which, :period]
+        jacobian = linearise(select_walkers(system, which), cycles, integrator).jacobian
+        finite = np.isfinite(jacobian).all(axis=(1, 2, 3))
+        which, jacobian = which[finite], jacobian[finite]
+        moduli = np.abs(find_multipliers(multiply_jacobians(jacobian)))
+        known = (moduli[:, 0] < 1) & (moduli[:, :-1] > LOST_DIGITS * moduli[:, :1]).all(axis=1)
+        which, moduli = which[known], moduli[known]
+        with np.errstate(divide="ignore"):  # a stride may forget a coordinate
+            total[which] = np.linalg.slogdet(jacobian[known])[1].mean(axis=1)
+            exponents[which] = np.log(moduli) / period
+        exponents[which, -1] = total[which] - exponents[which, :-1].sum(axis=1)
+        ends[which] = visited[which, strides % period]
+    return exponents, total, ends
 
 
 def follow_frames(
