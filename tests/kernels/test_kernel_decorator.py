@@ -14,7 +14,7 @@ import pytest
 from jax import lax
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels import compiled, kernel, machine, program, why_not
+from walker_jax.kernels import kernel, machine, machine_code, program, why_not
 
 
 def powers(x, terms, *, scale=1.0, start=0):
@@ -237,13 +237,13 @@ def test_derivatives_of_ones_own_are_used():
 def test_a_kernel_is_compiled_once_for_all_calls(monkeypatch):
     count = 0
 
-    def counted(source, **options):
+    def counted(source):
         nonlocal count
         count += 1
-        return load(source, **options)
+        return load(source)
 
-    load = compiled.load_program
-    monkeypatch.setattr(compiled, "load_program", counted)
+    load = machine_code.load_program
+    monkeypatch.setattr(machine_code, "load_program", counted)
     cell = kernel(lambda x, n: x * n + 0.25, static_argnames="n")
     before = len(program.programs)
     for x in (1.0, 2.0):

@@ -20,7 +20,7 @@ from walker_jax.kernels import ffi, gpu, kernel, launcher, machine, object_cache
 from walker_jax.kernels import program as of_program
 from walker_jax.kernels.compiled import Compiled, source_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
-from walker_jax.kernels.machine import load_program
+from walker_jax.kernels.machine_code import MachineCode
 from walker_jax.walking.stride import follow_stride
 
 STARTS = [
@@ -56,7 +56,7 @@ def with_one_lane(closed):
     """The program of a thread, compiled for this processor."""
     found = object.__new__(Compiled)
     found.operands, found.results, source = source_of(closed, 0)
-    found.begin(load_program(source))
+    found.code = MachineCode(source)
     return found
 
 
@@ -189,6 +189,7 @@ def test_a_program_is_found_on_disk(folder):
     first = program_of_a_map()
     made = first.ptx(MAPPED, False)
     assert made is not None and first.compiled is not None
+    first.compiled.code.optimise()
     again = program_of_a_map()
     assert again.ptx(MAPPED, False) == made and again.compiled is not None
     assert "closed" not in vars(again)  # it was not traced

@@ -3,10 +3,8 @@
 import ctypes
 import gc
 import math
-import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +14,8 @@ from jax.extend.core import ClosedJaxpr
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
-from walker_jax.kernels.machine import hash_source, load_program, recall_program, register_bits
+from walker_jax.kernels.machine import register_bits
+from walker_jax.kernels.machine_code import MachineCode, timed_compilation
 
 MAX_NUMBERS = 1000
 """Most numbers in the operands and results of one cell; each takes code of its own."""
@@ -27,30 +26,25 @@ class Compiled:
 
     def __init__(self, closed: ClosedJaxpr):
         """Compile the jaxpr, or raise `UnsupportedPrimitive` if kernels do not support it."""
-        start = time.perf_counter()
-        self.operands, self.results, source = source_of(closed, register_bits())
-        self.digest = hash_source(source)
-        self.begin(load_program(source))
-        seconds = time.perf_counter() - start
-        jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
+        with timed_compilation():
+            self.operands, self.results, source = source_of(closed, register_bits())
+            self.code = MachineCode(source)
 
     @classmethod
     def recall(cls, operands: Sequence, results: Sequence, digest: str) -> "Compiled | None":
         """Load the code for these abstract values from disk; None if it is not there."""
-        engine = recall_program(digest)
-        if engine is None:
+        code = MachineCode.recall(digest)
+        if code is None:
             return None
         found = object.__new__(cls)
         found.operands, found.results = shapes_and_types(operands), shapes_and_types(results)
-        found.digest = digest
-        found.begin(engine)
+        found.code = code
         return found
 
-    def begin(self, engine: Any) -> None:
-        """Keep a program in memory, and find its entry."""
-        self.engine = engine
-        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
-        self.run = kind(engine.get_function_address("kernel"))
+    @property
+    def digest(self) -> str:
+        """The hash of the program's source."""
+        return self.code.digest
 
     def bind(
         self, operands: Sequence, mapped: Sequence[bool], n: int
@@ -60,6 +54,7 @@ class Compiled:
         `mapped` marks the operands with the n cells along their first axes; all cells share the
         others. Several threads may call the function at once.
         """
+        self.code.expect(n)
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]
         given, steps = [], []
         for value, each, (shape, dtype) in zip(operands, mapped, self.operands, strict=True):
@@ -72,7 +67,7 @@ class Compiled:
         pointers = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
         strides = (ctypes.c_int64 * len(steps))(*steps)
         # The default argument keeps the arrays alive as long as the function.
-        compute = lambda start, stop, _=arrays: self.run(start, stop, pointers, strides)
+        compute = lambda start, stop, _=arrays: self.code.run(start, stop, pointers, strides)
         return compute, results
 
 

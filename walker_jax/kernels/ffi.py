@@ -71,7 +71,7 @@ Equal kernels share one target. None is ever removed: a program of XLA may still
 
 def target(compiled: Compiled) -> str:
     """Return XLA's name of a kernel; the first call registers the kernel."""
-    address = ctypes.cast(compiled.run, ctypes.c_void_p).value
+    address = compiled.code.address()
     return registered("cpu", compiled, load_handler, lambda: (address, *CELLS_PER_PIECE))
 
 

@@ -5,15 +5,16 @@ import hashlib
 import os
 import subprocess
 import sys
+import zlib
 
 import llvmlite
 import llvmlite.binding as llvm
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.object_cache import load_or_compile, recall
+from walker_jax.kernels.object_cache import load_or_compile, recall, store
 
-OPTIMISATION_LEVEL = 2
-"""Optimisation level of LLVM's code generation, 0 to 3, as in `clang -O2`."""
+QUICK, OPTIMISED = 0, 2
+"""Two of LLVM's levels of code generation, as in `clang -O0` and `clang -O2`."""
 
 VARIABLE = "WALKER_JAX_KERNELS"
 """The environment variable that configures kernels. `off` turns them off, and `cpu` turns off those
@@ -94,41 +95,65 @@ REGISTERS = {512: "zmm", 256: "ymm"}
 """Register names on x86. Other processors, and x86 without AVX, have vectors of 128 bits."""
 
 
-def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
+def load_program(source: str, level: int = OPTIMISED, *, keep: bool = True) -> llvm.ExecutionEngine:
     """Compile a program for this processor, or load its machine code from disk.
 
     `keep` says whether the code is stored on disk.
     """
-    machine = target_machine(*processor())
+    machine = target_machine(*processor(), level)
     compile = lambda: object_code(source, machine)
-    code = load_or_compile(code_name(hash_source(source)), compile) if keep else compile()
+    code = load_or_compile(code_name(hash_source(source), level), compile) if keep else compile()
     return link(code, machine)
 
 
 def recall_program(digest: str) -> llvm.ExecutionEngine | None:
-    """Load the program whose source has this digest, if its machine code is on disk."""
+    """Load the program whose source has this digest, if its optimised code is on disk."""
     code = recall(code_name(digest))
     return None if code is None else link(code, target_machine(*processor()))
+
+
+def keep_source(source: str) -> None:
+    """Store the source of a program on disk, if possible, so that it can be optimised later."""
+    store(code_name(hash_source(source), SOURCE), zlib.compress(source.encode(), 1))
+
+
+def recall_source(digest: str) -> str | None:
+    """Read the source with this digest from disk, if it is there."""
+    found = recall(code_name(digest, SOURCE))
+    return None if found is None else zlib.decompress(found).decode()
+
+
+def keeps_bits() -> bool:
+    """Return whether code of both levels computes the same bits on this processor.
+
+    For others than x86, LLVM chooses instructions differently at the lower level, and so fuses
+    other products with sums.
+    """
+    return llvm.get_process_triple().startswith(("x86_64", "amd64"))
 
 
 def hash_source(source: str) -> str:
     return hashlib.sha256(source.encode()).hexdigest()
 
 
-def code_name(digest: str) -> str:
+SOURCE = -1
+"""The level, in names on disk, of a program that is not compiled."""
+
+
+def code_name(digest: str, level: int = OPTIMISED) -> str:
     """Return the name on disk of a program's code, for this processor and these versions."""
     versions = llvmlite.__version__, *llvm.llvm_version_info
-    processor_code = llvm.get_process_triple(), *processor(), OPTIMISATION_LEVEL, "no passes"
+    processor_code = llvm.get_process_triple(), *processor(), level, "no passes"
     all_it_depends_on = repr((versions, *processor_code, digest))
     return hashlib.sha256(all_it_depends_on.encode()).hexdigest()
 
 
-def target_machine(name: str, features: str) -> llvm.TargetMachine:
+def target_machine(name: str, features: str, level: int = OPTIMISED) -> llvm.TargetMachine:
     """Return LLVM's description of a processor."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
-        cpu=name, features=features, opt=OPTIMISATION_LEVEL, jit=True
+        cpu=name, features=features, opt=level, jit=True
     )
 
 
