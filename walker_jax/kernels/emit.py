@@ -13,10 +13,10 @@ from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
 from walker_jax.kernels import control, indexing
+from walker_jax.kernels.builder import FAST, Builder
 from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.memory import ADDRESS, LONG, Memory
 from walker_jax.kernels.rules import (
-    FAST,
     REDUCTIONS,
     RULES,
     in_library,
@@ -35,7 +35,7 @@ FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleT
 class LLVMEmitter(Unrolling):
     """Emits LLVM instructions for a jaxpr; an entry is a known number or a vector of all lanes."""
 
-    def __init__(self, builder: ir.IRBuilder, lanes: int):
+    def __init__(self, builder: Builder, lanes: int):
         super().__init__()
         self.builder = builder
         self.lanes = lanes
@@ -91,7 +91,7 @@ class LLVMEmitter(Unrolling):
         kind = operands[0].type
         full = f"llvm.{name}.v{kind.count}{kind.element.intrinsic_name}"
         function = self.declare(full, kind, operands)
-        return self.builder.call(function, operands, fastmath=FAST if is_float(kind) else ())
+        return self.builder.call(function, operands, fastmath=(FAST,) if is_float(kind) else ())
 
     def by_library(self, name: str, dtype, *operands: Any):
         """Call a function of the C library for one lane after the other."""
@@ -268,7 +268,7 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
     function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")
     start, stop, addresses, strides = function.args
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
-    builder = ir.IRBuilder(before)
+    builder = Builder(before)
     emitter = LLVMEmitter(builder, lanes)
     memory = Memory(emitter, addresses)
     arrays = [memory.array(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]

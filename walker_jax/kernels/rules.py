@@ -28,10 +28,6 @@ def in_library(name: str) -> bool:
     return llvm.address_of_symbol(name) is not None
 
 
-FAST = ("contract",)
-"""Allow fused multiply-add, as XLA does, and no other departure from IEEE arithmetic."""
-
-
 def is_float(kind) -> bool:
     return isinstance(getattr(kind, "element", kind), (ir.FloatType, ir.DoubleType))
 
@@ -43,7 +39,7 @@ def is_floating(dtype) -> bool:
 def arithmetic(of_float: str, of_int: str):
     def rule(emitter, params, dtypes, *operands):
         if is_floating(dtypes[0]):
-            return getattr(emitter.builder, of_float)(*operands, flags=FAST)
+            return emitter.builder.arithmetic(of_float, *operands)
         return getattr(emitter.builder, of_int)(*operands)
 
     return rule
@@ -98,7 +94,8 @@ def total_order(sign: str):
 
 
 def negation(emitter, params, dtypes, x):
-    return emitter.builder.fneg(x, flags=FAST) if is_floating(dtypes[0]) else emitter.builder.neg(x)
+    builder = emitter.builder
+    return builder.arithmetic("fneg", x) if is_floating(dtypes[0]) else builder.neg(x)
 
 
 def absolute(emitter, params, dtypes, x):
@@ -111,7 +108,7 @@ def absolute(emitter, params, dtypes, x):
 
 def division(emitter, params, dtypes, a, b):
     if is_floating(dtypes[0]):
-        return emitter.builder.fdiv(a, b, flags=FAST)
+        return emitter.builder.arithmetic("fdiv", a, b)
     return integer_division(emitter, dtypes[0], "div", a, b)
 
 
@@ -143,7 +140,7 @@ def integer_division(emitter, dtype, name: str, a, b):
 def integer_power(emitter, params, dtypes, x):
     """Return x^y for an integer y, by repeated squaring."""
     y = params["y"]
-    multiply = lambda a, b: emitter.builder.fmul(a, b, flags=FAST)
+    multiply = lambda a, b: emitter.builder.arithmetic("fmul", a, b)
     if not is_floating(dtypes[0]):
         multiply = emitter.builder.mul
     result, square, left = None, x, abs(y)
@@ -156,7 +153,7 @@ def integer_power(emitter, params, dtypes, x):
     one = emitter.vector(1, dtypes[0])
     if result is None:
         return one
-    return emitter.builder.fdiv(one, result, flags=FAST) if y < 0 else result
+    return emitter.builder.arithmetic("fdiv", one, result) if y < 0 else result
 
 
 def power(emitter, params, dtypes, x, y):
