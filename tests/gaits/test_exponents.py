@@ -87,11 +87,36 @@ def test_of_an_unstable_gait_walks_tell():
     assert (np.abs(found.exponents - exact) < 3 * found.errors).all()
 
 
-def test_a_multiplier_of_zero_has_no_finite_logarithm():
-    system = wj.Map(lambda x: jnp.stack([0.5 * x[0] + x[1], 0 * x[1]]), ("x", "y"))
-    found = wj.lyapunov(system, np.zeros(2), 10)
-    np.testing.assert_allclose(found.exponents, [np.log(0.5), -np.inf], rtol=1e-14)
+@pytest.mark.parametrize("size, zeros", [(1, 1), (2, 1), (2, 2), (3, 2)])
+def test_a_multiplier_of_zero_has_no_finite_logarithm(size, zeros):
+    """One turn of the cycle gives a single one, and walks give several."""
+    diagonal = np.where(np.arange(size) < size - zeros, 0.5, 0.0)
+    system = wj.Map(lambda x: diagonal * x, tuple("xyz"[:size]))
+    found = wj.lyapunov(system, np.zeros(size), 10, walks=2, settling=3)
+    with np.errstate(divide="ignore"):
+        np.testing.assert_allclose(found.exponents, np.log(diagonal), rtol=1e-14)
+    np.testing.assert_allclose(found.errors, 0.1)
     assert found.dimension == 0 and found.log_determinant == -np.inf
+
+
+def test_multipliers_that_rounding_hides_are_left_to_walks():
+    """Of three, of which the second is a millionth of the matrix: one turn would lose digits."""
+    shear = np.tril(np.ones((3, 3)))
+    for second, walked in ((2.0**-4, False), (2.0**-20, True)):
+        matrix = shear @ (np.diag([0.75, second, 2.0**-24]) + np.triu(np.ones((3, 3)), 1))
+        matrix = matrix @ np.linalg.inv(shear)
+        system = wj.Map(lambda x, matrix=matrix: matrix @ x, ("x", "y", "z"))
+        found = wj.lyapunov(system, np.zeros(3), 200, walks=2)
+        np.testing.assert_allclose(found.exponents[:2], np.log([0.75, second]), rtol=0.1)
+        assert found.states.any() == walked
+
+
+def test_a_cycle_without_derivatives_is_left_to_walks():
+    """Of |x|^(1/2) there is none at zero; walks from near it tend to one."""
+    system = wj.Map(lambda x: jnp.sqrt(jnp.abs(x)), ("x",))
+    found = wj.lyapunov(system, np.zeros(1), 100, walks=2)
+    np.testing.assert_allclose(found.exponents, np.log(0.5), atol=1e-3)
+    np.testing.assert_allclose(found.states, 1, rtol=1e-12)
 
 
 def test_walks_that_fail_have_none():

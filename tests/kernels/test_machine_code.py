@@ -19,15 +19,15 @@ from walker_jax.walking.stride import follow_stride
 
 TRIPLE = llvm.get_process_triple()
 needs_x86 = pytest.mark.skipif(
-    not machine.keeps_bits(), reason="code of other processors is optimised from the start"
+    not machine.allows_quick_code(), reason="code is optimised from the start here"
 )
 
 
 @pytest.fixture
 def all_are_long(monkeypatch):
     """Every program counts as long, and none has worked long enough to be optimised."""
-    monkeypatch.setattr(machine_code, "LONG_SOURCE", 0)
-    monkeypatch.setattr(machine_code, "TRIAL", math.inf)
+    monkeypatch.setattr(machine_code, "LONG_SOURCE", (0, 10**9))
+    monkeypatch.setattr(machine_code, "TRIAL_SECONDS", math.inf)
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def test_few_cells_are_computed_by_quick_code_and_many_by_optimised(
 @needs_x86
 def test_quick_code_is_optimised_after_a_trial(folder, all_are_long, compilations, monkeypatch):
     """Within one call, too, whose cells may take long."""
-    monkeypatch.setattr(machine_code, "TRIAL", 0.0)
+    monkeypatch.setattr(machine_code, "TRIAL_SECONDS", -1.0)
     code, n = compile_polynomial(), 1000
     found = evaluate(code, n)
     assert compilations == [machine.QUICK, machine.OPTIMISED] and code.code.source is None
@@ -95,7 +95,7 @@ def test_quick_code_is_optimised_after_a_trial(folder, all_are_long, compilation
 
 @needs_x86
 def test_many_threads_optimise_once(folder, all_are_long, compilations, monkeypatch):
-    monkeypatch.setattr(machine_code, "TRIAL", 0.0)
+    monkeypatch.setattr(machine_code, "TRIAL_SECONDS", -1.0)
     code, n = compile_polynomial(), 10_000
     run, results = code.bind([np.linspace(0, 1, n)], [True], n)
     pieces = [(i * n // 8, (i + 1) * n // 8) for i in range(8)]
@@ -126,30 +126,47 @@ def test_another_process_goes_on_with_what_is_on_disk(folder, all_are_long, comp
     assert evaluate(first) == found and len(compilations) == 2
 
 
-def test_code_that_nobody_counts_is_optimised(folder, all_are_long, compilations):
-    """Calls by XLA."""
-    cell = kernel(polynomial)
-    found = jax.jit(cell)(jnp.float64(0.25))
-    assert found == pytest.approx(float(polynomial(0.25)), rel=1e-14)
-    assert compilations.count(machine.OPTIMISED) >= 1 and machine.QUICK not in compilations
+@needs_x86
+def test_code_that_nobody_counts_is_optimised(folder, all_are_long):
+    """Calls by XLA, after a call of few cells too."""
+    cell, x = kernel(polynomial), jnp.float64(0.25)
+    few = cell(x)
+    code = cell.find_program((x,), {})[0].compiled.code
+    assert code.source is not None
+    assert jax.jit(cell)(x) == few == pytest.approx(float(polynomial(0.25)), rel=1e-14)
+    assert code.source is None and len(code.engines) == 2
 
 
-def test_short_programs_and_other_processors_are_optimised_at_once(
+def test_short_programs_and_those_beyond_bounds_are_optimised_at_once(
     folder, compilations, monkeypatch
 ):
     evaluate(compile_polynomial())
     assert compilations == [machine.OPTIMISED]
-    monkeypatch.setattr(machine_code, "LONG_SOURCE", 0)
-    monkeypatch.setattr(machine.llvm, "get_process_triple", lambda: "aarch64-unknown-linux-gnu")
-    monkeypatch.setattr(machine, "target_machine", lambda *_: target_of_this_processor())
-    code = MachineCode("; another program\ndefine void @kernel() { ret void }")
-    code.expect(1)
-    assert code.source is None
+    source = "; {}\ndefine void @kernel() {{ ret void }}"
+    for number, bounds, allowed in ((1, (0, 10), True), (2, (0, 10**9), False)):
+        monkeypatch.setattr(machine_code, "LONG_SOURCE", bounds)
+        monkeypatch.setattr(machine_code, "allows_quick_code", lambda allowed=allowed: allowed)
+        code = MachineCode(source.format(number))
+        code.expect(1)
+        assert code.source is None
+    assert compilations == 3 * [machine.OPTIMISED]
 
 
-def target_of_this_processor():
-    target = llvm.Target.from_triple(TRIPLE)
-    return target.create_target_machine(cpu=llvm.get_host_cpu_name(), jit=True)
+@pytest.mark.parametrize(
+    "module, name, value, allowed",
+    [
+        (machine.llvm, "get_process_triple", "aarch64-unknown-linux-gnu", False),
+        (machine.sys, "platform", "win32", False),
+        (machine.platform, "libc_ver", ("musl", "1"), False),
+        (machine.threading, "stack_size", 2**19, False),
+        (machine.threading, "stack_size", 2**24, None),
+    ],
+)
+def test_where_quick_code_may_run(monkeypatch, module, name, value, allowed):
+    """Where both levels compute the same bits, and threads have room for it."""
+    here = machine.allows_quick_code.__wrapped__()
+    monkeypatch.setattr(module, name, value if name == "platform" else lambda: value)
+    assert machine.allows_quick_code.__wrapped__() is (here if allowed is None else allowed)
 
 
 WALKERS = {
@@ -178,7 +195,7 @@ def test_both_levels_compute_the_same_bits(folder, all_are_long, name):
         run, results = code.bind(cells, [True, True], n)
         run(0, n)
         found.append([x.tobytes() for x in results])
-        assert np.isfinite(results[0]).any()
+        assert np.isfinite(results[0]).any() and len(code.code.engines) == len(found)
         code.code.optimise()
     assert found[0] == found[1]
 

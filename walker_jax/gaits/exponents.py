@@ -37,8 +37,9 @@ from walker_jax.systems.system import System
 from walker_jax.walking.iteration import as_arrays, orbits, select_walkers
 from walker_jax.walking.stride import follow_stride
 
-LOST_DIGITS = 1e-8
-"""Least ratio of the moduli of two multipliers of a cycle that still has eight digits."""
+LEAST_MULTIPLIER = 1e-4
+"""Least modulus of a multiplier, in units of the norm of a cycle's Jacobian, that is used: rounding
+leaves twelve digits of it, or fewer where two are nearly equal."""
 
 
 class Lyapunov(NamedTuple):
@@ -58,7 +59,7 @@ class Lyapunov(NamedTuple):
     dimension_error: Float[np.ndarray, "*systems"]
     """Its standard error."""
     states: Float[np.ndarray, "*systems walks section"]
-    """Ends of the walks; NaN after a failure."""
+    """Ends of the walks; NaN after a failure. On a stable cycle all are the same state."""
     outcome: Int[np.ndarray, "*systems"]
     """`Outcome` of the first walk that fails; `STRIDE` if none does."""
 
@@ -91,7 +92,8 @@ def lyapunov(
       Of many, one that is not finite has the outcome `OUTSIDE`; the others have their exponents.
     - `strides`: strides of each walk over which the exponents are averaged.
     - `walks`: number of walks from near x, which start `START_OFFSET` apart. None are made from a
-      stable cycle of at most `RECORDED_STATES` strides: one turn of it gives its exponents.
+      stable cycle of at most `RECORDED_STATES` strides, unless rounding hides a multiplier: one
+      turn of it gives its exponents.
     - `settling`: strides before these, which do not count.
     - `seed`: seed of the random starts.
     - `tolerance`: tolerance of the integration, as in `stride`.
@@ -156,9 +158,9 @@ def exponents_of_cycles(
 ) -> tuple[Float[np.ndarray, "n section"], Float[np.ndarray, " n"], Float[np.ndarray, "n section"]]:
     """Return the exponents of stable cycles through n states, their sums, and ends of walks.
 
-    They are NaN where a state is on no stable cycle of at most `RECORDED_STATES` strides, or where
-    rounding hides a multiplier beside the first. The last exponent is the sum less the others, as
-    its own multiplier is lost first.
+    Exponents and sums are NaN where a state is on no stable cycle of at most `RECORDED_STATES`
+    strides, or where rounding hides a multiplier before the last. The last exponent is the sum less
+    the others, as its own multiplier is lost first.
     """
     visited, _ = orbits(system, x, RECORDED_STATES, integrator)
     returns = np.abs(visited[:, 1:] - visited[:, :1]).max(axis=2) < SETTLED_DISTANCE
@@ -170,8 +172,10 @@ def exponents_of_cycles(
         jacobian = linearise(select_walkers(system, which), cycles, integrator).jacobian
         finite = np.isfinite(jacobian).all(axis=(1, 2, 3))
         which, jacobian = which[finite], jacobian[finite]
-        moduli = np.abs(find_multipliers(multiply_jacobians(jacobian)))
-        known = (moduli[:, 0] < 1) & (moduli[:, :-1] > LOST_DIGITS * moduli[:, :1]).all(axis=1)
+        product = multiply_jacobians(jacobian)
+        moduli = np.abs(find_multipliers(product))
+        least = LEAST_MULTIPLIER * np.linalg.norm(product, axis=(1, 2))
+        known = (moduli[:, 0] < 1) & (moduli[:, :-1] > least[:, None]).all(axis=1)
         which, moduli = which[known], moduli[known]
         with np.errstate(divide="ignore"):  # a stride may forget a coordinate
             total[which] = np.linalg.slogdet(jacobian[known])[1].mean(axis=1)
@@ -207,9 +211,11 @@ def follow_frames(
 
         states, outcomes, changes = lax.map(along, frame.T)
         frame, factor = jnp.linalg.qr(changes.T)
-        counts = jnp.where(made >= first, 1, 0).astype(x.dtype)
-        logs = logs + counts * jnp.log(jnp.abs(jnp.diagonal(factor)))
-        determinant = determinant + counts * jnp.linalg.slogdet(changes)[1]
+        counts = lambda values: jnp.where(
+            made >= first, values, 0
+        )  # zero has an infinite logarithm
+        logs = logs + counts(jnp.log(jnp.abs(jnp.diagonal(factor))))
+        determinant = determinant + counts(jnp.linalg.slogdet(changes)[1])
         return made + 1, states[0], frame, logs, determinant, outcomes[0]
 
     begun = jnp.zeros((), jnp.int32), x, jnp.eye(len(x), dtype=x.dtype), jnp.zeros_like(x)
@@ -233,7 +239,9 @@ def summarise(
     with np.errstate(invalid="ignore"):
         mean = rates.mean(axis=-2) * known[..., None]
         order = np.argsort(-mean, axis=-1)
-        scatter = rates.std(axis=-2, ddof=1) / np.sqrt(walks) * known[..., None]
+        alike = (rates == rates[..., :1, :]).all(axis=-2)  # infinite ones have no deviation
+        deviation = np.where(alike, 0, rates.std(axis=-2, ddof=1))
+        scatter = deviation / np.sqrt(walks) * known[..., None]
         error = np.hypot(scatter, 1 / strides)
         ordered = np.take_along_axis(rates, order[..., None, :], -1)
         dimensions = kaplan_yorke(ordered)

@@ -85,7 +85,8 @@ class Integrator(eqx.Module):
 
     def in_dtype(self, dtype) -> "Integrator":
         """Return the same settings, with the tolerance as an array."""
-        if isinstance(self.tolerance, jax.Array) and self.tolerance.dtype == dtype:
+        known = self.tolerance
+        if isinstance(known, jax.Array) and known.dtype == dtype and not known.weak_type:
             return self
         return Integrator(jnp.asarray(self.tolerance, dtype), self.solver)
 

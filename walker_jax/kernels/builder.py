@@ -1,7 +1,7 @@
 """A builder of LLVM programs that writes arithmetic on floating-point vectors as text at once.
 
-Nine tenths of the instructions of a stride are such. llvmlite makes an object for each, and its
-text when the program is written, which takes three times as long.
+Nine of ten instructions of a stride are arithmetic. llvmlite makes an object for each, and writes
+its text later. That takes three times as long.
 """
 
 from typing import Any, no_type_check

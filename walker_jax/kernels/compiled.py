@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import math
+import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 
@@ -15,7 +16,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.machine import register_bits
-from walker_jax.kernels.machine_code import MachineCode, timed_compilation
+from walker_jax.kernels.machine_code import MachineCode, report_compilation
 
 MAX_NUMBERS = 1000
 """Most numbers in the operands and results of one cell; each takes code of its own."""
@@ -25,10 +26,11 @@ class Compiled:
     """The machine code of a jaxpr of one cell."""
 
     def __init__(self, closed: ClosedJaxpr):
-        """Compile the jaxpr, or raise `UnsupportedPrimitive` if kernels do not support it."""
-        with timed_compilation():
-            self.operands, self.results, source = source_of(closed, register_bits())
-            self.code = MachineCode(source)
+        """Write the jaxpr's program; raise `UnsupportedPrimitive` if kernels do not support it."""
+        start = time.perf_counter()
+        self.operands, self.results, source = source_of(closed, register_bits())
+        self.code = MachineCode(source)
+        report_compilation(start)
 
     @classmethod
     def recall(cls, operands: Sequence, results: Sequence, digest: str) -> "Compiled | None":

@@ -99,7 +99,7 @@ def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
     - `args`, `kwargs`: its arguments for one cell; only their shapes and types matter.
 
     **Returns** the reason, with the line of the function if it is known. Returns `None` if there is
-    a kernel, which is then compiled.
+    a kernel.
     """
     platform = next(iter(jnp.zeros(()).devices())).platform
     route = gpu.route_in_use() if platform != "cpu" else None

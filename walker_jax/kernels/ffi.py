@@ -71,8 +71,8 @@ Equal kernels share one target. None is ever removed: a program of XLA may still
 
 def target(compiled: Compiled) -> str:
     """Return XLA's name of a kernel; the first call registers the kernel."""
-    address = compiled.code.address()
-    return registered("cpu", compiled, load_handler, lambda: (address, *CELLS_PER_PIECE))
+    words = lambda: (compiled.code.address(), *CELLS_PER_PIECE)
+    return registered("cpu", compiled, load_handler, words)
 
 
 def registered(

@@ -3,8 +3,10 @@
 import functools
 import hashlib
 import os
+import platform
 import subprocess
 import sys
+import threading
 import zlib
 
 import llvmlite
@@ -114,36 +116,44 @@ def recall_program(digest: str) -> llvm.ExecutionEngine | None:
 
 def keep_source(source: str) -> None:
     """Store the source of a program on disk, if possible, so that it can be optimised later."""
-    store(code_name(hash_source(source), SOURCE), zlib.compress(source.encode(), 1))
+    store(code_name(hash_source(source), "source"), zlib.compress(source.encode(), 1))
 
 
 def recall_source(digest: str) -> str | None:
     """Read the source with this digest from disk, if it is there."""
-    found = recall(code_name(digest, SOURCE))
+    found = recall(code_name(digest, "source"))
     return None if found is None else zlib.decompress(found).decode()
 
 
-def keeps_bits() -> bool:
-    """Return whether code of both levels computes the same bits on this processor.
+@functools.cache
+def allows_quick_code() -> bool:
+    """Return whether code that is not optimised may run here.
 
-    For others than x86, LLVM chooses instructions differently at the lower level, and so fuses
-    other products with sums.
+    It computes the same bits on x86. For other processors LLVM then chooses instructions by other
+    rules, and so fuses other products with sums. The stack of a thread must be of the usual 8 MiB.
     """
-    return llvm.get_process_triple().startswith(("x86_64", "amd64"))
+    if not llvm.get_process_triple().startswith(("x86_64", "amd64")):
+        return False
+    if sys.platform != "linux" or platform.libc_ver()[0] != "glibc":
+        return False
+    import resource  # not on Windows
+
+    stack, given = resource.getrlimit(resource.RLIMIT_STACK)[0], threading.stack_size()
+    least = 2**23
+    return (stack == resource.RLIM_INFINITY or stack >= least) and (given == 0 or given >= least)
 
 
 def hash_source(source: str) -> str:
     return hashlib.sha256(source.encode()).hexdigest()
 
 
-SOURCE = -1
-"""The level, in names on disk, of a program that is not compiled."""
+def code_name(digest: str, what: int | str = OPTIMISED) -> str:
+    """Return the name on disk of a program's code of a level, or of its source.
 
-
-def code_name(digest: str, level: int = OPTIMISED) -> str:
-    """Return the name on disk of a program's code, for this processor and these versions."""
+    It is for this processor and these versions.
+    """
     versions = llvmlite.__version__, *llvm.llvm_version_info
-    processor_code = llvm.get_process_triple(), *processor(), level, "no passes"
+    processor_code = llvm.get_process_triple(), *processor(), what, "no passes"
     all_it_depends_on = repr((versions, *processor_code, digest))
     return hashlib.sha256(all_it_depends_on.encode()).hexdigest()
 

@@ -1,16 +1,14 @@
 """The machine code of a program: made quickly at first if it is long, and optimised when it pays.
 
-LLVM takes about ten seconds to optimise the longest programs, derivatives of strides in space. It
-makes code without optimisation in a seventh of that, which takes two to four times as long for each
-cell. So few cells are computed by such code. Both compute the same bits: in either, LLVM fuses the
-same products with sums, as no optimisation moves instructions from block to block.
+LLVM takes seven seconds to optimise the longest programs, derivatives of strides in space. Code
+that is not optimised is made in one second, but then takes two to four times as long for each cell,
+so it computes only the first cells. Both compute the same bits: LLVM fuses a product with a sum
+only within a block, when it selects instructions, and does so alike for both.
 """
 
 import ctypes
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -18,19 +16,23 @@ import llvmlite.binding as llvm
 
 from walker_jax.kernels.machine import (
     QUICK,
+    allows_quick_code,
     hash_source,
     keep_source,
-    keeps_bits,
     load_program,
     recall_program,
     recall_source,
 )
 
-LONG_SOURCE = 2_000_000
-"""Characters of a program from which on it is made quickly at first: two seconds to optimise."""
+LONG_SOURCE = 2_000_000, 10_000_000
+"""Fewest and most characters of a program that is made quickly at first.
+
+LLVM optimises the shortest in two seconds. Unoptimised, the longest take 1 or 2 MiB of a thread's
+stack, by the length of vectors: each number has a place of its own there.
+"""
 MANY_CELLS = 20_000
 """Cells of one call for which such a program is optimised at once."""
-TRIAL = 3e-7
+TRIAL_SECONDS = 3e-7
 """Seconds of work by unoptimised code, for each character of the source, before it is optimised: a
 quarter of what LLVM then takes."""
 PIECE = 64
@@ -38,11 +40,8 @@ PIECE = 64
 ENTRY = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
 
 
-@contextmanager
-def timed_compilation() -> Iterator[None]:
-    """Tell JAX's listeners how long a kernel took to compile."""
-    start = time.perf_counter()
-    yield
+def report_compilation(start: float) -> None:
+    """Tell JAX's listeners how long a part of a kernel's compilation took."""
     seconds = time.perf_counter() - start
     jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 
@@ -53,6 +52,7 @@ class MachineCode:
     def __init__(self, source: str):
         """Begin with the source of a program; code is made when it is known for how many cells."""
         self.begin(hash_source(source), source)
+        self.on_disk = False
 
     @classmethod
     def recall(cls, digest: str) -> "MachineCode | None":
@@ -72,10 +72,12 @@ class MachineCode:
         self.source = source
         """What is left to be optimised, if anything."""
         self.engines: list[llvm.ExecutionEngine] = []
-        """All code that has been in use; a thread may still run what was first."""
+        """All code so far: a thread may still run the first."""
         self.entry: Any = None
         self.worked = 0.0
         """Seconds of work by unoptimised code."""
+        self.on_disk = True
+        """Whether the source is kept there, if need be."""
         self.compiling = threading.Lock()
 
     def use(self, engine: llvm.ExecutionEngine) -> None:
@@ -88,35 +90,39 @@ class MachineCode:
             end, begun = min(start + PIECE, stop), time.thread_time()
             self.entry(start, end, addresses, strides)
             start, self.worked = end, self.worked + time.thread_time() - begun
-            if self.worked > TRIAL * len(source):
+            if self.worked > TRIAL_SECONDS * len(source):
                 self.optimise(wait=False)
         self.entry(start, stop, addresses, strides)
 
     def expect(self, cells: int) -> None:
         """Make the code that suits a call for this many cells."""
         source = self.source
-        if source is None:
-            return
-        if cells > MANY_CELLS or len(source) < LONG_SOURCE or not keeps_bits():
+        if source is None or (self.entry is not None and cells <= MANY_CELLS):
+            return  # at once: all that asks LLVM waits while it compiles in another thread
+        least, most = LONG_SOURCE
+        if cells > MANY_CELLS or not least <= len(source) <= most or not allows_quick_code():
             self.optimise()
-        elif self.entry is None:
-            with self.compiling:
-                if self.entry is None:
+            return
+        start = time.perf_counter()
+        with self.compiling:
+            if self.entry is None:
+                if not self.on_disk:
                     keep_source(source)
-                    with timed_compilation():
-                        self.use(load_program(source, QUICK))
+                self.use(load_program(source, QUICK))
+        report_compilation(start)
 
     def optimise(self, *, wait: bool = True) -> None:
         """Optimise the code, once; unless it is to wait, return if another thread compiles."""
         if self.source is None or not self.compiling.acquire(blocking=wait):
             return
+        start = time.perf_counter()
         try:
             if self.source is not None:
-                with timed_compilation():
-                    self.use(load_program(self.source))
+                self.use(load_program(self.source))
                 self.source = None
         finally:
             self.compiling.release()
+        report_compilation(start)
 
     def address(self) -> int:
         """Return the address of the optimised code, for calls that nobody counts."""

@@ -1,10 +1,11 @@
 """An on-disk cache of machine code, so that processes share what one of them has compiled.
 
-A file holds the code of one program; its name is a hash of all that the code depends on. It begins
-with a checksum of name and code, so that a truncated, damaged or misnamed file is not loaded. Files
-are written under a temporary name and then renamed, so any number of processes may share the
-folder. If the folder cannot be read or written, or if others can write there, each process compiles
-its own programs.
+A file holds the code of one program, or the compressed source of a long one that may have to be
+optimised later. Its name is a hash of all that the content depends on. It begins with a checksum of
+name and content, so that a truncated, damaged or misnamed file is not loaded. Files are written
+under a temporary name and then renamed, so any number of processes may share the folder. If the
+folder cannot be read or written, or if others can write there, each process compiles its own
+programs.
 """
 
 import contextlib
