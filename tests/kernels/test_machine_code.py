@@ -72,9 +72,7 @@ def evaluate(compiled, n=100):
 
 
 @needs_x86
-def test_few_cells_are_computed_by_quick_code_and_many_by_optimised(
-    folder, all_are_long, compilations
-):
+def test_few_cells_take_quick_code_and_many_take_optimised(folder, all_are_long, compilations):
     code = compile_polynomial()
     few = evaluate(code)
     assert compilations == [machine.QUICK] and code.code.source is not None
@@ -137,9 +135,7 @@ def test_code_that_nobody_counts_is_optimised(folder, all_are_long):
     assert code.source is None and len(code.engines) == 2
 
 
-def test_short_programs_and_those_beyond_bounds_are_optimised_at_once(
-    folder, compilations, monkeypatch
-):
+def test_what_is_optimised_at_once(folder, compilations, monkeypatch):
     evaluate(compile_polynomial())
     assert compilations == [machine.OPTIMISED]
     source = "; {}\ndefine void @kernel() {{ ret void }}"
