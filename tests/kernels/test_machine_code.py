@@ -142,7 +142,8 @@ def test_what_is_optimised_at_once(folder, compilations, monkeypatch):
     for number, bounds, allowed in ((1, (0, 10), True), (2, (0, 10**9), False)):
         monkeypatch.setattr(machine_code, "LONG_SOURCE", bounds)
         monkeypatch.setattr(machine_code, "allows_quick_code", lambda allowed=allowed: allowed)
-        code = MachineCode(source.format(number))
+        text = source.format(number)
+        code = MachineCode(text, machine.hash_source(text))
         code.expect(1)
         assert code.source is None
     assert compilations == 3 * [machine.OPTIMISED]

@@ -20,6 +20,7 @@ from walker_jax.kernels import ffi, gpu, kernel, launcher, machine, object_cache
 from walker_jax.kernels import program as of_program
 from walker_jax.kernels.compiled import Compiled, source_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
+from walker_jax.kernels.machine import hash_source
 from walker_jax.kernels.machine_code import MachineCode
 from walker_jax.walking.stride import follow_stride
 
@@ -56,7 +57,7 @@ def with_one_lane(closed):
     """The program of a thread, compiled for this processor."""
     found = object.__new__(Compiled)
     found.operands, found.results, source = source_of(closed, 0)
-    found.code = MachineCode(source)
+    found.code = MachineCode(source, hash_source(source))
     return found
 
 

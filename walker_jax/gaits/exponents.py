@@ -124,7 +124,9 @@ def lyapunov(
     starts = np.asarray(x, float).reshape(-1, size)
     system, many = as_arrays(system, len(starts), starts.dtype)
     integrator = Integrator(default_tolerance(jnp.float64, tolerance)).in_dtype(starts.dtype)
-    rates, determinant, states = exponents_of_cycles(system, starts, settling + strides, integrator)
+    rates, determinant, states = find_cycle_exponents(
+        system, starts, settling + strides, integrator
+    )
     every = lambda values: np.repeat(values[:, None], walks, axis=1)
     rates, determinant, states = map(every, (rates, determinant, states))
     outcome = np.full(determinant.shape, Outcome.STRIDE, np.int8)
@@ -153,10 +155,10 @@ def lyapunov(
     )
 
 
-def exponents_of_cycles(
+def find_cycle_exponents(
     system: System, x: Float[np.ndarray, "n section"], strides: int, integrator: Integrator
 ) -> tuple[Float[np.ndarray, "n section"], Float[np.ndarray, " n"], Float[np.ndarray, "n section"]]:
-    """Return the exponents of stable cycles through n states, their sums, and ends of walks.
+    """Find the exponents of stable cycles through n states, their sums, and ends of walks.
 
     Exponents and sums are NaN where a state is on no stable cycle of at most `RECORDED_STATES`
     strides, or where rounding hides a multiplier before the last. The last exponent is the sum less
@@ -211,9 +213,8 @@ def follow_frames(
 
         states, outcomes, changes = lax.map(along, frame.T)
         frame, factor = jnp.linalg.qr(changes.T)
-        counts = lambda values: jnp.where(
-            made >= first, values, 0
-        )  # zero has an infinite logarithm
+        # no product with zero, as a logarithm may be infinite
+        counts = lambda values: jnp.where(made >= first, values, 0)
         logs = logs + counts(jnp.log(jnp.abs(jnp.diagonal(factor))))
         determinant = determinant + counts(jnp.linalg.slogdet(changes)[1])
         return made + 1, states[0], frame, logs, determinant, outcomes[0]

@@ -15,7 +15,7 @@ from jax.extend.core import ClosedJaxpr
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
-from walker_jax.kernels.machine import register_bits
+from walker_jax.kernels.machine import hash_source, register_bits
 from walker_jax.kernels.machine_code import MachineCode, report_compilation
 
 MAX_NUMBERS = 1000
@@ -29,7 +29,7 @@ class Compiled:
         """Write the jaxpr's program; raise `UnsupportedPrimitive` if kernels do not support it."""
         start = time.perf_counter()
         self.operands, self.results, source = source_of(closed, register_bits())
-        self.code = MachineCode(source)
+        self.code = MachineCode(source, hash_source(source))
         report_compilation(start)
 
     @classmethod

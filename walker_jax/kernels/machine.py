@@ -13,7 +13,7 @@ import llvmlite
 import llvmlite.binding as llvm
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.object_cache import load_or_compile, recall, store
+from walker_jax.kernels.object_cache import load_or_compile, recall
 
 QUICK, OPTIMISED = 0, 2
 """Two of LLVM's levels of code generation, as in `clang -O0` and `clang -O2`."""
@@ -116,7 +116,8 @@ def recall_program(digest: str) -> llvm.ExecutionEngine | None:
 
 def keep_source(source: str) -> None:
     """Store the source of a program on disk, if possible, so that it can be optimised later."""
-    store(code_name(hash_source(source), "source"), zlib.compress(source.encode(), 1))
+    compress = lambda: zlib.compress(source.encode(), 1)
+    load_or_compile(code_name(hash_source(source), "source"), compress)
 
 
 def recall_source(digest: str) -> str | None:

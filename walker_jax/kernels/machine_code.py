@@ -17,7 +17,6 @@ import llvmlite.binding as llvm
 from walker_jax.kernels.machine import (
     QUICK,
     allows_quick_code,
-    hash_source,
     keep_source,
     load_program,
     recall_program,
@@ -49,25 +48,8 @@ def report_compilation(start: float) -> None:
 class MachineCode:
     """Code that any number of threads may run at once."""
 
-    def __init__(self, source: str):
+    def __init__(self, source: str | None, digest: str):
         """Begin with the source of a program; code is made when it is known for how many cells."""
-        self.begin(hash_source(source), source)
-        self.on_disk = False
-
-    @classmethod
-    def recall(cls, digest: str) -> "MachineCode | None":
-        """Load the code of the program whose source has this digest, if it is on disk."""
-        engine = recall_program(digest)
-        source = recall_source(digest) if engine is None else None
-        if engine is None and source is None:
-            return None
-        found = object.__new__(cls)
-        found.begin(digest, source)
-        if engine is not None:
-            found.use(engine)
-        return found
-
-    def begin(self, digest: str, source: str | None) -> None:
         self.digest = digest
         self.source = source
         """What is left to be optimised, if anything."""
@@ -76,9 +58,19 @@ class MachineCode:
         self.entry: Any = None
         self.worked = 0.0
         """Seconds of work by unoptimised code."""
-        self.on_disk = True
-        """Whether the source is kept there, if need be."""
         self.compiling = threading.Lock()
+
+    @classmethod
+    def recall(cls, digest: str) -> "MachineCode | None":
+        """Load the code of the program whose source has this digest, if it is on disk."""
+        engine = recall_program(digest)
+        source = recall_source(digest) if engine is None else None
+        if engine is None and source is None:
+            return None
+        found = cls(source, digest)
+        if engine is not None:
+            found.use(engine)
+        return found
 
     def use(self, engine: llvm.ExecutionEngine) -> None:
         self.engines.append(engine)
@@ -106,8 +98,7 @@ class MachineCode:
         start = time.perf_counter()
         with self.compiling:
             if self.entry is None:
-                if not self.on_disk:
-                    keep_source(source)
+                keep_source(source)
                 self.use(load_program(source, QUICK))
         report_compilation(start)
 
