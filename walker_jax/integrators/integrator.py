@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import (
@@ -45,7 +46,8 @@ MAX_STEPS = 1000
 """Most steps of one integration, so that it always ends."""
 MOST_EXPANDED_AGAIN = 5
 """Most variables of a state whose series is expanded again for the search within a step. For more
-variables it is cheaper to carry the series from step to step."""
+variables, and where an expansion takes long, as that of a `PowerBalance` does, it is cheaper to
+carry the series from step to step."""
 INTERPOLATION_ORDER = 8
 """Order of the polynomial that represents a Runge-Kutta interpolation; diffrax has none higher."""
 NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
@@ -196,8 +198,9 @@ class Method(eqx.Module):
 
     def carries_series(self, state: PyTree) -> bool:
         """Return whether a loop should carry a step's polynomial instead of computing it again."""
-        series = isinstance(self.solver, Taylor)
-        return not series or len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
+        if not isinstance(self.solver, Taylor) or isinstance(self.field, PowerBalance):
+            return True
+        return len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
 
     def first_memory(self, state: PyTree) -> PyTree:
         """Return the method's memory for the first step."""
