@@ -1,5 +1,7 @@
 """The Taylor solver, integration up to a condition, roots of polynomials, refinement of events."""
 
+from typing import Any, NamedTuple
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -479,7 +481,28 @@ def test_landing_of_a_ball_with_its_derivatives():
         z, v, g = p
         return jnp.stack([jnp.zeros_like(z), -jnp.sqrt(v**2 + 2 * g * z), time(p)])
 
-    assert_same_derivatives(land_it, expected, jnp.array([0.7, 0.4, 1.3]), order=3)
+    assert_same_derivatives(land_it, expected, jnp.array([0.7, 0.4, 1.3]), order=4)
+
+
+class Fall(NamedTuple):
+    z: Any
+    v: Any
+    note: Any = None
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_rates_need_not_have_the_structure_or_type_of_a_state(dtype):
+    """A list with an integer, of a state with nothing in one place."""
+    method = Method(lambda state: [state.v, -1], Taylor(4), 1e-6)
+    along = jax.jvp(
+        lambda z: method.refine_event(lambda y: -y.z, Fall(z, -2 + 0 * z)),
+        (jnp.zeros((), dtype),),
+        (jnp.ones((), dtype),),
+    )
+    (end, delay), (change, later) = along
+    assert end.note is None and end.z == 0 and end.v == -2 and delay == 0
+    # Higher by 1 at the speed 2, it lands 1/2 later, faster by g / 2.
+    assert change.z == 0 and change.v == -0.5 and later == 0.5 and later.dtype == dtype
 
 
 def test_landing_of_an_oscillator_on_a_level_that_is_varied_too():

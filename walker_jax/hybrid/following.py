@@ -94,8 +94,8 @@ def follow_mode(
 ) -> End:
     """Follow a mode from a state to its end; do nothing unless `going`.
 
-    Derivatives of the arrival are exact to third order. If `measured`, every step is searched, and
-    its misses are recorded.
+    Derivatives of the arrival are exact, of any order; past a kink of the equations, to the third.
+    If `measured`, every step is searched, and its misses are recorded.
     """
 
     mode, zero = with_rates(mode, start), zero_at(start)

@@ -19,10 +19,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
+from walker_jax.integrators.arrivals import flow, time_to
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.power_balance import PowerBalance
-from walker_jax.integrators.roots import Real, Scalar, derivative_of
-from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.integrators.taylor import (
     VectorField,
     function_series,
@@ -279,29 +279,36 @@ class Method(eqx.Module):
         return time
 
     def series(self, function: Callable, state: PyTree, order: int) -> PyTree[list]:
-        """Return the Taylor coefficients of function(y(t)) along the solution y from a state."""
-        if isinstance(self.solver, Taylor):
-            return function_series(function, solution_series(self.field, state, order))
+        """Return the Taylor coefficients of function(y(t)) along the solution y from a state.
+
+        They are constant to derivatives by the state, and by parameters that the equations hold.
+        """
+        method, state = stop_gradients((self, state))
+        if isinstance(method.solver, Taylor):
+            return function_series(function, solution_series(method.field, state, order))
         values = []
         for k in range(order + 1):
             value = jax.tree.map(lambda x, k=k: x / math.factorial(k), function(state))
             values.append(value)
-            along = lambda state, last=function: jax.jvp(last, (state,), (self.field(state),))[1]
+            along = lambda state, last=function: jax.jvp(last, (state,), (method.field(state),))[1]
             function = along
         return jax.tree.map(lambda *coefficients: list(coefficients), *values)
 
     def refine_event(
         self, event: Callable[[PyTree], Scalar], state: PyTree
     ) -> tuple[PyTree, Scalar]:
-        """Return the state at which `event` is zero, and the time to it, with their derivatives.
+        """Return the state at which `event` is zero, and the time to it, with all derivatives.
 
         `state` is already that state to rounding, at a time that is constant to derivatives, so the
-        returned values are `state` and 0. Two Newton iterations, dt = -event / (d event / dt), on a
-        series of third order make their derivatives exact to third order.
+        returned values are `state` and 0.
         """
-        values = self.series(event, state, 3)
-        values[0] -= lax.stop_gradient(values[0])
-        slopes = derivative_of(values)
-        time = -values[0] / values[1]
-        time = time - evaluate_polynomial(values, time) / evaluate_polynomial(slopes, time)
-        return evaluate_series(self.series(lambda state: state, state, 3), time), time
+
+        def rates(state):  # of the structure and the types of the state, as tangents must be
+            leaves, structure = jax.tree.flatten(state)
+            pairs = zip(jax.tree.leaves(self.field(state)), leaves, strict=True)
+            return jax.tree.unflatten(structure, [jnp.asarray(r, x.dtype) for r, x in pairs])
+
+        convert = lambda function: eqx.filter_closure_convert(with_fast_sincos(function), state)
+        field, event = convert(rates), convert(event)
+        time = time_to(event, field, state)
+        return flow(field, state, time), time
