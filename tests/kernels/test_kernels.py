@@ -15,9 +15,9 @@ from jax.scipy.special import erf
 from walker_jax.kernels import compiled
 from walker_jax.kernels.compiled import Compiled
 from walker_jax.kernels.elementary import exp_float32, log_float32
+from walker_jax.kernels.entries import ENTRYWISE
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.rules import RULES
-from walker_jax.kernels.scalars import ENTRYWISE
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, np.inf, -np.inf, np.nan, 1e300, -1e-300, 2.5, -3.5]
 

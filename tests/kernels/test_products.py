@@ -9,6 +9,7 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 
 from walker_jax.kernels import kernel
+from walker_jax.kernels.compiled import source_of
 from walker_jax.kernels.products import sum_of_products, sum_of_products_p
 from walker_jax.kernels.program import count_operations
 
@@ -114,6 +115,15 @@ def test_kernels(dtype):
         agree(found, expected, tolerance)
     zero = kernel(lambda x: sum_of_products(x, jnp.zeros_like(x), x, jnp.ones_like(x)))
     agree(zero(given[0]), given[0])
+
+
+def test_a_product_and_its_sum_are_one_instruction():
+    *_, source = source_of(jax.make_jaxpr(sum_of_products)(*numbers(7)), 256)
+    assert source.count(" = call contract <4 x double> @llvm.fmuladd.v4f64(") == 3
+    assert not any(f" {name} " in source for name in ("fmul", "fadd"))
+    *_, source = source_of(jax.make_jaxpr(sum_of_products)(*numbers(4)), 256)
+    assert source.count(" = call contract <4 x double> @llvm.fmuladd.v4f64(") == 1
+    assert source.count(" = fmul ") == 1 and " fadd " not in source
 
 
 def test_operations_are_counted():

@@ -10,7 +10,8 @@ from hypothesis.extra.numpy import arrays
 from jax import lax
 
 from walker_jax.kernels import kernel
-from walker_jax.kernels.scalars import EXACT, unroll
+from walker_jax.kernels.entries import EXACT
+from walker_jax.kernels.scalars import unroll
 
 pytestmark = pytest.mark.usefixtures("quick_references")
 
@@ -249,10 +250,10 @@ def test_no_arrays_and_fewer_operations_are_left():
 
     few = names(function, 0.5, 1.0, 2.0)
     plain = sum(max(1, int(np.prod(shape))) for _, shape in equations(function, 0.5, 1.0, 2.0))
-    # Two products and a sum each, of two entries each time; one sine, one cosine, two signs.
+    # Two products and a sum each, of two entries each time; one sine, one cosine; no sign is left.
     assert few.count("sin") == few.count("cos") == 1
-    assert few.count("mul") == 8 and few.count("add") == 4
-    assert len(few) < 20 < plain / 3
+    assert few.count("mul") == 8 and few.count("add") == few.count("sub") == 2
+    assert len(few) == 14 < plain / 4
     assert_equal(jnp.stack(unroll(function)(0.5, 1.0, 2.0)), jnp.array([1.0, 2.0, 1.0]))
 
 
@@ -269,6 +270,30 @@ def test_known_zeros_and_ones_drop_out():
     assert names(lambda x: list(jnp.eye(3) @ jnp.stack([x, -x, x])), 2.0) == ["neg"]
     assert names(lambda x: 0.0 - x, 2.0) == ["sub"]
     assert names(lambda x: 1.0 / x, 2.0) == ["div"]
+
+
+def test_signs_pass_through_sums_and_products():
+    assert names(lambda x, y: -x * -y, 2.0, 3.0) == ["mul"]
+    assert names(lambda x, y: -x + y, 2.0, 3.0) == ["sub"]
+    assert names(lambda x, y: x - -y, 2.0, 3.0) == ["add"]
+    assert names(lambda x, y: -x - y, 2.0, 3.0) == ["add", "neg"]
+    assert names(lambda x, y: y - (-x) / y, 2.0, 3.0) == ["add", "div"]
+    assert names(lambda x: (-x, x * -1.0, lax.neg(-x)), 2.0) == ["mul", "neg"]
+    assert names(lambda x: jnp.sqrt(lax.neg(-x)) + jnp.exp(-x), 2.0).count("neg") == 1
+    chosen = names(lambda x: jnp.where(x > 0, -x, -2.0 - -x), 2.0)
+    assert chosen == ["add", "gt", "neg", "select_n"]
+
+
+@pytest.mark.parametrize("at", [(0.3, 0.7, -1.9), (-2.5, 1e-9, 3e4)])
+def test_signs_change_no_bit(at):
+    def function(a, x, y):
+        minus = -jnp.sin(a)
+        pair = jnp.stack([minus * x - y, -(x / -y), -x - a, y - -minus])
+        turns = lax.fori_loop(0, 3, lambda i, v: v * minus - pair[1], -pair)
+        return -turns[0], jnp.where(a > 0, -x, -y), lax.integer_pow(minus, 3), pair.astype(bool)
+
+    for found, right in zip(unroll(function)(*at), function(*at), strict=True):
+        np.testing.assert_array_equal(found, right)
 
 
 def test_what_is_known_is_computed_while_tracing():

@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.kernels.products import sum_of_products
 
 Scalar = Float[Array, ""]
 Real = Scalar | float
@@ -26,9 +27,9 @@ def polynomial_jet(series: list[Scalar]) -> Jet:
     def jet(t):
         value, slope, curvature = series[-1], jnp.zeros_like(t), jnp.zeros_like(t)
         for coefficient in series[-2::-1]:
-            curvature = curvature * t + slope
-            slope = slope * t + value
-            value = value * t + coefficient
+            curvature = sum_of_products(curvature, t, slope)
+            slope = sum_of_products(slope, t, value)
+            value = sum_of_products(value, t, coefficient)
         return value, slope, 2 * curvature
 
     return jet
@@ -129,5 +130,5 @@ def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
     series = list(series)
     for i in range(len(series) - 1):
         for k in range(len(series) - 2, i - 1, -1):
-            series[k] = series[k] + step * series[k + 1]
+            series[k] = sum_of_products(step, series[k + 1], series[k])
     return series

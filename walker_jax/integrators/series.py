@@ -73,7 +73,7 @@ def evaluate_polynomial(coefficients: list, t):
     """Evaluate the polynomial c_0 + c_1 t + c_2 t^2 + ... by Horner's rule."""
     value = coefficients[-1] + jnp.zeros_like(t)
     for coefficient in coefficients[-2::-1]:
-        value = value * t + coefficient
+        value = sum_of_products(value, t, coefficient)
     return value
 
 

@@ -5,7 +5,7 @@
 XLA turns a function mapped over a tile of cells into several loops over the tile, one for each
 fusion of operations. A while loop then runs until the slowest cell of the tile has ended, and an
 intermediate result used by several fusions is computed again in each. Kernels avoid both. They read
-the jaxpr of the function number by number (`scalars`) and write it as one LLVM program, in which
+the jaxpr of the function number by number (`entries`) and write it as one LLVM program, in which
 every number is a vector of as many cells as a register holds. A loop runs until all cells of the
 vector have ended; a cell that has ended keeps its values. So a slow cell delays at most seven
 others in float64, equal terms are computed once, and intermediate results stay in the registers and

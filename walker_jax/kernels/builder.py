@@ -30,7 +30,7 @@ class Line:
 
 @no_type_check
 class Builder(ir.IRBuilder):
-    """llvmlite's builder, with one more method."""
+    """llvmlite's builder, with methods for such arithmetic."""
 
     def __init__(self, block: ir.Block):
         super().__init__(block)
@@ -38,9 +38,22 @@ class Builder(ir.IRBuilder):
 
     def arithmetic(self, name: str, *operands: Any) -> Line:
         """Write an instruction on floating-point vectors of one type, such as fmul."""
-        kind, self.lines = operands[0].type, self.lines + 1
+        kind = operands[0].type
         values = ", ".join([one.get_reference() for one in operands])
+        return self.write(kind, f"{name} {FAST} {kind} {values}")
+
+    def fused(self, a: Any, b: Any, c: Any) -> Line:
+        """Write a b + c of floating-point vectors; it is rounded once if the processor can."""
+        kind = a.type
+        name = f"llvm.fmuladd.v{kind.count}{kind.element.intrinsic_name}"
+        if name not in self.module.globals:
+            ir.Function(self.module, ir.FunctionType(kind, [kind] * 3), name)
+        values = ", ".join([f"{kind} {one.get_reference()}" for one in (a, b, c)])
+        return self.write(kind, f"call {FAST} {kind} @{name}({values})")
+
+    def write(self, kind: ir.Type, text: str) -> Line:
+        self.lines += 1
         reference = f"%x{self.lines}"  # llvmlite's own names begin with a point, or are of blocks
-        line = Line(kind, reference, f"{reference} = {name} {FAST} {kind} {values}")
+        line = Line(kind, reference, f"{reference} = {text}")
         self._insert(line)
         return line

@@ -14,6 +14,7 @@ from llvmlite import ir
 
 from walker_jax.kernels import control, indexing
 from walker_jax.kernels.builder import FAST, Builder
+from walker_jax.kernels.entries import Unrolling
 from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.memory import ADDRESS, LONG, Memory
 from walker_jax.kernels.rules import (
@@ -23,7 +24,6 @@ from walker_jax.kernels.rules import (
     is_float,
     is_floating,
 )
-from walker_jax.kernels.scalars import Unrolling
 from walker_jax.kernels.shortcuts import is_known
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
@@ -131,6 +131,16 @@ class LLVMEmitter(Unrolling):
             raise UnsupportedPrimitive(primitive.name)
         vectors = [self.vector(x, dtype) for x, dtype in zip(operands, dtypes, strict=True)]
         return rule(self, params, dtypes, *vectors)
+
+    def add_product(self, total, a, b, dtype):
+        """Return total + a b, as one instruction where the processor has it."""
+        known = is_known(a) or is_known(b) or (is_known(total) and total == 0)
+        if known or not is_floating(dtype):
+            return super().add_product(total, a, b, dtype)
+        key = "add_product", self.identity(total), *sorted(map(self.identity, (a, b))), dtype
+        if key not in self.known:
+            self.known[key] = self.builder.fused(a, b, self.vector(total, dtype))
+        return self.known[key]
 
     def term(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         name = primitive.name

@@ -16,9 +16,9 @@ import numpy as np
 from jax import lax
 from llvmlite import ir
 
+from walker_jax.kernels.entries import params_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, changes_entries
 from walker_jax.kernels.memory import entry_type
-from walker_jax.kernels.scalars import params_of
 from walker_jax.kernels.shortcuts import is_known
 
 BOOL = np.dtype(bool)
