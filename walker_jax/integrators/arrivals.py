@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from walker_jax.integrators.roots import Scalar
-from walker_jax.integrators.taylor import VariedField, VectorField, is_absent
+from walker_jax.integrators.taylor import VariedField, VectorField, with_zeros
 
 
 @eqx.filter_custom_jvp
@@ -53,6 +53,5 @@ def vary_end(primals, tangents):
 
 def vary_flow(field: VectorField, state: PyTree, time: Scalar, dfield, dstate) -> PyTree:
     """Return V dy, and what the change of the equations adds to it."""
-    tangent = lambda dx, x: jnp.zeros_like(x) if dx is None and x is not None else dx
-    dstate = jax.tree.map(tangent, dstate, state, is_leaf=is_absent)
-    return flow(VariedField(field, dfield), (state, dstate), time)[1]
+    both = state, with_zeros(dstate, state)
+    return flow(VariedField(field, dfield), both, time)[1]

@@ -79,10 +79,15 @@ def expand_variation(primals, tangents, *, order):
     if not is_smooth(vector_field, state):
         grow = lambda vector_field, state: grow_series(vector_field, state, order)
         return series, eqx.filter_jvp(grow, primals, tangents)[1]
-    tangent = lambda dx, x: jnp.zeros_like(x) if dx is None and x is not None else dx
-    dstate = jax.tree.map(tangent, dstate, state, is_leaf=is_absent)
     varied = VariedField(vector_field, change)
-    return series, expand_solution(varied, (state, dstate), order=order)[1]
+    both = state, with_zeros(dstate, state)
+    return series, expand_solution(varied, both, order=order)[1]
+
+
+def with_zeros(tangents: PyTree, state: PyTree) -> PyTree:
+    """Return tangents of a state, with zeros where there are none."""
+    tangent = lambda dx, x: jnp.zeros_like(x) if dx is None and x is not None else dx
+    return jax.tree.map(tangent, tangents, state, is_leaf=is_absent)
 
 
 SMOOTH = frozenset(

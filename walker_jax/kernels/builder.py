@@ -52,6 +52,7 @@ class Builder(ir.IRBuilder):
         return self.write(kind, f"call {FAST} {kind} @{name}({values})")
 
     def write(self, kind: ir.Type, text: str) -> Line:
+        """Write an instruction whose result has this type."""
         self.lines += 1
         reference = f"%x{self.lines}"  # llvmlite's own names begin with a point, or are of blocks
         line = Line(kind, reference, f"{reference} = {text}")

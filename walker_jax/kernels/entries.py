@@ -164,6 +164,7 @@ class Unrolling(Interpreter):
         return [result]
 
     def add_product(self, total, a, b, dtype):
+        """Return total + a b."""
         return self.total([total, self.multiply(a, b, dtype)], dtype)
 
     def sum(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:

@@ -24,8 +24,8 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
     Results and derivatives agree to rounding, with two exceptions. A product with an entry known to
     be zero is zero, even if the other factor is not finite. A zero may have the other sign, and so
-    what depends on that sign, as 1 / 0 does. Operations that do not act entry by
-    entry, such as factorisations and loops, are kept; so are functions with custom derivatives.
+    what depends on that sign, as 1 / 0 does. Operations that do not act entry by entry, such as
+    factorisations and loops, are kept; so are functions with custom derivatives.
     """
 
     code = identify_by_code(function)
