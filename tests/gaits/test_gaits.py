@@ -1,4 +1,5 @@
 import inspect
+from functools import partial
 from itertools import pairwise
 
 import jax
@@ -65,6 +66,35 @@ def test_without_a_guess_the_gait_of_a_spring_is_the_stable_one():
     assert gait.stable and np.abs(gait.multipliers) == pytest.approx(0.70334, abs=1e-5)
     data = wj.basin(one, wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.15, 0, 12)), "direct")
     np.testing.assert_allclose(data["states"].values, gait.states[None], rtol=0, atol=1e-12)
+
+
+def test_few_starts_are_searched_before_all(monkeypatch):
+    """All of them only if no gait is stable that is found from few; the gait is the same."""
+    one, sizes, find = wj.SpringWalker(0.012, 3.0), [], search.search_region
+    region = wj.Grid.sheared(theta=(0.1, 0.3, 30), sum=(-0.15, 0, 80))
+    gaits = wj.find_gaits(one, region=region)
+    stable = min(gaits, key=lambda gait: abs(gait.multipliers[0]))
+    assert stable.stable and len(gaits) > 1
+    monkeypatch.setattr(wj.SpringWalker, "gait_region", lambda _: region)
+
+    def search_region(walker, period, grid, *, kept, **options):
+        sizes.append(grid.size)
+        np.testing.assert_array_equal([grid.lower, grid.upper], [region.lower, region.upper])
+        found = find(walker, period, grid, **options)
+        return [gait for gait in found if grid.size == region.size or kept(gait)]
+
+    for kept, expected in (
+        (lambda gait: True, [15 * 40]),
+        (lambda gait: not gait.stable, [15 * 40, 30 * 80]),
+        (lambda gait: False, [15 * 40, 30 * 80]),
+    ):
+        sizes.clear()
+        monkeypatch.setattr(search, "search_region", partial(search_region, kept=kept))
+        np.testing.assert_allclose(wj.find_gait(one).states, stable.states, rtol=0, atol=1e-12)
+        assert sizes == expected
+    monkeypatch.setattr(search, "FEW_STARTS", region.size)
+    wj.find_gait(one)
+    assert sizes == [*expected, 30 * 80]
 
 
 def test_without_a_stable_gait_the_further_region_is_searched(monkeypatch):

@@ -9,10 +9,11 @@ them are inside the unit circle. Jacobians come from automatic differentiation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,6 +51,9 @@ from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, strides
 from walker_jax.walking.starts import as_floating, prepare
 
+FEW_STARTS = 2000
+"""About how many starts are searched from before all: a stable gait attracts many searches."""
+
 
 def find_gait(
     walker: System,
@@ -79,8 +83,9 @@ def find_gait(
     - `guess`: a point of the section, from which a walk gives the other states of the cycle; or all
       states, of shape (period, section). For the simplest walker and a period of one, the default
       is the long gait, which is stable at small slopes. Otherwise it is the most stable gait that
-      `find_gaits` finds; if that is unstable, the walker's `further_gait_region` is searched too.
-      Under a JAX transformation there is no such default.
+      searches from some 2000 starts over the walker's `gait_region` find; if none is stable, the
+      most stable that `find_gaits` finds. If that is unstable, the walker's `further_gait_region`
+      is searched likewise. Under a JAX transformation there is no such default.
     - `period`: number of strides in the cycle.
     - `tolerance`, `solver`: tolerance and solver of the integration, as in `stride`.
 
@@ -145,14 +150,26 @@ def first_guess(
         raise WrongUse(
             f"guess must be given for a {walker.label()}'s gait of period {period} where JAX traces"
         )
-    search = partial(search_region, walker, period, tolerance=tolerance, solver=solver)
-    found = search(walker.gait_region())
-    further = walker.further_gait_region()
-    if further is not None and not any(gait.stable for gait in found):
-        found += search(further)
+    found: list[Gait] = []
+    for region in (walker.gait_region(), walker.further_gait_region()):
+        for grid in [] if region is None else coarse_and_fine(region):
+            if not any(gait.stable for gait in found):
+                found += search_region(walker, period, grid, tolerance=tolerance, solver=solver)
     if not found:
         return np.full((period, len(walker.section)), np.nan)
     return min(found, key=lambda gait: np.abs(gait.multipliers[0])).states
+
+
+def coarse_and_fine(region: Grid) -> list[Grid]:
+    """Return a grid over a region, of about `FEW_STARTS` cells at most, and the region if finer.
+
+    All axes are coarser alike.
+    """
+    factor = math.ceil((region.size / FEW_STARTS) ** (1 / len(region.counts)))
+    if factor <= 1:
+        return [region]
+    counts = -(-region.counts // factor)  # rounded up
+    return [eqx.tree_at(lambda grid: grid.counts, region, counts), region]
 
 
 def approximate_long_gait(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
