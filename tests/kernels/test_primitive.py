@@ -12,7 +12,7 @@ from jax import lax
 from jax.extend.core import jaxpr_as_fun
 from turns import AS, BOTH, MANY, RNG, XS, A, X, assert_same, by_loop, number, real, unrolled
 
-from walker_jax.kernels import kernel
+from walker_jax.kernels import kernel, primitive
 from walker_jax.kernels.program import Program
 
 pytestmark = pytest.mark.usefixtures("few_together")
@@ -150,6 +150,30 @@ def test_the_transformed_primitive_is_the_transformed_function(name):
     assert_same(eqx.filter_jit(lambda: transform(by_loop))(), expected)
     if name in AT_ONCE:
         assert_same(transform(by_loop), expected)
+
+
+def test_a_long_derivative_is_compiled_for_many_cells(monkeypatch):
+    """Along three directions at once; of fewer cells, each direction is a cell of its own."""
+    monkeypatch.setattr(primitive, "MANY_CELLS", len(XS))
+    made: list[Program] = []
+
+    def derivative(self, by, directions=1, take=Program.derivative):
+        made.append(take(self, by, directions))
+        return made[-1]
+
+    monkeypatch.setattr(Program, "derivative", derivative)
+    own = kernel(lambda a, x: unrolled(a, x))
+    compiled = lambda: {one.origin[2] for one in made if one.origin and "compiled" in vars(one)}
+    jacobian = lambda f: jax.vmap(jax.jacfwd(real(f), BOTH), (None, 0))
+    gradient = lambda f: jax.vmap(jax.grad(number(f), BOTH), (None, 0))
+    for xs, directions in ((XS[1:], {1}), (XS, {1, 3})):
+        for derivatives in (jacobian, gradient):
+            expected = jax.jit(derivatives(unrolled))(A, xs)
+            assert_same(jax.jit(derivatives(own))(A, xs), expected)
+            assert_same(derivatives(own)(A, xs), expected)
+        assert compiled() == directions
+    twice = lambda f: jax.vmap(jax.jacfwd(jax.jacfwd(real(f), BOTH), BOTH), (None, 0))
+    assert_same(jax.jit(twice(own))(A, XS), jax.jit(twice(unrolled))(A, XS))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from jax.interpreters import mlir
 
 from walker_jax.kernels import ffi, launcher, machine
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
-from walker_jax.kernels.primitive import cells_shape, kernel_p, lower_to_xla
+from walker_jax.kernels.primitive import cells_shape, is_long, kernel_p, lower_to_xla
 from walker_jax.kernels.program import Program, program_of
 from walker_jax.kernels.ptx import THREADS, Ptx, libdevice
 from walker_jax.kernels.sharding import is_divided, lower_divided
@@ -127,6 +127,8 @@ def ptx_for(program: Program, mapped: Sequence, route: Route | None) -> Ptx | No
 
 def lower_on_gpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     """Lower a kernel on a GPU to its call, or to XLA's own primitives."""
+    if is_long(program):  # by shorter programs, which are lowered here again
+        return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
     exported = ctx.module_context.lowering_parameters.for_export
     tried = None if exported else trying.get()
     route = None if exported else tried or route_in_use()

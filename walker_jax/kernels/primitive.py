@@ -41,9 +41,15 @@ from walker_jax.kernels.sharding import is_divided, lower_divided
 MAX_OPERATIONS = 4000, 20000
 """Most operations in a derivative along two directions at once, and along more than two.
 
-Larger programs take too long to compile; then every direction becomes a cell of its own. Three
-directions at once take two thirds of the time of three separate ones. Two at once take four fifths,
-which seldom repays the compilation.
+Larger programs, long ones, take long to compile. Three directions at once take two thirds of the
+time of three separate ones. Two at once take four fifths, which seldom repays the compilation.
+"""
+LONGEST, MANY_CELLS = 80_000, 4000
+"""Most operations of a long program along more than two directions, and the fewest cells of a call
+on a CPU for which it is compiled.
+
+LLVM takes some five seconds for it. Four directions at once then take half the time of four
+separate ones. Otherwise every direction becomes a cell of its own.
 """
 MAX_DIRECTIONS = 32
 """Most directions at once: each number of directions needs a program of its own."""
@@ -71,10 +77,12 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
     default = jnp.zeros(()).devices()
     here = all(x.devices() == default for x in operands if isinstance(x, jax.Array))
     on_cpu = all(device.platform == "cpu" for device in default)
-    if not (here and on_cpu) or program.compiled is None:
-        return jit_call(program, mapped)(*operands)
     cells = cells_shape(operands, mapped)
     n = math.prod(cells)
+    if is_long(program) and n < MANY_CELLS:
+        return compute_in_turn(*operands, program=program, mapped=mapped)
+    if not (here and on_cpu) or program.compiled is None:
+        return jit_call(program, mapped)(*operands)
     run, results = program.compiled.bind(operands, list(map(bool, mapped)), n)
     run(0, n)
     with apply_settings(program.settings):
@@ -127,8 +135,38 @@ def vary_alike(leaves: list) -> list:
     ]
 
 
+def operations(program: Program, directions: int) -> int:
+    """Estimate the number of operations of a program's derivative along directions at once."""
+    return program.size * (directions + 1)
+
+
+def is_long(program: Program) -> bool:
+    """Return whether a program is a derivative along several directions that is long to compile."""
+    if program.origin is None or program.origin[2] == 1:
+        return False
+    origin, _, directions = program.origin
+    return operations(origin, directions) > MAX_OPERATIONS[directions > 2]
+
+
+def compute_in_turn(*operands, program: Program, mapped: tuple[int, ...]) -> list:
+    """Compute a derivative along several directions, each of which becomes a cell of its own."""
+    assert program.origin is not None
+    origin, by, directions = program.origin
+    first, cells = min(program.linear), max(mapped)
+    tangents = [
+        jnp.expand_dims(jnp.moveaxis(x, axes, 0), 1 + axes)
+        for x, axes in zip(operands[first:], mapped[first:], strict=True)
+    ]
+    batched = [i in program.linear for i in range(len(operands))]
+    given = [*operands[:first], *tangents]
+    outputs = add_cells(given, batched, directions, origin.derivative(by), mapped)
+    return [jnp.moveaxis(jnp.squeeze(x, 1 + cells), 0, cells) for x in outputs]
+
+
 def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
-    """Compute the results by JAX's own primitives."""
+    """Compute the results by JAX's own primitives; those of a long program by a shorter one."""
+    if is_long(program):
+        return compute_in_turn(*operands, program=program, mapped=mapped)
     function = program.function
     for _ in cells_shape(operands, mapped):
         function = jax.vmap(function, [0 if axes else None for axes in mapped])
@@ -138,7 +176,9 @@ def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
 
 def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     exported = ctx.module_context.lowering_parameters.for_export
-    if exported or program.compiled is None or not ffi.available():
+    shape = cells_shape(ctx.avals_in, mapped)  # of symbols in what is exported
+    few = not exported and is_long(program) and math.prod(shape) < MANY_CELLS
+    if exported or few or program.compiled is None or not ffi.available():
         return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
     target = ffi.target(program.compiled)
     if any(mapped) and is_divided(ctx):
@@ -159,10 +199,17 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
     operands = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
     if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
         origin, by, directions = program.origin
-        count = directions * size
-        if count <= MAX_DIRECTIONS and origin.size * (count + 1) <= MAX_OPERATIONS[count > 2]:
+        count, most = directions * size, MAX_OPERATIONS[directions * size > 2]
+        most = max(most, LONGEST) if count > 2 else most
+        if count <= MAX_DIRECTIONS and operations(origin, count) <= most:
             more = origin.derivative(by, count)
             return batch_directions(operands, batched, (size, directions), more, mapped)
+    outputs = add_cells(operands, batched, size, program, mapped)
+    return outputs, [0] * len(outputs)
+
+
+def add_cells(operands, batched, size: int, program: Program, mapped: tuple[int, ...]) -> list:
+    """Bind a program with one more axis of cells: the first of the batched operands and results."""
     each = zip(operands, mapped, batched, strict=True)
     cells = next((x.shape[over : over + own] for x, own, over in each if own), ())
 
@@ -177,8 +224,7 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
 
     operands = list(map(spread, operands, mapped, batched))
     either = tuple(1 + len(cells) if a or b else 0 for a, b in zip(mapped, batched, strict=True))
-    outputs = kernel_p.bind(*operands, program=program, mapped=either)
-    return outputs, [0] * len(outputs)
+    return kernel_p.bind(*operands, program=program, mapped=either)
 
 
 def batch_directions(operands, batched, sizes: tuple[int, int], program: Program, mapped):
@@ -203,8 +249,17 @@ batching.primitive_batchers[kernel_p] = batch
 
 def push_forward(primals, tangents, *, program: Program, mapped: tuple[int, ...]):
     """Apply forward mode: one call for the results, one for their tangents."""
-    results = kernel_p.bind(*primals, program=program, mapped=mapped)
     along = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_real(t)]
+    if is_long(program) and along:
+
+        def in_turn(*some):
+            values = list(primals)
+            for i, value in zip(along, some, strict=True):
+                values[i] = value
+            return compute_in_turn(*values, program=program, mapped=mapped)
+
+        return jax.jvp(in_turn, [primals[i] for i in along], [tangents[i] for i in along])
+    results = kernel_p.bind(*primals, program=program, mapped=mapped)
     total: list[Any] = [None] * sum(map(is_real, results))
 
     # A function is its own derivative in its linear operands.
