@@ -13,7 +13,7 @@ from jax.extend.core import jaxpr_as_fun
 from turns import AS, BOTH, MANY, RNG, XS, A, X, assert_same, by_loop, number, real, unrolled
 
 from walker_jax.kernels import kernel, primitive
-from walker_jax.kernels.program import Program
+from walker_jax.kernels.program import Program, program_of
 
 pytestmark = pytest.mark.usefixtures("few_together")
 
@@ -152,9 +152,9 @@ def test_the_transformed_primitive_is_the_transformed_function(name):
         assert_same(transform(by_loop), expected)
 
 
-def test_a_long_derivative_is_compiled_for_many_cells(monkeypatch):
-    """Along three directions at once; of fewer cells, each direction is a cell of its own."""
-    monkeypatch.setattr(primitive, "MANY_CELLS", len(XS))
+@pytest.fixture
+def own(monkeypatch):
+    """A function with programs of its own, and how many directions each compiled derivative has."""
     made: list[Program] = []
 
     def derivative(self, by, directions=1, take=Program.derivative):
@@ -162,18 +162,35 @@ def test_a_long_derivative_is_compiled_for_many_cells(monkeypatch):
         return made[-1]
 
     monkeypatch.setattr(Program, "derivative", derivative)
-    own = kernel(lambda a, x: unrolled(a, x))
     compiled = lambda: {one.origin[2] for one in made if one.origin and "compiled" in vars(one)}
+    return kernel(lambda a, x: unrolled(a, x)), compiled
+
+
+@pytest.mark.parametrize("jit", [jax.jit, lambda f: f])
+def test_a_long_derivative_is_compiled_for_many_cells(jit, own, monkeypatch):
+    """Along three directions at once; of fewer cells, each direction is a cell of its own."""
+    monkeypatch.setattr(primitive, "LONG_CELLS", len(XS))
+    function, compiled = own
     jacobian = lambda f: jax.vmap(jax.jacfwd(real(f), BOTH), (None, 0))
     gradient = lambda f: jax.vmap(jax.grad(number(f), BOTH), (None, 0))
     for xs, directions in ((XS[1:], {1}), (XS, {1, 3})):
         for derivatives in (jacobian, gradient):
             expected = jax.jit(derivatives(unrolled))(A, xs)
-            assert_same(jax.jit(derivatives(own))(A, xs), expected)
-            assert_same(derivatives(own)(A, xs), expected)
+            assert_same(jit(derivatives(function))(A, xs), expected)
         assert compiled() == directions
     twice = lambda f: jax.vmap(jax.jacfwd(jax.jacfwd(real(f), BOTH), BOTH), (None, 0))
-    assert_same(jax.jit(twice(own))(A, XS), jax.jit(twice(unrolled))(A, XS))
+    assert_same(jax.jit(twice(function))(A, XS), jax.jit(twice(unrolled))(A, XS))
+
+
+def test_directions_at_once_remain_where_more_would_be_long(own, monkeypatch):
+    """Of directions in two axes, the inner ones are one program, the outer ones cells."""
+    function, compiled = own
+    size = program_of(function, *jax.tree.flatten((A, X))[::-1])[0].size
+    monkeypatch.setattr(primitive, "MAX_OPERATIONS", (0, 5 * size))
+    along = lambda f, v: jax.jvp(lambda x: real(f)(A, x), (X,), (v,))[1]
+    nested = lambda f: jax.vmap(jax.vmap(partial(along, f)))(MANY[:2, :4])
+    assert_same(jax.jit(nested, static_argnums=0)(function), nested(unrolled))
+    assert compiled() == {4}
 
 
 @pytest.mark.parametrize(

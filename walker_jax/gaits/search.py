@@ -52,7 +52,7 @@ from walker_jax.walking.iteration import follow_walk, orbits, strides
 from walker_jax.walking.starts import as_floating, prepare
 
 FEW_STARTS = 2000
-"""About how many starts are searched from before all: a stable gait attracts many searches."""
+"""About the most starts from which is searched before all: a stable gait attracts many searches."""
 
 
 def find_gait(
@@ -83,9 +83,10 @@ def find_gait(
     - `guess`: a point of the section, from which a walk gives the other states of the cycle; or all
       states, of shape (period, section). For the simplest walker and a period of one, the default
       is the long gait, which is stable at small slopes. Otherwise it is the most stable gait that
-      searches from some 2000 starts over the walker's `gait_region` find; if none is stable, the
-      most stable that `find_gaits` finds. If that is unstable, the walker's `further_gait_region`
-      is searched likewise. Under a JAX transformation there is no such default.
+      searches from at most some 2000 starts over the walker's `gait_region` find; if none is
+      stable, the most stable that `find_gaits` finds. If that is unstable, the walker's
+      `further_gait_region` is searched likewise. Under a JAX transformation there is no such
+      default.
     - `period`: number of strides in the cycle.
     - `tolerance`, `solver`: tolerance and solver of the integration, as in `stride`.
 
@@ -142,7 +143,7 @@ def search_gait(
 def first_guess(
     walker: System, period: int, tolerance: Real | None, solver: AnySolver | None
 ) -> Float[Array | np.ndarray, "..."]:
-    """Guess the most stable gait of a period."""
+    """Guess a gait of a period: the most stable of those found first."""
     warn_if_rounded(walker)
     if moves_like(walker, SimplestWalker) and period == 1:
         return approximate_long_gait(walker.slope)
@@ -163,7 +164,7 @@ def first_guess(
 def coarse_and_fine(region: Grid) -> list[Grid]:
     """Return a grid over a region, of about `FEW_STARTS` cells at most, and the region if finer.
 
-    All axes are coarser alike.
+    Along each axis, its cells are wider by the same whole number.
     """
     factor = math.ceil((region.size / FEW_STARTS) ** (1 / len(region.counts)))
     if factor <= 1:

@@ -41,15 +41,19 @@ from walker_jax.kernels.sharding import is_divided, lower_divided
 MAX_OPERATIONS = 4000, 20000
 """Most operations in a derivative along two directions at once, and along more than two.
 
-Larger programs, long ones, take long to compile. Three directions at once take two thirds of the
-time of three separate ones. Two at once take four fifths, which seldom repays the compilation.
+A larger program is long: LLVM takes seconds for it, and it serves calls for many cells alone. Three
+directions at once take two thirds of the time of three separate ones. Two at once take four fifths,
+which seldom repays the compilation.
 """
-LONGEST, MANY_CELLS = 80_000, 4000
-"""Most operations of a long program along more than two directions, and the fewest cells of a call
-on a CPU for which it is compiled.
+LONGEST = 80_000
+"""Most operations of a long program; in still larger derivatives every direction is a cell.
 
-LLVM takes some five seconds for it. Four directions at once then take half the time of four
-separate ones. Otherwise every direction becomes a cell of its own.
+LLVM takes some five seconds. Four directions at once then take half the time of four separate ones.
+"""
+LONG_CELLS = 4000
+"""Fewest cells of a call on a CPU for which a long program is compiled.
+
+In other calls, and on other devices, every direction becomes a cell of its own.
 """
 MAX_DIRECTIONS = 32
 """Most directions at once: each number of directions needs a program of its own."""
@@ -79,7 +83,7 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
     on_cpu = all(device.platform == "cpu" for device in default)
     cells = cells_shape(operands, mapped)
     n = math.prod(cells)
-    if is_long(program) and n < MANY_CELLS:
+    if is_long(program) and n < LONG_CELLS:
         return compute_in_turn(*operands, program=program, mapped=mapped)
     if not (here and on_cpu) or program.compiled is None:
         return jit_call(program, mapped)(*operands)
@@ -149,18 +153,24 @@ def is_long(program: Program) -> bool:
 
 
 def compute_in_turn(*operands, program: Program, mapped: tuple[int, ...]) -> list:
-    """Compute a derivative along several directions, each of which becomes a cell of its own."""
+    """Compute a derivative along several directions, each of which becomes a cell of its own.
+
+    Those of one cell are neighbours: they take the same turns of loops, in one vector.
+    """
     assert program.origin is not None
     origin, by, directions = program.origin
-    first, cells = min(program.linear), max(mapped)
-    tangents = [
-        jnp.expand_dims(jnp.moveaxis(x, axes, 0), 1 + axes)
-        for x, axes in zip(operands[first:], mapped[first:], strict=True)
-    ]
-    batched = [i in program.linear for i in range(len(operands))]
-    given = [*operands[:first], *tangents]
-    outputs = add_cells(given, batched, directions, origin.derivative(by), mapped)
-    return [jnp.moveaxis(jnp.squeeze(x, 1 + cells), 0, cells) for x in outputs]
+    cells = max(mapped)
+    shape = *cells_shape(operands, mapped), directions
+
+    def spread(i, x):
+        """Return an operand with an axis of directions after those of cells."""
+        x = jnp.expand_dims(x, mapped[i] + (i in program.linear))  # a tangent has one already
+        return jnp.broadcast_to(x, (*shape, *x.shape[mapped[i] + 1 :]))
+
+    over = tuple(cells + 1 if i in program.linear or axes else 0 for i, axes in enumerate(mapped))
+    given = [spread(i, x) if over[i] else x for i, x in enumerate(operands)]
+    outputs = kernel_p.bind(*given, program=origin.derivative(by), mapped=over)
+    return [jnp.squeeze(x, cells + 1) for x in outputs]
 
 
 def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
@@ -176,8 +186,8 @@ def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
 
 def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     exported = ctx.module_context.lowering_parameters.for_export
-    shape = cells_shape(ctx.avals_in, mapped)  # of symbols in what is exported
-    few = not exported and is_long(program) and math.prod(shape) < MANY_CELLS
+    shape = cells_shape(ctx.avals_in, mapped)  # its lengths may be symbols if exported
+    few = not exported and is_long(program) and math.prod(shape) < LONG_CELLS
     if exported or few or program.compiled is None or not ffi.available():
         return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
     target = ffi.target(program.compiled)
@@ -199,17 +209,13 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
     operands = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
     if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
         origin, by, directions = program.origin
-        count, most = directions * size, MAX_OPERATIONS[directions * size > 2]
-        most = max(most, LONGEST) if count > 2 else most
+        count = directions * size
+        most = MAX_OPERATIONS[count > 2]
+        if count > 2 and (directions == 1 or is_long(program)):
+            most = max(most, LONGEST)
         if count <= MAX_DIRECTIONS and operations(origin, count) <= most:
             more = origin.derivative(by, count)
             return batch_directions(operands, batched, (size, directions), more, mapped)
-    outputs = add_cells(operands, batched, size, program, mapped)
-    return outputs, [0] * len(outputs)
-
-
-def add_cells(operands, batched, size: int, program: Program, mapped: tuple[int, ...]) -> list:
-    """Bind a program with one more axis of cells: the first of the batched operands and results."""
     each = zip(operands, mapped, batched, strict=True)
     cells = next((x.shape[over : over + own] for x, own, over in each if own), ())
 
@@ -224,7 +230,8 @@ def add_cells(operands, batched, size: int, program: Program, mapped: tuple[int,
 
     operands = list(map(spread, operands, mapped, batched))
     either = tuple(1 + len(cells) if a or b else 0 for a, b in zip(mapped, batched, strict=True))
-    return kernel_p.bind(*operands, program=program, mapped=either)
+    outputs = kernel_p.bind(*operands, program=program, mapped=either)
+    return outputs, [0] * len(outputs)
 
 
 def batch_directions(operands, batched, sizes: tuple[int, int], program: Program, mapped):
