@@ -37,6 +37,8 @@ With `--all-cells`, the search from few starts, `FEW_STARTS`, is compared with o
 the regions. Of all walkers drawn it finds the same gait, or none as well:
 
     powered                200 drawn    57 stable   200 same    125 s,    223 s of all cells
+    powered-point-foot      80 drawn    23 stable    80 same    125 s,    210 s of all cells
+
     python benchmarks/search_regions.py --all-cells [FAMILY ...]
 """
 
