@@ -7,7 +7,7 @@ from walker_jax.kernels import object_cache, primitive
 
 @pytest.fixture
 def few_together(monkeypatch):
-    """Machine code of few directions at once compiles in no time; more are cells of their own."""
+    """Machine code of few directions at once compiles in no time; for few cells, more become cells."""
     monkeypatch.setattr(primitive, "MAX_OPERATIONS", (100, 100))
 
 

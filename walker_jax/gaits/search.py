@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import equinox as eqx
@@ -52,7 +53,7 @@ from walker_jax.walking.iteration import follow_walk, orbits, strides
 from walker_jax.walking.starts import as_floating, prepare
 
 FEW_STARTS = 2000
-"""About the most starts from which is searched before all: a stable gait attracts many searches."""
+"""Most starts, about, of the first search: a stable gait attracts many of them."""
 
 
 def find_gait(
@@ -151,11 +152,12 @@ def first_guess(
         raise WrongUse(
             f"guess must be given for a {walker.label()}'s gait of period {period} where JAX traces"
         )
+    regions = walker.gait_region(), walker.further_gait_region()
     found: list[Gait] = []
-    for region in (walker.gait_region(), walker.further_gait_region()):
-        for grid in [] if region is None else coarse_and_fine(region):
-            if not any(gait.stable for gait in found):
-                found += search_region(walker, period, grid, tolerance=tolerance, solver=solver)
+    for grid in chain.from_iterable(coarse_and_fine(one) for one in regions if one is not None):
+        if any(gait.stable for gait in found):
+            break
+        found += search_region(walker, period, grid, tolerance=tolerance, solver=solver)
     if not found:
         return np.full((period, len(walker.section)), np.nan)
     return min(found, key=lambda gait: np.abs(gait.multipliers[0])).states

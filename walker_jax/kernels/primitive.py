@@ -84,7 +84,7 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
     cells = cells_shape(operands, mapped)
     n = math.prod(cells)
     if is_long(program) and n < LONG_CELLS:
-        return compute_in_turn(*operands, program=program, mapped=mapped)
+        return compute_directions_as_cells(*operands, program=program, mapped=mapped)
     if not (here and on_cpu) or program.compiled is None:
         return jit_call(program, mapped)(*operands)
     run, results = program.compiled.bind(operands, list(map(bool, mapped)), n)
@@ -139,20 +139,20 @@ def vary_alike(leaves: list) -> list:
     ]
 
 
-def operations(program: Program, directions: int) -> int:
-    """Estimate the number of operations of a program's derivative along directions at once."""
+def estimate_operations(program: Program, directions: int) -> int:
+    """Estimate the number of operations of a program's derivative along several directions."""
     return program.size * (directions + 1)
 
 
 def is_long(program: Program) -> bool:
-    """Return whether a program is a derivative along several directions that is long to compile."""
+    """Return whether a program is a derivative along several directions, and long to compile."""
     if program.origin is None or program.origin[2] == 1:
         return False
     origin, _, directions = program.origin
-    return operations(origin, directions) > MAX_OPERATIONS[directions > 2]
+    return estimate_operations(origin, directions) > MAX_OPERATIONS[directions > 2]
 
 
-def compute_in_turn(*operands, program: Program, mapped: tuple[int, ...]) -> list:
+def compute_directions_as_cells(*operands, program: Program, mapped: tuple[int, ...]) -> list:
     """Compute a derivative along several directions, each of which becomes a cell of its own.
 
     Those of one cell are neighbours: they take the same turns of loops, in one vector.
@@ -176,7 +176,7 @@ def compute_in_turn(*operands, program: Program, mapped: tuple[int, ...]) -> lis
 def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
     """Compute the results by JAX's own primitives; those of a long program by a shorter one."""
     if is_long(program):
-        return compute_in_turn(*operands, program=program, mapped=mapped)
+        return compute_directions_as_cells(*operands, program=program, mapped=mapped)
     function = program.function
     for _ in cells_shape(operands, mapped):
         function = jax.vmap(function, [0 if axes else None for axes in mapped])
@@ -186,13 +186,13 @@ def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
 
 def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     exported = ctx.module_context.lowering_parameters.for_export
-    shape = cells_shape(ctx.avals_in, mapped)  # its lengths may be symbols if exported
-    few = not exported and is_long(program) and math.prod(shape) < LONG_CELLS
+    cells = cells_shape(ctx.avals_in, mapped)  # its lengths may be symbols if exported
+    few = not exported and is_long(program) and math.prod(cells) < LONG_CELLS
     if exported or few or program.compiled is None or not ffi.available():
         return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
     target = ffi.target(program.compiled)
     if any(mapped) and is_divided(ctx):
-        return lower_divided(ctx, operands, target, mapped, cells_shape(ctx.avals_in, mapped))
+        return lower_divided(ctx, operands, target, mapped, cells)
     return jax.ffi.ffi_lowering(target)(ctx, *operands)
 
 
@@ -213,7 +213,7 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
         most = MAX_OPERATIONS[count > 2]
         if count > 2 and (directions == 1 or is_long(program)):
             most = max(most, LONGEST)
-        if count <= MAX_DIRECTIONS and operations(origin, count) <= most:
+        if count <= MAX_DIRECTIONS and estimate_operations(origin, count) <= most:
             more = origin.derivative(by, count)
             return batch_directions(operands, batched, (size, directions), more, mapped)
     each = zip(operands, mapped, batched, strict=True)
@@ -259,13 +259,11 @@ def push_forward(primals, tangents, *, program: Program, mapped: tuple[int, ...]
     along = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_real(t)]
     if is_long(program) and along:
 
-        def in_turn(*some):
-            values = list(primals)
-            for i, value in zip(along, some, strict=True):
-                values[i] = value
-            return compute_in_turn(*values, program=program, mapped=mapped)
+        def of_some(*some):
+            values = replace_some(primals, along, some)
+            return compute_directions_as_cells(*values, program=program, mapped=mapped)
 
-        return jax.jvp(in_turn, [primals[i] for i in along], [tangents[i] for i in along])
+        return jax.jvp(of_some, [primals[i] for i in along], [tangents[i] for i in along])
     results = kernel_p.bind(*primals, program=program, mapped=mapped)
     total: list[Any] = [None] * sum(map(is_real, results))
 
@@ -294,6 +292,14 @@ def push_forward(primals, tangents, *, program: Program, mapped: tuple[int, ...]
 
 
 ad.primitive_jvps[kernel_p] = push_forward
+
+
+def replace_some(operands: Sequence, places: Sequence[int], values: Sequence) -> list:
+    """Return the operands with other values at some places."""
+    replaced = list(operands)
+    for i, value in zip(places, values, strict=True):
+        replaced[i] = value
+    return replaced
 
 
 def pull_back(cotangents, *operands, program: Program, mapped: tuple[int, ...]):
@@ -361,9 +367,7 @@ def pull_back_linear(cotangents, operands, wanted: list[int], program: Program, 
     """Return the cotangents of a linear function, which is its own derivative."""
 
     def of_wanted(*some):
-        values = list(operands)
-        for i, value in zip(wanted, some, strict=True):
-            values[i] = value
+        values = replace_some(operands, wanted, some)
         return kernel_p.bind(*values, program=program, mapped=mapped)
 
     anywhere = [jnp.zeros(operands[i].aval.shape, operands[i].aval.dtype) for i in wanted]
