@@ -7,7 +7,7 @@ from walker_jax.kernels import object_cache, primitive
 
 @pytest.fixture
 def few_together(monkeypatch):
-    """Machine code of few directions at once compiles in no time; for few cells, more become cells."""
+    """Few directions at once compile in no time; more become cells, if those are few."""
     monkeypatch.setattr(primitive, "MAX_OPERATIONS", (100, 100))
 
 
