@@ -7,14 +7,20 @@ and not proved; so a box is half as large as the largest from which the whole sa
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor import SCOUTS, Attractor, add_cycles, sample_indices
 from walker_jax.basins.mapper import Mapper
+from walker_jax.grids import Grid
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate
 
 HALF_EDGES = 1e-5 * 1.5 ** np.arange(20)
 """Half edges of the cubes that are tried, up to 0.022 in all coordinates."""
 STRETCHES = 1.5 ** np.arange(12)
 """Factors by which boxes are stretched along one direction."""
+LEAP = 4
+"""Number of sizes by which boxes grow at once, until one is too large. Each call takes longer to
+start than its walks."""
 STARTS, FEWEST_STARTS = 1000, 100
 """Number of random starts in the boxes of a cycle, and the fewest in each box."""
 STARTS_IN_SPACE, PLAIN_SECTION = 300, 3
@@ -24,11 +30,24 @@ SETTLING_PERIODS = 8
 """Periods after which walkers are left in the directions along which they approach a cycle last."""
 
 
+def mapper_of_scouts(
+    walker: System, grid: Grid, integrator: Integrator, strides: int
+) -> Mapper | None:
+    """Return the mapper, with capture boxes, to cycles that few of a grid's cells converge to.
+
+    It is for labelling all cells, by which the other attractors are found. None without a cycle.
+    """
+    scouts = grid.centres(sample_indices(grid.size, SCOUTS))
+    cycles: list[Attractor] = []
+    add_cycles(walker, scouts, cycles, integrator)
+    return with_capture_boxes(Mapper(walker, cycles, integrator, strides)) if cycles else None
+
+
 def with_capture_boxes(mapper: Mapper) -> Mapper:
-    """Return the mapper with capture boxes for its cycles, found with the others unchanged."""
+    """Return the mapper with capture boxes for cycles without, found with the others unchanged."""
     rng = np.random.default_rng(0)
     boxed = [
-        find_capture_boxes(mapper, i, rng) if one.period else one
+        find_capture_boxes(mapper, i, rng) if one.period and one.capture_boxes is None else one
         for i, one in enumerate(mapper.attractors)
     ]
     return mapper._replace(attractors=boxed)
@@ -54,19 +73,25 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         """Return the index of the largest of growing boxes from which all converge, or -1.
 
         Half of that box becomes the attractor's. The first `small` boxes are tried at once, the
-        others in turn: walks end in the box before.
+        others in turn, by leaps at first: walks end in the box before.
         """
-        best = -1
-        for tried in (boxes[:small], *boxes[small:, None]):
+
+        def count_converging(tried: Float[np.ndarray, "tried period section section"]) -> int:
             starts = (cycle[:, None] + u @ tried).reshape(-1, size)
             found = mapper._replace(attractors=attractors)(starts).attractor
             converge = (found == number).reshape(len(tried), -1).all(axis=1)
-            count = int(np.logical_and.accumulate(converge).sum())
-            best += count
-            if count:
+            return int(np.logical_and.accumulate(converge).sum())
+
+        best, leap = count_converging(boxes[:small]) - 1, LEAP
+        end = len(boxes) if best == small - 1 else best + 1
+        while best + 1 < end:
+            if best >= 0:
                 capture_in(boxes[best])
-            if count < len(tried):
-                break
+            tried = min(best + leap, end - 1)
+            if count_converging(boxes[tried, None]):
+                best = tried
+            else:
+                end, leap = tried, 1
         if best >= 0:
             capture_in(boxes[best] / 2)
         return best

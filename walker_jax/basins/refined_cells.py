@@ -8,6 +8,7 @@ dimensions as in three.
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
 from walker_jax.checks import check_memory
@@ -68,7 +69,9 @@ class RefinedCells:
             places = np.stack(np.unravel_index(cells[part], self.runs.shape), axis=1)
             places = places + (0.5 if within is None else within[part])
             x = self.grid.points_at(places / np.array(self.runs.shape))
-            found, self.mapper = self.mapper.label_all(x, progress=self.progress)
+            found, mapper = self.mapper.label_all(x, progress=self.progress)
+            if len(mapper.attractors) > len(self.mapper.attractors):
+                self.mapper = with_capture_boxes(mapper)
             self.total_strides += found.total_strides
             parts.append(found._replace(states=found.states[:0]))  # the states are not needed
         return Labels(*(np.concatenate(values) for values in zip(*parts, strict=True)))

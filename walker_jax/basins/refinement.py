@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.capture_boxes import mapper_of_scouts, with_capture_boxes
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import mapper_of_grid
@@ -203,7 +203,9 @@ def refine_cells(
     warn_if_rounded(walker)
     integrator = integrator_of(dtype, tolerance)
     finest = check_finest(walker, grid, levels)
-    mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))
+    mapper = mapper_of_scouts(walker, grid, integrator, strides)
+    if mapper is None:
+        mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))
     label = "cells" if progress else None
     cells = RefinedCells(grid, levels, by_centres, mapper, np.random.default_rng(seed), label)
     followed, boundary = [], []

@@ -11,6 +11,7 @@ the band.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -204,9 +205,10 @@ def differentiate_area(
     unsure = ~(error <= MAX_RELATIVE_ERROR * np.abs(gradient)) & (found.area > 0)
     averaged = unsure & (widths is not None)
     half_widths = np.zeros(len(parameters)) if widths is None else widths
-    for k in map(int, np.flatnonzero(averaged)):
-        low, high = walkers_at_band_ends(walker, parameters[k], half_widths[k])
-        below, above = side_by_side(lambda one: at_band_ends.measure(one).size, (low, high))
+    chosen = np.flatnonzero(averaged).tolist()
+    ends = [walkers_at_band_ends(walker, parameters[k], half_widths[k]) for k in chosen]
+    measured = side_by_side(lambda one: at_band_ends.measure(one).size, itertools.chain(*ends))
+    for k, (low, high), below, above in zip(chosen, ends, measured, measured, strict=True):
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width

@@ -1,6 +1,7 @@
 """One ascent along the gradient of an objective, within bounds and limits."""
 
 from collections.abc import Callable
+from contextlib import closing
 from typing import NamedTuple
 
 import jax
@@ -13,10 +14,10 @@ from walker_jax.design.measures import gait_measures
 from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.trace import Trace
 
-TRIAL_STEPS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
-"""Multiples of the optimiser's step, tried in turn until one improves the objective; if none does,
-the stage ends. Some objectives are discontinuous: just before a jump, a shorter step or a step in
-the opposite direction may improve them."""
+OTHER_STEPS = (-1.0, 0.5, -0.5, 0.25, -0.25)
+"""Multiples of the optimiser's step, tried in turn after the step until one improves the objective;
+if none does, the stage ends. Some objectives are discontinuous: just before a jump, a shorter step
+or a step in the opposite direction may improve them."""
 MAX_STAGE_STEPS = 40
 """Most steps of a stage."""
 MAX_RESCUE_STEPS = 8
@@ -88,29 +89,39 @@ def step_up(
     """Try multiples of a step in turn; return the first that improves the objective, or None.
 
     A whole step that surely improves it is doubled as long as it improves more: values alone take a
-    fraction of the time of gradients.
+    fraction of the time of gradients. The other multiples are measured side by side.
     """
     problem, begin = trace.problem, trace.problem.place_of(best.parameters)
 
     def goal_of(share: float) -> Float[np.ndarray, " parameters"] | None:
         return trace.limits.nearest_allowed(np.clip(begin + share * update, 0, 1))
 
-    for share in TRIAL_STEPS:
-        goal = goal_of(share)
-        if goal is None:
-            continue
-        blocked = share == 1 and np.abs(goal - begin).max() < STEP_SIZES[stage] / 100
+    def reach(goal: Float[np.ndarray, " parameters"]) -> Evaluation | None:
+        there = trace.measure(run, stage, goal)
+        return there if can_be_climbed(problem, there) and is_better(problem, best, there) else None
+
+    goal = goal_of(1.0)
+    if goal is not None:
+        blocked = np.abs(goal - begin).max() < STEP_SIZES[stage] / 100  # by bounds or limits
         if blocked and np.array_equal(goal, begin):
             return None
         there = trace.measure(run, stage, goal, value_only=True)
-        if share == 1 and is_higher(problem, best, there):
+        if is_higher(problem, best, there):
             goal = lengthen(trace, run, stage, goal_of, goal, there)
-        if may_be_better(problem, best, there):
-            there = trace.measure(run, stage, goal)
-            if can_be_climbed(problem, there) and is_better(problem, best, there):
-                return there
-        if blocked:  # by bounds or limits
+        if may_be_better(problem, best, there) and (higher := reach(goal)) is not None:
+            return higher
+        if blocked:
             return None
+    goals = [goal for share in OTHER_STEPS if (goal := goal_of(share)) is not None]
+    while goals:
+        with closing(trace.measure_each(run, stage, goals, value_only=True)) as rows:
+            promising = (i for i, there in enumerate(rows) if may_be_better(problem, best, there))
+            first = next(promising, None)
+        if first is None:
+            return None
+        if (higher := reach(goals[first])) is not None:
+            return higher
+        goals = goals[first + 1 :]
     return None
 
 

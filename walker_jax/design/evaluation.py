@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.design.area_gradients import AreaSettings, differentiate_area
+from walker_jax.design.area_gradients import AreaSettings, MeasuredArea, differentiate_area
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import Measure, gait_measures
 from walker_jax.design.problem import Problem
@@ -72,6 +72,7 @@ def evaluate_objective(
     stage: int,
     values: Float[np.ndarray, " parameters"],
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
+    area_of: Callable[[int, Float[np.ndarray, " parameters"]], MeasuredArea],
     *,
     value_only: bool = False,
 ) -> Evaluation:
@@ -88,7 +89,7 @@ def evaluate_objective(
     if problem.size and problem.grid is not None:
         how = area_settings(problem, problem.grid, stage)
         at_band_ends = how._replace(levels=max(0, how.levels - BAND_LEVELS_OMITTED))
-        area = differentiate_area(how.measure(walker), names, bands, at_band_ends)
+        area = differentiate_area(area_of(stage, values), names, bands, at_band_ends)
         found[problem.size], made = Measure(area.area, area.gradient), area.strides
         weight = abs(problem.weights[problem.size])
         value_error, gradient_error = weight * area.area_error, weight * area.error

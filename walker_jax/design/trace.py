@@ -3,7 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
 
 import numpy as np
@@ -12,13 +12,22 @@ from jaxtyping import Float
 
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
-from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
+from walker_jax.design.area_gradients import MeasuredArea
+from walker_jax.design.evaluation import (
+    HOW_MEASURED,
+    Evaluation,
+    area_settings,
+    evaluate_objective,
+)
 from walker_jax.design.problem import Limits, Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.systems.system import has_gait_region
+
+KEPT_AREAS = 4
+"""Areas that are kept, with their cells, until their gradients are measured."""
 
 
 class Trace:
@@ -45,6 +54,7 @@ class Trace:
             check_known(problem, known)
         self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
         self.gaits: dict[bytes, Gait] = {}
+        self.areas: dict[tuple, MeasuredArea] = {}
         self.limits = Limits(problem, self.gait)
         self.progress, self.expected, self.began = progress, expected, time.perf_counter()
         self.ends = self.began + seconds
@@ -67,6 +77,20 @@ class Trace:
             found = search_gait(walker, tolerance=tolerance) if found is None else found
             self.gaits[values.tobytes()] = found
         return self.gaits[values.tobytes()]
+
+    def area(self, stage: int, values: Float[np.ndarray, " parameters"]) -> MeasuredArea:
+        """Return the walker's area, measured or kept: its gradient may be wanted later."""
+        problem, key = self.problem, key_at(stage, values)
+        assert problem.grid is not None
+        with self.lock:
+            area = self.areas.pop(key, None)
+        if area is None:
+            area = area_settings(problem, problem.grid, stage).measure(problem.walker_at(values))
+        with self.lock:
+            self.areas[key] = area
+            while len(self.areas) > KEPT_AREAS:
+                self.areas.pop(next(iter(self.areas)))
+        return area
 
     def note(self, values: Float[np.ndarray, " parameters"]) -> str:
         """Say how the gait of `find_gait` differs from the measured one; empty if it does not."""
@@ -91,57 +115,57 @@ class Trace:
         With `value_only` the gradient may be missing. That of an area may take two areas more for
         each parameter; other gradients are always measured.
         """
-        (row,) = self.measure_all(run, stage, [place], value_only=value_only)
+        (row,) = self.measure_each(run, stage, [place], value_only=value_only)
         return row
 
-    def measure_all(
+    def measure_each(
         self,
         run: int,
         stage: int,
         places: Iterable[Float[np.ndarray, " parameters"]],
         *,
         value_only: bool = False,
-    ) -> list[Evaluation]:
-        """Measure the walker at several places side by side, or return known measurements."""
-        all_values = [self.problem.values(place) for place in places]
+    ) -> Generator[Evaluation, None, None]:
+        """Measure the walker at several places side by side, in order, as `measure` does.
+
+        Rows are added one by one as they are taken. Close it to stop the other measurements.
+        """
         value_only = value_only and bool(self.problem.size)
         with_gradient = stage >= 0 and not value_only
-        unknown = {
-            one.tobytes(): one
-            for one in all_values
-            if self.find(key_at(stage, one), with_gradient) is None
-        }
-        rows: list[Evaluation] = []
-        evaluate = lambda values: evaluate_objective(
-            self.problem, stage, values, self.gait, value_only=value_only
-        )
-        with closing(side_by_side(evaluate, unknown.values())) as evaluated:
+
+        def find_or_measure(values: Float[np.ndarray, " parameters"]) -> tuple[Evaluation, bool]:
+            key = key_at(stage, values)
+            with self.lock:
+                mine = self.measuring.setdefault(key, threading.Lock())
+            with mine:
+                row = self.find(key, with_gradient)
+                if row is not None:
+                    return row, False
+                self.known[key] = evaluate_objective(
+                    self.problem, stage, values, self.gait, self.area, value_only=value_only
+                )
+                return self.known[key], True
+
+        all_values = [self.problem.values(place) for place in places]
+        with closing(side_by_side(find_or_measure, all_values)) as measured:
             for values in all_values:
-                key = key_at(stage, values)
-                with self.lock:
-                    mine = self.measuring.setdefault(key, threading.Lock())
-                with mine:
-                    row = self.find(key, with_gradient)
-                    new = row is None
-                    if row is None:
-                        with bar(self.label(values), self.progress):
-                            row = next(evaluated)
-                    rows.append(row._replace(run=run, stage=stage))
-                    self.add(key, row, rows[-1], new=new)
-        return rows
+                with bar(self.label(values), self.progress):
+                    row, new = next(measured)
+                own = row._replace(run=run, stage=stage)
+                self.add(own, new=new)
+                yield own
 
     def find(self, key: tuple, with_gradient: bool) -> Evaluation | None:
         """Return a known measurement; None if there is none, or if it lacks a needed gradient."""
         row = self.known.get(key)
         return None if row is None or (with_gradient and not row.has_gradient) else row
 
-    def add(self, key: tuple, row: Evaluation, own: Evaluation, *, new: bool) -> None:
-        """Add a row with its own run and stage; keep the trace if the measurement is new."""
+    def add(self, row: Evaluation, *, new: bool) -> None:
+        """Add a row; keep the trace if the measurement is new."""
         with self.lock:
             if self.failure is not None:
                 raise self.failure
-            self.known[key] = row
-            self.insert(own)
+            self.insert(row)
             try:
                 if new:
                     self.keep_all()
