@@ -12,7 +12,7 @@ from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
 from walker_jax.checks import check_memory
-from walker_jax.grids import Grid
+from walker_jax.grids import Grid, edge
 
 BYTES_PER_FOLLOWED_CELL = 150
 """Peak memory in bytes, for each cell followed on one level (benchmarks/volumes.py)."""
@@ -50,6 +50,11 @@ class RefinedCells:
         self.runs = Runs.from_cells(none, none)
         self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
 
+    @property
+    def follows_all(self) -> bool:
+        """Whether all cells of this level were followed."""
+        return len(self.cells) == self.runs.size
+
     def subdivide(self) -> None:
         """Halve all cells along each axis; the parts inherit labels."""
         self.runs = self.runs.subdivide()
@@ -86,6 +91,8 @@ class RefinedCells:
             order = np.argsort(np.concatenate([self.cells, cells]), kind="stable")
             self.cells = np.concatenate([self.cells, cells])[order]
             self.strides = np.concatenate([self.strides, found.strides])[order]
+            if self.follows_all:
+                return
             own, unlike = self.runs.label[self.runs.of_cells(cells)], [np.zeros(0, int)]
             for beside in neighbours(cells, self.runs.shape):
                 run = self.runs.of_cells(beside)
@@ -98,6 +105,8 @@ class RefinedCells:
 
         Other cells have no such neighbour: where labels differ, both cells have been followed.
         """
+        if self.follows_all:
+            return edge(self.runs.spread(values)).ravel()
         own, found = values[self.runs.of_cells(self.cells)], np.zeros(len(self.cells), bool)
         for beside in neighbours(self.cells, self.runs.shape):
             found |= values[self.runs.of_cells(beside)] != own
