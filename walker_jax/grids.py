@@ -17,7 +17,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, Int32
+from jaxtyping import Array, Bool, Float, Int, Int32, Shaped
 
 from walker_jax.checks import (
     WrongUse,
@@ -357,7 +357,7 @@ def cell_slices(size: int) -> list[slice]:
     ]
 
 
-def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+def edge(label: Shaped[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
     """Return whether each cell has a neighbour, corners included, with another label."""
     most, least = label, label
     for axis in range(label.ndim):

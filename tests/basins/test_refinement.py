@@ -156,8 +156,7 @@ def refined_by(number_of, monkeypatch, levels=2, check=4000, seed=0):
 
     mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))] * 2, Integrator(1e-12), 10)
     monkeypatch.setattr(Mapper, "follow", labels_of)
-    monkeypatch.setattr(refinement, "mapper_of_grid", lambda *_: mapper)
-    monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
+    monkeypatch.setattr(refinement, "mapper_of_scouts", lambda *_: mapper)
     options = {"strides": 10, "check": check, "seed": seed, "tolerance": None}
     return refinement.refine_cells(WALKER, SQUARE, levels, **options), asked
 

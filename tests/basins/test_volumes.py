@@ -14,7 +14,7 @@ from walker_jax.basins.basin_summary import summarise_basin, tally
 from walker_jax.basins.runs import Runs, neighbours
 from walker_jax.basins.windows import WHOLE_SECTION, grid_along, whole_section
 from walker_jax.checks import TooLarge
-from walker_jax.design.area_gradients import AreaGradient, area_gradient
+from walker_jax.design.area_gradients import AreaGradient, MeasuredArea, area_gradient
 from walker_jax.grids import edge
 
 WALKER = wj.RoundFootWalker(0.01)
@@ -286,11 +286,11 @@ def test_the_whole_section_is_in_units_of_the_leg():
 
 def use_made_up_sizes(monkeypatch, gradient):
     """`gradient` takes the place of measured basins: (walker, grid, parameters)."""
-    measure = lambda how, walker: (walker, how.grid)
+    measure = lambda how, walker: MeasuredArea._make((walker, how.grid, None, None))
     monkeypatch.setattr("walker_jax.design.evaluation.AreaSettings.measure", measure)
     monkeypatch.setattr(
         "walker_jax.design.evaluation.differentiate_area",
-        lambda area, parameters, *_: gradient(*area, parameters),
+        lambda area, parameters, *_: gradient(*area[:2], parameters),
     )
 
 

@@ -296,8 +296,8 @@ def test_limits_hold_at_a_loose_tolerance(no_basins):
 
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
 
-    def failing(problem, stage, values, gait_of, **how):
-        row = evaluate_objective(problem, stage, values, gait_of, **how)
+    def failing(problem, stage, *all, **how):
+        row = evaluate_objective(problem, stage, *all, **how)
         return row._replace(gradient=row.gradient * np.nan) if stage >= 1 else row
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", failing)

@@ -7,11 +7,12 @@ from scipy.optimize import brentq
 
 import walker_jax as wj
 from walker_jax.design import climbs, problem
+from walker_jax.design.area_gradients import AreaSettings
 from walker_jax.design.evaluation import Evaluation
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import Slack, latin_hypercube, starting_places
-from walker_jax.design.trace import Trace
+from walker_jax.design.trace import KEPT_AREAS, Trace
 
 
 def test_random_places_are_one_in_each_layer_along_every_axis():
@@ -148,7 +149,7 @@ def test_where_nothing_walks_steps_lead_to_more_stable_gaits(monkeypatch, walkin
     monkeypatch.setattr(Trace, "gait", lambda *_: None)
     asked = []
 
-    def evaluate_objective(problem, stage, values, gait_of, **_):
+    def evaluate_objective(problem, stage, values, *_, **__):
         asked.append(values)
         return made_up(problem, stage, values, 1.0, area=float(values[0] < walking_below))
 
@@ -208,8 +209,10 @@ def test_a_hidden_gain_is_sought_where_the_gradient_promises_it():
     assert not climbs.may_be_better(problem, here, row(0.012, none, none))
 
 
-@pytest.mark.parametrize(("top", "reached"), [(0.012, 4), (0.021, 8), (0.0049, 0.5)])
-def test_a_step_is_doubled_as_long_as_it_improves(monkeypatch, top, reached):
+@pytest.mark.parametrize(
+    ("top", "reached", "tried"), [(0.012, 4, 4), (0.021, 8, 5), (0.0049, 0.5, 3)]
+)
+def test_a_step_is_doubled_as_long_as_it_improves(monkeypatch, top, reached, tried):
     """Values alone are measured on the way, and the gradient where it ends."""
     problem = problem_of(WALKER, {"slope": (0.0, 0.1)})._replace(weights={"area": 1.0})
     with_gradient, alone = [], []
@@ -219,7 +222,7 @@ def test_a_step_is_doubled_as_long_as_it_improves(monkeypatch, top, reached):
         found = made_up(problem, 0, values, height, area=1.0)
         return found._replace(gradient=gradient, gradient_error=0 * gradient)
 
-    def evaluate_objective(problem, stage, values, _, *, value_only):
+    def evaluate_objective(problem, stage, values, *_, value_only):
         (alone if value_only else with_gradient).append(values[0])
         return at(values, np.array([np.nan]) if value_only else np.sign(top - values))
 
@@ -231,6 +234,35 @@ def test_a_step_is_doubled_as_long_as_it_improves(monkeypatch, top, reached):
     assert higher is not None and higher.parameters == pytest.approx([expected], rel=1e-9)
     assert with_gradient == pytest.approx([0.004, expected], rel=1e-9)
     assert len(alone) > 2 and np.isclose(alone, expected, rtol=1e-9).any()
-    # the trace holds each place once, with the gradient where there is one
-    assert len(trace.rows) == 1 + len(alone)
+    # the trace holds each place once, with the gradient where there is one, and none that was
+    # measured beside it in vain
+    assert len(trace.rows) == 1 + tried <= 1 + len(alone)
     assert sum(row.has_gradient for row in trace.rows) == 2
+
+
+def test_the_area_of_a_promising_step_is_measured_once(monkeypatch):
+    """Its gradient follows from the same cells; those of later places take their room."""
+    measured = []
+
+    def measure(how, walker):
+        measured.append(float(walker.slope))
+        return measure_area(how, walker)
+
+    measure_area = AreaSettings.measure
+    monkeypatch.setattr(AreaSettings, "measure", measure)
+    few = wj.Grid.sheared(theta=(0.1, 0.3, 20), sum=(-0.03, 0.01, 12))
+    problem = problem_of(WALKER, SLOPES)._replace(weights={"area": 1.0}, grid=few)
+    trace = Trace(problem, None, None, False, 1)
+    place = problem.place_of(np.array([0.005]))
+    alone = trace.measure(0, 0, place, value_only=True)
+    assert measured == [0.005] and not alone.has_gradient
+    whole = trace.measure(0, 0, place)
+    assert measured.count(0.005) == 1 and whole.has_gradient
+    assert whole.value == alone.value and len(trace.rows) == 1
+    trace.measure(0, 1, place)  # by other levels
+    assert measured.count(0.005) == 2
+    for slope in np.linspace(0.006, 0.009, KEPT_AREAS):
+        trace.measure(0, 0, problem.place_of(np.array([slope])), value_only=True)
+    trace.known.clear()
+    trace.measure(0, 0, place, value_only=True)
+    assert measured.count(0.005) == 3 and len(trace.areas) == KEPT_AREAS

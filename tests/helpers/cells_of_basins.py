@@ -51,8 +51,7 @@ def let_walk(
 
     mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
     monkeypatch.setattr(Mapper, "follow", labels_of)
-    monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
-    monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
+    monkeypatch.setattr(refinement, "mapper_of_scouts", mapper)
     return asked
 
 

@@ -40,8 +40,8 @@ CHECK_STARTS_IN_SPACE = 5_000, 50_000
 """The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py). The
 errors of areas show the loss of accuracy."""
 AREA_TOLERANCE = 1e-7
-"""Tolerance of strides for areas during optimisation. In the basins of ten walkers, of 200,000 cells
-each, it and 1e-12 differ in 19 cells at a fractal boundary, as 1e-9 does, and nowhere else."""
+"""Tolerance of strides for areas during optimisation. Over the basins of ten walkers it and 1e-12
+differ in 19 cells at one fractal boundary, as 1e-9 and 1e-12 do, and nowhere else."""
 DIRECTIONS = DENSE // 8, DENSE
 """Search directions for the least disturbance during optimisation, and at the ends. An eighth of
 them finds it to 1e-3 or better, except at fractal boundaries."""

@@ -52,7 +52,9 @@ class Trace:
         """The error that `keep` has raised; it ends all climbs."""
         if known is not None:
             check_known(problem, known)
-        self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
+        self.given = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
+        self.known = dict(self.given)
+        """All measurements by key: the given ones, and those of which some may not be taken."""
         self.gaits: dict[bytes, Gait] = {}
         self.areas: dict[tuple, MeasuredArea] = {}
         self.limits = Limits(problem, self.gait)
@@ -187,10 +189,10 @@ class Trace:
         self.rows.sort(key=lambda row: row.run)
 
     def keep_all(self) -> None:
-        """Keep the trace, together with the other known measurements."""
+        """Keep the trace, together with the other given measurements."""
         if self.keep is not None:
             visited = {key_of(one) for one in self.rows}
-            left = [one for place, one in self.known.items() if place not in visited]
+            left = [one for place, one in self.given.items() if place not in visited]
             self.keep(self.data([*self.rows, *left]))
 
     def label(self, values: Float[np.ndarray, " parameters"]) -> str:
