@@ -56,3 +56,5 @@ def test_an_attractor_that_no_scout_finds_is_found_later(whole, monkeypatch, sco
     alike = np.array([match_attractor(one.states[:1], whole.attractors)[0] for one in attractors])
     np.testing.assert_array_equal(np.where(ours < 0, -1, alike[ours]), labels.attractor)
     assert {*labels.attractor.tolist()} == {-1, 0, 1}
+    late = labels.attractor == 1
+    assert late.any() and found.made[late].max() < 30  # not 200, as before it was known

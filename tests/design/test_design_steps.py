@@ -1,5 +1,8 @@
 """The steps that an optimisation takes: places, limits, measures and climbs."""
 
+from contextlib import closing
+from threading import Barrier
+
 import numpy as np
 import pytest
 from optima import FEW, SLOPES, WALKER, measure, values
@@ -8,7 +11,7 @@ from scipy.optimize import brentq
 import walker_jax as wj
 from walker_jax.design import climbs, problem
 from walker_jax.design.area_gradients import AreaSettings
-from walker_jax.design.evaluation import Evaluation
+from walker_jax.design.evaluation import ENDS_STAGE, Evaluation
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import Slack, latin_hypercube, starting_places
@@ -263,6 +266,32 @@ def test_the_area_of_a_promising_step_is_measured_once(monkeypatch):
     assert measured.count(0.005) == 2
     for slope in np.linspace(0.006, 0.009, KEPT_AREAS):
         trace.measure(0, 0, problem.place_of(np.array([slope])), value_only=True)
-    trace.known.clear()
-    trace.measure(0, 0, place, value_only=True)
+    assert len(trace.areas) == KEPT_AREAS
+    trace.measure(0, ENDS_STAGE, place)  # keeps no area, as no gradient can follow
     assert measured.count(0.005) == 3 and len(trace.areas) == KEPT_AREAS
+    for slope in np.linspace(0.006, 0.009, KEPT_AREAS):
+        trace.measure(0, 0, problem.place_of(np.array([slope])))
+    assert not trace.areas
+
+
+def test_a_measurement_that_nothing_asked_for_is_kept_once_it_is_taken(monkeypatch):
+    problem = problem_of(WALKER, SLOPES)
+    begun, kept = [], []
+    both = Barrier(2)
+
+    def evaluate_objective(problem, stage, values, *_, **__):
+        begun.append(values)
+        if len(begun) <= 2:
+            both.wait(60)
+        return made_up(problem, stage, values, 1.0)
+
+    monkeypatch.setattr("walker_jax.execution.threads.cores", lambda: 2)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
+    trace = Trace(problem, None, lambda data: kept.append(data.sizes["evaluation"]), False, 1)
+    places = np.array([[0.2], [0.4]])
+    with closing(trace.measure_each(0, 0, places)) as rows:
+        next(rows)
+    assert len(trace.measured) == 2 and kept == [1] and len(trace.rows) == 1
+    trace.measure(0, 0, places[1])
+    trace.measure(0, 0, places[1])
+    assert len(begun) == 2 and kept == [1, 2]

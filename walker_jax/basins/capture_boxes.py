@@ -73,7 +73,8 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         """Return the index of the largest of growing boxes from which all converge, or -1.
 
         Half of that box becomes the attractor's. The first `small` boxes are tried at once, the
-        others in turn, by leaps at first: walks end in the box before.
+        others in turn: walks end in the box before. A box that a leap passes over counts as good if
+        the next is.
         """
 
         def count_converging(tried: Float[np.ndarray, "tried period section section"]) -> int:

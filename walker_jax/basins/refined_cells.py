@@ -74,12 +74,23 @@ class RefinedCells:
             places = np.stack(np.unravel_index(cells[part], self.runs.shape), axis=1)
             places = places + (0.5 if within is None else within[part])
             x = self.grid.points_at(places / np.array(self.runs.shape))
-            found, mapper = self.mapper.label_all(x, progress=self.progress)
-            if len(mapper.attractors) > len(self.mapper.attractors):
-                self.mapper = with_capture_boxes(mapper)
-            self.total_strides += found.total_strides
-            parts.append(found._replace(states=found.states[:0]))  # the states are not needed
+            labels = self.label(x)
+            parts.append(labels._replace(states=labels.states[:0]))  # the states are not needed
         return Labels(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+    def label(self, x: Float[np.ndarray, "n section"]) -> Labels:
+        """Label points, and find new attractors among them."""
+        labels, mapper = self.mapper.label_all(x, progress=self.progress)
+        self.total_strides += labels.total_strides
+        new = range(len(self.mapper.attractors), len(mapper.attractors))
+        if new:
+            self.mapper = with_capture_boxes(mapper)
+            # Walks to new cycles were not yet over in their boxes.
+            late = np.isin(labels.attractor, [i for i in new if mapper.attractors[i].period])
+            again, _ = self.mapper.label_all(x[late])
+            self.total_strides += again.total_strides
+            labels.strides[late] = again.strides
+        return labels
 
     def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:
         """Follow cells, then their neighbours where labels differ, until no new boundary shows."""

@@ -208,6 +208,7 @@ def differentiate_area(
     chosen = np.flatnonzero(averaged).tolist()
     ends = [walkers_at_band_ends(walker, parameters[k], half_widths[k]) for k in chosen]
     measured = side_by_side(lambda one: at_band_ends.measure(one).size, itertools.chain(*ends))
+    # From one iterator, taken twice, come the sizes at both ends.
     for k, (low, high), below, above in zip(chosen, ends, measured, measured, strict=True):
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width

@@ -89,7 +89,8 @@ def step_up(
     """Try multiples of a step in turn; return the first that improves the objective, or None.
 
     A whole step that surely improves it is doubled as long as it improves more: values alone take a
-    fraction of the time of gradients. The other multiples are measured side by side.
+    fraction of the time of gradients. The other multiples are measured side by side; those after
+    the first promising one do not count.
     """
     problem, begin = trace.problem, trace.problem.place_of(best.parameters)
 

@@ -40,8 +40,8 @@ CHECK_STARTS_IN_SPACE = 5_000, 50_000
 """The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py). The
 errors of areas show the loss of accuracy."""
 AREA_TOLERANCE = 1e-7
-"""Tolerance of strides for areas during optimisation. Over the basins of ten walkers it and 1e-12
-differ in 19 cells at one fractal boundary, as 1e-9 and 1e-12 do, and nowhere else."""
+"""Tolerance of strides for areas during optimisation. In the basins of ten walkers it changes the
+fates of 19 cells, at one fractal boundary, where 1e-9 does too (benchmarks/area_tolerance.py)."""
 DIRECTIONS = DENSE // 8, DENSE
 """Search directions for the least disturbance during optimisation, and at the ends. An eighth of
 them finds it to 1e-3 or better, except at fractal boundaries."""
@@ -74,13 +74,13 @@ def evaluate_objective(
     stage: int,
     values: Float[np.ndarray, " parameters"],
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
-    area_of: Callable[[int, Float[np.ndarray, " parameters"]], MeasuredArea],
+    measure_area: Callable[[AreaSettings, System], MeasuredArea],
     *,
     value_only: bool = False,
 ) -> Evaluation:
     """Measure the objective, the limited measures and, in a stage, the objective's gradient.
 
-    With `value_only` there is no gradient.
+    With `value_only` there is no gradient. `gait_of` and `measure_area` may know their results.
     """
     names = problem.names if stage >= 0 and not value_only else ()
     walker = problem.walker_at(values)
@@ -91,7 +91,7 @@ def evaluate_objective(
     if problem.size and problem.grid is not None:
         how = area_settings(problem, problem.grid, stage)
         at_band_ends = how._replace(levels=max(0, how.levels - BAND_LEVELS_OMITTED))
-        area = differentiate_area(area_of(stage, values), names, bands, at_band_ends)
+        area = differentiate_area(measure_area(how, walker), names, bands, at_band_ends)
         found[problem.size], made = Measure(area.area, area.gradient), area.strides
         weight = abs(problem.weights[problem.size])
         value_error, gradient_error = weight * area.area_error, weight * area.error

@@ -12,6 +12,7 @@ measured again, with areas on the finest grid.
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -296,7 +297,8 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
     problem, sides = trace.problem, {"start": start, "optimum": best}
     found: dict = {}
     ends = [problem.place_of(row.parameters) for row in sides.values()]
-    exactly = trace.measure_each(best.run, ENDS_STAGE, ends)
+    with closing(trace.measure_each(best.run, ENDS_STAGE, ends)) as rows:
+        exactly = list(rows)
     for (name, row), exact in zip(sides.items(), exactly, strict=True):
         found[name] = "parameter", row.parameters
         found[f"objective_{name}"] = row.value
@@ -318,8 +320,8 @@ def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
     places = np.tile(middle, (len(middle), count, 1))
     for k in range(len(middle)):
         places[k, :, k] = np.linspace(0, 1, count)
-    measured = trace.measure_each(-1, SCAN_STAGE, places.reshape(-1, len(middle)))
-    rows = [list(islice(measured, count)) for _ in middle]
+    with closing(trace.measure_each(-1, SCAN_STAGE, places.reshape(-1, len(middle)))) as measured:
+        rows = [list(islice(measured, count)) for _ in middle]
     low, high = np.array(
         [problem.limits.get(name, (-np.inf, np.inf)) for name in problem.measures]
     ).T

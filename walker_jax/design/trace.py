@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -12,19 +13,14 @@ from jaxtyping import Float
 
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
-from walker_jax.design.area_gradients import MeasuredArea
-from walker_jax.design.evaluation import (
-    HOW_MEASURED,
-    Evaluation,
-    area_settings,
-    evaluate_objective,
-)
+from walker_jax.design.area_gradients import AreaSettings, MeasuredArea
+from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
 from walker_jax.design.problem import Limits, Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
-from walker_jax.systems.system import has_gait_region
+from walker_jax.systems.system import System, has_gait_region
 
 KEPT_AREAS = 4
 """Areas that are kept, with their cells, until their gradients are measured."""
@@ -52,9 +48,9 @@ class Trace:
         """The error that `keep` has raised; it ends all climbs."""
         if known is not None:
             check_known(problem, known)
-        self.given = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
-        self.known = dict(self.given)
-        """All measurements by key: the given ones, and those of which some may not be taken."""
+        self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
+        self.measured = dict(self.known)
+        """The known measurements, and those made beside a promising one that nothing asked for."""
         self.gaits: dict[bytes, Gait] = {}
         self.areas: dict[tuple, MeasuredArea] = {}
         self.limits = Limits(problem, self.gait)
@@ -80,16 +76,17 @@ class Trace:
             self.gaits[values.tobytes()] = found
         return self.gaits[values.tobytes()]
 
-    def area(self, stage: int, values: Float[np.ndarray, " parameters"]) -> MeasuredArea:
-        """Return the walker's area, measured or kept: its gradient may be wanted later."""
-        problem, key = self.problem, key_at(stage, values)
-        assert problem.grid is not None
+    def measure_area(
+        self, key: tuple, how: AreaSettings, walker: System, *, keep: bool
+    ) -> MeasuredArea:
+        """Measure a walker's area, or take the kept one; keep it if its gradient may follow."""
         with self.lock:
             area = self.areas.pop(key, None)
         if area is None:
-            area = area_settings(problem, problem.grid, stage).measure(problem.walker_at(values))
+            area = how.measure(walker)
         with self.lock:
-            self.areas[key] = area
+            if keep:
+                self.areas[key] = area
             while len(self.areas) > KEPT_AREAS:
                 self.areas.pop(next(iter(self.areas)))
         return area
@@ -135,39 +132,41 @@ class Trace:
         value_only = value_only and bool(self.problem.size)
         with_gradient = stage >= 0 and not value_only
 
-        def find_or_measure(values: Float[np.ndarray, " parameters"]) -> tuple[Evaluation, bool]:
+        def find_or_measure(values: Float[np.ndarray, " parameters"]) -> Evaluation:
             key = key_at(stage, values)
+            measure_area = partial(self.measure_area, key, keep=stage >= 0 and value_only)
             with self.lock:
                 mine = self.measuring.setdefault(key, threading.Lock())
             with mine:
                 row = self.find(key, with_gradient)
-                if row is not None:
-                    return row, False
-                self.known[key] = evaluate_objective(
-                    self.problem, stage, values, self.gait, self.area, value_only=value_only
-                )
-                return self.known[key], True
+                if row is None:
+                    row = self.measured[key] = evaluate_objective(
+                        self.problem, stage, values, self.gait, measure_area, value_only=value_only
+                    )
+                return row
 
         all_values = [self.problem.values(place) for place in places]
         with closing(side_by_side(find_or_measure, all_values)) as measured:
             for values in all_values:
                 with bar(self.label(values), self.progress):
-                    row, new = next(measured)
+                    row = next(measured)
                 own = row._replace(run=run, stage=stage)
-                self.add(own, new=new)
+                self.add(key_at(stage, values), row, own)
                 yield own
 
     def find(self, key: tuple, with_gradient: bool) -> Evaluation | None:
         """Return a known measurement; None if there is none, or if it lacks a needed gradient."""
-        row = self.known.get(key)
+        row = self.measured.get(key)
         return None if row is None or (with_gradient and not row.has_gradient) else row
 
-    def add(self, row: Evaluation, *, new: bool) -> None:
-        """Add a row; keep the trace if the measurement is new."""
+    def add(self, key: tuple, row: Evaluation, own: Evaluation) -> None:
+        """Add a row with its own run and stage; keep the trace if the measurement is new."""
         with self.lock:
             if self.failure is not None:
                 raise self.failure
-            self.insert(row)
+            new = self.known.get(key) is not row
+            self.known[key] = row
+            self.insert(own)
             try:
                 if new:
                     self.keep_all()
@@ -189,10 +188,10 @@ class Trace:
         self.rows.sort(key=lambda row: row.run)
 
     def keep_all(self) -> None:
-        """Keep the trace, together with the other given measurements."""
+        """Keep the trace, together with the other known measurements."""
         if self.keep is not None:
             visited = {key_of(one) for one in self.rows}
-            left = [one for place, one in self.given.items() if place not in visited]
+            left = [one for place, one in self.known.items() if place not in visited]
             self.keep(self.data([*self.rows, *left]))
 
     def label(self, values: Float[np.ndarray, " parameters"]) -> str:
