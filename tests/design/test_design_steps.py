@@ -274,7 +274,7 @@ def test_the_area_of_a_promising_step_is_measured_once(monkeypatch):
     assert not trace.areas
 
 
-def test_a_measurement_that_nothing_asked_for_is_kept_once_it_is_taken(monkeypatch):
+def test_a_measurement_is_kept_once_it_is_taken(monkeypatch):
     problem = problem_of(WALKER, SLOPES)
     begun, kept = [], []
     both = Barrier(2)

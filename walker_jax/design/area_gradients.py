@@ -207,9 +207,8 @@ def differentiate_area(
     half_widths = np.zeros(len(parameters)) if widths is None else widths
     chosen = np.flatnonzero(averaged).tolist()
     ends = [walkers_at_band_ends(walker, parameters[k], half_widths[k]) for k in chosen]
-    measured = side_by_side(lambda one: at_band_ends.measure(one).size, itertools.chain(*ends))
-    # From one iterator, taken twice, come the sizes at both ends.
-    for k, (low, high), below, above in zip(chosen, ends, measured, measured, strict=True):
+    sizes = [*side_by_side(lambda one: at_band_ends.measure(one).size, itertools.chain(*ends))]
+    for k, (low, high), below, above in zip(chosen, ends, sizes[::2], sizes[1::2], strict=True):
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
