@@ -20,7 +20,6 @@ WALKERS = (
     wj.PoweredWalker(0.005, 2.0),
     wj.PoweredPointFootWalker(0.005),
     wj.PoweredRoundFootWalker(0.005),
-    wj.KneedWalker(0.03),
 )
 TOLERANCES = 1e-12, 1e-9, 1e-7, 1e-6
 

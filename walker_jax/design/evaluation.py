@@ -40,7 +40,7 @@ CHECK_STARTS_IN_SPACE = 5_000, 50_000
 """The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py). The
 errors of areas show the loss of accuracy."""
 AREA_TOLERANCE = 1e-7
-"""Tolerance of strides for areas during optimisation. In the basins of ten walkers it changes the
+"""Tolerance of strides for areas during optimisation. In the basins of nine walkers it changes the
 fates of 19 cells, at one fractal boundary, where 1e-9 does too (benchmarks/area_tolerance.py)."""
 DIRECTIONS = DENSE // 8, DENSE
 """Search directions for the least disturbance during optimisation, and at the ends. An eighth of
