@@ -33,9 +33,9 @@ SETTLING_PERIODS = 8
 def mapper_of_scouts(
     walker: System, grid: Grid, integrator: Integrator, strides: int
 ) -> Mapper | None:
-    """Return the mapper, with capture boxes, to cycles that few of a grid's cells converge to.
+    """Return the mapper to the cycles that scouts find, from a few of a grid's cells, with boxes.
 
-    It is for labelling all cells, by which the other attractors are found. None without a cycle.
+    It is for labelling all cells, which finds the other attractors. None if scouts find no cycle.
     """
     scouts = grid.centres(sample_indices(grid.size, SCOUTS))
     cycles: list[Attractor] = []
@@ -44,7 +44,7 @@ def mapper_of_scouts(
 
 
 def with_capture_boxes(mapper: Mapper) -> Mapper:
-    """Return the mapper with capture boxes for cycles without, found with the others unchanged."""
+    """Return the mapper with capture boxes for all cycles; those that a cycle has are kept."""
     rng = np.random.default_rng(0)
     boxed = [
         find_capture_boxes(mapper, i, rng) if one.period and one.capture_boxes is None else one
@@ -73,8 +73,8 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         """Return the index of the largest of growing boxes from which all converge, or -1.
 
         Half of that box becomes the attractor's. The first `small` boxes are tried at once, the
-        others in turn: walks end in the box before. A box that a leap passes over counts as good if
-        the next is.
+        others in turn: walks end in the box before. If all converge from the end of a leap, so they
+        do from the boxes between, it is assumed.
         """
 
         def count_converging(tried: Float[np.ndarray, "tried period section section"]) -> int:

@@ -85,7 +85,7 @@ class RefinedCells:
         new = range(len(self.mapper.attractors), len(mapper.attractors))
         if new:
             self.mapper = with_capture_boxes(mapper)
-            # Walks to new cycles were not yet over in their boxes.
+            # Walks to new cycles went on beyond the boxes, so their strides are counted again.
             late = np.isin(labels.attractor, [i for i in new if mapper.attractors[i].period])
             again, _ = self.mapper.label_all(x[late])
             self.total_strides += again.total_strides

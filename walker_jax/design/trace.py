@@ -50,7 +50,7 @@ class Trace:
             check_known(problem, known)
         self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
         self.measured = dict(self.known)
-        """The known measurements, and those made beside a promising one that nothing asked for."""
+        """The known measurements, and those that were made beside others, but not yet taken."""
         self.gaits: dict[bytes, Gait] = {}
         self.areas: dict[tuple, MeasuredArea] = {}
         self.limits = Limits(problem, self.gait)
@@ -155,7 +155,7 @@ class Trace:
                 yield own
 
     def find(self, key: tuple, with_gradient: bool) -> Evaluation | None:
-        """Return a known measurement; None if there is none, or if it lacks a needed gradient."""
+        """Return an earlier measurement; None if there is none, or if it lacks a needed gradient."""
         row = self.measured.get(key)
         return None if row is None or (with_gradient and not row.has_gradient) else row
 
