@@ -155,7 +155,7 @@ class Trace:
                 yield own
 
     def find(self, key: tuple, with_gradient: bool) -> Evaluation | None:
-        """Return an earlier measurement; None if there is none, or if it lacks a needed gradient."""
+        """Return an earlier measurement; None if there is none, or it lacks a needed gradient."""
         row = self.measured.get(key)
         return None if row is None or (with_gradient and not row.has_gradient) else row
 
