@@ -10,6 +10,7 @@ other checkout does not know is nan; one that fails in this checkout ends the co
 """
 
 import argparse
+import compileall
 import os
 import resource
 import subprocess
@@ -131,6 +132,8 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=known, default=known)
     given = parser.parse_args()
     checkouts = given.other.resolve(), THIS
+    for checkout in checkouts:  # as pip does; where bytecode is off, each process would compile all
+        compileall.compile_dir(checkout / "walker_jax", quiet=1)
     print("seconds of processor and of wall-clock time, of the other checkout and of this one")
     with tempfile.TemporaryDirectory() as folder:
         for name in given.only:

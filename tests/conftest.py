@@ -14,6 +14,7 @@ import jax
 import pytest
 from hypothesis import settings
 from matplotlib.figure import Figure
+from xdist.scheduler import LoadFileScheduling
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -68,6 +69,22 @@ def run(monkeypatch, capsys, tmp_path, few_dots):
         return (stop.value.code, *capsys.readouterr())
 
     return run
+
+
+class FromBothEnds(LoadFileScheduling):
+    """One process takes files from the front, the others from the back.
+
+    So neighbours, which compute alike, mostly share a process with what it has traced.
+    """
+
+    def _assign_work_unit(self, node) -> None:
+        if node is not self.nodes[0]:
+            self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+        super()._assign_work_unit(node)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log) -> LoadFileScheduling | None:
+    return FromBothEnds(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 def pytest_configure(config: pytest.Config) -> None:

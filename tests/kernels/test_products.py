@@ -25,6 +25,27 @@ def numbers(count: int, shape=(), dtype: Any = np.float64) -> list[jax.Array]:
     return [jnp.asarray(random.normal(size=shape), dtype) for _ in range(count)]
 
 
+def partner(operands, i: int):
+    """The factor of an operand; that of the constant is 1."""
+    return operands[i ^ 1] if i ^ 1 < len(operands) else np.ones_like(operands[i])
+
+
+def jacobian(operands) -> list[np.ndarray]:
+    """The derivative by each operand, entry by entry."""
+    shape = operands[0].shape
+    same = np.eye(int(np.prod(shape)), dtype=operands[0].dtype).reshape(shape * 2)
+    return [same * np.asarray(partner(operands, i)) for i in range(len(operands))]
+
+
+def hessian(operands) -> list[list[np.ndarray]]:
+    """The second derivatives, which are 1 for an entry and its factor."""
+    shape, count = operands[0].shape, range(len(operands))
+    every = np.arange(int(np.prod(shape)))
+    same = np.zeros((every.size,) * 3)
+    same[every, every, every] = 1
+    return [[same.reshape(shape * 3) * (j == i ^ 1) for j in count] for i in count]
+
+
 def agree(found, expected, tolerance=1e-14) -> None:
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         assert one.dtype == other.dtype and one.shape == other.shape
@@ -40,15 +61,18 @@ def primitives(function, *args) -> list[str]:
 def test_values_and_derivatives(count, shape):
     given, changes = numbers(count, shape), numbers(count + 10, shape)[:count]
     assert primitives(sum_of_products, *given) == ["sum_of_products"]
-    agree(sum_of_products(*given), plainly(*given))
-    agree(jax.jit(sum_of_products)(*given), plainly(*given))
-    along = lambda f: jax.jvp(f, tuple(given), tuple(changes))
-    agree(along(sum_of_products), along(plainly))
-    names = primitives(lambda *x: jax.jvp(sum_of_products, x, tuple(changes)), *given)
-    assert names == ["sum_of_products"] * 2  # the derivative is one sum too
+    value, slopes = plainly(*map(np.asarray, given)), jacobian(given)
+    agree(sum_of_products(*given), value)
+    change = sum(np.tensordot(by, dx, len(shape)) for by, dx in zip(slopes, changes, strict=True))
+    along = lambda *x: jax.jvp(sum_of_products, x, tuple(changes))
+    agree(along(*given), (value, change))
+    assert primitives(along, *given) == ["sum_of_products"] * 2  # the derivative is one sum too
     every = tuple(range(count))
-    for derivative in (jax.jacfwd, jax.jacrev, jax.hessian):
-        agree(derivative(sum_of_products, every)(*given), derivative(plainly, every)(*given))
+    ways = jax.jacfwd, jax.jacrev, jax.hessian
+    whole = jax.jit(
+        lambda *x: [sum_of_products(*x), *(way(sum_of_products, every)(*x) for way in ways)]
+    )
+    agree(whole(*given), [value, slopes, slopes, hessian(given)])
 
 
 def test_derivatives_by_some_operands():
@@ -79,7 +103,9 @@ def test_batches(shapes, axes):
     total = lambda f: lambda *x: jnp.sum(jnp.sin(mapped(f)(*x)))
     every = tuple(range(len(given)))
     for derivative in (jax.grad, jax.jacfwd):
-        found, expected = (derivative(total(f), every)(*given) for f in (sum_of_products, plainly))
+        found, expected = (
+            jax.jit(derivative(total(f), every))(*given) for f in (sum_of_products, plainly)
+        )
         agree(found, expected)
 
 
@@ -109,10 +135,8 @@ def test_kernels(dtype):
     tolerance = 8 * float(np.finfo(dtype).eps)
     for operands in (given, arrays):
         fast = kernel(sum_of_products)
-        agree(fast(*operands), plainly(*operands), tolerance)
-        every = tuple(range(5))
-        found, expected = (jax.jacfwd(f, every)(*operands) for f in (fast, plainly))
-        agree(found, expected, tolerance)
+        agree(fast(*operands), plainly(*map(np.asarray, operands)), tolerance)
+        agree(jax.jacfwd(fast, tuple(range(5)))(*operands), jacobian(operands), tolerance)
     zero = kernel(lambda x: sum_of_products(x, jnp.zeros_like(x), x, jnp.ones_like(x)))
     agree(zero(given[0]), given[0])
 
