@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,12 @@ from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking import stride, trajectories
 
 START = np.array([0.2, -0.2])
+
+
+@pytest.fixture(autouse=True)
+def programs(monkeypatch):
+    """None in memory, and those of other tests afterwards."""
+    monkeypatch.setattr(program, "programs", OrderedDict())
 
 
 @pytest.fixture
