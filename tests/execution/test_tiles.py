@@ -11,7 +11,7 @@ from timers import AtOnce
 
 import walker_jax as wj
 from walker_jax.execution import tiles
-from walker_jax.execution.tiles import CALL_SHAPES, compact_order, map_cells
+from walker_jax.execution.tiles import CALL_SHAPES, KERNEL_CALL_CELLS, compact_order, map_cells
 from walker_jax.kernels import program as of_program
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
@@ -229,7 +229,8 @@ def test_threads_compute_in_the_modes_of_the_caller():
 def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):
     monkeypatch.setattr("walker_jax.execution.progress.quiet", False)
     monkeypatch.setattr("walker_jax.execution.progress.Timer", AtOnce)
-    cells = {"x": np.ones((9, 2)), "i": np.ones(9)}
+    some = KERNEL_CALL_CELLS[0] + 1
+    cells = {"x": np.ones((some, 2)), "i": np.ones(some)}
     map_cells(sum_and_norm, ({"offset": 0.0}, cells), progress="the work")
     assert capfd.readouterr() == ("", "")
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes this for a terminal
@@ -237,4 +238,6 @@ def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):
     out, err = capfd.readouterr()
     assert out == "" and "the work" in err
     map_cells(sum_and_norm, ({"offset": 0.0}, cells))
+    few = jax.tree.map(lambda leaf: leaf[1:], cells)
+    map_cells(sum_and_norm, ({"offset": 0.0}, few), progress="over before a bar is shown")
     assert capfd.readouterr() == ("", "")

@@ -562,6 +562,22 @@ def test_wrong_arguments_are_refused():
         robustness_table(walker, np.array([0.1]), "mass")
 
 
+def test_few_rays_are_halved_several_times_in_a_call():
+    """Of three boundaries the first is found, in fewer calls than there are halvings."""
+    ray, calls = np.array([[0.6, 0.8]]), []
+    boundary = np.array([0.31, 0.52, 0.83])
+
+    def fails(x):
+        calls.append(len(x))
+        return np.searchsorted(boundary, np.linalg.norm(x, axis=1)) % 2 == 1
+
+    found = bisect(fails, ray, np.array([1.0]), 1.0, FINE)
+    assert boundary[0] < found[0] < boundary[0] + 2e-10 and fails(found[:, None] * ray)
+    assert len(calls) - 1 < FINE / 3 and max(calls) == 15
+    assert not fails((found - 2.0**-FINE)[:, None] * ray)
+    assert bisect(fails, ray, np.array([np.inf]), 1.0, FINE) == np.inf
+
+
 def test_the_nearest_of_rays_is_found_as_if_all_were_followed():
     rng = np.random.default_rng(0)
     rays = rng.normal(size=(40, 9, 2))

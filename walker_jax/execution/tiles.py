@@ -78,7 +78,8 @@ def map_cells(
     - `args`: PyTrees of arrays.
     - `mapped`: for each of them, whether it has the cells along the first axis of its arrays, any
       number of them; others are the same for all cells. By default the second of two.
-    - `progress`: label of a progress bar, shown on a terminal only.
+    - `progress`: label of a progress bar, shown on a terminal only, and not for a few cells, which
+      a kernel computes at once.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """
@@ -188,7 +189,7 @@ def run_kernel(
     least, most = KERNEL_CALL_CELLS
     # Several calls for each core, so that all end at about the same time.
     call = min(most, max(least, -(-n // (4 * workers))))
-    if n <= least and progress is None:
+    if n <= least:  # needs neither threads nor a bar
         run(0, n)
     else:
         run_in_threads(run, n, call, workers, progress)

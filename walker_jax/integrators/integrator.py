@@ -88,9 +88,11 @@ class Integrator(eqx.Module):
     def in_dtype(self, dtype) -> "Integrator":
         """Return the same settings, with the tolerance as an array."""
         known = self.tolerance
-        if isinstance(known, jax.Array) and known.dtype == dtype and not known.weak_type:
+        if isinstance(known, np.ndarray) and known.dtype == dtype:
             return self
-        return Integrator(jnp.asarray(self.tolerance, dtype), self.solver)
+        # NumPy's where it can be: JAX takes longer to make a number than a kernel for some strides.
+        as_array: Any = jnp.asarray if isinstance(known, Tracer) else np.asarray
+        return Integrator(as_array(known, dtype), self.solver)
 
     def method(
         self,

@@ -36,7 +36,9 @@ POLISH_SHARES = 2.0 ** np.arange(-6, 3)
 FINAL_DISTANCES = 512
 """Distances in the last check that nothing nearer fails in the direction found."""
 COARSE, FINE = 12, 34
-"""Bisections between two points on a ray: to compare rays, and for the final distance."""
+"""Halvings between two points on a ray: to compare rays, and for the final distance."""
+AT_ONCE, MOST_HALVINGS = 64, 4
+"""Points in a call that takes hardly longer than one of a single point, and most halvings in it."""
 
 
 Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
@@ -216,10 +218,10 @@ def bisect(
     """Bisect for distances of the boundary, between failing ones and those a `gap` before."""
     known = np.isfinite(high)
     below, above = (high - gap)[known], high[known]
-    for _ in range(times):
-        middle = (below + above) / 2
-        failed = fails(middle[:, None] * rays[known])
-        below, above = np.where(failed, below, middle), np.where(failed, middle, above)
+    while times and known.any():
+        halvings = min(halvings_at_once(len(below)), times)
+        below, above = narrow(fails, rays[known], below, above, halvings)
+        times -= halvings
     result = np.full(len(high), np.inf)
     result[known] = above
     return result
@@ -236,14 +238,43 @@ def bisect_nearest(
 
     A ray is dropped once it is known to be longer than another of the m, or than the `least`.
     """
-    below, above = high - gap, high.copy()
-    for _ in range(FINE):
+    below, above, left = high - gap, high.copy(), FINE
+    while left:
         going = below < np.minimum(above.min(axis=1), least)[:, None]
-        middle = (below[going] + above[going]) / 2
-        failed = fails(middle[:, None] * rays[going])
-        below[going] = np.where(failed, below[going], middle)
-        above[going] = np.where(failed, middle, above[going])
+        if not going.any():
+            break
+        halvings = min(halvings_at_once(int(going.sum())), left)
+        below[going], above[going] = narrow(
+            fails, rays[going], below[going], above[going], halvings
+        )
+        left -= halvings
     return above
+
+
+def halvings_at_once(count: int) -> int:
+    """Return how many times to halve distances on so many rays in one call."""
+    return min(max(1, math.floor(math.log2(AT_ONCE / count + 1))), MOST_HALVINGS)
+
+
+def narrow(
+    fails: Callable,
+    rays: Float[np.ndarray, "n size"],
+    below: Float[np.ndarray, " n"],
+    above: Float[np.ndarray, " n"],
+    halvings: int,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Halve the distances around the boundary some times, in one call of all points between.
+
+    Of several boundaries between them it takes the first.
+    """
+    shares = np.arange(1, 1 << halvings) / (1 << halvings)
+    tried = below[:, None] + shares * (above - below)[:, None]
+    points = tried[:, :, None] * rays[:, None]
+    failed = fails(points.reshape(-1, rays.shape[1])).reshape(tried.shape)
+    first = np.where(failed.any(axis=1), failed.argmax(axis=1), shares.size)
+    all_of = np.column_stack([below, tried, above])
+    each = np.arange(len(rays))
+    return all_of[each, first], all_of[each, first + 1]
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
