@@ -578,9 +578,11 @@ def test_few_rays_are_halved_several_times_in_a_call():
     assert bisect(fails, ray, np.array([np.inf]), 1.0, FINE) == np.inf
 
 
-def test_the_nearest_of_rays_is_found_as_if_all_were_followed():
+@pytest.mark.parametrize("count", [2, 40])
+def test_the_nearest_of_rays_is_found_as_if_all_were_followed(count):
+    """Bit by bit, however many of them are halved in a call, and how often in each."""
     rng = np.random.default_rng(0)
-    rays = rng.normal(size=(40, 9, 2))
+    rays = rng.normal(size=(count, 9, 2))
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     radius = lambda x: 1 + 1e-4 * np.sin(7 * np.arctan2(x[:, 1], x[:, 0]))
     followed = []
@@ -592,13 +594,17 @@ def test_the_nearest_of_rays_is_found_as_if_all_were_followed():
     flat = rays.reshape(-1, 2)
     high = np.ceil(radius(flat) * 1e3) / 1e3
     high[::7] = np.inf
-    every = bisect(fails, flat, high, 1e-3, FINE).reshape(40, 9)
+    every = bisect(fails, flat, high, 1e-3, FINE).reshape(count, 9)
     all_of_them = sum(followed)
-    least = np.where(np.arange(40) % 2, np.inf, every.min(axis=1) + 1e-5)
+    alone = [bisect(fails, flat[i : i + 1], high[i : i + 1], 1e-3, FINE) for i in range(len(flat))]
+    np.testing.assert_array_equal(np.concatenate(alone), every.ravel())
     followed.clear()
-    nearest = bisect_nearest(fails, rays, high.reshape(40, 9), 1e-3, least)
+    high = high.reshape(count, 9)
+    least = np.where(np.arange(count) % 2, np.inf, every.min(axis=1) + 1e-5)
+    nearest = bisect_nearest(fails, rays, high, 1e-3, least)
+    share = sum(followed) / all_of_them if count == 40 else len(followed) / FINE
+    assert share < 0.5
     np.testing.assert_array_equal(nearest.min(axis=1), every.min(axis=1))
     np.testing.assert_array_equal(nearest.argmin(axis=1), every.argmin(axis=1))
-    exact = np.where(np.isfinite(high), radius(flat), np.inf).reshape(40, 9)
-    np.testing.assert_allclose(nearest.min(axis=1), exact.min(axis=1), rtol=1e-12)
-    assert sum(followed) < all_of_them / 2
+    exact = np.where(np.isfinite(high.ravel()), radius(flat), np.inf)
+    np.testing.assert_allclose(nearest.min(axis=1), exact.reshape(count, 9).min(axis=1), rtol=1e-12)

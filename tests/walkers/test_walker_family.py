@@ -1,5 +1,7 @@
 """All walkers: wrong parameters, derivatives, and one walker among many."""
 
+from collections import OrderedDict
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +21,7 @@ from walker_jax import (
 )
 from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.kernels.program import programs
+from walker_jax.kernels import program
 from walker_jax.walkers.parameters import parameters
 
 # Ways to fail
@@ -143,16 +145,16 @@ def test_one_walker_is_as_many_that_are_equal():
 
 
 @pytest.mark.slow
-def test_strides_are_compiled_once_for_all_kinds_of_numbers():
+def test_strides_are_compiled_once_for_all_kinds_of_numbers(monkeypatch):
+    monkeypatch.setattr(program, "programs", OrderedDict())
     xs = np.array([GAIT["state"]])
-    compiled = lambda: len(programs)
     wj.strides(SimplestWalker(0.009), xs)
-    count = compiled()
+    count = len(program.programs)
     for slope in (0.008, np.float64(0.008), jnp.asarray(0.007, float), np.float32(0.006)):
         for tolerance in (None, 1e-12, np.float64(1e-12), jnp.asarray(1e-12, float)):
             found = wj.strides(SimplestWalker(slope), xs, tolerance=tolerance)
             assert found.outcome[0] == Outcome.STRIDE
-    assert compiled() == count
+    assert len(program.programs) == count > 0
 
 
 # Parameters

@@ -78,8 +78,8 @@ def map_cells(
     - `args`: PyTrees of arrays.
     - `mapped`: for each of them, whether it has the cells along the first axis of its arrays, any
       number of them; others are the same for all cells. By default the second of two.
-    - `progress`: label of a progress bar, shown on a terminal only, and not for a few cells, which
-      a kernel computes at once.
+    - `progress`: label of a progress bar, shown on a terminal only; not for up to 512 cells that a
+      kernel computes, on one core.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """

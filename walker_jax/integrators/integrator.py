@@ -90,7 +90,8 @@ class Integrator(eqx.Module):
         known = self.tolerance
         if isinstance(known, np.ndarray) and known.dtype == dtype:
             return self
-        # NumPy's where it can be: JAX takes longer to make a number than a kernel for some strides.
+        # Of NumPy where it can be: JAX takes longer to make one number than a kernel to make some
+        # strides.
         as_array: Any = jnp.asarray if isinstance(known, Tracer) else np.asarray
         return Integrator(as_array(known, dtype), self.solver)
 

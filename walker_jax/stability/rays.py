@@ -28,7 +28,7 @@ ZOOM_DEPTH, ZOOM_DISTANCES = 0.015, 10
 """Share of the nearest distance by which the first fan reaches below it, and distances along each
 ray. Narrower fans hold nearer failures by less: depth and `KEPT` narrow with them."""
 POLISHES = 4
-"""Number of steps along the boundary's gradient that follow."""
+"""Most steps along the boundary's gradient that follow."""
 FINALISTS = 32
 """Number of rays that are polished: the nearest ones."""
 POLISH_SHARES = 2.0 ** np.arange(-6, 3)
@@ -37,8 +37,8 @@ FINAL_DISTANCES = 512
 """Distances in the last check that nothing nearer fails in the direction found."""
 COARSE, FINE = 12, 34
 """Halvings between two points on a ray: to compare rays, and for the final distance."""
-AT_ONCE, MOST_HALVINGS = 64, 4
-"""Points in a call that takes hardly longer than one of a single point, and most halvings in it."""
+AT_ONCE, MOST_HALVINGS = 32, 4
+"""Points in a call that takes hardly longer than one of a few points, and most halvings in it."""
 
 
 Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
@@ -66,7 +66,10 @@ def nearest_failure(
     closer = bisect(fails, best @ basis, closer, gap / 4, FINE)
     lengths = np.minimum(lengths, closer)
     for _ in range(POLISHES if len(basis) > 1 else 0):
-        best, lengths = polish(fails, gradient, basis, best, lengths, gap)
+        before = best, lengths
+        best, lengths = polish(fails, gradient, basis, *before, gap)
+        if np.array_equal(best, before[0]) and np.array_equal(lengths, before[1]):
+            break  # and so would every further step be
     return first_on_ray(fails, best[lengths.argmin()] @ basis, lengths.min())
 
 
@@ -215,7 +218,10 @@ def bisect(
     gap: float | Float[np.ndarray, " n"],
     times: int,
 ) -> Float[np.ndarray, " n"]:
-    """Bisect for distances of the boundary, between failing ones and those a `gap` before."""
+    """Bisect for distances of the boundary, between failing ones and those a `gap` before.
+
+    Of several boundaries it may find any.
+    """
     known = np.isfinite(high)
     below, above = (high - gap)[known], high[known]
     while times and known.any():
@@ -263,18 +269,22 @@ def narrow(
     above: Float[np.ndarray, " n"],
     halvings: int,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Halve the distances around the boundary some times, in one call of all points between.
+    """Halve the distances around the boundary some times, in one call for all points between.
 
-    Of several boundaries between them it takes the first.
+    Of several boundaries it takes the first that these points show. The points are those of single
+    halvings, to the last bit.
     """
-    shares = np.arange(1, 1 << halvings) / (1 << halvings)
-    tried = below[:, None] + shares * (above - below)[:, None]
-    points = tried[:, :, None] * rays[:, None]
-    failed = fails(points.reshape(-1, rays.shape[1])).reshape(tried.shape)
-    first = np.where(failed.any(axis=1), failed.argmax(axis=1), shares.size)
-    all_of = np.column_stack([below, tried, above])
+    distances = np.stack([below, above], axis=1)
+    for _ in range(halvings):
+        finer = np.empty((len(rays), 2 * distances.shape[1] - 1))
+        finer[:, ::2] = distances
+        finer[:, 1::2] = (distances[:, :-1] + distances[:, 1:]) / 2
+        distances = finer
+    points = distances[:, 1:-1, None] * rays[:, None]
+    failed = fails(points.reshape(-1, rays.shape[1])).reshape(points.shape[:2])
+    first = np.where(failed.any(axis=1), failed.argmax(axis=1), failed.shape[1])
     each = np.arange(len(rays))
-    return all_of[each, first], all_of[each, first + 1]
+    return distances[each, first], distances[each, first + 1]
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
