@@ -5,7 +5,14 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.stability.descents import descend_to_failure
-from walker_jax.stability.rays import nearest_failure, spacing, spread_directions
+from walker_jax.stability.rays import (
+    FINE,
+    bisect,
+    bisect_nearest,
+    nearest_failure,
+    spacing,
+    spread_directions,
+)
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -115,3 +122,51 @@ def test_dust_of_failures_is_met_by_chance_and_never_lost():
 
     found = nearest_failure(fails, np.eye(2), lambda y: np.full_like(y, np.nan))
     assert fails(found[None])[0] and 0.5 < np.linalg.norm(found) < 0.51
+
+
+def test_few_rays_are_halved_several_times_in_a_call():
+    """Of three boundaries the first is found, in fewer calls than there are halvings."""
+    ray, calls = np.array([[0.6, 0.8]]), []
+    boundary = np.array([0.31, 0.52, 0.83])
+
+    def fails(x):
+        calls.append(len(x))
+        return np.searchsorted(boundary, np.linalg.norm(x, axis=1)) % 2 == 1
+
+    found = bisect(fails, ray, np.array([1.0]), 1.0, FINE)
+    assert boundary[0] < found[0] < boundary[0] + 2e-10 and fails(found[:, None] * ray)
+    assert len(calls) - 1 < FINE / 3 and max(calls) == 15
+    assert not fails((found - 2.0**-FINE)[:, None] * ray)
+    assert bisect(fails, ray, np.array([np.inf]), 1.0, FINE) == np.inf
+
+
+@pytest.mark.parametrize("count", [2, 40])
+def test_the_nearest_of_rays_is_found_as_if_all_were_followed(count):
+    """Bit by bit, however many of them are halved in a call, and how often in each."""
+    rng = np.random.default_rng(0)
+    rays = rng.normal(size=(count, 9, 2))
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    radius = lambda x: 1 + 1e-4 * np.sin(7 * np.arctan2(x[:, 1], x[:, 0]))
+    followed = []
+
+    def fails(x):
+        followed.append(len(x))
+        return np.linalg.norm(x, axis=1) > radius(x)
+
+    flat = rays.reshape(-1, 2)
+    high = np.ceil(radius(flat) * 1e3) / 1e3
+    high[::7] = np.inf
+    every = bisect(fails, flat, high, 1e-3, FINE).reshape(count, 9)
+    all_of_them = sum(followed)
+    alone = [bisect(fails, flat[i : i + 1], high[i : i + 1], 1e-3, FINE) for i in range(len(flat))]
+    np.testing.assert_array_equal(np.concatenate(alone), every.ravel())
+    followed.clear()
+    high = high.reshape(count, 9)
+    least = np.where(np.arange(count) % 2, np.inf, every.min(axis=1) + 1e-5)
+    nearest = bisect_nearest(fails, rays, high, 1e-3, least)
+    share = sum(followed) / all_of_them if count == 40 else len(followed) / FINE
+    assert share < 0.5
+    np.testing.assert_array_equal(nearest.min(axis=1), every.min(axis=1))
+    np.testing.assert_array_equal(nearest.argmin(axis=1), every.argmin(axis=1))
+    exact = np.where(np.isfinite(high.ravel()), radius(flat), np.inf)
+    np.testing.assert_allclose(nearest.min(axis=1), exact.reshape(count, 9).min(axis=1), rtol=1e-12)
