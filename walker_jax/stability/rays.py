@@ -222,38 +222,33 @@ def bisect(
 
     Of several boundaries it may find any.
     """
-    known = np.isfinite(high)
-    below, above = (high - gap)[known], high[known]
-    while times and known.any():
-        halvings = min(halvings_at_once(len(below)), times)
-        below, above = narrow(fails, rays[known], below, above, halvings)
-        times -= halvings
-    result = np.full(len(high), np.inf)
-    result[known] = above
-    return result
+    gaps, least = np.broadcast_to(gap, high.shape), np.full(len(high), np.inf)
+    found = bisect_nearest(fails, rays[:, None], high[:, None], gaps[:, None], least, times)
+    return np.where(np.isfinite(high), found[:, 0], np.inf)
 
 
 def bisect_nearest(
     fails: Callable,
     rays: Float[np.ndarray, "n m size"],
     high: Float[np.ndarray, "n m"],
-    gap: float,
+    gap: float | Float[np.ndarray, "n m"],
     least: Float[np.ndarray, " n"],
+    times: int = FINE,
 ) -> Float[np.ndarray, "n m"]:
-    """Bisect n times m rays as `bisect` does, `FINE` times, as far as the nearest of m needs.
+    """Bisect n times m rays as `bisect` does, as far as the nearest of m needs.
 
     A ray is dropped once it is known to be longer than another of the m, or than the `least`.
     """
-    below, above, left = high - gap, high.copy(), FINE
-    while left:
+    below, above = high - gap, high.copy()
+    while times:
         going = below < np.minimum(above.min(axis=1), least)[:, None]
         if not going.any():
             break
-        halvings = min(halvings_at_once(int(going.sum())), left)
+        halvings = min(halvings_at_once(int(going.sum())), times)
         below[going], above[going] = narrow(
             fails, rays[going], below[going], above[going], halvings
         )
-        left -= halvings
+        times -= halvings
     return above
 
 
