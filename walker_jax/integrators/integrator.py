@@ -23,8 +23,10 @@ from walker_jax.integrators.arrivals import flow, time_to
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.roots import Real, Scalar
+from walker_jax.integrators.step_lengths import NO_LIMITS, StepLimits
 from walker_jax.integrators.taylor import (
     VectorField,
+    evaluate_series,
     function_series,
     is_absent,
     solution_series,
@@ -33,7 +35,6 @@ from walker_jax.integrators.taylor_steps import (
     SERIES_ORDER,
     SeriesSteps,
     Taylor,
-    evaluate_series,
     taylor_step,
 )
 
@@ -101,10 +102,11 @@ class Integrator(eqx.Module):
         state: PyTree,
         *others: Callable[[PyTree], PyTree],
         watched: tuple[Callable[[PyTree], Scalar], ...] = (),
+        limits: StepLimits = NO_LIMITS,
     ) -> "Method":
         """Return the method that integrates y' = f(y) from a state."""
         solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
-        return Method(field, solver, self.tolerance, others, watched)
+        return Method(field, solver, self.tolerance, others, watched, limits)
 
 
 def integrator_of(
@@ -161,6 +163,7 @@ class Method(eqx.Module):
     """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f."""
     watched: tuple[Callable[[PyTree], Scalar], ...] = ()
     """Functions of the state whose series limit the steps as the solution's series does."""
+    limits: StepLimits = NO_LIMITS
 
     @property
     def terms(self):
@@ -227,7 +230,13 @@ class Method(eqx.Module):
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
             series, length = taylor_step(
-                self.field, state, order, self.tolerance, *self.others, watched=self.watched
+                self.field,
+                state,
+                order,
+                self.tolerance,
+                *self.others,
+                watched=self.watched,
+                limits=self.limits,
             )
             return series, evaluate_series(series, length), length, ()
         length, kept, first = memory

@@ -5,13 +5,13 @@ Each interpreter has its own kind of values: entries of an array, instructions, 
 
 import abc
 import sysconfig
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, no_type_check
 
 import jax
-from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxprs_in_params
 
 INSTALLED = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
 """Folders of installed code, as opposed to a user's own."""
@@ -79,6 +79,17 @@ def line_of(equation: JaxprEqn) -> str | None:
         if file.exists() and not any(map(file.is_relative_to, INSTALLED)):
             return f"line {frame.line_num} of {file.name}"
     return None
+
+
+def equations_in(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
+    """Yield the equations of a function and of all functions that it calls."""
+    for equation in jaxpr.eqns:
+        yield equation
+        inner = [*jaxprs_in_params(equation.params)]
+        if equation.primitive.name == "call_hi_primitive":
+            inner.append(called_function(equation).jaxpr)
+        for one in inner:
+            yield from equations_in(one)
 
 
 def shape_dtype(aval) -> jax.ShapeDtypeStruct:
