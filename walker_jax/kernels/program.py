@@ -22,7 +22,7 @@ from walker_jax.checks import WrongUse, is_traced
 from walker_jax.identity import sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
-from walker_jax.kernels.directions import mapped_directions
+from walker_jax.kernels.directions import axes_of_directions
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.products import sum_of_products_p
 from walker_jax.kernels.program_cache import (
@@ -126,11 +126,6 @@ class Program:
         return self.on_gpu[key]
 
     @property
-    def depth(self) -> int:
-        """The order of the derivative that it is."""
-        return 0 if self.origin is None else 1 + self.origin[0].depth
-
-    @property
     def function(self) -> Callable[..., list]:
         """The function in JAX's own primitives, evaluated from its jaxpr."""
         return jaxpr_as_fun(self.closed)
@@ -148,10 +143,9 @@ class Program:
         """
         if (by, directions) not in self.derivatives:
             real = list(map(is_real, self.results))
-            axis = f"directions of {self.depth}"
 
             def along(*values):
-                function = self.function  # traced before the axis has a name
+                function = self.function  # traced before there is an axis of directions
                 point, tangents = list(values[: len(self.operands)]), values[len(self.operands) :]
 
                 def of_some(*some):
@@ -162,8 +156,8 @@ class Program:
                 some = tuple(point[i] for i in by)
                 one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
                 if directions != 1:
-                    with mapped_directions(axis):
-                        return jax.vmap(one, axis_name=axis)(*tangents)
+                    with axes_of_directions(axes_of_directions.value + 1):
+                        return jax.vmap(one)(*tangents)
                 # Equal to the line above with one direction, and traced in half the time.
                 return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
 
