@@ -14,7 +14,7 @@ where equations contain such a function, the slope of the polynomial is compared
 in the middle and at the end of the step.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from typing import Any, ClassVar, NamedTuple
 
@@ -49,8 +49,8 @@ DERIVATIVE_TOLERANCE = 100.0
 """Tolerance of a derivative's last terms, in units of that of the solution. With this, derivatives
 by the start of a walker's stride allow steps that are 1.1 times as long as the solution allows, or
 longer, so that only faster directions shorten a step."""
-FIRST_TERMS = 4
-"""How many of the first terms of a derivative's series the last ones are compared with. The first
+FIRST_TERMS = range(4)
+"""Terms of a derivative's series with which the last ones are compared. The first
 or the first two may vanish, as those of a derivative by a parameter do."""
 DEFECT = 12.0
 """Largest difference between the slope of a step's polynomial and the equations, in units of
@@ -303,23 +303,30 @@ def vary_length(primals, tangents, *, axes):
 
 
 def halve_until(fits: Callable[[Scalar], Bool[Array, ""]], length: Scalar) -> Scalar:
-    """Return the length of a step, halved until it fits."""
+    """Return the length of a step, halved until it fits; NaN if none does."""
     least = length * 0.5**MOST_HALVINGS
-    return lax.while_loop(lambda h: ~fits(h) & (h > least), lambda h: h / 2, length)
+    found = lax.while_loop(lambda h: ~fits(h) & (h > least), lambda h: h / 2, length)
+    return jnp.where(found > least, found, jnp.nan)
 
 
 def derivative_fits(series: PyTree, length: Scalar, tolerance: Real) -> Bool[Array, ""]:
-    """Return whether the last terms of a derivative are small beside its first ones in a step."""
+    """Return whether the last terms of a derivative are small beside its first ones in a step.
+
+    That is so of a derivative that is not finite, which needs no short steps.
+    """
     order = order_of(series)
-    last = [largest_coefficient(series, k) * length**k for k in (order - 1, order)]
-    size = DERIVATIVE_TOLERANCE * largest_first_term(series, length)
-    return jnp.maximum(*last) <= tolerance * size
+    last = largest_term(series, length, (order - 1, order))
+    return ~(last > DERIVATIVE_TOLERANCE * tolerance * largest_term(series, length, FIRST_TERMS))
 
 
-def largest_first_term(series: PyTree, length: Scalar) -> Scalar:
-    """Return the largest of the first terms of a series at the end of a step."""
-    first = [largest_coefficient(series, j) * length**j for j in range(FIRST_TERMS)]
-    return reduce(jnp.maximum, first)
+def largest_term(series: PyTree, length: Scalar, orders: Iterable[int]) -> Scalar:
+    """Return the largest of some terms of a series at the end of a step."""
+
+    def term(k):
+        coefficient = largest_coefficient(series, k)
+        return jnp.where(coefficient == 0, 0, coefficient * length**k)  # the power may overflow
+
+    return reduce(jnp.maximum, map(term, orders))
 
 
 def has_sharp_features(function: Callable, state: PyTree) -> bool:
@@ -339,7 +346,7 @@ def field_fits(
     count = len(jax.tree.leaves(blocks[0], is_leaf=is_list))
     allowed = [sizes] * count if eqx.is_array(sizes) else jax.tree.leaves(sizes)
     for series in blocks[1:]:
-        allowed += [DERIVATIVE_TOLERANCE * largest_first_term(series, length)] * count
+        allowed += [DERIVATIVE_TOLERANCE * largest_term(series, length, FIRST_TERMS)] * count
     slopes = jax.tree.map(derivative_of, nest(blocks), is_leaf=is_list)
     agree = jnp.asarray(True)
     for t in (length, length / 2):
