@@ -10,6 +10,8 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax.integrators.step_lengths import has_sharp_features, may_have_clocks
+from walker_jax.walking.starts import prepare
+from walker_jax.walking.stride import follow_stride
 
 
 class Flow(NamedTuple):
@@ -149,6 +151,26 @@ def test_derivatives_by_parameters_and_of_second_order_at_rest():
     end = lambda a: wj.stride(Relaxation(a), jnp.asarray([9.0])).state[0]
     np.testing.assert_allclose(jax.jacfwd(end)(3.0), 6 * (1 - np.exp(-60)), rtol=1e-9)
     np.testing.assert_allclose(jax.hessian(end)(3.0), 2 * (1 - np.exp(-60)), rtol=1e-8)
+
+
+def test_second_derivatives_along_several_directions_at_once():
+    system = time_map(lambda y, t: rossler(y), 3, 1.0)
+    x, end = jnp.asarray([1.0, -0.5, 0.2]), lambda x: wj.stride(system, x).state
+    slopes, width = jax.jit(jax.vmap(jax.jacfwd(end))), 1e-4
+    differences = (slopes(x + width * jnp.eye(3)) - slopes(x - width * jnp.eye(3))) / (2 * width)
+    found = jax.jacfwd(jax.jacfwd(end))(x)
+    np.testing.assert_allclose(found, np.moveaxis(differences, 0, -1), rtol=0, atol=1e-7)
+
+
+def test_directions_at_once_share_the_solution():
+    """Two directions take much less than two programs of one, whichever is made first."""
+    walker, x, integrator = prepare(wj.SimplestWalker(0.004), jnp.asarray([0.2, -0.2]), None)
+    program, *_ = follow_stride.find_program((walker, x, integrator), {})
+    by = (1,)
+    assert program.operands[1].shape == (2,)
+    one, two = (program.derivative(by, count).size for count in (1, 2))
+    assert two < 1.5 * one
+    assert one < 2.7 * program.size
 
 
 def test_derivatives_in_float32():

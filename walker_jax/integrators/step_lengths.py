@@ -37,7 +37,7 @@ from walker_jax.integrators.taylor import (
     order_of,
     with_zeros,
 )
-from walker_jax.kernels.directions import axes_of_directions, holds_along_all
+from walker_jax.kernels.directions import holds_along_all
 from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, equations_in
 
 LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
@@ -93,7 +93,7 @@ def longest_step(
         checked = (
             field if isinstance(field, PowerBalance) else eqx.filter_closure_convert(field, state)
         )
-    return shorten(checked, (series,), length, tolerance, sizes, axes=0)
+    return shorten(checked, (series,), length, tolerance, sizes)
 
 
 def cut_for_function(
@@ -263,8 +263,6 @@ def shorten(
     length: Scalar,
     tolerance: Real,
     sizes: PyTree,
-    *,
-    axes: int,
 ) -> Scalar:
     """Return the length of a step, halved until derivatives and sharp features allow it.
 
@@ -277,7 +275,6 @@ def shorten(
       along a first direction; then, along a second, the derivatives of all that precede.
     - `length`: what the series of the solution allow.
     - `tolerance`, `sizes`: as for `step_size`.
-    - `axes`: number of axes of directions, along all of which the steps are the same.
     """
     if field is None and len(blocks) == 1:
         return length
@@ -287,18 +284,17 @@ def shorten(
         for derivative in blocks[1:]:
             fits &= derivative_fits(derivative, h, tolerance)
         fits = fits if field is None else fits & field_fits(field, blocks, h, tolerance, sizes)
-        return holds_along_all(fits, axes)
+        return holds_along_all(fits)
 
     return halve_until(fits, length)
 
 
 @shorten.def_jvp
-def vary_length(primals, tangents, *, axes):
+def vary_length(primals, tangents):
     field, blocks, *rest = primals
     varied = None if field is None else VariedField(field, tangents[0])
     changes = [with_zeros(*pair) for pair in zip(tangents[1], blocks, strict=True)]
-    axes = axes + axes_of_directions.value
-    length = shorten(varied, (*blocks, *changes), *rest, axes=axes)
+    length = shorten(varied, (*blocks, *changes), *rest)
     return length, jnp.zeros_like(length)
 
 

@@ -6,26 +6,30 @@ share, such as the steps of an integration, must not depend on one of them.
 
 import jax
 import jax.numpy as jnp
-from jax.custom_batching import custom_vmap
+from jax.extend.core import Primitive
+from jax.interpreters import batching, mlir
 from jaxtyping import Array, Bool
 
-axes_of_directions = jax.make_user_context(0)
-"""Number of axes over which derivatives are being mapped; cells are never mapped within these."""
+mapping_directions = jax.make_user_context(False)
+"""True while a derivative is traced, in which `jax.vmap` maps over directions, never over cells."""
+
+holds_along_all_p = Primitive("holds_along_all")
 
 
-def holds_along_all(condition: Bool[Array, ""], axes: int) -> Bool[Array, ""]:
-    """Return whether a condition holds along the directions of all axes, each of which it feels."""
-    for _ in range(axes):  # the innermost axis first
-        condition = holds_in_all(condition)
-    return condition
+def holds_along_all(condition: Bool[Array, ""]) -> Bool[Array, ""]:
+    """Return whether a condition holds along all directions that are computed at once."""
+    return holds_along_all_p.bind(condition)
 
 
-@custom_vmap
-def holds_in_all(condition: Bool[Array, ""]) -> Bool[Array, ""]:
-    """Return the condition; under `jax.vmap`, whether it holds in all elements."""
-    return condition
+def batch(operands, axes):
+    """Reduce an axis of directions; keep one of cells."""
+    (condition,), (axis,) = operands, axes
+    if mapping_directions.value:
+        return holds_along_all_p.bind(jnp.all(condition, axis)), None
+    return holds_along_all_p.bind(condition), axis
 
 
-@holds_in_all.def_vmap
-def reduce_axis(axis_size, in_batched, condition):
-    return jnp.all(condition, axis=0), False
+holds_along_all_p.def_impl(lambda condition: condition)
+holds_along_all_p.def_abstract_eval(lambda aval: aval)
+batching.primitive_batchers[holds_along_all_p] = batch
+mlir.register_lowering(holds_along_all_p, lambda ctx, condition: [condition])

@@ -339,6 +339,7 @@ Unrolling.rules = {
     "pad": pad_entries,
     "reduce_sum": Unrolling.sum,
     "split": split_axis,
+    "holds_along_all": lambda unrolling, equation, operands: operands,
     "sum_of_products": Unrolling.add_products,
     "unstack": unstack,
 }

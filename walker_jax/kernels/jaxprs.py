@@ -103,7 +103,7 @@ def called_function(equation: JaxprEqn) -> ClosedJaxpr:
     if equation.primitive.name == "call_hi_primitive":
         inner = partial(equation.primitive.to_lojax, **params)
         return jax.make_jaxpr(inner)(*(shape_dtype(variable.aval) for variable in equation.invars))
-    inner = next(params[name] for name in ("jaxpr", "call_jaxpr", "call") if name in params)
+    inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
 
@@ -112,9 +112,7 @@ def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
     return interpreter.interpret(called_function(equation), operands)
 
 
-CALLS = dict.fromkeys(
-    ("jit", "pjit", "closed_call", "custom_vmap_call", "eval_jaxpr", "checkpoint", "remat2"), enter
-)
+CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "eval_jaxpr", "checkpoint", "remat2"), enter)
 """Rules for primitives that only call a function."""
 CALLS_WITH_DERIVATIVES = dict.fromkeys(
     ("custom_jvp_call", "custom_vjp_call", "call_hi_primitive"), enter
