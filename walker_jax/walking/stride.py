@@ -20,8 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.hybrid.crossings import begins_below
-from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
+from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator, Method, zero_at
@@ -181,9 +180,7 @@ def follow_phases(
     ends = [begun]
     for mode in phases:
         last = ends[-1]
-        due = ~begins_below(
-            method_of(mode, last.state, integrator).series(mode.guards[-1].value, last.state, 2)
-        )
+        due = is_due(mode, method_of(mode, last.state, integrator), last.state)
         now = begin_mode(mode, last, due)
         over = (now.verdict == Outcome.UNDECIDED) & due
         now = now._replace(verdict=jnp.where(over, Outcome.STRIDE, now.verdict).astype(jnp.int8))
@@ -260,7 +257,8 @@ def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     """Return the method that integrates a mode; its steps also end at kinks of guards."""
     functions = tuple(function for guard in mode.functions() for function in guard)
     watched = () if mode.as_smooth else functions
-    return integrator.method(mode.field, start, *functions, watched=watched)
+    conditions = tuple(one.value for one in mode.conditions if not one.least_at_ends)
+    return integrator.method(mode.field, start, *functions, watched=watched, conditions=conditions)
 
 
 def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[Any, Stride]:
