@@ -325,6 +325,18 @@ def test_branches_are_chosen_for_each_cell():
     assert_same(function, i, np.linspace(1, 4, len(i)))
 
 
+def test_loops_that_are_mapped_over_entries_of_a_cell():
+    """Each entry goes on for as long as its own condition holds."""
+
+    def function(x):
+        double = lambda carry: (carry[0] * 2, carry[1] + carry[0])
+        below = lambda carry: jnp.abs(carry[0]) < 9
+        iterate = lambda x: lax.while_loop(below, double, (x, jnp.stack([x, -x])))
+        return jax.vmap(iterate)(x * jnp.arange(1.0, 4.0))
+
+    assert_same(function, np.linspace(0.1, 20, 33))
+
+
 def test_derivatives():
     def function(x, direction):
         def step(carry):

@@ -31,8 +31,7 @@ from walker_jax.integrators.roots import (
     polynomial_jet,
 )
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.taylor import function_series
-from walker_jax.integrators.taylor_steps import evaluate_series
+from walker_jax.integrators.taylor import evaluate_series, function_series
 
 FINE, FINEST = 1e-6, 1e-9
 """Resolutions of the time at which a condition is least, as part of a step, to tell its sign and to

@@ -94,6 +94,13 @@ class Mode(NamedTuple):
     """Whether the guards are known to be as smooth along a solution as the solution itself, such as
     functions of angles that obey equations in their own sines. Steps need not be shorter for them
     then."""
+    scales: Any = None
+    """Sizes of the variables, a tree like the state. The error of a step is relative to each
+    variable, or to its size here if that is larger; by default to the largest variable of all.
+    Variables of very different magnitude need it."""
+    longest_step: Any = None
+    """Longest step of the integration. Features of time that last less than a step, such as a
+    short pulse, may else lie between two places where the equations are evaluated."""
     energy: Function | None = None
     """The energy of a state, if it is known. Only `explain` uses it, to report its change."""
 

@@ -28,11 +28,14 @@ from walker_jax.integrators.runge_kutta_steps import (
     controller_of,
     defect_of,
     expansion_errors,
+    in_units_of,
     interpolate,
     twist_of,
 )
+from walker_jax.integrators.step_lengths import NO_LIMITS, StepLimits
 from walker_jax.integrators.taylor import (
     VectorField,
+    evaluate_series,
     function_series,
     is_absent,
     solution_series,
@@ -41,7 +44,6 @@ from walker_jax.integrators.taylor_steps import (
     SERIES_ORDER,
     SeriesSteps,
     Taylor,
-    evaluate_series,
     taylor_step,
 )
 
@@ -104,10 +106,11 @@ class Integrator(eqx.Module):
         *others: Callable[[PyTree], PyTree],
         watched: tuple[Callable[[PyTree], Scalar], ...] = (),
         conditions: tuple[Callable[[PyTree], Scalar], ...] = (),
+        limits: StepLimits = NO_LIMITS,
     ) -> "Method":
         """Return the method that integrates y' = f(y) from a state."""
         solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
-        return Method(field, solver, self.tolerance, others, watched, conditions)
+        return Method(field, solver, self.tolerance, others, watched, conditions, limits)
 
 
 def integrator_of(
@@ -157,6 +160,7 @@ class Method(eqx.Module):
     """Functions of the state whose series limit the steps as the solution's series does."""
     conditions: tuple[Callable[[PyTree], Scalar], ...] = ()
     """Functions of the state of which Runge-Kutta steps have one extremum at most."""
+    limits: StepLimits = NO_LIMITS
 
     @property
     def terms(self):
@@ -184,7 +188,7 @@ class Method(eqx.Module):
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
             return SeriesSteps(self.field, order, self.tolerance, self.others)
-        return controller_of(self.tolerance)
+        return controller_of(self.tolerance, self.limits.longest)
 
     def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
         """Integrate from `state` at t0 to t1."""
@@ -233,7 +237,13 @@ class Method(eqx.Module):
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
             series, length = taylor_step(
-                self.field, state, order, self.tolerance, *self.others, watched=self.watched
+                self.field,
+                state,
+                order,
+                self.tolerance,
+                *self.others,
+                watched=self.watched,
+                limits=self.limits,
             )
             return series, evaluate_series(series, length), length, ()
         length, kept, first = memory
@@ -261,6 +271,7 @@ class Method(eqx.Module):
         constant to derivatives.
         """
         method, state, end, error, series = stop_gradients((self, state, end, error, series))
+        scaled = partial(in_units_of, method.limits.scales)
         defect = defect_of(method.field, series, length)
         error = jax.tree.map(lambda a, b: jnp.maximum(jnp.abs(a), b), error, defect)
         others = expansion_errors(method.others, series, length)
@@ -268,7 +279,8 @@ class Method(eqx.Module):
         others = lax.stop_gradient(others)
         none = [jnp.zeros_like(one) for one in others]
         finite = lambda x: jnp.where(jnp.isfinite(x), x, jnp.inf)
-        return ((state, none), (end, none)), jax.tree.map(finite, (error, others))
+        both = (scaled(state), none), (scaled(end), none)
+        return both, jax.tree.map(finite, (scaled(error), others))
 
     def series_of(self, state: PyTree) -> PyTree[list]:
         """Return the series of the solution from a state, for a Taylor method."""

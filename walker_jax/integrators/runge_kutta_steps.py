@@ -18,8 +18,12 @@ from jaxtyping import Array, Float, PyTree
 from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.taylor import VectorField, function_series, is_list
-from walker_jax.integrators.taylor_steps import evaluate_series
+from walker_jax.integrators.taylor import (
+    VectorField,
+    evaluate_series,
+    function_series,
+    is_list,
+)
 
 INTERPOLATION_ORDER = 6
 """Order of the polynomial that represents an interpolation; diffrax has none higher."""
@@ -37,9 +41,22 @@ MOST_STEPS = 20_000
 """Most steps of one integration, rejected ones included. A method of low order takes thousands."""
 
 
-def controller_of(tolerance: Real) -> diffrax.PIDController:
+def controller_of(tolerance: Real, longest: Real | None) -> diffrax.PIDController:
     """Return the control of steps: the largest of all errors is within the tolerance."""
-    return diffrax.PIDController(rtol=tolerance, atol=tolerance, norm=optimistix.max_norm)
+    return diffrax.PIDController(
+        rtol=tolerance, atol=tolerance, norm=optimistix.max_norm, dtmax=longest
+    )
+
+
+def in_units_of(scales: PyTree | None, state: PyTree) -> PyTree:
+    """Return a state, or errors of it, in units of the scales of its variables, if they are given.
+
+    Errors in these units are relative to a variable, or to its scale.
+    """
+    if scales is None:
+        return state
+    least = lambda x: float(jnp.finfo(x.dtype).tiny) ** 0.5
+    return jax.tree.map(lambda x, scale: x / jnp.maximum(scale, least(x)), state, scales)
 
 
 def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scalar]:

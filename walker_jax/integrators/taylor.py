@@ -24,7 +24,13 @@ from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
 from walker_jax.integrators.power_balance import PowerBalance
-from walker_jax.integrators.series import Series, coefficients_up_to, recording, scale
+from walker_jax.integrators.series import (
+    Series,
+    coefficients_up_to,
+    evaluate_polynomial,
+    recording,
+    scale,
+)
 from walker_jax.kernels.jaxprs import CALLS, called_function
 
 VectorField = Callable[[PyTree], PyTree]
@@ -151,6 +157,11 @@ def expandable(series: PyTree[list]) -> tuple[PyTree[Series], PyTree]:
     """Return lists of coefficients as `Series`, and their values at t = 0."""
     known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
     return known, jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
+
+
+def evaluate_series(series: PyTree[list], t) -> PyTree:
+    """Return y(t), given its Taylor coefficients."""
+    return jax.tree.map(lambda c: evaluate_polynomial(c, t), series, is_leaf=is_list)
 
 
 def order_of(series: PyTree[list]) -> int:

@@ -22,11 +22,18 @@ from walker_jax.integrators.roots import (
     first_zero,
 )
 from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.step_lengths import (
+    NO_LIMITS,
+    StepLimits,
+    cut_for_function,
+    longest_step,
+    scale_of,
+    step_size,
+)
 from walker_jax.integrators.taylor import (
     VectorField,
-    function_series,
+    evaluate_series,
     is_list,
-    order_of,
     solution_series,
     switching_series,
 )
@@ -36,56 +43,6 @@ SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
 
 A higher order takes fewer steps, with more work for each.
 """
-LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
-"""Two step sizes, in units of |y| / |y'|. If a step would be longer than the first, the last terms
-of the series do not limit it (steps of a harmonic motion are at most a third as long). It then has
-the second size; if the state is a polynomial of time, functions of it seldom have more than one
-extremum in such a step."""
-
-
-def step_size(series: PyTree, tolerance: Real) -> Scalar:
-    """Return the step size h at which the last terms of the series reach the tolerance.
-
-    h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the maximum norm over all variables
-    (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. The last terms vanish for a
-    polynomial of time, such as a ballistic flight or a clock, and all terms vanish at rest. So that
-    h stays finite, it is `POLYNOMIAL_STEP` |y| / |c_1| if it would exceed `LONGEST_STEP` |y| /
-    |c_1|, and |c_1| counts as at least the rounding of |y|. The powers are computed in float32,
-    where they are cheap: h needs few digits.
-    """
-    scale = scale_of(series)
-    shortest = uncapped_step_size(series, tolerance, scale)
-    rate = (largest_coefficient(series, 1) / scale).astype(jnp.float32)
-    unit = 1 / jnp.maximum(rate, float(jnp.finfo(scale.dtype).eps))
-    shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
-    return shortest.astype(scale.dtype)
-
-
-def uncapped_step_size(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
-    """Return the h of `step_size` without its cap, infinite if the last terms vanish; float32."""
-    order = order_of(series)
-    log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
-
-    def log_length(k):
-        part = (largest_coefficient(series, k) / scale).astype(jnp.float32)
-        return (log_tolerance - jnp.log(part)) / k
-
-    return jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
-
-
-def scale_of(series: PyTree) -> Scalar:
-    """Return the larger of |y| and |y'| at the start of a step; above zero even if both vanish."""
-    scale = jnp.maximum(largest_coefficient(series, 0), largest_coefficient(series, 1))
-    return jnp.maximum(scale, float(jnp.finfo(scale.dtype).tiny) ** 0.5)
-
-
-def largest_coefficient(series: PyTree, k: int) -> Scalar:
-    """Return the largest modulus of all variables' k-th coefficients; constant to derivatives."""
-    leaves = jax.tree.leaves(series, is_leaf=is_list)
-    size = jnp.zeros((), leaves[0][0].dtype)
-    for leaf in leaves:
-        size = jnp.maximum(size, jnp.max(jnp.abs(leaf[k])))
-    return lax.stop_gradient(size)
 
 
 def taylor_step(
@@ -95,23 +52,20 @@ def taylor_step(
     tolerance: Real,
     *others: Callable[[PyTree], PyTree],
     watched: tuple[Callable[[PyTree], Scalar], ...] = (),
+    limits: StepLimits = NO_LIMITS,
 ) -> tuple[PyTree[list], Scalar]:
     """Return the series of the solution of y' = f(y) from a state, and the length of a step.
 
     At the end of the step the last terms of the series reach the tolerance, and those of the
-    watched functions are within it. If f or one of the `others` has a kink before that, the step
+    watched functions are within it; where f or they have sharp features (`step_lengths`), their
+    polynomials agree with them. If f or one of the `others` has a kink before that, the step
     ends just behind the kink, by `tolerance` times the length. The length is NaN if f jumps by more
     than the root of the tolerance, relative to |y| or |y'|.
     """
     series = solution_series(vector_field, state, order)
-    length = step_size(series, tolerance)
+    length = longest_step(vector_field, state, series, tolerance, limits)
     for function in watched:
-        known = function_series(function, lax.stop_gradient(series))
-        # a watched function may begin at zero with rate zero, as 1 - cos does
-        scale = jnp.maximum(scale_of((known,)), largest_coefficient((known,), 2))
-        length = jnp.minimum(
-            length, uncapped_step_size((known,), tolerance, scale).astype(length.dtype)
-        )
+        length = cut_for_function(function, lax.stop_gradient(series), length, tolerance)
     if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length
@@ -139,10 +93,6 @@ def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar
             zero + behind < length, differentiable_zero(switch, zero) + behind, length
         )
     return length
-
-
-def evaluate_series(series: PyTree, t) -> PyTree:
-    return jax.tree.map(lambda c: evaluate_polynomial(c, t), series, is_leaf=is_list)
 
 
 class TaylorInterpolation(diffrax.AbstractLocalInterpolation):

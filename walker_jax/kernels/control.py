@@ -8,6 +8,7 @@ branch that no lane takes.
 """
 
 from collections.abc import Callable, Iterator
+from functools import reduce
 from typing import Any, no_type_check
 
 import numpy as np
@@ -24,7 +25,10 @@ MIN_EQUATIONS_TO_SKIP = 20
 
 @no_type_check  # as the emitter
 def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """Emit a while loop that runs until all lanes have ended; ended lanes keep their values."""
+    """Emit a while loop that runs until all lanes have ended; ended lanes keep their values.
+
+    A loop that `jax.vmap` has mapped over entries within a cell has a condition for each entry.
+    """
     params, builder = equation.params, emitter.builder
     condition, body = params["cond_jaxpr"], params["body_jaxpr"]
     count, more = params["cond_nconsts"], params["body_nconsts"]
@@ -65,17 +69,20 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
 
     known, lanes = len(emitter.known), emitter.active
     values = emitter.unflatten(phis, avals)
-    ((going,),) = map(np.ravel, emitter.interpret(condition, [*of_condition, *values]))
-    going = emitter.vector(going, bool)
+    (flags,) = emitter.interpret(condition, [*of_condition, *values])
+    flags = [emitter.vector(flag, bool) for flag in np.ravel(flags)]
     if lanes is not None:
-        going = builder.and_(going, lanes)
+        flags = [builder.and_(flag, lanes) for flag in flags]
+    going = reduce(builder.or_, flags)
     builder.cbranch(any_lane(emitter, going), turn, done)
 
     builder.position_at_end(turn)
     emitter.active = going
     results, _ = emitter.flatten(emitter.interpret(body, [*of_body, *values]), avals)
-    for phi, result, dtype in zip(phis, results, kinds, strict=True):
-        new = builder.select(going, emitter.vector(result, dtype), phi)
+    # Entries of a mapped loop come first in each value.
+    owners = [i for aval in avals for i in np.repeat(range(len(flags)), aval.size // len(flags))]
+    for phi, result, dtype, owner in zip(phis, results, kinds, owners, strict=True):
+        new = builder.select(flags[owner], emitter.vector(result, dtype), phi)
         phi.add_incoming(new, builder.block)
     builder.branch(head)
     builder.position_at_end(done)
@@ -105,7 +112,7 @@ def known_turns(
     """Return the number of turns of a loop; None if it is large, or unknown before the loop."""
     for turn in range(MAX_UNROLLED_TURNS + 1):
         (going,) = known_part(emitter, condition, [*of_condition, *carry])
-        if going is None:
+        if going is None or going.ndim:
             return None
         if not going[()]:
             return turn

@@ -5,13 +5,13 @@ Each interpreter has its own kind of values: entries of an array, instructions, 
 
 import abc
 import sysconfig
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, no_type_check
 
 import jax
-from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxprs_in_params
 
 INSTALLED = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
 """Folders of installed code, as opposed to a user's own."""
@@ -81,6 +81,17 @@ def line_of(equation: JaxprEqn) -> str | None:
     return None
 
 
+def equations_in(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
+    """Yield the equations of a function and of all functions that it calls."""
+    for equation in jaxpr.eqns:
+        yield equation
+        inner = [*jaxprs_in_params(equation.params)]
+        if equation.primitive.name == "call_hi_primitive":
+            inner.append(called_function(equation).jaxpr)
+        for one in inner:
+            yield from equations_in(one)
+
+
 def shape_dtype(aval) -> jax.ShapeDtypeStruct:
     """Return the shape and type of an abstract value, without its sharding."""
     return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
@@ -92,7 +103,7 @@ def called_function(equation: JaxprEqn) -> ClosedJaxpr:
     if equation.primitive.name == "call_hi_primitive":
         inner = partial(equation.primitive.to_lojax, **params)
         return jax.make_jaxpr(inner)(*(shape_dtype(variable.aval) for variable in equation.invars))
-    inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
+    inner = next(params[name] for name in ("jaxpr", "call_jaxpr", "call") if name in params)
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
 
@@ -101,7 +112,9 @@ def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
     return interpreter.interpret(called_function(equation), operands)
 
 
-CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "eval_jaxpr", "checkpoint", "remat2"), enter)
+CALLS = dict.fromkeys(
+    ("jit", "pjit", "closed_call", "custom_vmap_call", "eval_jaxpr", "checkpoint", "remat2"), enter
+)
 """Rules for primitives that only call a function."""
 CALLS_WITH_DERIVATIVES = dict.fromkeys(
     ("custom_jvp_call", "custom_vjp_call", "call_hi_primitive"), enter

@@ -22,6 +22,7 @@ from walker_jax.checks import WrongUse, is_traced
 from walker_jax.identity import sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
+from walker_jax.kernels.directions import axes_of_directions
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.products import sum_of_products_p
 from walker_jax.kernels.program_cache import (
@@ -144,17 +145,19 @@ class Program:
             real = list(map(is_real, self.results))
 
             def along(*values):
+                function = self.function  # traced before there is an axis of directions
                 point, tangents = list(values[: len(self.operands)]), values[len(self.operands) :]
 
                 def of_some(*some):
                     for i, value in zip(by, some, strict=True):
                         point[i] = value
-                    return list(itertools.compress(self.function(*point), real))
+                    return list(itertools.compress(function(*point), real))
 
                 some = tuple(point[i] for i in by)
                 one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
                 if directions != 1:
-                    return jax.vmap(one)(*tangents)
+                    with axes_of_directions(axes_of_directions.value + 1):
+                        return jax.vmap(one)(*tangents)
                 # Equal to the line above with one direction, and traced in half the time.
                 return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
 

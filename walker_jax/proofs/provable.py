@@ -5,9 +5,9 @@ from typing import Any
 import jax
 import numpy as np
 from jax.core import Tracer
-from jax.extend.core import jaxprs_in_params
 
 from walker_jax.checks import WrongUse, check_precision, short
+from walker_jax.kernels.jaxprs import equations_in
 from walker_jax.proofs.enclosures import ROUNDING, Space, exactly
 from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
@@ -50,21 +50,14 @@ def check_derivatives(walker: Any) -> None:
     values = lambda state: [one.value(state) for one in (*mode.guards, *mode.conditions)]
     after = lambda state: walker.exchange_legs(walker.impact(state)[1])
     for function in (walker.vector_field, mode.rates, values, after, walker.project):
-        found = primitives_in(jax.make_jaxpr(function)(state).jaxpr) & OWN_DERIVATIVES
+        equations = equations_in(jax.make_jaxpr(function)(state).jaxpr)
+        found = {one.primitive.name for one in equations} & OWN_DERIVATIVES
         if found:
             raise WrongUse(
                 "walker must have equations without derivatives of their own, so without "
                 f"{sorted(found)[0]}",
                 of="walker",
             )
-
-
-def primitives_in(jaxpr) -> set[str]:
-    """Return the names of the primitives of a function and of all functions that it calls."""
-    inner = (
-        primitives_in(one) for equation in jaxpr.eqns for one in jaxprs_in_params(equation.params)
-    )
-    return {equation.primitive.name for equation in jaxpr.eqns}.union(*inner)
 
 
 def enclose_parameters(walker: Walker, space: Space) -> Any:

@@ -58,6 +58,8 @@ class Walker(HybridSystem):
     not check it in between."""
     foot_stays_down: ClassVar[bool] = False
     """Whether a foot ahead that has come down stays down, so that no integration step misses it."""
+    longest_step: ClassVar[float | None] = None
+    """Longest step of the integration, as for a `Mode`."""
     inverted_pendulum: ClassVar[bool] = False
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
@@ -141,6 +143,7 @@ class Walker(HybridSystem):
             foregone=foregone,
             rates_at=self.vector_field,
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
+            longest_step=self.longest_step,
             energy=energy_of(self),
         )
         return *(phase.mode() for phase in self.phases()), swing

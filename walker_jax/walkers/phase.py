@@ -110,6 +110,7 @@ class Phase(eqx.Module):
             self.end,
             rates_at=self.vector_field,
             as_smooth=as_smooth,
+            longest_step=walker.longest_step,
             energy=energy_of(self),
         )
 

@@ -25,6 +25,7 @@ from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator, Method, zero_at
 from walker_jax.integrators.roots import Real
+from walker_jax.integrators.step_lengths import StepLimits, has_sharp_features
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, check_outcomes
 from walker_jax.systems.outcomes import Outcome, Stride, make_stride
@@ -256,9 +257,13 @@ def judge_end(mode: Mode, state: Any, verdict: Int[Array, ""]) -> Int[Array, ""]
 def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     """Return the method that integrates a mode; its steps also end at kinks of guards."""
     functions = tuple(function for guard in mode.functions() for function in guard)
-    watched = () if mode.as_smooth else functions
+    sharp = tuple(one.value for one in mode.conditions if has_sharp_features(one.value, start))
+    watched = sharp if mode.as_smooth else (*functions, *sharp)
     conditions = tuple(one.value for one in mode.conditions if not one.least_at_ends)
-    return integrator.method(mode.field, start, *functions, watched=watched, conditions=conditions)
+    limits = StepLimits(mode.scales, mode.longest_step)
+    return integrator.method(
+        mode.field, start, *functions, watched=watched, conditions=conditions, limits=limits
+    )
 
 
 def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[Any, Stride]:

@@ -1,0 +1,353 @@
+"""Steps that derivatives need, that sharp smooth features need, and that small variables need."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import walker_jax as wj
+from walker_jax.integrators.step_lengths import has_sharp_features, may_have_clocks
+
+
+class Flow(NamedTuple):
+    y: Any
+    t: Any
+
+
+def time_map(rates, size: int, span: float, **options) -> wj.HybridSystem:
+    """Return the flow y' = rates(y, t) over a time span as a map."""
+
+    class TimeMap(wj.HybridSystem):
+        section = tuple(f"y{i}" for i in range(size))
+
+        def lift(self, x):
+            return Flow(tuple(x), 0 * x[0])
+
+        def project(self, state):
+            return jnp.stack(state.y)
+
+        def modes(self):
+            field = lambda s: Flow(tuple(rates(jnp.stack(s.y), s.t)), 1 + 0 * s.t)
+            return (wj.Mode(field, (wj.Guard(lambda s: s.t - span),), **options),)
+
+    return TimeMap()
+
+
+def jacobian(system: wj.HybridSystem, x) -> np.ndarray:
+    return np.asarray(jax.jacfwd(lambda x: wj.stride(system, x).state)(jnp.asarray(x)))
+
+
+# --------------------------------------------------------------------------------- derivatives
+
+
+def nagumo(y):
+    return jnp.stack([10 * (y[0] - y[0] ** 3 - y[1]), -3 * y[1] + y[0]])
+
+
+def battery(y):
+    """Thermal runaway of two cells: fast reactions beside slow heat."""
+    reaction = jnp.tanh(10 * y[0] - 4.5)
+    first, second = jnp.exp(0.22 * y[1] - 9.4), jnp.exp(0.22 * y[2] - 9.4)
+    charge = (first * (1 - y[0] ** 2) - 2.2 * reaction - 2.2) / 100
+    heat = y[2] - y[1]
+    return jnp.stack([charge, 2.2 * reaction + 2.2 - first + heat * 4.32, 3 - second - heat * 0.48])
+
+
+def lorenz(y):
+    return jnp.stack([10 * (y[1] - y[0]), y[0] * (28 - y[2]) - y[1], y[0] * y[1] - 8 / 3 * y[2]])
+
+
+def rossler(y):
+    return jnp.stack([-y[1] - y[2], y[0] + 0.2 * y[1], 0.2 + y[2] * (y[0] - 5.7)])
+
+
+def brusselator(y):
+    return jnp.stack([1 + y[0] ** 2 * y[1] - 2.7 * y[0], 1.7 * y[0] - y[0] ** 2 * y[1]])
+
+
+def lotka_volterra(y):
+    return jnp.stack([y[0] * (3 - y[0] - y[1]), y[1] * (y[0] - 1)])
+
+
+def damped_pendulum(y):
+    return jnp.stack([y[1], -jnp.sin(y[0]) - 30 * y[1] + 0.5])
+
+
+def duffing(y):
+    return jnp.stack([y[1], y[0] - y[0] ** 3 - 0.3 * y[1]])
+
+
+def slow_manifold(y):
+    return jnp.stack([-(y[0] - 1), -200 * (y[1] - y[0] ** 2)])
+
+
+def steered(y):
+    """A course held by a saturated rudder."""
+    return jnp.stack([y[1], -40 * jnp.tanh(5 * y[0]) - 8 * y[1] + 3 * (y[0] - 0.1)])
+
+
+FIXED_POINTS = [
+    (nagumo, [0.8, 0.27], 2.0),
+    (battery, [0.45, 47.5, 47.6], 10.0),
+    (lorenz, [8.5, 8.5, 27.0], 0.5),
+    (lorenz, [0.0, 0.0, 0.0], 0.3),
+    (rossler, [0.01, -0.03, 0.03], 3.0),
+    (brusselator, [1.0, 1.7], 2.0),
+    (lotka_volterra, [1.0, 2.0], 3.0),
+    (damped_pendulum, [0.5, 0.0], 1.0),
+    (duffing, [1.0, 0.0], 2.0),
+    (slow_manifold, [1.0, 1.0], 0.1),
+    (steered, [0.0, 0.0], 0.5),
+]
+
+
+@pytest.mark.parametrize(("rates", "near", "span"), FIXED_POINTS)
+def test_multipliers_of_fixed_points_of_flows(rates, near, span):
+    """At an equilibrium the solution is constant, and its derivative is exp(T f')."""
+    x = np.asarray(near)
+    for _ in range(20):
+        x = x - np.linalg.solve(np.asarray(jax.jacfwd(rates)(x)), np.asarray(rates(x)))
+    values, vectors = np.linalg.eig(np.asarray(jax.jacfwd(rates)(x)))
+    expected = ((vectors * np.exp(span * values)) @ np.linalg.inv(vectors)).real
+    system = time_map(lambda y, t: rates(y), len(x), span)
+    found = jacobian(system, x)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    each = [
+        jax.jvp(lambda x: wj.stride(system, x).state, (jnp.asarray(x),), (jnp.asarray(one),))[1]
+        for one in np.eye(len(x))
+    ]
+    np.testing.assert_allclose(np.transpose(each), found, rtol=0, atol=1e-9 * np.abs(found).max())
+
+
+def test_derivatives_that_feel_what_the_solution_does_not():
+    """The solution rests at zero; only its derivative decays, faster from t = 5 on."""
+    rate = lambda y, t: -y * (1 + jnp.tanh((t - 5) / 0.01))
+    system = time_map(rate, 1, 10.0)
+    np.testing.assert_allclose(jacobian(system, [0.0]), [[np.exp(-10)]], rtol=1e-9)
+
+
+def test_derivatives_by_parameters_and_of_second_order_at_rest():
+    """y' = -60 (y - a^2) from y = a^2: dy/da = 2 a (1 - e^-60), of second order 2 (1 - e^-60)."""
+
+    class Relaxation(wj.HybridSystem):
+        a: Any = 3.0
+        section = ("y",)
+
+        def lift(self, x):
+            return Flow(x[0], 0 * x[0])
+
+        def project(self, state):
+            return state.y[None]
+
+        def modes(self):
+            field = lambda s: Flow(-60 * (s.y - self.a**2), 1 + 0 * s.t)
+            return (wj.Mode(field, (wj.Guard(lambda s: s.t - 1),)),)
+
+    end = lambda a: wj.stride(Relaxation(a), jnp.asarray([9.0])).state[0]
+    np.testing.assert_allclose(jax.jacfwd(end)(3.0), 6 * (1 - np.exp(-60)), rtol=1e-9)
+    np.testing.assert_allclose(jax.hessian(end)(3.0), 2 * (1 - np.exp(-60)), rtol=1e-8)
+
+
+def test_derivatives_in_float32():
+    system = time_map(lambda y, t: nagumo(y), 2, 1.0)
+    x = jnp.asarray([np.sqrt(2 / 3), np.sqrt(2 / 3) / 3], jnp.float32)
+    found = jax.jacfwd(lambda x: wj.stride(system, x).state)(x)
+    assert found.dtype == jnp.float32
+    values = np.linalg.eigvals(np.asarray(jax.jacfwd(nagumo)(np.asarray(x, float))))
+    expected = np.sort(np.exp(values))
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(found)), expected, rtol=0, atol=1e-5)
+
+
+# ------------------------------------------------------------------------------ sharp features
+
+
+class Height(NamedTuple):
+    y: Any
+    v: Any
+
+
+class SoftBall(wj.HybridSystem):
+    """A ball that falls from rest on stiff exponential ground, from apex to apex, without loss."""
+
+    section = ("height",)
+
+    def lift(self, x):
+        return Height(x[0], 0 * x[0])
+
+    def project(self, state):
+        return state.y[None]
+
+    def modes(self):
+        field = lambda s: Height(s.v, jnp.exp(-s.y / 0.01) - 1)
+        return wj.Mode(field, (wj.Guard(lambda s: s.v),)), wj.Mode(
+            field, (wj.Guard(lambda s: -s.v),)
+        )
+
+
+def test_a_ball_on_soft_ground_returns_to_its_height():
+    heights = jnp.asarray([[0.3], [0.4], [0.6], [1.0], [3.0]])
+    end = jax.vmap(lambda x: wj.stride(SoftBall(), x))(heights)
+    np.testing.assert_allclose(end.state, heights, rtol=1e-9)
+    slopes = jax.vmap(jax.jacfwd(lambda x: wj.stride(SoftBall(), x).state))(heights)
+    np.testing.assert_allclose(slopes, 1, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("friction", "rest"),
+    [
+        (lambda y: 0.5 * jnp.tanh(y / 0.01), 0.01 * np.arctanh(0.6)),
+        (lambda y: jax.nn.sigmoid(y / 0.01) - 0.5, 0.01 * np.log(0.8 / 0.2)),
+        (lambda y: 0.01 * jax.nn.softplus(y / 0.01), 0.01 * np.log(np.exp(30) - 1)),
+        (lambda y: 0.5 * jax.scipy.special.erf(y / 0.01), 0.00595116081449995),  # erfinv(0.6)
+        (lambda y: jnp.exp(-(((y - 1) / 0.01) ** 2)), 1 + 0.01 * np.sqrt(np.log(1 / 0.3))),
+    ],
+)
+def test_a_slide_that_smooth_friction_stops(friction, rest):
+    """y' = +-(0.3 - friction(y)) comes to rest where the friction is 0.3."""
+    sign = 1 if rest < 1 else -1
+    system = time_map(lambda y, t: sign * (0.3 - friction(y)), 1, 60.0)
+    end = wj.stride(system, jnp.asarray([2.0])).state[0]
+    np.testing.assert_allclose(end, rest, rtol=1e-9)
+
+
+def test_a_torque_that_is_switched_smoothly():
+    """Checked against DOP853 with short steps."""
+
+    class Gated(wj.SimplestWalker):
+        width: Any = 1e-4
+
+        def vector_field(self, state):
+            rates = super().vector_field(state)
+            torque = 0.025 * (1 - jnp.tanh((state.theta + 0.05) / self.width))
+            return rates._replace(phidot=rates.phidot + torque)
+
+    def rates(t, y):
+        fall = np.sin(y[0] - 0.009)
+        swing = fall + np.sin(y[1]) * (y[2] ** 2 - np.cos(y[0] - 0.009))
+        return [y[2], y[3], fall, swing + 0.025 * (1 - np.tanh((y[0] + 0.05) / 1e-4))]
+
+    strike: Any = lambda t, y: y[1] - 2 * y[0]
+    strike.terminal, strike.direction = True, 1
+    options: Any = dict(rtol=1e-12, atol=1e-13, method="DOP853", max_step=0.01)
+    q, rate = 0.2003, -0.1998
+    start = [q, 2 * q, rate, (1 - np.cos(2 * q)) * rate]
+    first = solve_ivp(rates, [0, 1.5], start, **options).y[:, -1]
+    end = solve_ivp(rates, [1.5, 8], first, events=strike, **options).y[:, -1]
+    found = wj.stride(Gated(0.009), jnp.asarray([q, rate])).state
+    np.testing.assert_allclose(found, [-end[0], np.cos(2 * end[0]) * end[2]], rtol=1e-9)
+
+
+def test_a_guard_with_a_sharp_feature():
+    """The guard tanh((t - 3) / w) + 1/2 is -1/2 from the start to just before it rises."""
+
+    class Alarm(wj.HybridSystem):
+        section = ("y",)
+
+        def lift(self, x):
+            return Flow(x[0], 0 * x[0])
+
+        def project(self, state):
+            return state.y[None]
+
+        def modes(self):
+            field = lambda s: Flow(-jnp.sin(s.y), 1 + 0 * s.t)
+            guard = wj.Guard(lambda s: jnp.tanh((s.t - 3) / 1e-3) + 0.5)
+            return (wj.Mode(field, (guard,)),)
+
+    found = wj.stride(Alarm(), jnp.asarray([1.0]))
+    np.testing.assert_allclose(found.time, 3 - 1e-3 * np.arctanh(0.5), rtol=1e-12)
+
+
+def test_the_longest_step_shows_a_short_pulse():
+    """A pulse in which no step would end is seen if steps are as short."""
+    pulse = lambda y, t: jnp.exp(-(((t - 5) / 1e-2) ** 2)) + 0 * y
+    system = time_map(pulse, 1, 10.0, longest_step=2e-2)
+    end = wj.stride(system, jnp.asarray([0.0])).state[0]
+    np.testing.assert_allclose(end, 1e-2 * np.sqrt(np.pi), rtol=1e-10)
+
+
+def test_the_longest_step_of_a_walker():
+    class Careful(wj.SimplestWalker):
+        longest_step = 0.05
+
+    x = jnp.asarray([0.2003, -0.1998])
+    here, usual = wj.stride(Careful(0.009), x), wj.stride(wj.SimplestWalker(0.009), x)
+    assert (here.state != usual.state).any()
+    np.testing.assert_allclose(here.state, usual.state, rtol=1e-11)
+
+
+def test_which_functions_are_sharp():
+    y = jnp.asarray(0.5)
+    sharp = [jnp.exp, jnp.tanh, jax.nn.softplus, jax.nn.sigmoid, lambda y: y**20, lambda y: y**1.5]
+    assert all(has_sharp_features(one, y) for one in sharp)
+    plain = [jnp.sin, lambda y: 1 / y**2, jnp.sqrt, jnp.log, lambda y: y**4, jnp.arctan]
+    assert not any(has_sharp_features(one, y) for one in plain)
+
+
+# ---------------------------------------------------------------------------- small variables
+
+
+def test_a_clock_does_not_hide_a_small_motion():
+    """A pendulum forced by 1e-12 cos(t/2) is linear: 4/3 1e-12 (cos(t/2) - cos t)."""
+    rates = lambda y, t: jnp.stack([y[1], -jnp.sin(y[0]) + 1e-12 * jnp.cos(t / 2)])
+    found = wj.stride(time_map(rates, 2, 200.0), jnp.zeros(2)).state[0]
+    np.testing.assert_allclose(found, 4e-12 / 3 * (np.cos(100) - np.cos(200)), rtol=1e-9)
+
+
+def test_which_states_may_hold_clocks():
+    walker = wj.SimplestWalker(0.009)
+    start = walker.lift(jnp.asarray([0.2, -0.2]))
+    assert not may_have_clocks(walker.vector_field, start)
+    number = jnp.asarray(1.0)
+    assert may_have_clocks(lambda s: Flow(jnp.sin(s.y), 1 + 0 * s.t), Flow(number, number))
+    assert may_have_clocks(lambda s: Height(s.v, -1.0), Height(number, number))
+    assert not may_have_clocks(lambda s: Height(s.v, -jnp.sin(s.y)), Height(number, number))
+
+
+class Animals(NamedTuple):
+    prey: Any
+    predators: Any
+    t: Any
+
+
+class Grazing(wj.HybridSystem):
+    """Predators and prey, whose numbers fall to 3e-16 between outbreaks."""
+
+    section = ("predators",)
+
+    def lift(self, x):
+        return Animals(5.0 + 0 * x[0], x[0], 0 * x[0])
+
+    def project(self, state):
+        return state.predators[None]
+
+    def modes(self):
+        def field(s):
+            eaten = 2.5 * s.prey * s.predators / (s.prey + 1)
+            growth = 0.8 * s.prey * (1 - s.prey / 15)
+            return Animals(growth - eaten, 0.5 * eaten - 0.4 * s.predators, 1 + 0 * s.t)
+
+        scales = Animals(1e-20, 1e-20, 1.0)
+        return (wj.Mode(field, (wj.Guard(lambda s: 5 - s.prey),), scales=scales),)
+
+
+def test_variables_of_very_different_size():
+    """The time between outbreaks, checked against DOP853 for the logarithms."""
+
+    def rates(t, u):
+        prey, predators = np.exp(u)
+        eaten = 2.5 / (prey + 1)
+        return [0.8 * (1 - prey / 15) - eaten * predators, 0.5 * eaten * prey - 0.4]
+
+    event: Any = lambda t, u: np.log(5) - u[0]
+    event.terminal, event.direction = True, 1
+    options: Any = dict(rtol=1e-13, atol=1e-13, method="DOP853")
+    x = 5.342859213670063
+    away = solve_ivp(rates, [0, 1e-3], [np.log(5), np.log(x)], **options).y[:, -1]
+    back = solve_ivp(rates, [1e-3, 500], away, events=event, **options)
+    found = wj.stride(Grazing(), jnp.asarray([x]))
+    np.testing.assert_allclose(found.time, back.t[-1], rtol=1e-10)
+    np.testing.assert_allclose(found.state[0], np.exp(back.y[1, -1]), rtol=1e-10)
