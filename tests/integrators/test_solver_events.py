@@ -198,3 +198,31 @@ def test_derivatives_at_the_landing_by_another_solver():
     by_start = TABLE * (np.cos(phase + time) - np.cos(phase)), -time
     expected = [-float(one) / float(rate) for one in by_start]
     np.testing.assert_allclose(jax.jit(jax.jacfwd(land))(start), expected, rtol=1e-10)
+
+
+def test_steps_keep_the_longest_step_and_the_scales_of_a_mode():
+    """A push of 2 within 0.01 around t = 3 lifts the ball; a variable of 1e-9 doubles in time."""
+
+    class Pushed(wj.HybridSystem):
+        section = ("speed", "small")
+
+        def lift(self, x):
+            return Ball(0 * x[0], x[0], 0 * x[0]), x[1]
+
+        def project(self, state):
+            return jnp.stack([state[0].v, state[1]])
+
+        def modes(self):
+            def field(state):
+                push = 2 * jnp.exp(-(((state[0].t - 3) / 5e-3) ** 2)) / (5e-3 * np.sqrt(np.pi))
+                return Ball(state[0].v, push - 1, 1 + 0 * push), state[1] * jnp.cos(state[0].t)
+
+            scales = (Ball(1.0, 1.0, 1.0), 1e-9)
+            guard = wj.Guard(lambda state: -state[0].y)
+            return (wj.Mode(field, (guard,), scales=scales, longest_step=5e-3),)
+
+    found = wj.stride(Pushed(), jnp.array([2.5, 1e-9]), solver=SOLVERS[1], tolerance=1e-8)
+    # y = 2.5 t - t^2 / 2 + 2 (t - 3) after the push, which is symmetric
+    expected = 4.5 + np.sqrt(4.5**2 - 12)
+    assert found.time == pytest.approx(expected, abs=1e-6)
+    assert found.state[1] == pytest.approx(1e-9 * np.exp(np.sin(expected)), rel=1e-6)
