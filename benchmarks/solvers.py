@@ -10,7 +10,64 @@ are counted apart: a method of low order gives up where it would need more than 
 Per family and solver, for the tolerances 1e-6, 1e-9 and 1e-12: strides that are undecided; of
 another outcome; and of another state or time.
 
-RESULTS
+    bouncing-ball       series      200      0    0    0      0    0    0      0    0    0
+    bouncing-ball       Dopri8      200      0    0    0      0    0    0      0    0    0
+    bouncing-ball       Tsit5       200      0    0    0      0    0    0      0    0    0
+    bouncing-ball       Dopri5      200      0    0    0      0    0    0      0    0    0
+    bouncing-ball       Bosh3       200      0    0    0      0    0    0      0    0    0
+    bouncing-ball       Ralston     200      0    0    0    174    0    0    191    0    0
+    runner              series      200      0    0    0      0    0    0      0    0    0
+    runner              Dopri8      200      0    0    0      0    0    0      0    0    0
+    runner              Tsit5       200      0    0    0      0    0    0      0    0    0
+    runner              Dopri5      200      0    0    1      0    0    0      0    0    0
+    runner              Bosh3       200      0    0    1      0    0    0      0    0    0
+    runner              Ralston     200      0    0    0    109    0    0    109    0    0
+    impact-oscillator   series      200      0    0    0      0    0    0      0    0    0
+    impact-oscillator   Dopri8      200      0    0    0      0    0    0      0    0    0
+    impact-oscillator   Tsit5       200      0    0    0      0    0    0      0    0    0
+    impact-oscillator   Dopri5      200      0    0    0      0    0    0      0    0    0
+    impact-oscillator   Bosh3       200      0    0    0      0    0    0      0    0    0
+    impact-oscillator   Ralston     200      0    0    0    194    0    0    200    0    0
+    duffing             series      200      0    0    0      0    0    0      0    0    0
+    duffing             Dopri8      200      0    0    0      0    0    0      0    0    0
+    duffing             Tsit5       200      0    0    0      0    0    0      0    0    0
+    duffing             Dopri5      200      0    0    0      0    0    0      0    0    0
+    duffing             Bosh3       200      0    0    0      0    0    0    131    0    0
+    torso-wheel         series      200      0    0    0      0    0    0      0    0    0
+    torso-wheel         Dopri8      200      0    0    0      0    0    0      0    0    0
+    torso-wheel         Tsit5       200      0    0    0      0    0    0      0    0    0
+    torso-wheel         Dopri5      200      0    0    0      0    0    0      0    0    0
+    torso-wheel         Bosh3       200      0    0    0      0    0    0      0    0    0
+    switched-compass    series      200      0    0    0      0    0    0      0    0    0
+    switched-compass    Dopri8      200      0    0    0      0    0    0      0    0    0
+    switched-compass    Tsit5       200      0    0    0      0    0    0      0    0    0
+    switched-compass    Dopri5      200      0    0    0      0    0    0      0    0    0
+    switched-compass    Bosh3       200      0    0    0      0    0    0      0    0    0
+    simplest            series      200      0    0    0      0    0    0      0    0    0
+    simplest            Dopri8      200      0    0    0      0    0    0      0    0    0
+    simplest            Tsit5       200      0    0    0      0    0    0      0    0    0
+    simplest            Dopri5      200      0    0    0      0    0    0      0    0    0
+    simplest            Bosh3       200      0    0    0      0    0    0      0    0    0
+    kneed               series      200      0    0    0      0    0    0      0    0    0
+    kneed               Dopri8      200      0    0    0      0    0    0      0    0    0
+    kneed               Tsit5       200      0    0    0      0    0    0      0    0    0
+    kneed               Dopri5      200      0    0    0      0    0    0      0    0    0
+    kneed               Bosh3       200      0    0    0      0    0    0      0    0    0
+    round-foot          series      200      0    0    0      0    0    0      0    0    0
+    round-foot          Dopri8      200      0    0    0      0    0    0      0    0    0
+    round-foot          Tsit5       200      0    0    0      0    0    0      0    0    0
+    round-foot          Dopri5      200      0    0    0      0    0    0      0    0    0
+    round-foot          Bosh3       200      0    0    0      0    0    0      0    0    0
+    powered             series      200      0    0    0      0    0    0      0    0    0
+    powered             Dopri8      200      0    0    0      0    0    0      0    0    0
+    powered             Tsit5       200      0    0    0      0    0    0      0    0    0
+    powered             Dopri5      200      0    0    0      0    0    0      0    0    0
+    powered             Bosh3       200      0    0    0      0    0    0     16    0    0
+    upper-body          series      200      0    0    0      0    0    0      0    0    0
+    upper-body          Dopri8      200      0    0    0      0    0    0      0    0    0
+    upper-body          Tsit5       200      0    0    0      0    0    0      0    0    0
+    upper-body          Dopri5      200      0    0    0      0    0    0      0    0    0
+    upper-body          Bosh3       200      0    0    0      0    0    0      0    0    0
 
     python benchmarks/solvers.py [STRIDES [FAMILY ...]]
 """
