@@ -8,7 +8,9 @@ accuracy is 100 times the tolerance, and at least 1e-7, which is the reference's
 are counted apart: a method of low order gives up where it would need more than 20 000 steps.
 
 Per family and solver, for the tolerances 1e-6, 1e-9 and 1e-12: strides that are undecided; of
-another outcome; and of another state or time.
+another outcome; and of another state or time. Ralston's method was run for the first three families
+only, and not all families were. In the two strides of the runner that count as off, no event is
+missed: the largest errors of all its strides at 1e-6 are 3e-6 by Dopri5 and 4e-5 by Bosh3.
 
     bouncing-ball       series      200      0    0    0      0    0    0      0    0    0
     bouncing-ball       Dopri8      200      0    0    0      0    0    0      0    0    0
