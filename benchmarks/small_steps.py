@@ -95,9 +95,8 @@ def functions_of(walker: Any, part: Any) -> Any:
     return look
 
 
-def follow(walker: Any, part: Any, start: Any, going: Any, step: Any) -> Any:
-    """The state at the end of a part, the outcome, and what was violated; nothing if not going."""
-    field, look = part.vector_field, functions_of(walker, part)
+def follow(field: Any, look: Any, start: Any, going: Any, step: Any) -> Any:
+    """The state and time at the end of a part, the outcome, and what was violated, if going."""
     _, _, holds, codes = look(start)
 
     def unfinished(carry):
@@ -124,7 +123,7 @@ def follow(walker: Any, part: Any, start: Any, going: Any, step: Any) -> Any:
             found |= count > 0
             broken = {key: broken[key] | (~found & (after[2][key] < 0)) for key in broken}
         outcome = jnp.where(unclear, UNCLEAR, outcome)
-        on = ~found & ~unclear & jnp.isfinite(end.theta)
+        on = ~found & ~unclear & jnp.isfinite(sum(map(jnp.sum, jax.tree.leaves(end))))
         return {
             "start": y, "end": end, "left": left, "on": on, "outcome": outcome, "broken": broken,
             "time": carry["time"] + step,
@@ -155,7 +154,8 @@ def follow(walker: Any, part: Any, start: Any, going: Any, step: Any) -> Any:
     state = jax.tree.map(keep, at(high), start)
     values = look(state)[2]
     broken = {key: last["broken"][key] | (ended & (values[key] < 0)) for key in values}
-    return state, last["outcome"], broken
+    time = jnp.where(ended, last["time"] - step + high * step, 0)
+    return state, time, last["outcome"], broken
 
 
 def fallen(walker: Any, y: Any) -> Any:
@@ -167,8 +167,8 @@ def fallen(walker: Any, y: Any) -> Any:
 
 @kernel
 def stride_by_small_steps(walker: Any, x: Any, step: Any) -> Any:
-    """The next point of the section, and the outcome."""
-    y = walker.lift(x)
+    """The next point of the section, the outcome, and the time."""
+    y, time = walker.lift(x), jnp.zeros_like(step)
     phases = walker.phases()
     y = phases[0].begin(y) if phases else y
     going, broken = walker.feasible(x), {}
@@ -183,7 +183,10 @@ def stride_by_small_steps(walker: Any, x: Any, step: Any) -> Any:
         begun = (outcome == Outcome.UNDECIDED) | (at_rest & (outcome != Outcome.OUTSIDE))
         outcome = jnp.where(pulled & begun, int(Outcome.RUNNING), outcome)
         on = (outcome == Outcome.UNDECIDED) & ~due
-        y, end, violated = follow(walker, part, y, on, step)
+        y, passed, end, violated = follow(
+            part.vector_field, functions_of(walker, part), y, on, step
+        )
+        time += passed
         broken = {key: broken.get(key, False) | flag for key, flag in violated.items()} | {
             key: flag for key, flag in broken.items() if key not in violated
         }
@@ -204,7 +207,8 @@ def stride_by_small_steps(walker: Any, x: Any, step: Any) -> Any:
         struck = jnp.where(broken[key], key, struck)
     outcome = jnp.where(outcome == Outcome.STRIDE, struck, outcome)
     state = walker.project(following)
-    return jnp.where(outcome == Outcome.STRIDE, state, jnp.nan), outcome
+    made = outcome == Outcome.STRIDE
+    return jnp.where(made, state, jnp.nan), outcome, jnp.where(made, time, jnp.nan)
 
 
 def survey(name: str, count: int) -> None:
@@ -221,7 +225,7 @@ def survey(name: str, count: int) -> None:
         slow = lambda w, x, h: map_cells(
             stride_by_small_steps, (w, x, np.float64(h)), (True, True, False)
         )
-        found, (states, outcomes) = wj.strides(walkers, xs), slow(walkers, xs, STEP)
+        found, (states, outcomes, _) = wj.strides(walkers, xs), slow(walkers, xs, STEP)
         known = outcomes != UNCLEAR
         unclear += int((~known).sum())
         for i in np.flatnonzero(known & (outcomes != found.outcome)):

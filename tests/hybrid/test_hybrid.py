@@ -300,7 +300,7 @@ def test_what_is_foregone_or_not_going_is_not_followed():
 
 
 def test_what_never_ends_is_given_up_after_so_many_steps(monkeypatch):
-    monkeypatch.setattr("walker_jax.hybrid.following.MAX_STEPS", 30)
+    monkeypatch.setattr("walker_jax.integrators.integrator.MAX_STEPS", 30)
     square = lambda state: (state[0] ** 2,)
     mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),))
     run = jax.vmap(

@@ -10,15 +10,17 @@ only at first. So no rise is lost, or counted twice, between two steps by roundi
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.integrators.roots import (
     Instant,
+    Real,
     Scalar,
     bracketed_newton,
     length_without_zero,
@@ -32,14 +34,35 @@ HOP = 1e-7
 float32 it is 64 times the dtype's epsilon."""
 MOVED = 7
 """Number of coefficients that are moved to the middle of a step; later ones are small."""
+ROUNDING = 64
+"""Largest rounding error of a value that counts as zero, over the dtype's epsilon."""
 
 
 @jax.jit
-def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
-    """Return whether a function is below zero at first, or at zero and about to fall."""
+def begins_below(series: list[Scalar], rounding: Real = 0.0) -> Bool[Array, ""]:
+    """Return whether a function is below zero at first, or at zero and about to fall.
+
+    A value up to `rounding` counts as zero if it falls.
+    """
     value, rate, curvature = series[:3]
     falls = (rate < 0) | ((rate == 0) & (curvature < 0))
-    return (value < 0) | ((value == 0) & falls)
+    return (value < 0) | ((value <= rounding) & falls)
+
+
+def rounding_of(
+    function: Callable[[PyTree], Scalar], state: PyTree, rates: PyTree, tolerance: Real
+) -> Scalar:
+    """Return a bound of the values of a function in states where it is zero but for errors.
+
+    It is the change of the function if each variable changes by the tolerance, or by `ROUNDING` if
+    that is larger, times the largest variable or rate.
+    """
+    slopes = jax.tree.leaves(jax.grad(function)(state))
+    size = lambda tree: [jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree)]
+    scale = functools.reduce(jnp.maximum, [*size(state), *size(rates)])
+    part = jnp.maximum(tolerance, ROUNDING * float(jnp.finfo(scale.dtype).eps))
+    found = functools.reduce(jnp.add, [jnp.sum(jnp.abs(x)) for x in slopes]) * scale * part
+    return lax.stop_gradient(jnp.where(jnp.isfinite(found), found, 0))
 
 
 @jax.jit
@@ -109,7 +132,7 @@ def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
     falls = (series[1] < 0) | ((series[1] == 0) & (series[2] < 0))
     sign = jnp.where(falls, -1, 1).astype(length.dtype)
     later = evaluate_polynomial(sizes(series)[2:], length) * length**2
-    rounding = 64 * float(jnp.finfo(length.dtype).eps) * (jnp.abs(series[1]) * length + later)
+    rounding = ROUNDING * float(jnp.finfo(length.dtype).eps) * (jnp.abs(series[1]) * length + later)
     others = later - jnp.abs(series[2]) * length**2
     return (sign * series[0] >= -rounding) & (sign * series[2] * length**2 >= others)
 

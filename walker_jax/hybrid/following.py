@@ -14,7 +14,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
-from walker_jax.hybrid.crossings import Crossing, begins_below, first_rise, may_rise
+from walker_jax.hybrid.crossings import (
+    Crossing,
+    begins_below,
+    first_rise,
+    may_rise,
+    rounding_of,
+)
 from walker_jax.hybrid.misses import (
     Misses,
     Seen,
@@ -24,7 +30,7 @@ from walker_jax.hybrid.misses import (
     with_rates,
 )
 from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
-from walker_jax.integrators.integrator import MAX_STEPS, Method, zero_at
+from walker_jax.integrators.integrator import Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import function_series, is_list
@@ -98,17 +104,19 @@ def follow_mode(
     If `measured`, every step is searched, and its misses are recorded.
     """
 
+    if not method.is_series:  # whose steps alone are short enough for the proofs about guards
+        mode = mode._replace(guards=tuple(one._replace(persists=False) for one in mode.guards))
     mode, zero = with_rates(mode, start), zero_at(start)
 
     def unfinished(now: Unfinished):
         finite = jnp.isfinite(now.last.time + now.last.length)
-        return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
+        return (now.guard == NO_GUARD) & (now.count < method.most_steps) & finite
 
     def follow(now: Unfinished) -> Unfinished:
         if measured:
             last = measured_step(mode, method, now.last)
             return search_step(mode, method, now._replace(last=last, count=now.count + 1))
-        quiet = lambda carry: carry[0].quiet & (carry[1] < MAX_STEPS)
+        quiet = lambda carry: carry[0].quiet & (carry[1] < method.most_steps)
         take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
         # In a batch, lanes that have ended wait here for the others.
         begun = now.last._replace(quiet=now.guard == NO_GUARD), now.count
@@ -139,7 +147,7 @@ def follow_mode(
 def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, list[Scalar]]:
     """Return a step of no length at the start of a mode, and the values of conditions there."""
     zero = zero_at(start)
-    sides = [zero for _ in mode.guards]
+    sides = [side_at_start(guard, method, start) for guard in mode.guards]
     values, rates = [], []
     for one in mode.conditions:
         if one.least_at_ends:
@@ -205,7 +213,7 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
     number, when = first_rise(crossings, last.length)
     until = jnp.minimum(when, last.length)
     event = partial(value_of_guard, mode, number)
-    refined = method.refine_time(event, last.start, series, until)
+    refined = method.refine_time(event, last.start, series, until, last.length)
     until = jnp.where(jnp.isfinite(when), refined, last.length)
     arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
     seen = Seen(last.start, series, last.length, arrival, until, crossings, now.violated)
@@ -213,6 +221,9 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
     if mode.foregone is not None:
         foregone = (number == NO_GUARD) & value_at(mode.foregone.holds, last.end)
         number = jnp.where(foregone, len(mode.guards), number)
+    if not method.is_series:  # without a time of the event the motion is undecided
+        number = jnp.where(jnp.isnan(until), NO_GUARD, number)
+        last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))
     for condition, (rate, _) in zip(watched(mode), last.rates, strict=True):
         key = condition.outcome
         if misses is not None:
@@ -239,6 +250,30 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
         (value, *admits), found = found[: len(guard)], found[len(guard) :]
         pairs.append((value, admits))
     return pairs
+
+
+def is_due(mode: Mode, method: Method, start: Any) -> Bool[Array, ""]:
+    """Return whether a mode that begins in a state is over at once, by its last guard.
+
+    The state may be where the mode before ended, on the same guard but for errors. If the guard
+    then falls, the mode is not over.
+    """
+    value = mode.guards[-1].value
+    known = lax.stop_gradient((start, mode.rates(start)))
+    rounding = rounding_of(value, *known, method.tolerance)
+    return ~begins_below(method.series(value, start, 2), rounding)
+
+
+def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:
+    """Return the side of zero on which a guard begins; zero if it is read from the first series.
+
+    One rule serves all methods (`begins_below`), by the series of the solution. An interpolation
+    is no such series.
+    """
+    if method.is_series:
+        return zero_at(start)
+    below = begins_below(method.series(guard.value, start, 2))
+    return jnp.where(below, -1, 1) + zero_at(start)
 
 
 def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:

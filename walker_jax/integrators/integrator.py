@@ -16,13 +16,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.arrivals import flow, time_to
-from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.roots import Real, Scalar
+from walker_jax.integrators.runge_kutta_steps import (
+    MOST_STEPS,
+    controller_of,
+    defect_of,
+    expansion_errors,
+    in_units_of,
+    interpolate,
+    twist_of,
+)
 from walker_jax.integrators.step_lengths import NO_LIMITS, StepLimits
 from walker_jax.integrators.taylor import (
     VectorField,
@@ -44,17 +53,11 @@ Solver = diffrax.AbstractAdaptiveSolver
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
 MAX_STEPS = 1000
-"""Most steps of one integration, so that it always ends."""
+"""Most Taylor steps of one integration."""
 MOST_EXPANDED_AGAIN = 5
 """Most variables of a state whose series is expanded again for the search within a step. For more
 variables, and where an expansion takes long, as that of a `PowerBalance` does, it is cheaper to
 carry the series from step to step."""
-INTERPOLATION_ORDER = 8
-"""Order of the polynomial that represents a Runge-Kutta interpolation; diffrax has none higher."""
-NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
-"""Fractions of a step at which the interpolation is evaluated to fit the polynomial."""
-TIME_REFINEMENTS = 3
-"""Newton iterations on a time found by interpolation; each squares its error."""
 
 
 def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
@@ -102,11 +105,12 @@ class Integrator(eqx.Module):
         state: PyTree,
         *others: Callable[[PyTree], PyTree],
         watched: tuple[Callable[[PyTree], Scalar], ...] = (),
+        conditions: tuple[Callable[[PyTree], Scalar], ...] = (),
         limits: StepLimits = NO_LIMITS,
     ) -> "Method":
         """Return the method that integrates y' = f(y) from a state."""
         solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
-        return Method(field, solver, self.tolerance, others, watched, limits)
+        return Method(field, solver, self.tolerance, others, watched, conditions, limits)
 
 
 def integrator_of(
@@ -143,16 +147,6 @@ def stop_gradients(tree: PyTree) -> PyTree:
     return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
-def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scalar]:
-    """Fit the polynomial in 0 <= t <= length with these values at t = `NODES` length."""
-    changes, unit, found = values - values[0], jnp.ones_like(length), [values[0]]
-    for row in np.linalg.inv(np.vander(NODES, increasing=True))[1:]:
-        unit = unit * length
-        whole = sum(float(part) * change for part, change in zip(row, changes, strict=True))
-        found.append(whole / unit)
-    return found
-
-
 class Method(eqx.Module):
     """Equations y' = f(y), with the diffrax solver and the tolerance of their solution."""
 
@@ -160,15 +154,28 @@ class Method(eqx.Module):
     solver: Solver
     tolerance: Real
     others: tuple[Callable[[PyTree], PyTree], ...] = ()
-    """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f."""
+    """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f, and
+    their polynomials limit the steps of Runge-Kutta methods."""
     watched: tuple[Callable[[PyTree], Scalar], ...] = ()
     """Functions of the state whose series limit the steps as the solution's series does."""
+    conditions: tuple[Callable[[PyTree], Scalar], ...] = ()
+    """Functions of the state of which Runge-Kutta steps have one extremum at most."""
     limits: StepLimits = NO_LIMITS
 
     @property
     def terms(self):
         field = self.field if isinstance(self.solver, Taylor) else with_fast_sincos(self.field)
         return diffrax.ODETerm(lambda t, y, args: field(y))
+
+    @property
+    def is_series(self) -> bool:
+        """Return whether the polynomial of a step is the series of the solution."""
+        return isinstance(self.solver, Taylor)
+
+    @property
+    def most_steps(self) -> int:
+        """Return the most steps of one integration, so that it always ends."""
+        return MAX_STEPS if self.is_series else MOST_STEPS
 
     @property
     def forward_solver(self) -> Solver:
@@ -181,7 +188,7 @@ class Method(eqx.Module):
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
             return SeriesSteps(self.field, order, self.tolerance, self.others)
-        return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
+        return controller_of(self.tolerance, self.limits.longest)
 
     def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
         """Integrate from `state` at t0 to t1."""
@@ -198,7 +205,7 @@ class Method(eqx.Module):
             saveat=diffrax.SaveAt(t1=True),
             stepsize_controller=self.controller(),
             adjoint=diffrax.ForwardMode(),
-            max_steps=MAX_STEPS,
+            max_steps=self.most_steps,
             throw=False,
         )
 
@@ -244,15 +251,36 @@ class Method(eqx.Module):
         end, error, dense, last, _ = self.forward_solver.step(
             terms, zero, length, state, None, first, False
         )
+        series = interpolate(self.solver, length, dense, SERIES_ORDER[length.dtype])
         order: Any = self.solver.error_order(terms)
+        both, errors = self.with_errors_within(state, end, error, series, length)
         good, begins, ends, _, kept, _ = controller.adapt_step_size(
-            zero, length, state, end, None, error, order, kept
+            zero, length, *both, None, errors, order, kept
         )
-        inside = self.solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
-        series = jax.tree.map(partial(fit_polynomial, length), jax.vmap(inside)(length * NODES))
         keep = lambda new, old: jax.tree.map(partial(jnp.where, good), new, old)
         memory = ends - begins, kept, keep(last, first)
         return series, keep(end, state), jnp.where(good, length, 0), memory
+
+    def with_errors_within(
+        self, state, end, error, series, length
+    ) -> tuple[tuple[PyTree, PyTree], PyTree]:
+        """Return both ends of a step, and its errors, for the controller.
+
+        The errors within the step, of the interpolation and of functions along it, are among them.
+        An error that is no number counts as infinite, so that the step becomes shorter. All are
+        constant to derivatives.
+        """
+        method, state, end, error, series = stop_gradients((self, state, end, error, series))
+        scaled = partial(in_units_of, method.limits.scales)
+        defect = defect_of(method.field, series, length)
+        error = jax.tree.map(lambda a, b: jnp.maximum(jnp.abs(a), b), error, defect)
+        others = expansion_errors(method.others, series, length)
+        others += [method.tolerance * twist_of(one, series, length) for one in method.conditions]
+        others = lax.stop_gradient(others)
+        none = [jnp.zeros_like(one) for one in others]
+        finite = lambda x: jnp.where(jnp.isfinite(x), x, jnp.inf)
+        both = (scaled(state), none), (scaled(end), none)
+        return both, jax.tree.map(finite, (scaled(error), others))
 
     def series_of(self, state: PyTree) -> PyTree[list]:
         """Return the series of the solution from a state, for a Taylor method."""
@@ -262,7 +290,10 @@ class Method(eqx.Module):
     def no_series(self, state: PyTree) -> PyTree[list]:
         """Return a constant polynomial with as many coefficients as those of steps."""
         solver = self.solver
-        order = solver.taylor_order if isinstance(solver, Taylor) else INTERPOLATION_ORDER
+        if isinstance(solver, Taylor):
+            order = solver.taylor_order
+        else:
+            order = SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
         return jax.tree.map(lambda x: [x, *[0 * x] * order], state)
 
     def state_at(self, state: PyTree, series: PyTree[list], time: Scalar) -> PyTree:
@@ -274,37 +305,56 @@ class Method(eqx.Module):
         return solver.step(self.terms, zero, time, state, None, first, False)[0]
 
     def refine_time(
-        self, event: Callable[[PyTree], Scalar], state: PyTree, series: PyTree[list], time: Scalar
+        self,
+        event: Callable[[PyTree], Scalar],
+        state: PyTree,
+        series: PyTree[list],
+        time: Scalar,
+        length: Scalar,
     ) -> Scalar:
         """Refine the time from the start of a step to an event; constant to derivatives.
 
         The interpolation of a Runge-Kutta method is less accurate than its steps. So each Newton
-        iteration takes a step to the latest time. A series needs no refinement.
+        iteration takes a step to the latest time, as long as corrections at least halve. The time
+        is NaN if the event is not zero then, within the tolerance. A series needs no refinement.
         """
         if isinstance(self.solver, Taylor):
             return time
-        method, state, time = stop_gradients((self, state, time))
-        for _ in range(TIME_REFINEMENTS):
-            there = method.state_at(state, series, time)
-            value, rate = jax.jvp(event, (there,), (method.field(there),))
-            time = time - value / rate
-        return time
+        method, state, time, length = stop_gradients((self, state, time, length))
+        along = lambda state: jax.jvp(event, (state,), (method.field(state),))
+        value_and_rate = without_derivatives(along, state)
+
+        def unfinished(carry):
+            turn, _, change, most, _ = carry
+            return (turn == 0) | ((change != 0) & (jnp.abs(change) <= most))
+
+        def iterate(carry):
+            turn, time, change, most, _ = carry
+            time = time + change
+            value, rate = value_and_rate(method.state_at(state, series, time))
+            zero = jnp.abs(value) <= method.tolerance * (1 + jnp.abs(rate) * length)
+            most = jnp.where(turn == 0, most, jnp.abs(change) / 2)
+            return turn + 1, time, -value / rate, most, zero
+
+        begun = jnp.asarray(0), time, jnp.zeros_like(time), length / 2, jnp.asarray(False)
+        _, time, *_, zero = lax.while_loop(unfinished, iterate, lax.stop_gradient(begun))
+        return jnp.where(zero, time, jnp.nan)
 
     def series(self, function: Callable, state: PyTree, order: int) -> PyTree[list]:
         """Return the Taylor coefficients of function(y(t)) along the solution y from a state.
 
         They are constant to derivatives by the state, and by parameters that the equations hold.
+        The function is evaluated in the same way for all methods: only so it is zero for all of
+        them, or for none, in a state where it is zero to rounding.
         """
         method, state = stop_gradients((self, state))
         if isinstance(method.solver, Taylor):
             return function_series(function, solution_series(method.field, state, order))
-        values = []
-        for k in range(order + 1):
-            value = jax.tree.map(lambda x, k=k: x / math.factorial(k), function(state))
-            values.append(value)
-            along = lambda state, last=function: jax.jvp(last, (state,), (method.field(state),))[1]
-            function = along
-        return jax.tree.map(lambda *coefficients: list(coefficients), *values)
+        known, along = [state], lambda state: state
+        for k in range(1, order + 1):
+            along = lambda state, last=along: jax.jvp(last, (state,), (method.field(state),))[1]
+            known.append(jax.tree.map(lambda x, k=k: x / math.factorial(k), along(state)))
+        return function_series(function, jax.tree.map(lambda *one: [*one], *known))
 
     def refine_event(
         self, event: Callable[[PyTree], Scalar], state: PyTree

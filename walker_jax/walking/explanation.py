@@ -16,10 +16,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.crossings import begins_below
-from walker_jax.hybrid.following import along
+from walker_jax.hybrid.following import along, is_due
 from walker_jax.hybrid.modes import Condition, Mode
-from walker_jax.integrators.integrator import MAX_STEPS, Integrator
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
@@ -284,7 +283,7 @@ def record_mode(
     if fallen != Outcome.UNDECIDED:
         return over_at_once(name_of_outcome(fallen, failures), {}), state, False
     method = method_of(mode, state, integrator)
-    if may_be_due and not begins_below(method.series(mode.guards[-1].value, state, 2)):
+    if may_be_due and is_due(mode, method, state):
         at_end = values_at_end(mode, state, failures)
         return over_at_once(names[-1], at_end), state, all(one > 0 for one in at_end.values())
 
@@ -292,7 +291,7 @@ def record_mode(
     rises: list[Rise] = []
     time, count, memory, ending = 0.0, 0, method.first_memory(state), None
     below = [value <= 0 for value in values]
-    while ending is None and count < MAX_STEPS:
+    while ending is None and count < method.most_steps:
         series, end, length, memory, polynomials, (there, values, seen) = step(state, memory)
         count += 1
         if not np.isfinite(length):

@@ -20,8 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.hybrid.crossings import begins_below
-from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
+from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator, Method, zero_at
@@ -182,9 +181,7 @@ def follow_phases(
     ends = [begun]
     for mode in phases:
         last = ends[-1]
-        due = ~begins_below(
-            method_of(mode, last.state, integrator).series(mode.guards[-1].value, last.state, 2)
-        )
+        due = is_due(mode, method_of(mode, last.state, integrator), last.state)
         now = begin_mode(mode, last, due)
         over = (now.verdict == Outcome.UNDECIDED) & due
         now = now._replace(verdict=jnp.where(over, Outcome.STRIDE, now.verdict).astype(jnp.int8))
@@ -260,10 +257,13 @@ def judge_end(mode: Mode, state: Any, verdict: Int[Array, ""]) -> Int[Array, ""]
 def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     """Return the method that integrates a mode; its steps also end at kinks of guards."""
     functions = tuple(function for guard in mode.functions() for function in guard)
-    conditions = tuple(one.value for one in mode.conditions if has_sharp_features(one.value, start))
-    watched = conditions if mode.as_smooth else (*functions, *conditions)
+    sharp = tuple(one.value for one in mode.conditions if has_sharp_features(one.value, start))
+    watched = sharp if mode.as_smooth else (*functions, *sharp)
+    conditions = tuple(one.value for one in mode.conditions if not one.least_at_ends)
     limits = StepLimits(mode.scales, mode.longest_step)
-    return integrator.method(mode.field, start, *functions, watched=watched, limits=limits)
+    return integrator.method(
+        mode.field, start, *functions, watched=watched, conditions=conditions, limits=limits
+    )
 
 
 def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[Any, Stride]:

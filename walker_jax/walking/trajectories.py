@@ -52,7 +52,7 @@ def trajectory(
     ```
 
     Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN
-    where that takes more than `MAX_STEPS` of integration. Raises `ValueError` as `stride` does, and
+    where that takes too many steps of integration. Raises `ValueError` as `stride` does, and
     for times that are not finite or negative.
     """
     walker, x, integrator = prepare(walker, x, tolerance, solver)
