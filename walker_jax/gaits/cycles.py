@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -109,16 +110,8 @@ def solve_cycle(
 ) -> Gait:
     """Find a gait by Newton's iteration on all states of a cycle."""
     dtype = states.dtype
-    accuracy = 500 * float(jnp.finfo(dtype).eps)
-    solution = optimistix.root_find(
-        cycle_mismatch,
-        optimistix.Newton(rtol=accuracy, atol=accuracy),
-        states,
-        args=(walker, integrator),
-        max_steps=MAX_SEARCH_STEPS,
-        throw=False,
-    )
-    states = solution.value
+    mismatch = lambda states: cycle_mismatch(states, (walker, integrator))
+    states = lax.custom_root(mismatch, states, newton, solve_linear)
     apply = lambda states: apply_strides(walker, states, integrator)
     (ends, times), derivative = jax.linearize(apply, states)
     basis = jnp.eye(states.shape[1], dtype=dtype)
@@ -143,6 +136,30 @@ def solve_cycle(
         residual=residual,
         found=found,
     )
+
+
+def newton(
+    mismatch: Callable[[Array], Array], guess: Float[Array, "period section"]
+) -> Float[Array, "period section"]:
+    """Return the last of Newton's iterates, a root or not."""
+    accuracy = 500 * float(jnp.finfo(guess.dtype).eps)
+    solver = optimistix.Newton(rtol=accuracy, atol=accuracy)
+    solution = optimistix.root_find(
+        lambda states, _: mismatch(states), solver, guess, max_steps=MAX_SEARCH_STEPS, throw=False
+    )
+    return solution.value
+
+
+def solve_linear(
+    function: Callable[[Array], Array], values: Float[Array, "period section"]
+) -> Float[Array, "period section"]:
+    """Return where a linear function has some values; NaN or infinite if there is no such place.
+
+    It raises nothing: one walker without a gait would end a whole batch.
+    """
+    basis = jnp.eye(values.size, dtype=values.dtype).reshape(-1, *values.shape)
+    columns = jax.vmap(function)(basis).reshape(values.size, -1)
+    return jnp.linalg.solve(columns.T, values.ravel()).reshape(values.shape)
 
 
 def iterate_newton(
