@@ -22,6 +22,7 @@ from walker_jax.hybrid.modes import Condition, Mode
 from walker_jax.integrators.integrator import MAX_STEPS, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
+from walker_jax.systems.angles import unnamed_angles
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
@@ -189,6 +190,8 @@ def check_point(system: System, x: Any) -> list[str]:
         return [f"project(lift(x)) is {format_point(np.asarray(back))}"]
     first = full_state(system, x)
     modes = modes_from(system, x)
+    if unnamed := unnamed_angles(system, x):
+        return [f"project takes full turns off {unnamed[0]}, which angles does not name"]
     rates = jax.tree.leaves(modes[0].rates(first))
     if not all(bool(jnp.all(jnp.isfinite(rate))) for rate in rates):
         return ["the vector field at the start is not finite"]
