@@ -102,7 +102,9 @@ def test_derivatives_and_exponents_of_a_gait_on_the_cut():
     )
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8)
-    found = wj.lyapunov(circle(), np.array([3.0, 0.1]), walks=2)  # at rest on the cut, from both sides
+    found = wj.lyapunov(
+        circle(), np.array([3.0, 0.1]), walks=2
+    )  # at rest on the cut, from both sides
     np.testing.assert_allclose(found.exponents, np.log([0.5, 0.4]), rtol=1e-12)
 
 

@@ -283,7 +283,7 @@ def record_mode(
     def over_at_once(name, at_end):
         return ModeRecord(0.0, 0, f"{name} at once", [], least, at_end, greatest, (energy, energy))
 
-    fallen = int(fall_of(mode, state))
+    fallen = int(fall_of(mode, state, number > 0))
     if fallen != Outcome.UNDECIDED:
         return over_at_once(name_of_outcome(fallen, failures), {}), state, False
     method = method_of(mode, state, integrator)
