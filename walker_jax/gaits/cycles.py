@@ -15,6 +15,7 @@ from walker_jax.checks import WrongUse, check_kind
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.implicit_roots import find_root
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import nan_unless
@@ -125,7 +126,7 @@ def solve_cycle(
         jacobian = factor @ jacobian
     multipliers = eigenvalues(jacobian)
     multipliers = multipliers[jnp.lexsort((-multipliers.imag, -jnp.abs(multipliers)))]
-    residual = jnp.abs(difference(ends, jnp.roll(states, -1, axis=0), turns)).max()
+    residual = largest(jnp.abs(difference(ends, jnp.roll(states, -1, axis=0), turns)))
     found = (residual < MAX_RESIDUAL[dtype]) & ~has_shorter_period(states, turns)
     unit = jnp.eye(states.size, dtype=dtype).reshape(-1, *states.shape)
     rows = jax.vmap(lambda change: derivative(change)[0] - jnp.roll(change, -1, axis=0))(unit)
@@ -337,8 +338,8 @@ def has_shorter_period(states, turns: Turns = None) -> Bool[Array | np.ndarray, 
     for shift in range(1, period):
         if period % shift == 0:
             change = difference(states, numpy.roll(states, shift, axis=-2), turns)
-            change = numpy.abs(change).max(axis=(-2, -1))
-            shorter = shorter | (change < SAME_STATE_DISTANCE[jnp.dtype(states.dtype)])
+            same = numpy.abs(change) < SAME_STATE_DISTANCE[jnp.dtype(states.dtype)]
+            shorter = shorter | same.all(axis=(-2, -1))
     return shorter
 
 

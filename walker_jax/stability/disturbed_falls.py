@@ -128,7 +128,7 @@ def walk_disturbed_on(
         disturbance = Disturbance(*[jnp.where(even, 0, one) for one in row])
         result = follow_disturbed(walker, walk.state, disturbance, integrator)
         x = walker.project(walker.state(*result.state))
-        near = even & (jnp.min(distances(x, targets, turns_of(walker))) < 1)
+        near = even & jnp.any(distances(x, targets, turns_of(walker)) < 1)
         made = walk.strides + (result.outcome == Outcome.STRIDE).astype(jnp.int32)
         return WalkEnd(result.state, result.outcome, made, jnp.where(near, 0, -1).astype(jnp.int32))
 

@@ -53,6 +53,6 @@ def unnamed_angles(system: HybridSystem, x: Float[Array, " section"]) -> list[st
     """
     again = jax.vmap(lambda x: system.project(system.lift(x)))
     turned = again(x + 2 * np.pi * jnp.eye(len(x), dtype=x.dtype))
-    same = jnp.max(jnp.abs(turned - again(x[None])), axis=1) < NEAR
+    same = jnp.all(jnp.abs(turned - again(x[None])) < NEAR, axis=1)
     found = zip(system.section, same.tolist(), strict=True)
     return [name for name, one in found if one and name not in system.angles]

@@ -23,6 +23,7 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
@@ -64,7 +65,7 @@ class Targets(NamedTuple):
 def distances(x: Float[Array, "..."], targets: Targets, turns: Turns = None) -> Float[Array, " m"]:
     """Return the distance of a state from each target, which is within reach below 1."""
     distance = jnp.sum(targets.frames * difference(x, targets.states, turns)[:, None], axis=2)
-    return jnp.max(jnp.abs(distance), axis=1)
+    return largest(jnp.abs(distance), axis=1)
 
 
 class WalkEnd(NamedTuple):
