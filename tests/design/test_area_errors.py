@@ -12,7 +12,7 @@ SIMPLEST = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
 FRACTAL = wj.PoweredWalker(0.0, hip_stiffness=2.0, hip_angle=-0.3, push_off=0.1)
 
 
-def test_at_a_fractal_boundary_the_error_is_infinite_unless_a_band_is_given():
+def test_at_a_fractal_boundary_the_error_is_infinite():
     """The integral has the wrong sign there, or a third of the size."""
     names = "hip_angle", "slope", "hip_stiffness"
     found = wj.area_gradient(FRACTAL, REGION, names, levels=0, check=10_000)
@@ -51,7 +51,7 @@ def test_where_margins_jump_the_error_holds():
 
 @pytest.mark.parametrize("shape", [(50, 400), (20, 30, 40)])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_neighbouring_lines_tell_whether_crossings_are_independent(shape, axis):
+def test_lines_tell_whether_crossings_are_independent(shape, axis):
     rng = np.random.default_rng(3)
     lines = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in np.delete(shape, axis))), -1)
     lines = lines.reshape(-1, len(shape) - 1)

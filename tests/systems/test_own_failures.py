@@ -316,7 +316,7 @@ class ThereAndBack(wj.HybridSystem):
         return wj.Mode(there, (arrives,), reset=turns), wj.Mode(back, (beyond, ends))
 
 
-def test_a_guard_on_the_switch_that_led_to_its_mode_does_not_end_it():
+def test_a_guard_on_the_switch_to_its_mode_does_not_end_it():
     """Its value is zero there but for rounding, of either sign, and falls."""
     xs = np.linspace(-0.6, 0.1, 100)[:, None]  # the last begins at the switch
     found = wj.strides(ThereAndBack(), xs)

@@ -46,8 +46,8 @@ MAX_RELATIVE_ERROR = 0.05
 """Relative error above which a band, if given, replaces the integral along the boundary."""
 INDEPENDENT = 1 / 8
 """How independent neighbouring crossings may be, from 0 to 1 (`Integral.independence`). On smooth
-boundaries of eight walkers and maps it is at most 0.07, at fractal boundaries of eight others 0.25
-or more, on grids of 160,000 to 2.6 million cells."""
+boundaries of seven walkers and a map it is at most 0.09, at fractal boundaries of eight others 0.23
+or more, on grids of 40,000 to 2.6 million cells."""
 MAX_BAND_HALVINGS = 20
 """Most halvings of a band on a side where the walker refuses the value."""
 
@@ -84,7 +84,7 @@ class AreaGradient(NamedTuple):
     """Total number of strides; those with derivatives count once for each direction."""
     fractal: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
     """Whether the boundary is fractal at the scale of the cells: neighbouring lines cross parts of
-    it that move independently."""
+    it that move independently. It is not told in three dimensions."""
 
 
 @refuses_tracers("it gives derivatives itself, by the parameters named")
@@ -257,7 +257,7 @@ class Integral(NamedTuple):
     independence: Float[np.ndarray, " parameters"]
     """Squared differences between neighbouring lines, over those expected if all crossings moved
     independently: 0 on a boundary that moves evenly, about 1 where it is fractal; NaN if nothing
-    moves."""
+    moves, and in three dimensions, where sheets thinner than a cell are met at random."""
 
 
 class Size(NamedTuple):
@@ -361,7 +361,7 @@ def integrate_along_boundary(
         typical = np.sqrt(squares / known_count) if known_count else np.full(count, np.inf)
         error = np.hypot(error, unknown_count * typical * cell)
     with np.errstate(invalid="ignore"):
-        independence = differences / squares
+        independence = differences / squares if len(shape) == 2 else np.full(count, np.nan)
     return Integral(totals.sum(axis=0) * cell, error, crossings, lost, made, independence)
 
 

@@ -93,7 +93,7 @@ def find_gait(
     - `tolerance`, `solver`: tolerance and solver of the integration, as in `stride`.
 
     **Returns** a `Gait`, stable or not. Under a JAX transformation a failed search raises nothing:
-    `found` is then false, and states, multipliers and step times are NaN.
+    `found` is then false, and states, multipliers and step times are NaN, with all derivatives.
 
     Raises `ComputationFailed` with the reason if the search fails, or ends in a gait of a shorter
     period; `ValueError` for a period below 1, for a guess of a wrong shape or one that is not
