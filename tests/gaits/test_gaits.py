@@ -522,3 +522,25 @@ def test_wrong_regions_parameters_and_gaits_are_refused():
         wj.gait_derivatives(walker(), search_gait(walker(), [3.0, 3.0]), "slope")
     with pytest.raises(ValueError, match=r"guess .*period 2.* JAX traces"):
         jax.eval_shape(lambda s: wj.find_gait(wj.SimplestWalker(s), period=2), 0.009)
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+def test_a_missing_gait_has_derivatives_of_nan(mode):
+    """x -> x + d - x^2 rests at sqrt(d), by d 1 / (2 sqrt(d)); where d is negative, at no point."""
+
+    def gait(d):
+        system = wj.Map(lambda x, d: x + d - x**2, ("x",), parameters={"d": d})
+        found = wj.find_gait(system, jnp.array([0.3]))
+        return found.states[0, 0], found.multipliers[0].real
+
+    d = jnp.array([0.04, -0.04, 0.09])
+    root = np.sqrt(np.abs(d))
+    expected = [0.5 / root, -1 / root]
+    known = np.array([True, False, True])
+    np.testing.assert_array_equal(np.isfinite(jax.vmap(gait)(d)[0]), known)
+    for found, value in zip(jax.vmap(mode(gait))(d), expected, strict=True):
+        np.testing.assert_allclose(found, np.where(known, value, np.nan), rtol=1e-9)
+    assert all(np.isnan(one) for one in jax.jit(mode(gait))(-0.04))
+    assert all(np.isfinite(one) for one in jax.jit(mode(gait))(0.04))
+    second = jax.vmap(jax.jacfwd(mode(lambda d: gait(d)[0])))(d)
+    np.testing.assert_allclose(second, np.where(known, -0.25 / root**3, np.nan), rtol=1e-8)

@@ -2,7 +2,9 @@
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -277,3 +279,55 @@ class Astray(wj.System):
 
 def test_an_outcome_that_is_none_is_undecided():
     assert wj.stride(Astray(), jnp.array([1.0])).outcome == wj.Outcome.UNDECIDED
+
+
+class There(NamedTuple):
+    place: Any
+    time: Any
+
+
+class ThereAndBack(wj.HybridSystem):
+    """It goes at speed 1 to a turning point and back for a time of 1, and fails if it is beyond.
+
+    A `jump` at the turning point leads further, or back.
+    """
+
+    turning: Any = 0.1
+    jump: Any = 0.0
+
+    section = ("place",)
+    failures = ("beyond",)
+
+    def lift(self, x):
+        return There(x[0], 0 * x[0])
+
+    def project(self, state):
+        return state.place[None]
+
+    def modes(self):
+        there = lambda y: There(jnp.cos(y.time), 1 + 0 * y.time)
+        back = lambda y: There(-1 - y.place**2, 1 + 0 * y.time)
+        arrives = wj.Guard(lambda y: y.place - self.turning)
+        beyond = wj.Guard(
+            lambda y: y.place**3 - self.turning**3, self.failure("beyond"), at_once=True
+        )
+        turns = lambda y: There(y.place + self.jump, 0 * y.time)
+        ends = wj.Guard(lambda y: y.time - 1)
+        return wj.Mode(there, (arrives,), reset=turns), wj.Mode(back, (beyond, ends))
+
+
+def test_a_guard_on_the_switch_to_its_mode_does_not_end_it():
+    """Its value is zero there but for rounding, of either sign, and falls."""
+    xs = np.linspace(-0.6, 0.1, 100)[:, None]  # the last begins at the switch
+    found = wj.strides(ThereAndBack(), xs)
+    assert (found.outcome == wj.Outcome.STRIDE).all()
+    expected = np.tan(np.arctan(0.1) - 1)
+    np.testing.assert_allclose(found.state[:, 0], expected, rtol=0, atol=1e-12)
+    by_xla = jax.jit(jax.vmap(partial(wj.stride, ThereAndBack())))(xs[:20])
+    np.testing.assert_array_equal(by_xla.outcome, found.outcome[:20])
+    for jump, outcome in ((1e-9, wj.Outcome.OWN_1), (-1e-9, wj.Outcome.STRIDE)):
+        assert (wj.strides(ThereAndBack(jump=jump), xs[::9]).outcome == outcome).all()
+    single = wj.strides(ThereAndBack(), xs.astype(np.float32))
+    assert (single.outcome == wj.Outcome.STRIDE).all()
+    assert wj.explain(ThereAndBack(), xs[3]).name == "STRIDE"
+    assert wj.explain(ThereAndBack(jump=1e-9), xs[3]).name == "beyond"

@@ -15,6 +15,7 @@ from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
+from walker_jax.systems.angles import Turns
 from walker_jax.systems.system import System
 
 STARTS = 2**11, 2**13, 2**15
@@ -64,7 +65,7 @@ def stable_gait(
     return gait if gait.found and gait.stable else None
 
 
-def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
+def compare_with_search(attracting: Gait | None, searched: Gait, turns: Turns = None) -> str:
     """Say how a gait found without a guess differs from the attracting one; empty if it does not.
 
     Where none attracts, a search that finds no stable gait agrees.
@@ -72,7 +73,7 @@ def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
     if attracting is None:
         agrees = not searched.stable
     else:
-        agrees = bool(searched.found) and is_same_cycle(attracting, searched)
+        agrees = bool(searched.found) and is_same_cycle(attracting, searched, turns)
     if agrees:
         return ""
     if not searched.found:
@@ -86,7 +87,7 @@ def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
     )
 
 
-def is_same_cycle(one: Gait, other: Gait) -> bool:
+def is_same_cycle(one: Gait, other: Gait, turns: Turns = None) -> bool:
     """Return whether two gaits have the same states, whichever comes first."""
     states, others = np.asarray(one.states), np.asarray(other.states)
-    return cycle_distance(states, others) < capture_radius(states.dtype)
+    return cycle_distance(states, others, turns) < capture_radius(states.dtype)

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from walker_jax.gaits.cycles import gait_at, iterate_newton
 from walker_jax.gaits.search import cycle_guesses
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import Targets, iterate, nearest_target, orbits
@@ -104,13 +105,14 @@ def match_attractor(
     x: Float[np.ndarray, "n section"],
     attractors: Sequence[Attractor],
     within: float | None = None,
+    turns: Turns = None,
 ) -> Int[np.ndarray, " n"]:
     """Return the number of the cycle whose capture box holds each state; -1 for none.
 
     Of several boxes the nearest counts. With `within` the boxes are cubes of that half edge.
     """
     targets, owner = targets_of(attractors, x.shape[1], within)
-    return owner[nearest_target(x, targets)]
+    return owner[nearest_target(x, targets, turns)]
 
 
 def sorted_numbers(attractors: Sequence[Attractor]) -> list[int]:
@@ -174,7 +176,7 @@ def add_cycles(
         if (cycle := stable_cycle(walker, start, int(count), integrator)) is not None
     ]
     for states in solved:
-        if cycle := new_cycle(states, found):
+        if cycle := new_cycle(states, found, turns_of(walker)):
             found.append(cycle)
     return x, bool(solved)
 
@@ -190,13 +192,13 @@ def add_repeated(
     For walkers that neither failed nor came to a cycle, it returns their states, the strides after
     which each came nearest to its present state, and that distance.
     """
-    exact = 1e3 * np.finfo(x.dtype).eps
+    exact, turns = 1e3 * np.finfo(x.dtype).eps, turns_of(walker)
     starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
     for _ in range(PATIENCE):
         states, outcome = orbits(walker, x, LONGEST_PERIOD, integrator)
         walks = outcome == Outcome.STRIDE
         starts, back = starts[walks], states[walks, ::-1]  # (walkers, strides back, coordinates)
-        misses = np.abs(back[:, 1:] - back[:, :1]).max(axis=2)
+        misses = np.abs(difference(back[:, 1:], back[:, :1], turns)).max(axis=2)
         repeated = (misses < exact).any(axis=1)
         for start, path, miss in zip(
             starts[repeated], back[repeated], misses[repeated], strict=True
@@ -204,15 +206,15 @@ def add_repeated(
             # A slow approach that alternates returns close after two strides before it does after
             # one.
             count = first_period(miss, capture_radius(x.dtype))
-            cycle = new_cycle(path[:count][::-1], found)
+            cycle = new_cycle(path[:count][::-1], found, turns)
             # A walker started on an unstable cycle repeats itself too; one that arrived there was
             # attracted.
             if cycle and (
-                began_elsewhere(cycle, start) or attracts(walker, cycle.states, integrator)
+                began_elsewhere(cycle, start, turns) or attracts(walker, cycle.states, integrator)
             ):
                 found.append(cycle)
         x = back[:, 0]
-        left = ~repeated & (match_attractor(x, found) < 0)
+        left = ~repeated & (match_attractor(x, found, turns=turns) < 0)
         x, starts, misses = x[left], starts[left], misses[left]
         period, nearest = misses.argmin(axis=1) + 1, misses.min(axis=1)
         if len(x) == 0:
@@ -269,7 +271,7 @@ def match_approaching(
     integrator: Integrator,
 ) -> Int[np.ndarray, " n"]:
     """Return the numbers of the cycles that walkers come ever nearer to; -1 for none."""
-    number = match_attractor(x, attractors, CLOSE)
+    number = match_attractor(x, attractors, CLOSE, turns_of(walker))
     for i in np.unique(number[number >= 0]).tolist():
         near = np.flatnonzero(number == i)
         nearer = approaches(walker, x[near], attractors[i].states, integrator)
@@ -315,16 +317,18 @@ def largest_distances(
     for start in range(0, len(x), size):
         part = slice(start, start + size)
         states, _ = orbits(walker, x[part], BLOCKS * LONGEST_PERIOD, integrator)
-        distance = distance_from(cycle, states[:, 1:])
+        distance = distance_from(cycle, states[:, 1:], turns_of(walker))
         largest[part] = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=2)
     return largest
 
 
 def distance_from(
-    cycle: Float[np.ndarray, "period section"], x: Float[np.ndarray, "*n section"]
+    cycle: Float[np.ndarray, "period section"],
+    x: Float[np.ndarray, "*n section"],
+    turns: Turns = None,
 ) -> Float[np.ndarray, "*n"]:
     """Return the largest difference in a coordinate from the nearest state of a cycle."""
-    return np.abs(x[..., None, :] - cycle).max(axis=-1).min(axis=-1)
+    return np.abs(difference(x[..., None, :], cycle, turns)).max(axis=-1).min(axis=-1)
 
 
 def stable_cycle(
@@ -338,9 +342,10 @@ def stable_cycle(
     states = np.asarray(gait.states)
     exact = gait.residual < 1e3 * np.finfo(start.dtype).eps
     stable = exact and np.abs(gait.multipliers[0]) < 1  # both False for NaN
-    if not stable or not np.abs(states[0] - start).max() < CLOSE:
+    turns = turns_of(walker)
+    if not stable or not np.abs(difference(states[0], start, turns)).max() < CLOSE:
         return None
-    misses = np.abs(np.roll(states, -1, axis=0) - states[0]).max(axis=1)
+    misses = np.abs(difference(np.roll(states, -1, axis=0), states[0], turns)).max(axis=1)
     return states[: first_period(misses, capture_radius(start.dtype))]
 
 
@@ -350,13 +355,18 @@ def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
 
 
 def new_cycle(
-    states: Float[np.ndarray, "period section"], known: Sequence[Attractor]
+    states: Float[np.ndarray, "period section"],
+    known: Sequence[Attractor],
+    turns: Turns = None,
 ) -> Attractor | None:
     """Make a cycle, from its state of the smallest angle on; None if it is known."""
     states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
-    return None if match_attractor(states[:1], known)[0] >= 0 else Attractor(len(states), states)
+    is_known = match_attractor(states[:1], known, turns=turns)[0] >= 0
+    return None if is_known else Attractor(len(states), states)
 
 
-def began_elsewhere(cycle: Attractor, start: Float[np.ndarray, " section"]) -> bool:
+def began_elsewhere(
+    cycle: Attractor, start: Float[np.ndarray, " section"], turns: Turns = None
+) -> bool:
     """Return whether a walk that ended on a cycle began elsewhere."""
-    return bool(distance_from(cycle.states, start[None])[0] > capture_radius(start.dtype))
+    return bool(distance_from(cycle.states, start[None], turns)[0] > capture_radius(start.dtype))

@@ -11,6 +11,7 @@ from walker_jax.basins.attractor import SCOUTS, Attractor, add_cycles, sample_in
 from walker_jax.basins.mapper import Mapper
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate
 
@@ -103,7 +104,8 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
         return attractors[number]
     x = (cycle[:, None] + u @ cubes[best]).reshape(-1, size)
     x = iterate(mapper.walker, x, SETTLING_PERIODS * period, mapper.integrator).state
-    axes = np.linalg.svd(x.reshape(u.shape) - cycle[:, None], full_matrices=False)[2]
+    apart = difference(x.reshape(u.shape), cycle[:, None], turns_of(mapper.walker))
+    axes = np.linalg.svd(apart, full_matrices=False)[2]
     cubes = HALF_EDGES[:, None, None, None] * axes
     box = cubes[max(largest(cubes, best + 1), 0)]
     for i in range(size):

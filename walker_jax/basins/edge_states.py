@@ -29,9 +29,10 @@ from walker_jax.checks import (
     refuses_tracers,
     short,
 )
-from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator, integrator_of
+from walker_jax.systems.angles import turn_to, turns_of
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walking.failure_margins import Margins, follow_margins
@@ -131,14 +132,18 @@ def edge_state(
     if first == second:
         fate = explain_fate(first, walker.failures)
         raise WrongUse(f"a and b must have different fates, not both {fate}")
-    image = lambda x: np.asarray(take_strides(walker, x, tolerance=tolerance).state)
+    turns = turns_of(walker)
+
+    def image(x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
+        found = np.asarray(take_strides(walker, x, tolerance=tolerance).state)
+        return turn_to(found, found[:1], turns)
 
     saddle: Gait | None = None
 
     def is_saddle(states: Float[np.ndarray, "period section"]) -> bool:
         nonlocal saddle
         gait = search_gait(walker, states, len(states), tolerance=tolerance)
-        near = np.abs(np.asarray(gait.states[0]) - states[0]).max() < NEAR
+        near = cycle_distance(np.asarray(gait.states[:1]), states[:1], turns) < NEAR
         saddle = gait if gait.found and near and not gait.stable else None
         return saddle is not None
 

@@ -17,6 +17,7 @@ from walker_jax.basins.attractor import (
     targets_of,
 )
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate
@@ -105,7 +106,8 @@ class Mapper(NamedTuple):
         while len(left) and made < self.further:
             count = min(max(made, LONGEST_PERIOD), self.further - made)
             end = iterate(self.walker, x, count, self.integrator)
-            number[left] = match_attractor(end.state, self.attractors)  # -1 for NaN
+            turns = turns_of(self.walker)
+            number[left] = match_attractor(end.state, self.attractors, turns=turns)  # -1 for NaN
             on = (end.outcome == Outcome.STRIDE) & (number[left] < 0)
             left, x, made = left[on], end.state[on], made + count
         number[left] = self.match_approaching(x)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from walker_jax.gaits.cycles import cycle_distance
+from walker_jax.systems.angles import Turns
 
 NONE = -1
 """Number of a cycle without a match."""
@@ -19,11 +20,12 @@ def match_cycles(
     cycles: Sequence[Float[np.ndarray, "_ section"]],
     known: Sequence[Float[np.ndarray, "_ section"]],
     within: float,
+    turns: Turns = None,
 ) -> list[int]:
     """Find the index of the nearest known cycle of each cycle, each taken once; -1 for none."""
     matches = [NONE] * len(cycles)
     pairs = [
-        (cycle_distance(cycle, one), i, k)
+        (cycle_distance(cycle, one, turns), i, k)
         for i, cycle in enumerate(cycles)
         for k, one in enumerate(known)
     ]
@@ -36,6 +38,7 @@ def match_cycles(
 def number_alike(
     periods: Int[np.ndarray, "*walkers number"],
     states: Float[np.ndarray, "*walkers number phase section"],
+    turns: Turns = None,
 ) -> Int[np.ndarray, "*walkers number"]:
     """Give the attractors of a grid of walkers common numbers; -1 where there are fewer.
 
@@ -53,7 +56,7 @@ def number_alike(
         own = np.flatnonzero(periods[place] >= 0)
         # A motion without a period has no states of a cycle: all such motions are one empty cycle.
         cycles = [states[place][i, : periods[place][i]] for i in own]
-        matches = match_cycles(cycles, known, NEIGHBOURS_APART)
+        matches = match_cycles(cycles, known, NEIGHBOURS_APART, turns)
         for i, cycle, match in zip(own, cycles, matches, strict=True):
             if match == NONE:
                 match = len(last)

@@ -21,6 +21,7 @@ from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.gaits.cycles import linearise
 from walker_jax.grids import Grid, steps_around
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import strides as take_strides
@@ -80,7 +81,8 @@ def follow_window(
             widest, width = here, wide
         local = linearise(walker, centre[None, None], integrator)
         next_centre, next_shear = local.state[0, 0], local.jacobian[0, 0] @ shear
-        bent = np.abs(ends.state - next_centre - samples @ next_shear.T).max()
+        moved = difference(ends.state, next_centre, turns_of(walker))
+        bent = np.abs(moved - samples @ next_shear.T).max()
         if not passed.all() or not bent < ROUNDING + CURVED * widths(next_shear, half).max():
             return here
         centre, shear = next_centre, next_shear

@@ -26,6 +26,7 @@ from walker_jax.checks import (
 )
 from walker_jax.gaits.cycles import Gait, check_cycle, linearise, multiply_jacobians
 from walker_jax.integrators.integrator import Integrator, integrator_of
+from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.system import System
 
 FIRST = 1e-5
@@ -88,7 +89,7 @@ def stable_manifold(
         )
     integrator = integrator_of(states.dtype, tolerance)
     local = linearise(walker, states[None], integrator)
-    check_cycle(states, local.state[0], capture_radius(states.dtype))
+    check_cycle(walker, states, local.state[0], capture_radius(states.dtype))
     jacobian = multiply_jacobians(local.jacobian)[0]
     values, vectors = np.linalg.eig(jacobian)
     at = int(np.abs(values).argmin())
@@ -97,7 +98,8 @@ def stable_manifold(
     strides = len(states) * (1 if np.real(values[at]) > 0 else 2)
     image = Image(walker, strides, integrator)
     return [
-        follow_manifold(image, states[0], side * direction, spacing, points) for side in (1, -1)
+        follow_manifold(image, states[0], side * direction, spacing, points, turns_of(walker))
+        for side in (1, -1)
     ]
 
 
@@ -155,16 +157,17 @@ def follow_manifold(
     direction: Float[np.ndarray, " 2"],
     spacing: float,
     points: int,
+    turns: Turns = None,
 ) -> Float[np.ndarray, "n 2"]:
     """Follow one half of the stable manifold of a fixed point of a map, from the saddle on."""
     curve = Curve(saddle, direction)
     x, along, step = saddle + FIRST * direction, direction, FIRST
     curve.add(x, along)
     end, jacobian = image(x)
-    t = float(np.dot(end - saddle, direction))
+    t = float(np.dot(difference(end, saddle, turns), direction))
     while len(curve.points) < points and step > SHORTEST:
         tangent, rate = tangent_of(jacobian, curve.at(t)[1], along)
-        found = correct(image, curve, x + step * tangent, t + step * rate, tangent)
+        found = correct(image, curve, x + step * tangent, t + step * rate, tangent, turns)
         if found is not None:
             new_x, new_t, new_jacobian = found
             gap = float(np.linalg.norm(new_x - x))
@@ -196,6 +199,7 @@ def correct(
     x: Float[np.ndarray, " 2"],
     t: float,
     tangent: Float[np.ndarray, " 2"],
+    turns: Turns = None,
 ) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "2 2"]] | None:
     """Find the point across the tangent at x that is mapped to the curve, and where; or None."""
     start = x
@@ -206,7 +210,7 @@ def correct(
         if not np.isfinite(jacobian).all():
             return None
         at, slope = curve.at(t)
-        miss = end - at
+        miss = difference(end, at, turns)
         if np.abs(miss).max() < EXACT:
             return x, t, jacobian
         matrix = np.zeros((3, 3))

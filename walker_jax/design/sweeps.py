@@ -32,6 +32,7 @@ from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.gait_robustness import robustness
 from walker_jax.stability.robustness_fields import without_gait
 from walker_jax.stability.slices import default_region
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System, has_gait_region
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
@@ -198,7 +199,8 @@ def compute_missing(
         for i, row in missing_pieces(place, each, compute, values_of, label, progress):
             place.write(i, unknown | row, done=True)
         period, states = (np.asarray(place.array(name)[...]) for name in ATTRACTOR_ARRAYS)
-        numbered = {"attractor_number": ((*plan.names, "own"), number_alike(period, states))}
+        alike = number_alike(period, states, turns_of(plan.walker))
+        numbered = {"attractor_number": ((*plan.names, "own"), alike)}
         place.finish(about.assign(numbered))
     return storage.open_dataset(out)
 
@@ -269,7 +271,9 @@ def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
     )
     gait = gait_of_basins(walker, fine, tolerance)
     if not plan.robust and has_gait_region(walker):  # `robustness` gives a note of its own
-        row["note"] = compare_with_search(gait, search_gait(walker, tolerance=tolerance))
+        row["note"] = compare_with_search(
+            gait, search_gait(walker, tolerance=tolerance), turns_of(walker)
+        )
     if gait is not None:
         row |= {"gait_period": len(gait.states), "gait_state": np.asarray(gait.states[0])}
         row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}

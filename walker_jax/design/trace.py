@@ -20,6 +20,7 @@ from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System, has_gait_region
 
 KEPT_AREAS = 4
@@ -99,7 +100,7 @@ class Trace:
         if not of_gaits or not has_gait_region(walker) or not self.gait(values).found:
             return ""
         searched = search_gait(walker, tolerance=problem.tolerance)
-        return compare_with_search(self.gait(values), searched)
+        return compare_with_search(self.gait(values), searched, turns_of(walker))
 
     def measure(
         self,

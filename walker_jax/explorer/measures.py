@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from walker_jax.basins.attracting_gaits import is_same_cycle
 from walker_jax.basins.computation import basin
 from walker_jax.basins.refinement import refine
 from walker_jax.explorer.lattice import Rectangle, home_of
@@ -27,6 +28,7 @@ from walker_jax.gaits.diagrams import complete_diagram
 from walker_jax.gaits.search import find_gaits, search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.disturbances import least_disturbance
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import has_gait_region
 
 PERIODS = (1, 2)
@@ -53,7 +55,7 @@ def gaits(subject: Subject) -> list[dict]:
         gait for period in PERIODS for gait in find_gaits(walker, period, region, progress=False)
     ]
     main = main_gait(subject)
-    if main is not None and not any(np.allclose(one.states, main.states) for one in found):
+    if main is not None and not any(is_same_cycle(one, main, turns_of(walker)) for one in found):
         found.append(main)
     if not any(gait.stable for gait in found):
         cycles = [one.states for one in find_attractors(subject).mapper.attractors if one.period]

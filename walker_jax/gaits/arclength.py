@@ -16,6 +16,7 @@ from walker_jax.gaits.cycles import (
     solve_linear_systems,
 )
 from walker_jax.gaits.requests import Request, Task
+from walker_jax.systems.angles import Turns, difference
 
 CORRECTOR_STEPS = 12
 """Newton steps to a point or to a bifurcation. From a good prediction the corrector converges
@@ -82,7 +83,9 @@ def displace(
     return point.value + float(step[-1]) * width, point.cycle + change
 
 
-def scaled_step(one: Point, other: Point, width: float) -> Float[np.ndarray, " size"]:
+def scaled_step(
+    one: Point, other: Point, width: float, turns: Turns = None
+) -> Float[np.ndarray, " size"]:
     """Return the scaled step from one point to another."""
-    change = (other.cycle - one.cycle).ravel() / np.sqrt(len(one.cycle))
+    change = difference(other.cycle, one.cycle, turns).ravel() / np.sqrt(len(one.cycle))
     return np.append(change, (other.value - one.value) / width)

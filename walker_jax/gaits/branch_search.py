@@ -19,6 +19,7 @@ from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE
 from walker_jax.gaits.search import cycle_guesses, remove_duplicates
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import select_walkers
@@ -156,7 +157,8 @@ def find_starts(
     at = getattr(walkers, parameter)
     starts = []
     for value in values:
-        gaits = remove_duplicates(Gait(*(field[at == value] for field in found)))
+        gaits = Gait(*(field[at == value] for field in found))
+        gaits = remove_duplicates(gaits, turns_of(walker))
         starts += [Start(float(value), states) for states in gaits.states]
     return starts
 
@@ -180,5 +182,6 @@ def select_new_starts(
     new = np.ones(len(starts), bool)
     for (i, *_), cycle in zip(guesses, cycles, strict=True):
         if cycle is not None:
-            new[i] &= cycle_distance(cycle, np.asarray(starts[i].states)) > RECURRENCE_DISTANCE
+            apart = cycle_distance(cycle, np.asarray(starts[i].states), turns_of(walker))
+            new[i] &= apart > RECURRENCE_DISTANCE
     return [start for start, keep in zip(starts, new, strict=True) if keep]

@@ -41,6 +41,7 @@ from walker_jax.gaits.requests import Request, compute_responses, run_batched
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator, default_tolerance
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
@@ -156,7 +157,7 @@ def continue_gaits(
         if not low <= start.value <= high:
             raise WrongUse(f"interval ({low}, {high}) must hold the {parameter} {start.value}")
     tasks = [
-        follow_branch(start, sign, (low, high))
+        follow_branch(start, sign, (low, high), turns_of(walker))
         for start in starts
         for sign in ((-1.0, 1.0) if start.direction is None else (1.0,))
     ]

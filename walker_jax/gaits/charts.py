@@ -29,6 +29,7 @@ from walker_jax.gaits.long_runs import START_OFFSET, settle
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import Outcome, names_in
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_source
@@ -132,7 +133,7 @@ def chart(
             of="gait",
         )
     there = np.asarray(stride(system, states[0], tolerance=tolerance).state)
-    if not np.abs(there - states[0]).max() < SAME_GAIT:
+    if not np.abs(difference(there, states[0], turns_of(system))).max() < SAME_GAIT:
         raise WrongUse("gait must be one of this system: find_gait gives one", of="gait")
     with bar("gaits", progress):
         branches, events = follow_lines(system, names, own, ranges, gait, period_max, tolerance)
@@ -183,7 +184,8 @@ def follow_curves(
 ) -> list[EventCurve]:
     """Follow the curves through bifurcations, each curve once."""
     curves: list[EventCurve] = []
-    is_new = lambda one: not any(lies_on(curve, one, ranges) for curve in curves)
+    turns = turns_of(system)
+    is_new = lambda one: not any(lies_on(curve, one, ranges, turns) for curve in curves)
     while events := [one for one in events if is_new(one)]:
         first = {(one.event.kind, len(one.event.states)): one for one in reversed(events)}
         chosen = [*first.values()]
@@ -193,18 +195,20 @@ def follow_curves(
     return sorted(curves, key=lambda curve: curve.period)
 
 
-def lies_on(curve: EventCurve, found: Found, ranges: Ranges) -> bool:
+def lies_on(curve: EventCurve, found: Found, ranges: Ranges, turns: Turns = None) -> bool:
     """Return whether a bifurcation is on a curve, whichever state of its cycle comes first."""
     kind, states = found.event.kind, np.asarray(found.event.states)
     if kind != curve.kind or len(states) != curve.period:
         return False
     flat = curve.states.reshape(len(curve.states), -1) / np.sqrt(curve.period)
     points = np.concatenate([curve.values / ranges.widths, flat], axis=1)
+    values = np.broadcast_to(found.values / ranges.widths, curve.values.shape)
     step = np.diff(points, axis=0)
     for shift in range(curve.period):
-        state = np.roll(states, shift, axis=0).ravel() / np.sqrt(curve.period)
-        target = np.append(found.values / ranges.widths, state)
-        offset = target - points[:-1]
+        state = turn_to(np.roll(states, shift, axis=0), curve.states, turns)
+        state = state.reshape(len(state), -1) / np.sqrt(curve.period)
+        target = np.concatenate([values, state], axis=1)
+        offset = (target - points)[:-1]
         share = np.sum(offset * step, axis=1) / np.maximum(np.sum(step**2, axis=1), 1e-300)
         nearest = offset - np.clip(share, 0, 1)[:, None] * step
         distances = np.linalg.norm(nearest, axis=1), np.linalg.norm(target - points, axis=1)
@@ -292,7 +296,8 @@ def spread_gaits(
         found = iterate_newton(
             select_walkers(systems, chosen), guesses[chosen][:, None], integrator, NEWTON_STEPS
         )
-        good = found.found & (np.abs(found.states[:, 0] - guesses[chosen]) < near).all(axis=1)
+        moved = np.abs(difference(found.states[:, 0], guesses[chosen], turns_of(systems)))
+        good = found.found & (moved < near).all(axis=1)
         gaits[chosen[good]], stable[chosen[good]] = found.states[good, 0], found.stable[good]
         gap = np.isnan(gaits[:, 0])
         straight = (tries % 2 == 0).reshape(*cells, 1)

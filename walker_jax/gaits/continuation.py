@@ -8,6 +8,7 @@ from jaxtyping import Float
 from walker_jax.gaits.arclength import Point, correct, displace, scaled_step, tangent
 from walker_jax.gaits.events import Bifurcation, crosses_half_period, find_bifurcations
 from walker_jax.gaits.requests import Task
+from walker_jax.systems.angles import Turns
 
 FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.005, 0.05, 1e-7
 """Lengths of the first, the longest and the shortest step along a branch, in widths of the range.
@@ -50,7 +51,9 @@ class Path(NamedTuple):
         return [one for one in self.events if one.kind == kind]
 
 
-def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Task:
+def follow_branch(
+    start: Start, sign: float, bounds: tuple[float, float], turns: Turns = None
+) -> Task:
     """Follow a branch from a start; the parameter at first grows (sign 1) or falls (-1)."""
     width = bounds[1] - bounds[0]
     path = Path([], [], "no gait")
@@ -100,7 +103,7 @@ def follow_branch(start: Start, sign: float, bounds: tuple[float, float]) -> Tas
         if at_end:
             end = "the end of the range"
             break
-        steps = (scaled_step(point, end, width) for end in (new, first))
+        steps = (scaled_step(point, end, width, turns) for end in (new, first))
         if len(path.points) > 4 and passes_start(*steps):
             end = BRANCH_CLOSES
             break

@@ -8,14 +8,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.implicit_roots import find_root
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import parameter_directions
@@ -77,12 +79,13 @@ def check_found(gait: Any) -> None:
 
 
 def check_cycle(
+    walker: System,
     states: Float[np.ndarray, "period section"],
     ends: Float[np.ndarray, "period section"],
     within: float,
 ) -> None:
     """Raise `WrongUse` if strides from a gait's states end elsewhere, as for another walker."""
-    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
+    miss = np.abs(difference(ends, np.roll(states, -1, axis=0), turns_of(walker))).max()
     if not miss < within:
         raise WrongUse(
             f"gait must be one of this walker, whose strides miss it by {miss:.2g}: find_gait "
@@ -91,7 +94,9 @@ def check_cycle(
 
 
 def cycle_distance(
-    one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "other section"]
+    one: Float[np.ndarray, "period section"],
+    other: Float[np.ndarray, "other section"],
+    turns: Turns = None,
 ) -> float:
     """Return the largest difference of a coordinate of two cycles; infinite for different periods.
 
@@ -100,7 +105,8 @@ def cycle_distance(
     if one.shape != other.shape:
         return np.inf
     turned = (np.roll(other, shift, axis=0) for shift in range(len(other)))
-    return min((float(np.abs(one - cycle).max()) for cycle in turned), default=0.0)
+    apart = (np.abs(difference(one, cycle, turns)) for cycle in turned)
+    return min((float(each.max()) for each in apart), default=0.0)
 
 
 @jax.jit
@@ -108,17 +114,9 @@ def solve_cycle(
     walker: System, states: Float[Array, "period section"], integrator: Integrator
 ) -> Gait:
     """Find a gait by Newton's iteration on all states of a cycle."""
-    dtype = states.dtype
-    accuracy = 500 * float(jnp.finfo(dtype).eps)
-    solution = optimistix.root_find(
-        cycle_mismatch,
-        optimistix.Newton(rtol=accuracy, atol=accuracy),
-        states,
-        args=(walker, integrator),
-        max_steps=MAX_SEARCH_STEPS,
-        throw=False,
-    )
-    states = solution.value
+    dtype, turns = states.dtype, turns_of(walker)
+    mismatch = lambda states: cycle_mismatch(states, (walker, integrator))
+    states = find_root(mismatch, states, MAX_SEARCH_STEPS)
     apply = lambda states: apply_strides(walker, states, integrator)
     (ends, times), derivative = jax.linearize(apply, states)
     basis = jnp.eye(states.shape[1], dtype=dtype)
@@ -128,15 +126,15 @@ def solve_cycle(
         jacobian = factor @ jacobian
     multipliers = eigenvalues(jacobian)
     multipliers = multipliers[jnp.lexsort((-multipliers.imag, -jnp.abs(multipliers)))]
-    residual = jnp.abs(ends - jnp.roll(states, -1, axis=0)).max()
-    found = (residual < MAX_RESIDUAL[dtype]) & ~has_shorter_period(states)
+    residual = largest(jnp.abs(difference(ends, jnp.roll(states, -1, axis=0), turns)))
+    found = (residual < MAX_RESIDUAL[dtype]) & ~has_shorter_period(states, turns)
     unit = jnp.eye(states.size, dtype=dtype).reshape(-1, *states.shape)
     rows = jax.vmap(lambda change: derivative(change)[0] - jnp.roll(change, -1, axis=0))(unit)
     found &= (
         estimate_error(residual, rows.reshape(states.size, -1)) < SAME_STATE_DISTANCE[dtype] / 10
     )
     return Gait(
-        states=nan_unless(found, states),
+        states=nan_unless(found, turn_to(states, jnp.roll(ends, 1, axis=0), turns)),
         multipliers=nan_unless(found, multipliers),
         step_times=nan_unless(found, times),
         stable=found & (jnp.abs(multipliers[0]) < 1),
@@ -156,7 +154,7 @@ def iterate_newton(
     The walker's parameters may be arrays of n. A search ends once its residual is rounding, or a
     state makes no stride.
     """
-    n, period, size = cycles.shape
+    (n, period, size), turns = cycles.shape, turns_of(walker)
     cycles = cycles.copy()
     best = Gait(
         states=cycles.copy(),
@@ -171,12 +169,13 @@ def iterate_newton(
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
     for _ in range(steps):
         local = linearise(select_walkers(walker, active), cycles[active], integrator)
-        mismatch = local.state - np.roll(cycles[active], -1, axis=1)
+        mismatch = difference(local.state, np.roll(cycles[active], -1, axis=1), turns)
         residual = np.abs(mismatch).max(axis=(1, 2))
         # near rounding errors a step no longer reduces the residual
         better = ~(residual >= best.residual[active]) & np.isfinite(residual)
         improved = active[better]
-        best.states[improved] = cycles[improved]
+        ends = np.roll(local.state[better], 1, axis=1)
+        best.states[improved] = turn_to(cycles[improved], ends, turns)
         best.residual[improved] = residual[better]
         best.step_times[improved] = local.time[better]
         jacobians[improved] = local.jacobian[better]
@@ -191,7 +190,7 @@ def iterate_newton(
         cycles[active] += step.reshape(len(active), period, size)
     known = np.flatnonzero(np.isfinite(best.residual))
     best.multipliers[known] = find_multipliers(multiply_jacobians(jacobians[known]))
-    near = (best.residual < MAX_RESIDUAL[cycles.dtype]) & ~has_shorter_period(best.states)
+    near = (best.residual < MAX_RESIDUAL[cycles.dtype]) & ~has_shorter_period(best.states, turns)
     with np.errstate(divide="ignore"):
         error = estimate_error(best.residual[near], cycle_matrices(jacobians[near]))
     best.found[near] = error < SAME_STATE_DISTANCE[cycles.dtype] / 10
@@ -311,7 +310,7 @@ def cycle_mismatch(
     """Return S(x_i) - x_{i+1} for the states of a cycle; zero for a gait."""
     walker, integrator = args
     ends, _ = apply_strides(walker, states, integrator)
-    return ends - jnp.roll(states, -1, axis=0)
+    return difference(ends, jnp.roll(states, -1, axis=0), turns_of(walker))
 
 
 def apply_strides(
@@ -332,14 +331,15 @@ def estimate_error(residual, matrix):
     return (residual + 4 * float(jnp.finfo(residual.dtype).eps)) / smallest
 
 
-def has_shorter_period(states) -> Bool[Array | np.ndarray, "..."]:
+def has_shorter_period(states, turns: Turns = None) -> Bool[Array | np.ndarray, "..."]:
     """Return whether cycles, shape (..., period, section), repeat within their period."""
     period, numpy = states.shape[-2], jnp if isinstance(states, jax.Array) else np
     shorter = numpy.zeros(states.shape[:-2], bool)
     for shift in range(1, period):
         if period % shift == 0:
-            change = numpy.abs(states - numpy.roll(states, shift, axis=-2)).max(axis=(-2, -1))
-            shorter = shorter | (change < SAME_STATE_DISTANCE[jnp.dtype(states.dtype)])
+            change = difference(states, numpy.roll(states, shift, axis=-2), turns)
+            same = numpy.abs(change) < SAME_STATE_DISTANCE[jnp.dtype(states.dtype)]
+            shorter = shorter | same.all(axis=(-2, -1))
     return shorter
 
 

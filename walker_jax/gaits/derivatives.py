@@ -83,7 +83,7 @@ def gait_derivatives(
     cycle = np.asarray(gait.states)[None]
     walker, _, integrator = prepare(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, integrator, parameter)
-    check_cycle(cycle[0], local.state[0], MAX_RESIDUAL[cycle.dtype])
+    check_cycle(walker, cycle[0], local.state[0], MAX_RESIDUAL[cycle.dtype])
     dx = solve_linear_systems(
         cycle_matrices(local.jacobian), -local.by_parameter.reshape(1, -1)
     ).reshape(cycle.shape)

@@ -32,6 +32,7 @@ from walker_jax.gaits.cycles import find_multipliers, linearise, multiply_jacobi
 from walker_jax.gaits.long_runs import RECORDED_STATES, SETTLED_DISTANCE, START_OFFSET
 from walker_jax.integrators.integrator import Integrator, default_tolerance
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import as_arrays, orbits, select_walkers
@@ -165,7 +166,8 @@ def find_cycle_exponents(
     the others, as its own multiplier is lost first.
     """
     visited, _ = orbits(system, x, RECORDED_STATES, integrator)
-    returns = np.abs(visited[:, 1:] - visited[:, :1]).max(axis=2) < SETTLED_DISTANCE
+    apart = np.abs(difference(visited[:, 1:], visited[:, :1], turns_of(system)))
+    returns = apart.max(axis=2) < SETTLED_DISTANCE
     periods = np.where(returns.any(axis=1), returns.argmax(axis=1) + 1, 0)
     exponents, total, ends = np.full_like(x, np.nan), np.full(len(x), np.nan), x.copy()
     for period in np.unique(periods[periods > 0]):

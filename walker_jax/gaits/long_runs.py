@@ -14,6 +14,7 @@ from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
 from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles, solve_at
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
@@ -126,7 +127,8 @@ def settle(
     )
     orbit[left] = states[:, :RECORDED_STATES]
     count[left] += np.isfinite(states[:, 1:, 0]).sum(axis=1, dtype=count.dtype)
-    recurs = np.abs(orbit[:, :-1] - orbit[:, -1:]).max(axis=2)[:, ::-1] < RECURRENCE_DISTANCE
+    apart = np.abs(difference(orbit[:, :-1], orbit[:, -1:], turns_of(walkers)))
+    recurs = apart.max(axis=2)[:, ::-1] < RECURRENCE_DISTANCE
     period = np.where(recurs.any(axis=1), recurs.argmax(axis=1) + 1, 0)
     return Settled(fate, count, orbit, period)
 
@@ -158,7 +160,8 @@ def iterate_to_cycles(
         if made < limit:
             walkers, states = select_walkers(walker, active), end.state[active]
             states, _ = orbits(walkers, states, RECORDED_STATES, integrator)
-            returns = np.abs(states[:, 1:] - states[:, :1]).max(axis=2) < SETTLED_DISTANCE
+            apart = np.abs(difference(states[:, 1:], states[:, :1], turns_of(walker)))
+            returns = apart.max(axis=2) < SETTLED_DISTANCE
             settled = np.flatnonzero(returns.any(axis=1))
             phase = (limit - made) % (returns[settled].argmax(axis=1) + 1)
             end.state[active[settled]] = states[settled, phase]

@@ -14,6 +14,7 @@ from walker_jax.gaits.cycles import Linearisation, linearise
 from walker_jax.gaits.derivatives import SecondDerivatives, differentiate_twice
 from walker_jax.gaits.jets import Curves, differentiate_curves
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.angles import turn_to, turns_of
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import with_parameters
 
@@ -87,7 +88,8 @@ def follow_cycles(
     )
     states = np.concatenate([one.cycle for one in requests])[:, None]
     found = linearise(systems, states, integrator, parameters[0])
-    return [Linearisation(*(v[None] for v in part)) for part in cut(found, lengths)]
+    parts = [Linearisation(*(v[None] for v in part)) for part in cut(found, lengths)]
+    return [turn_ends(system, one.cycle, part) for one, part in zip(requests, parts, strict=True)]
 
 
 def expand(
@@ -102,10 +104,20 @@ def expand(
     )
     cells = systems, states[:, None], directions[:, None]
     parts = cut(differentiate_twice(*cells, integrator, parameters), lengths)
-    return [
+    shaped = [
         SecondDerivatives(*(v.reshape(len(one.directions), -1, *v.shape[1:]) for v in part))
         for one, part in zip(requests, parts, strict=True)
     ]
+    return [turn_ends(system, one.cycle, part) for one, part in zip(requests, shaped, strict=True)]
+
+
+def turn_ends(system: System, cycle: Float[np.ndarray, "period section"], found: Any) -> Any:
+    """Turn the ends of strides to the next states of a cycle, of which they may be full turns off.
+
+    So angles do not jump along a branch.
+    """
+    onward = np.roll(cycle, -1, axis=0)
+    return found._replace(state=turn_to(found.state, onward, turns_of(system)))
 
 
 def repeat(rows: Sequence[Any], counts: Sequence[int]) -> Float[np.ndarray, "n columns"]:

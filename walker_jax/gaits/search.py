@@ -45,6 +45,7 @@ from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, warn_if_rounded
 from walker_jax.walkers.model import moves_like
@@ -92,7 +93,7 @@ def find_gait(
     - `tolerance`, `solver`: tolerance and solver of the integration, as in `stride`.
 
     **Returns** a `Gait`, stable or not. Under a JAX transformation a failed search raises nothing:
-    `found` is then false, and states, multipliers and step times are NaN.
+    `found` is then false, and states, multipliers and step times are NaN, with all derivatives.
 
     Raises `ComputationFailed` with the reason if the search fails, or ends in a gait of a shorter
     period; `ValueError` for a period below 1, for a guess of a wrong shape or one that is not
@@ -261,8 +262,11 @@ def search_region(
         nearer = descend(walker, cycles[failed], descent, tolerance=tolerance)
         further = iterate_newton(walker, nearer, integrator)
         gaits = Gait(*map(np.concatenate, zip(gaits, further, strict=True)))
-    gaits = confirm_gaits(walker, remove_duplicates(gaits), integrator)
-    keep = gaits.found & grid.contains(np.asarray(gaits.states)).any(axis=1)
+    turns = turns_of(walker)
+    gaits = confirm_gaits(walker, remove_duplicates(gaits, turns), integrator)
+    around = (0.0,) if turns is None else (-turns, 0.0, turns)
+    inside = [grid.contains(np.asarray(gaits.states) + turn).any(axis=1) for turn in around]
+    keep = gaits.found & np.any(inside, axis=0)
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
 
 
@@ -321,7 +325,7 @@ def descend(
     with jax.numpy_dtype_promotion("standard"):  # as optax's own arithmetic needs
         state = optimiser.init(jnp.asarray(x))
     for _ in range(steps):
-        mismatch = local.state - np.roll(x, -1, axis=1)
+        mismatch = difference(local.state, np.roll(x, -1, axis=1), turns_of(walker))
         gradient = 2 * np.einsum("...ji,...j->...i", local.jacobian, mismatch)
         gradient -= 2 * np.roll(mismatch, 1, axis=1)
         with jax.numpy_dtype_promotion("standard"):
@@ -343,7 +347,8 @@ def confirm_gaits(walker: System, gaits: Gait, integrator: Integrator) -> Gait:
     last = states[:, 0]
     for i in range(period if period > 1 else 0):  # of one stride, the residual is that of the walk
         last = strides(walker, last, tolerance=integrator.tolerance, solver=integrator.solver).state
-        mismatch = np.abs(last - states[:, (i + 1) % period]).max(axis=1)
+        mismatch = difference(last, states[:, (i + 1) % period], turns_of(walker))
+        mismatch = np.abs(mismatch).max(axis=1)
         found = found & (mismatch < MAX_RESIDUAL[states.dtype])
     return gaits._replace(found=found, stable=gaits.stable & found)
 
@@ -360,7 +365,7 @@ def cycle_guesses(
     return walking, states[walking, :period]
 
 
-def remove_duplicates(gaits: Gait) -> Gait:
+def remove_duplicates(gaits: Gait, turns: Turns = None) -> Gait:
     """Return each gait found once, from its state with the smallest first coordinate."""
     found = gait_at(gaits, np.asarray(gaits.found))
     states, times = np.asarray(found.states), np.asarray(found.step_times)
@@ -373,9 +378,8 @@ def remove_duplicates(gaits: Gait) -> Gait:
     kept = []
     while len(order):
         kept.append(order[0])
-        far = (
-            np.abs(rotated[order] - rotated[order[0]]).max(axis=(1, 2))
-            > SAME_STATE_DISTANCE[states.dtype]
-        )
-        order = order[far]
+        first = rotated[order[0]]
+        turned = (np.roll(first, shift, axis=0) for shift in range(len(first)))
+        apart = [np.abs(difference(rotated[order], one, turns)).max(axis=(1, 2)) for one in turned]
+        order = order[np.min(apart, axis=0) > SAME_STATE_DISTANCE[states.dtype]]
     return Gait(*(field[kept] for field in found))

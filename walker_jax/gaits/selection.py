@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.gaits.search import find_gaits, search_gait
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System
 
 
@@ -55,7 +56,9 @@ def select_gaits(
     # The long gait of period one is not the most stable on every slope.
     if period == 1 or guess is not None:
         first = search_gait(walker, guess, period)
-        same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)
+        turns = turns_of(walker)
+        apart = lambda gait: cycle_distance(gait.states, np.asarray(first.states), turns)
+        same = lambda gait: apart(gait) < 1e-8
         found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
     if not found:
         search = None if every else first

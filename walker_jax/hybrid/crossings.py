@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import (
     Instant,
     Real,
@@ -58,7 +59,7 @@ def rounding_of(
     that is larger, times the largest variable or rate.
     """
     slopes = jax.tree.leaves(jax.grad(function)(state))
-    size = lambda tree: [jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree)]
+    size = lambda tree: [largest(jnp.abs(x)) for x in jax.tree.leaves(tree)]
     scale = functools.reduce(jnp.maximum, [*size(state), *size(rates)])
     part = jnp.maximum(tolerance, ROUNDING * float(jnp.finfo(scale.dtype).eps))
     found = functools.reduce(jnp.add, [jnp.sum(jnp.abs(x)) for x in slopes]) * scale * part

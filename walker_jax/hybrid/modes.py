@@ -8,6 +8,7 @@ they were violated on the way. Then the state is reset for the next mode.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -16,6 +17,8 @@ from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 
 Function = Callable[[Any], Scalar]
+SOON = 1024
+"""A time over the dtype's epsilon. A value changes by more than rounding errors in it."""
 
 
 def value_at(function: Callable[[Any], Array], state: Any) -> Any:
@@ -40,7 +43,8 @@ class Guard(NamedTuple):
     stays above zero to the end of any step; and it turns from falling to rising at most once in a
     step. The two ends of a step then tell whether it has risen within."""
     at_once: bool = False
-    """Whether a mode that begins where the value is not negative ends there."""
+    """Whether a mode that begins where the value is not negative ends there; one that follows
+    another mode does not if the value is zero, to rounding, and falls."""
     measure: Callable[[Scalar], Scalar] = jnp.negative
     """The margin of a value below zero; by default its size."""
 
@@ -119,3 +123,17 @@ class Mode(NamedTuple):
         return [
             [one.value, *one.admits, *(one.admits_at_rise if whole else ())] for one in self.guards
         ]
+
+
+def ends_at_once(mode: Mode, guard: Guard, state: Any, switched: bool) -> Bool[Array, ""]:
+    """Return whether a guard that acts at once ends a mode that begins in a state.
+
+    A motion that has `switched` to the mode may begin where the value is zero, but for rounding.
+    The guard does not end it there if the value falls.
+    """
+    value = guard.value(state)
+    if not switched:
+        return value >= 0
+    along = lambda y: jnp.stack(jax.jvp(guard.value, (y,), (mode.rates(y),)))
+    start, rate = value_at(along, state)
+    return (value >= 0) & ~(start + SOON * float(jnp.finfo(rate.dtype).eps) * rate < 0)

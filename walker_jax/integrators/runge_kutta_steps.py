@@ -16,6 +16,7 @@ import optimistix
 from jaxtyping import Array, Float, PyTree
 
 from walker_jax.integrators.expansion import without_derivatives
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import (
@@ -101,7 +102,7 @@ def defect_of(field: VectorField, series: PyTree[list], length: Scalar) -> PyTre
         found, expected = evaluate_series(rates, time), field(evaluate_series(series, time))
         return jax.tree.map(lambda a, b: jnp.abs(a - b) * length, found, expected)
 
-    return jax.tree.map(lambda *sizes: jnp.max(jnp.stack(sizes), axis=0), *map(at, DEFECT_AT))
+    return jax.tree.map(lambda *sizes: largest(jnp.stack(sizes), 0), *map(at, DEFECT_AT))
 
 
 def expansion_errors(
@@ -122,7 +123,7 @@ def expansion_errors(
         found = jnp.stack(evaluate(evaluate_series(series, time)))
         return jnp.abs(expected - found) / (1 + jnp.abs(found))
 
-    return [*jnp.max(jnp.stack([*map(at, EXPANSION_AT)]), axis=0)]
+    return [*largest(jnp.stack([*map(at, EXPANSION_AT)]), 0)]
 
 
 def twist_of(function: Callable[[PyTree], Scalar], series: PyTree[list], length: Scalar) -> Scalar:
@@ -133,8 +134,8 @@ def twist_of(function: Callable[[PyTree], Scalar], series: PyTree[list], length:
     evaluate = function_at(function, series)
     a, b, c, d, e = (evaluate(evaluate_series(series, k / 4 * length)) for k in range(5))
     values = jnp.stack([a, b, c, d, e])
-    rounding = 1e3 * float(jnp.finfo(length.dtype).eps) * jnp.max(jnp.abs(values))
-    size = UNRESOLVED * (jnp.max(values) - jnp.min(values) + rounding)
+    rounding = 1e3 * float(jnp.finfo(length.dtype).eps) * largest(jnp.abs(values))
+    size = UNRESOLVED * (largest(values) + largest(-values) + rounding)
     twist = jnp.maximum(jnp.abs(d - 3 * c + 3 * b - a), jnp.abs(e - 3 * d + 3 * c - b))
     return twist / jnp.where(size > 0, size, 1)
 

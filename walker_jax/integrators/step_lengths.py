@@ -26,6 +26,7 @@ from jaxtyping import Array, Bool, PyTree
 
 from walker_jax.integrators.expansion import LINEAR, trace
 from walker_jax.integrators.power_balance import PowerBalance
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import (
@@ -186,7 +187,7 @@ def largest_coefficient(series: PyTree, k: int, counted: PyTree | None = None) -
         modulus = jnp.abs(leaf[k])
         if counted is not None:
             modulus = jnp.where(jax.tree.leaves(counted)[i], modulus, 0)
-        size = jnp.maximum(size, jnp.max(modulus))
+        size = jnp.maximum(size, largest(modulus))
     return lax.stop_gradient(size)
 
 

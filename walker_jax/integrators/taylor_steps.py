@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import PyTree
 
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import (
     Real,
     Scalar,
@@ -75,8 +76,8 @@ def taylor_step(
     expected = jax.tree.map(
         lambda c: evaluate_polynomial(derivative_of(c), end), constant, is_leaf=is_list
     )
-    defects = jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), rates, expected)
-    defect = jnp.max(jnp.stack(jax.tree.leaves(defects)))
+    defects = jax.tree.map(lambda a, b: largest(jnp.abs(a - b)), rates, expected)
+    defect = largest(jnp.stack(jax.tree.leaves(defects)))
     steady = defect <= jnp.sqrt(jnp.asarray(tolerance, length.dtype)) * scale_of(series)
     return series, jnp.where(steady, length, jnp.nan)
 

@@ -37,6 +37,7 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.slices import default_region
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.parameters import check_parameter, describe_source, with_parameter
@@ -208,7 +209,9 @@ class Family:
             branch, name = None, self.without_period
             if one.period is not None:
                 others = self.cycles_at(value)
-                (match,) = match_cycles([one.states], [cycle for _, cycle in others], SAME_CYCLE)
+                known = [cycle for _, cycle in others]
+                turns = turns_of(self.walker)
+                (match,) = match_cycles([one.states], known, SAME_CYCLE, turns)
                 name = NONE if match == NONE else others[match][0]
                 if name == NONE or name in (*taken, *names):
                     name, start = NONE, Start(float(value), one.states)

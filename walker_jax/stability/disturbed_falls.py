@@ -12,6 +12,7 @@ from walker_jax.basins.mapper import Mapper, targets_of
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import (
@@ -127,7 +128,7 @@ def walk_disturbed_on(
         disturbance = Disturbance(*[jnp.where(even, 0, one) for one in row])
         result = follow_disturbed(walker, walk.state, disturbance, integrator)
         x = walker.project(walker.state(*result.state))
-        near = even & (jnp.min(distances(x, targets)) < 1)
+        near = even & jnp.any(distances(x, targets, turns_of(walker)) < 1)
         made = walk.strides + (result.outcome == Outcome.STRIDE).astype(jnp.int32)
         return WalkEnd(result.state, result.outcome, made, jnp.where(near, 0, -1).astype(jnp.int32))
 

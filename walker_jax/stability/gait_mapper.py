@@ -40,7 +40,7 @@ def mapper_of_gait(
     if states.shape[1:] != (len(walker.section),):
         raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
     ends = np.asarray(take_strides(walker, states, tolerance=tolerance).state)
-    check_cycle(states, ends, capture_radius(states.dtype))
+    check_cycle(walker, states, ends, capture_radius(states.dtype))
     integrator = integrator_of(states.dtype, tolerance)
     return with_capture_boxes(Mapper(walker, [Attractor(len(states), states)], integrator, strides))
 

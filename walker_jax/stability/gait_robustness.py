@@ -40,6 +40,7 @@ from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
+from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import check_planar, is_planar
@@ -132,7 +133,7 @@ def robustness(
     gait = gait_of_basins(walker, data, tolerance)
     data = data.assign(without_gait(walker))
     # A store can hold an array of objects.
-    data["note"] = np.array(compare_with_search(gait, searched), object)
+    data["note"] = np.array(compare_with_search(gait, searched, turns_of(walker)), object)
     if gait is None:
         return data
     with bar("disturbances, steps down, and the boundary", progress):

@@ -42,6 +42,27 @@ def differentiate_margins(
     return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
 
 
+def margins_after(
+    walker: System, x: Float[np.ndarray, "n section"], made: Int[np.ndarray, " n"], tolerance: Real
+) -> Float[np.ndarray, " n"]:
+    """Return the margins of failing walks from x, which fail after the strides they have `made`.
+
+    They are about zero beside the boundary of that failure. They are not where the boundary is a
+    jump: a strike that is missed leads to another stride, and that to the failure. Margins are NaN
+    where a walk does not fail.
+    """
+    shared = jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), (walker, Integrator(tolerance)))
+    return map_cells(margin_after, (shared, (x, np.asarray(made))))
+
+
+def margin_after(shared: tuple, cell: tuple) -> Scalar:
+    """Return the margin of the failure that ends a walk after `count` strides."""
+    walker, integrator = shared
+    x, count = cell
+    end = walk_on(walker, x, None, count, integrator)
+    return failure_margin(follow_margins(walker, end.state, integrator))
+
+
 def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
     """Compute the derivative of the margin of the failure that ends a walk after `count` strides.
 
@@ -51,9 +72,6 @@ def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
     walker, integrator = shared
     x, count, tangents = cell
 
-    def margin(walker, x):
-        end = walk_on(walker, x, None, count, integrator)
-        return failure_margin(follow_margins(walker, end.state, integrator))
-
+    margin = lambda walker, x: margin_after((walker, integrator), (x, count))
     value, change = jax.jvp(margin, (walker, x), tangents)
     return jnp.where(jnp.isnan(value), jnp.nan, change)

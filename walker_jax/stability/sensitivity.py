@@ -25,6 +25,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.identity import AsItIs
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.reductions import largest
 from walker_jax.walkers.model import Scalar, State, Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.starts import prepare
@@ -142,7 +143,7 @@ def respond_to(
     rows = jnp.stack([jnp.outer(c, c).reshape(-1) for c in C], axis=1)
     X = jnp.linalg.solve(operator, rows).T.reshape(len(outputs), n, n)
     terms = D**2 + jnp.einsum("ab,iac,cb->ib", B, X, B)
-    size = jnp.abs(jnp.linalg.eigvals(jax.lax.stop_gradient(A))).max()
+    size = largest(jnp.abs(jnp.linalg.eigvals(jax.lax.stop_gradient(A))))
     square = jnp.where(size < 1, jnp.sum(terms), jnp.where(size >= 1, jnp.inf, jnp.nan))
     return GaitSensitivity(jnp.sqrt(square), A, B, C, D, terms)
 

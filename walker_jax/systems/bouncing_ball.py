@@ -39,7 +39,7 @@ class BouncingBall(HybridSystem):
     amplitude: Real = AMPLITUDE.field()
     restitution: Real = RESTITUTION.field()
 
-    section = ("angle", "velocity")
+    section, angles = ("angle", "velocity"), ("angle",)
 
     def table(self, phase):
         """Return the table's height and velocity."""

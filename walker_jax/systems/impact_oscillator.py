@@ -41,7 +41,7 @@ class ImpactOscillator(HybridSystem):
     restitution: Real = Parameter("restitution", "at an impact", "", 0.8, 0, 1).field()
     damping: Real = Parameter("damping", "of the rate", "", 0.0, 0, 1, closed=True).field()
 
-    section = ("angle", "v")
+    section, angles = ("angle", "v"), ("angle",)
 
     def lift(self, x):
         return Motion(self.stop + 0 * x[0], x[1], x[0], jnp.zeros_like(x[0]))

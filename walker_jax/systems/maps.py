@@ -32,6 +32,7 @@ class Map(System):
     - `feasible`: a function (x, **parameters) that tells whether a stride may begin at a point; by
       default at any finite one. If it returns a real number, points where it is positive are
       feasible, and it is the `margin` of a stride, which gives areas of basins their derivatives.
+    - `angles`: names of those coordinates that are angles, which `f` returns within one turn.
     - `region`: axes of a grid, `{"x": (low, high, count), ...}`, whose cells are the starts of
       searches for periodic points.
 
@@ -42,6 +43,7 @@ class Map(System):
     f: Callable = code_field()
     section: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride]
     parameters: dict[str, Scalar]  # pyright: ignore[reportGeneralTypeIssues]
+    angles: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride]
     within: Callable | None = code_field()
     region: tuple | None = code_field()
 
@@ -52,6 +54,7 @@ class Map(System):
         *,
         parameters: Mapping[str, Any] | None = None,
         feasible: Callable[..., Any] | None = None,
+        angles: tuple[str, ...] | list[str] = (),
         region: Mapping[str, Any] | None = None,
     ):
         if not callable(f):
@@ -69,6 +72,7 @@ class Map(System):
             name: Parameter(name, "", "", low=-np.inf).convert(of)
             for name, of in (parameters or {}).items()
         }
+        self.angles = tuple(angles) if isinstance(angles, list) else angles
         self.region = None if region is None else freeze(region_of(self.section, region))
 
     def __getattr__(self, name: str) -> Any:

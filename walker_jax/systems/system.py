@@ -15,7 +15,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from walker_jax.checks import FLOAT64_HINT, WrongUse, warn_once
+from walker_jax.checks import FLOAT64_HINT, WrongUse, short, warn_once
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.outcomes import OWN, Outcome, Stride, make_stride
@@ -51,6 +51,8 @@ class System(eqx.Module):
     """Names of the coordinates."""
     failures: ClassVar[tuple[str, ...]] = ()
     """Names of up to four failures of its own, such as "misses" or "hits_the_wall"."""
+    angles: ClassVar[tuple[str, ...]] = ()
+    """Names of those coordinates that are angles (rad): a full turn more is the same point."""
 
     def __check_init__(self):
         names, known = self.failures, Outcome.__members__
@@ -64,6 +66,12 @@ class System(eqx.Module):
             raise WrongUse(
                 f"failures of {self.label()} must be {len(OWN)} different words at most, "
                 f"not {names!r}"
+            )
+        angles = self.angles
+        if not isinstance(angles, tuple) or not all(one in self.section for one in angles):
+            raise WrongUse(
+                f"angles of {self.label()} must be a tuple of names out of "
+                f"{', '.join(self.section)}, not {short(angles)}"
             )
 
     def __repr__(self):

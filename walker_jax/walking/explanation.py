@@ -21,6 +21,7 @@ from walker_jax.hybrid.modes import Condition, Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
+from walker_jax.systems.angles import unnamed_angles
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
@@ -188,6 +189,8 @@ def check_point(system: System, x: Any) -> list[str]:
         return [f"project(lift(x)) is {format_point(np.asarray(back))}"]
     first = full_state(system, x)
     modes = modes_from(system, x)
+    if unnamed := unnamed_angles(system, x):
+        return [f"project takes full turns off {unnamed[0]}, which angles does not name"]
     rates = jax.tree.leaves(modes[0].rates(first))
     if not all(bool(jnp.all(jnp.isfinite(rate))) for rate in rates):
         return ["the vector field at the start is not finite"]
@@ -279,7 +282,7 @@ def record_mode(
     def over_at_once(name, at_end):
         return ModeRecord(0.0, 0, f"{name} at once", [], least, at_end, greatest, (energy, energy))
 
-    fallen = int(fall_of(mode, state))
+    fallen = int(fall_of(mode, state, number > 0))
     if fallen != Outcome.UNDECIDED:
         return over_at_once(name_of_outcome(fallen, failures), {}), state, False
     method = method_of(mode, state, integrator)

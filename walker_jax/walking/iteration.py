@@ -23,7 +23,9 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.systems.system import AnySystem, System, numbers_of
@@ -60,10 +62,10 @@ class Targets(NamedTuple):
     frames: Float[Any, "m section section"]
 
 
-def distances(x: Float[Array, " section"], targets: Targets) -> Float[Array, " m"]:
+def distances(x: Float[Array, "..."], targets: Targets, turns: Turns = None) -> Float[Array, " m"]:
     """Return the distance of a state from each target, which is within reach below 1."""
-    distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
-    return jnp.max(jnp.abs(distance), axis=1)
+    distance = jnp.sum(targets.frames * difference(x, targets.states, turns)[:, None], axis=2)
+    return largest(jnp.abs(distance), axis=1)
 
 
 class WalkEnd(NamedTuple):
@@ -256,9 +258,10 @@ def walk_on(
     integrator: Integrator,
 ) -> WalkEnd:
     """Walk on until a failure, until a target is reached, or for a number of strides."""
+    turns = turns_of(walker)
 
     def is_near(x):
-        return jnp.asarray(False) if targets is None else jnp.any(distances(x, targets) < 1)
+        return jnp.asarray(False) if targets is None else jnp.any(distances(x, targets, turns) < 1)
 
     def unfinished(carry):
         _, outcome, made, near = carry
@@ -274,7 +277,7 @@ def walk_on(
     x, outcome, made, near = lax.while_loop(unfinished, advance, (x, *begun, is_near(x)))
     target = jnp.asarray(-1, jnp.int32)
     if targets is not None:
-        target = jnp.where(near, jnp.argmin(distances(x, targets)).astype(jnp.int32), target)
+        target = jnp.where(near, jnp.argmin(distances(x, targets, turns)).astype(jnp.int32), target)
     return WalkEnd(x, outcome, made, target)
 
 
@@ -292,7 +295,7 @@ def iterate(
     The walker's parameters may be arrays of n. Walks continue in rounds, each of the unfinished
     walks. `progress` is the label of a progress bar.
     """
-    n, size = starts.shape
+    (n, size), turns = starts.shape, turns_of(walker)
     walker, many = as_arrays(walker, n, starts.dtype)
     integrator = integrator.in_dtype(starts.dtype)
     end = WalkEnd(
@@ -300,7 +303,7 @@ def iterate(
     )
     for_host = targets if targets and len(targets.states) > MAX_COMPILED_TARGETS else None
     if for_host:
-        end.target[:] = nearest_target(starts, for_host)
+        end.target[:] = nearest_target(starts, for_host, turns)
     compiled = pad_to_power_of_two(None if for_host else targets, size, starts.dtype)
     active, done = np.flatnonzero(end.target < 0), 0
     moves = isinstance(walker, HybridSystem)
@@ -319,7 +322,7 @@ def iterate(
             progress=progress and f"{progress}: from stride {done + 1} on, {len(active)} walkers",
         )
         if for_host:
-            part = part._replace(target=nearest_target(part.state, for_host))
+            part = part._replace(target=nearest_target(part.state, for_host, turns))
         end.state[here], end.outcome[here] = part.state, part.outcome
         end.target[here] = part.target
         end.strides[here] += part.strides
@@ -339,11 +342,13 @@ def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
     return Targets(*(np.asarray(values, dtype)[number] for values in targets))
 
 
-def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[np.ndarray, " n"]:
+def nearest_target(
+    x: Float[np.ndarray, "n section"], targets: Targets, turns: Turns = None
+) -> Int[np.ndarray, " n"]:
     """Return the number of the nearest target within reach of each state; -1 for none."""
     number, smallest = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, (state, frame) in enumerate(zip(*targets, strict=True)):
-        distance = np.abs((x - state) @ frame.T).max(axis=1)
+        distance = np.abs(difference(x, state, turns) @ frame.T).max(axis=1)
         number[distance < smallest], smallest = i, np.fmin(distance, smallest)
     return number
 

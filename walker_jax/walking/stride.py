@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
-from walker_jax.hybrid.modes import Mode
+from walker_jax.hybrid.modes import Mode, ends_at_once
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator, Method, zero_at
 from walker_jax.integrators.roots import Real
@@ -171,7 +171,7 @@ def follow_modes(
     """
     *phases, swing = modes
     last = follow_phases(phases, begun, integrator, measured)[-1]
-    return follow_swing(swing, last, integrator, measured)
+    return follow_swing(swing, last, integrator, measured, bool(phases))
 
 
 def follow_phases(
@@ -182,7 +182,7 @@ def follow_phases(
     for mode in phases:
         last = ends[-1]
         due = is_due(mode, method_of(mode, last.state, integrator), last.state)
-        now = begin_mode(mode, last, due)
+        now = begin_mode(mode, last, due, len(ends) > 1)
         over = (now.verdict == Outcome.UNDECIDED) & due
         now = now._replace(verdict=jnp.where(over, Outcome.STRIDE, now.verdict).astype(jnp.int8))
         now = follow_on(mode, now, integrator, measured)
@@ -197,17 +197,19 @@ def follow_phases(
 
 
 def follow_swing(
-    mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False
+    mode: Mode, last: Arrival, integrator: Integrator, measured=False, switched: bool = False
 ) -> Arrival:
     """Follow the last mode, from the end of the phases."""
-    return follow_on(mode, begin_mode(mode, last, jnp.asarray(False)), integrator, measured)
+    begun = begin_mode(mode, last, jnp.asarray(False), switched)
+    return follow_on(mode, begun, integrator, measured)
 
 
-def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
+def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""], switched: bool) -> Arrival:
     """Judge how a mode begins: the walker may have fallen, or, unless the mode is `over`, be in
     tension at the start of the stride."""
     going = last.verdict == Outcome.UNDECIDED
-    verdict = jnp.where(going, with_fast_sincos(partial(fall_of, mode))(last.state), last.verdict)
+    fallen = with_fast_sincos(partial(fall_of, mode, switched=switched))(last.state)
+    verdict = jnp.where(going, fallen, last.verdict)
     for one in mode.conditions:
         if one.outcome == Outcome.RUNNING:
             pulled = going & ~over & (last.time == 0) & one.is_negative(last.state)
@@ -215,12 +217,12 @@ def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
     return last._replace(verdict=verdict.astype(jnp.int8))
 
 
-def fall_of(mode: Mode, state: Any) -> Int[Array, ""]:
+def fall_of(mode: Mode, state: Any, switched: bool = False) -> Int[Array, ""]:
     """Return how a walker has fallen as a mode begins; `UNDECIDED` if it has not."""
     outcome = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
     for guard in reversed(mode.guards):
         if guard.at_once:
-            fallen = guard.value(state) >= 0
+            fallen = ends_at_once(mode, guard, state, switched)
             outcome = jnp.where(fallen, guard.leads_to, outcome).astype(jnp.int8)
     return outcome
 
