@@ -24,11 +24,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
+from jax.experimental import jet
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
 from walker_jax.kernels import ffi
+from walker_jax.kernels.jets import push_series
 from walker_jax.kernels.program import (
     MAX_PROGRAMS,
     Program,
@@ -292,6 +294,7 @@ def push_forward(primals, tangents, *, program: Program, mapped: tuple[int, ...]
 
 
 ad.primitive_jvps[kernel_p] = push_forward
+jet.jet_rules[kernel_p] = functools.partial(push_series, kernel_p)
 
 
 def replace_some(operands: Sequence, places: Sequence[int], values: Sequence) -> list:
