@@ -36,6 +36,7 @@ from walker_jax.kernels.program import (
     Program,
     apply_settings,
     is_real,
+    nan_allowed,
     tracing_for_kernel,
 )
 from walker_jax.kernels.sharding import is_divided, lower_divided
@@ -88,7 +89,8 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
     if is_long(program) and n < LONG_CELLS:
         return compute_directions_as_cells(*operands, program=program, mapped=mapped)
     if not (here and on_cpu) or program.compiled is None:
-        return jit_call(program, mapped)(*operands)
+        with nan_allowed():
+            return jit_call(program, mapped)(*operands)
     run, results = program.compiled.bind(operands, list(map(bool, mapped)), n)
     run(0, n)
     with apply_settings(program.settings):

@@ -24,6 +24,7 @@ from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_
 from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
+from walker_jax.kernels.program import nan_allowed
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.systems.system import AnySystem, System, numbers_of
@@ -62,7 +63,7 @@ class Targets(NamedTuple):
 
 def distances(x: Float[Array, " section"], targets: Targets) -> Float[Array, " m"]:
     """Return the distance of a state from each target, which is within reach below 1."""
-    distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
+    distance = jnp.sum(targets.frames * (x[None] - targets.states)[:, None], axis=2)
     return jnp.max(jnp.abs(distance), axis=1)
 
 
@@ -201,14 +202,16 @@ def walk(
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
     if ground is None:
-        return follow_walk(walker, x, n, integrator)
+        with nan_allowed():
+            return follow_walk(walker, x, n, integrator)
     walker = check_planar(walker)
     steps = as_floating(ground, "ground").astype(x.dtype)
     if steps.shape != (n,):
         raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
     if not isinstance(steps, Tracer) and not np.isfinite(np.asarray(steps)).all():
         raise WrongUse("ground must be finite heights")
-    return follow_rough_walk(walker, x, steps, integrator)
+    with nan_allowed():
+        return follow_rough_walk(walker, x, steps, integrator)
 
 
 @partial(jax.jit, static_argnums=2)
