@@ -57,19 +57,20 @@ class Sprung(wj.SimplestWalker):
         return free._replace(phidot=free.phidot - self.stiffness * state.phi)
 
 
-def test_no_tracer_is_left_behind_by_second_derivatives():
+def test_no_tracer_is_left_behind_by_a_stride_and_its_derivative():
     end = lambda stiffness: wj.stride(Sprung(0.009, stiffness), START).state[0]
-    slopes = [jax.grad(end)(0.2 + d) for d in (-1e-4, 1e-4)]
     with jax.checking_leaks():
-        second = jax.hessian(end)(0.2)
-    assert second == pytest.approx((slopes[1] - slopes[0]) / 2e-4, rel=1e-6)
+        slope = jax.jacfwd(end)(jnp.array(0.2))
+    low, high = (end(jnp.array(0.2 + d)) for d in (-1e-5, 1e-5))
+    assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-6)
 
 
 def test_jet_of_a_stride_is_the_series_along_a_curve():
     """Its terms are derivatives along the curve, by JAX's convention; an outcome has none."""
     along, bend = jnp.array([0.3, 0.1]), jnp.array([-0.2, 0.4])
     stride = lambda x: wj.stride(WALKER, x)
-    found, terms = jet(stride, (START,), ((along, bend),))
+    with jax.numpy_dtype_promotion("standard"):  # JAX multiplies the outcome's zeros by a number
+        found, terms = jet(stride, (START,), ((along, bend),))
     curve = lambda t: stride(START + t * along + t**2 / 2 * bend).state
     assert found.outcome == wj.Outcome.STRIDE and not np.any(terms.outcome)
     np.testing.assert_array_equal(found.state, curve(0.0))
