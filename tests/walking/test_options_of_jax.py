@@ -57,7 +57,7 @@ class Sprung(wj.SimplestWalker):
         return free._replace(phidot=free.phidot - self.stiffness * state.phi)
 
 
-def test_no_tracer_is_left_behind_by_a_stride_and_its_derivative():
+def test_no_tracer_is_left_behind_by_derivatives():
     end = lambda stiffness: wj.stride(Sprung(0.009, stiffness), START).state[0]
     with jax.checking_leaks():
         slope = jax.jacfwd(end)(jnp.array(0.2))
