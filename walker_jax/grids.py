@@ -347,7 +347,7 @@ def multiply(
     matrix: Float[np.ndarray | Array, "m n"], vector: Float[Array, " n"]
 ) -> Float[Array, " m"]:
     """Return matrix @ vector as a sum, which no accelerator computes in a shorter type."""
-    return jnp.sum(jnp.asarray(matrix) * vector, axis=1)
+    return jnp.sum(jnp.asarray(matrix) * vector[None], axis=1)
 
 
 def cell_slices(size: int) -> list[slice]:

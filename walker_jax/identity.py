@@ -322,8 +322,8 @@ class StoreDescriber(Describer):
         if self.add_file_of(function):
             return self.name(function)
         for name in names_used(function.__code__, "IMPORT_NAME"):
-            for path in located(Path.cwd(), name.split(".")):
-                self.add_file(path, Path.cwd())
+            for path in located(Path(), name.split(".")):
+                self.add_file(path.absolute(), Path.cwd())
         return super().describe_code(function)
 
     def describe_class(self, kind: type) -> Hashable:

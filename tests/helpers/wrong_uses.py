@@ -32,7 +32,6 @@ from walker_jax.integrators import integrator
 from walker_jax.stability import gait_robustness, stochastic_map
 from walker_jax.storage.schema import TYPES, attributes_of_kind, check_dataset, variables_of_kind
 from walker_jax.walkers import references
-from walker_jax.walkers.parameters import options
 from walker_jax.walking.disturbed import DisturbedWalk
 
 MODULES: tuple[ModuleType, ...] = (
@@ -256,7 +255,7 @@ def names() -> dict[str, Any]:
         **own,
         **modules,
         **{"wj": wj, "np": np, "jnp": jnp, "jax": jax, "xr": xr, "Path": Path, "diffrax": diffrax},
-        **{"sparse": scipy.sparse, "POINT": POINT, "TWICE": TWICE, "options": options},
+        **{"sparse": scipy.sparse, "POINT": POINT, "TWICE": TWICE},
         **{"zeros": zeros, "walks_to": walks_to, "without": without, "ask": ask},
         "class_in_a_function": class_in_a_function,
         "WALKER": wj.SimplestWalker(0.004),

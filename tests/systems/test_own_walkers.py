@@ -4,7 +4,9 @@ import json
 import sys
 from importlib.metadata import EntryPoint
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.walker_options import names_that_begin
 from walker_jax.walkers import references
-from walker_jax.walkers.parameters import describe_walker, parameters
+from walker_jax.walkers.parameters import describe_in_words, describe_walker, parameters
 from walker_jax.walkers.references import find_walker
 
 TORQUE = '''
@@ -216,3 +218,28 @@ def test_parameters_that_are_not_described_are_real_numbers():
     walker = TorqueWalker(0.01, *np.array([4.0, 1.0, -0.4]))
     values = {"slope": 0.01, "stiffness": 4.0, "damping": 1.0, "target": -0.4}
     assert describe_walker(walker) == {"name": "TorqueWalker", **values}
+
+
+def test_a_static_field_is_no_parameter_and_data_sets_name_it():
+    class Stiff(wj.SimplestWalker):
+        gain: jax.Array
+        terms: int = eqx.field(static=True, default=3)
+        kind: str = eqx.field(static=True, default="odd")
+
+        def vector_field(self, state):
+            free = super().vector_field(state)
+            odd = [state.phi ** (2 * k + 1) for k in range(self.terms)]
+            return free._replace(phidot=free.phidot - self.gain * sum(odd))
+
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 4), sum=(-0.02, 0.01, 4))
+    walker = Stiff(0.009, jnp.array(0.05), 1)
+    data = wj.basin(walker, grid, "direct")
+    named = {name: data.attrs[f"walker_{name}"] for name in ("slope", "gain", "terms", "kind")}
+    assert named == {"slope": 0.009, "gain": 0.05, "terms": 1, "kind": "odd"}
+    assert describe_in_words(walker) == "Stiff, slope 0.009, gain 0.05, terms 1, kind odd"
+    gait = wj.find_gait(walker)
+    assert gait.found and not np.allclose(
+        gait.states, wj.find_gait(Stiff(0.009, walker.gain)).states
+    )
+    with pytest.raises(wj.ComputationFailed, match="no gait"):
+        wj.find_gait(walker, [0.2, -0.9])

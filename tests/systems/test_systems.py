@@ -1,5 +1,8 @@
 """Maps and hybrid systems in place of walkers, against values that were computed independently."""
 
+from typing import Any
+
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -349,6 +352,43 @@ def test_states_may_be_trees_of_arrays():
     end = solve_ivp(plain, (0, 2 * np.pi), [0.1, 0.2], method="DOP853", rtol=1e-12, atol=1e-13)
     found = wj.stride(Pendulum(), jnp.array([0.1, 0.2]))
     np.testing.assert_allclose(found.state, end.y[:, -1], atol=1e-10)
+
+
+class Decay(wj.HybridSystem):
+    """Leaves of three shapes, each decaying as exp(-rate t), beside a clock that is a scalar."""
+
+    rate: Any = 1.0
+    section = ("a", "b")
+
+    def lift(self, x):
+        return {"clock": 0 * x[0], "pair": x, "table": x[:, None] * jnp.array([[1.0, 2.0, 3.0]])}
+
+    def project(self, state):
+        return state["pair"] + 0 * state["table"][:, 0]
+
+    def modes(self):
+        def field(y):
+            decays = {name: -self.rate * y[name] for name in ("pair", "table")}
+            return {"clock": 1 + 0 * y["clock"]} | decays
+
+        late = wj.Guard(lambda y: y["table"][1, 2] - 9.0, wj.Outcome.FORWARD)
+        small = wj.Condition(lambda y: 5.0 - jnp.sum(y["pair"]), wj.Outcome.RUNNING)
+        return (wj.Mode(field, (late, wj.Guard(lambda y: y["clock"] - 1.0)), (small,)),)
+
+
+def test_a_state_may_hold_scalars_and_arrays_of_any_shape():
+    start = jnp.array([1.0, 0.5])
+    end, slope = jax.jvp(lambda rate: wj.stride(Decay(rate), start), (1.0,), (1.0,))
+    np.testing.assert_allclose(end.state, start / np.e, rtol=1e-12)
+    np.testing.assert_allclose(slope.state, -start / np.e, rtol=1e-12)
+    other = wj.stride(Decay(), start, solver=diffrax.Dopri8())
+    np.testing.assert_allclose(other.state, start / np.e, rtol=1e-10)
+    found = wj.margins(Decay(), start)
+    assert found.forward == pytest.approx(9 - 1.5) and found.running == pytest.approx(5 - 1.5)
+    states = wj.trajectory(Decay(), start, jnp.array([0.0, 0.5]))
+    np.testing.assert_allclose(states["table"][1], np.exp(-0.5) * states["table"][0], rtol=1e-12)
+    assert "guard 1 (STRIDE) rose at 1\n" in str(wj.explain(Decay(), start))
+    assert wj.find_gait(Decay(), [0.1, 0.1]).states == pytest.approx(0, abs=1e-12)
 
 
 def test_guards_that_turn_faster_than_the_motion_are_not_missed():

@@ -97,8 +97,8 @@ class Output:
                 f"--out {self.out} is not the name of a data set: give one, such as a.zarr"
             )
         check_suffix(self.picture)
-        place = self.picture.absolute()
-        if self.out.absolute() in (place, *place.parents):
+        place = storage.absolute(self.picture)
+        if storage.absolute(self.out) in (place, *place.parents):
             raise WrongPlace(f"--figure {self.picture} must be another place than --out {self.out}")
 
     def find(self, request: dict) -> "xarray.Dataset | None":

@@ -34,6 +34,8 @@ def main() -> NoReturn:
     gc.set_threshold(FEW_COLLECTIONS)
     # Before NumPy is loaded. Matrices are small here: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Notebooks name theirs, which may not be installed here. Pictures are only written to files.
+    os.environ["MPLBACKEND"] = "Agg"
     signal.signal(signal.SIGTERM, terminate)
     # One line, without the place in the code.
     warnings.formatwarning = lambda message, *_, **__: f"walker-jax: {message}\n"

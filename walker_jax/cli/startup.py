@@ -9,6 +9,7 @@ import jax
 
 from walker_jax.kernels.object_cache import private_folder
 from walker_jax.kernels.private_files import FILE_MODE, is_own, is_private
+from walker_jax.refusals import ComputationFailed
 
 SUFFIXES = "-cache", "-atime"
 """Suffixes of JAX's files."""
@@ -18,6 +19,19 @@ def configure_jax() -> None:
     """Turn on float64, and keep what XLA compiles."""
     jax.config.update("jax_enable_x64", True)
     keep_compiled()
+    find_devices()
+
+
+def find_devices() -> list:
+    """Return JAX's devices; raise `ComputationFailed` if it has none, as without a card."""
+    try:
+        return jax.devices()
+    except (AssertionError, RuntimeError) as error:
+        named = os.environ.get("JAX_PLATFORMS", "")
+        reason = f" by JAX_PLATFORMS={named}" * bool(named)
+        raise ComputationFailed(
+            f"JAX finds no device{reason}: unset JAX_PLATFORMS, or set it to cpu"
+        ) from error
 
 
 def keep_compiled() -> None:

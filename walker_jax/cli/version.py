@@ -15,16 +15,16 @@ def print_version(requested: bool) -> bool:
     """Print the versions of the package, its dependencies and the machine, and exit."""
     if not requested:
         return False
-    import jax  # takes a second, and only this option and the commands need it
     import llvmlite
     import llvmlite.binding as llvm
 
+    from walker_jax.cli.startup import find_devices  # loads JAX, which takes a second
     from walker_jax.execution.tiles import cores
     from walker_jax.kernels import machine
     from walker_jax.kernels.gpu import in_words
     from walker_jax.kernels.object_cache import cache_folder
 
-    devices = jax.devices()
+    devices = find_devices()
     target, _ = machine.processor() if not machine.switched_off() else ("none", "")
     versions = [f"{name} {version(name)}" for name in PACKAGES]
     versions += [f"llvmlite {llvmlite.__version__} (LLVM {llvm.llvm_version_info[0]})"]

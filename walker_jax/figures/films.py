@@ -26,6 +26,7 @@ from walker_jax.figures.regions import paint, patch_of, regions_of_one_basin
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
+from walker_jax.storage import absolute
 from walker_jax.storage.schema import check_dataset
 
 FILMS = (".gif", ".mp4")
@@ -184,7 +185,7 @@ def film_writer(
 
     In a GIF, only the `moving` artists are drawn anew for each frame.
     """
-    with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.absolute().parent) as folder:
+    with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=absolute(path).parent) as folder:
         draft = Path(folder) / path.name
         if path.suffix == ".mp4":
             writer = FFMpegWriter(fps=FRAMES_PER_SECOND, metadata={"title": signature})

@@ -157,7 +157,7 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, lis
             values.append(value)
             rates.append((zero, rate))
     # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
-    nothing = sum(0 * x for x in jax.tree.leaves(start))
+    nothing = sum(0 * jnp.sum(x) for x in jax.tree.leaves(start))
     start = jax.tree.map(lambda x: x + nothing, start)
     series = method.no_series(start) if method.carries_series(start) else ()
     memory = method.first_memory(start)

@@ -16,13 +16,24 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, PyTree
 
+from walker_jax.integrators.branches import (
+    branch_rule,
+    cast_switches,
+    distances_to_rounding,
+    loop_rule,
+    remainder,
+    remainder_switches,
+)
+from walker_jax.integrators.linear_systems import LINEAR_ALGEBRA
 from walker_jax.integrators.series import (
     EQUATIONS,
     Series,
     bilinear,
     constant,
+    dense_coefficient,
     evaluate_polynomial,
     minus,
+    parts,
     plus,
     quotient,
     scale,
@@ -31,7 +42,14 @@ from walker_jax.integrators.series import (
     solution,
     times,
 )
-from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, changes_entries
+from walker_jax.integrators.unknown_series import no_series
+from walker_jax.kernels.jaxprs import (
+    CALLS,
+    CALLS_WITH_DERIVATIVES,
+    Interpreter,
+    binding,
+    changes_entries,
+)
 from walker_jax.kernels.products import add_one_by_one
 
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
@@ -106,13 +124,6 @@ class Expansion(Interpreter):
         return by_coefficients(rule)(self, equation, operands)
 
 
-def no_series(name: str) -> NotImplementedError:
-    return NotImplementedError(
-        f"no Taylor series is known of the JAX primitive {name!r}: write the equations without "
-        "it, or integrate them with one of diffrax's Runge-Kutta solvers"
-    )
-
-
 # Rules: the k-th coefficient of a result, k > 0, given the operands and the bound primitive.
 
 
@@ -134,11 +145,6 @@ def linear(k: int, operands: list[Series], bind: Callable) -> Any:
 def varies(x: Series) -> Any:
     """Return whether a series has real or complex numbers; others are constant between jumps."""
     return jnp.issubdtype(jnp.result_type(x[0]), jnp.inexact)
-
-
-def dense_coefficient(k: int, x: Series) -> Any:
-    """Return the k-th coefficient as an array, zeros for None."""
-    return jnp.zeros_like(x[0]) if x[k] is None else x[k]
 
 
 def one_of_two(takes_left: Callable, k: int, operands: list[Series], bind: Callable) -> Any:
@@ -174,20 +180,6 @@ def by_coefficients(rule: Callable) -> Callable:
         return parts(series, equation)
 
     return expand
-
-
-def binding(equation) -> Callable:
-    """Return the primitive of an equation, with its parameters, as a function of operands."""
-    primitive = equation.primitive
-    return partial(primitive.bind, **primitive.get_bind_params(equation.params))
-
-
-def parts(series: Series, equation) -> list[Series]:
-    """Split a series into those of an equation's results, if coefficients are lists of several."""
-    if not equation.primitive.multiple_results:
-        return [series]
-    part = lambda i: Series(lambda k: None if (all := series[k]) is None else all[i])
-    return [part(i) for i in range(len(equation.outvars))]
 
 
 def gather_rule(expansion, equation, operands: list[Series]) -> list[Series]:
@@ -314,17 +306,6 @@ def piecewise_constant(k: int, operands: list[Series], bind: Callable) -> None:
             x[k]  # raises if its jumps are not known
 
 
-def distances_to_rounding(x: Series, whole: Callable) -> list[Series]:
-    """Return the distances of x to both ends of the interval that rounds to the same number."""
-    below = lambda k: x[0] - whole(x[0]) if k == 0 else x[k]
-    above = lambda k: whole(x[0]) + 1 - x[0] if k == 0 else scale(x[k], -1)
-    return [Series(below), Series(above)]
-
-
-def cast_switches(x: Series) -> list[Series]:
-    return [x, *distances_to_rounding(x, jnp.floor)]
-
-
 LINEAR = (
     "broadcast_in_dim complex concatenate conj copy copy_p cumsum dynamic_slice "
     "dynamic_update_slice expand_dims fft imag neg pad real reduce_sum reduce_window_sum "
@@ -332,11 +313,12 @@ LINEAR = (
     "unstack"
 ).split()
 """Primitives that are jointly linear in their real operands."""
-DISCRETE = "and ceil eq floor ge gt is_finite le lt ne not or round sign xor".split()
+DISCRETE = "and ceil eq floor ge gt is_finite le le_to lt lt_to ne not or round sign xor".split()
 """Primitives whose results are constant in time between jumps."""
 Expansion.rules = {
     **CALLS,
     **CALLS_WITH_DERIVATIVES,
+    **LINEAR_ALGEBRA,
     **dict.fromkeys(LINEAR, by_coefficients(linear)),
     "gather": gather_rule,
     "scatter": scatter_rule,
@@ -346,6 +328,7 @@ Expansion.rules = {
     **{name: by_equation(name) for name in EQUATIONS},
     "abs": by_coefficients(absolute_value),
     "clamp": by_coefficients(clamped_operand),
+    "cond": branch_rule,
     "convert_element_type": conversion_rule,
     "cos": by_pair(sincos, -1, 1),
     "cosh": by_pair(lambda x: (jnp.sinh(x), jnp.cosh(x)), 1, 1),
@@ -361,6 +344,8 @@ Expansion.rules = {
     "reduce_max": by_definition(reduce_by(lax.max)),
     "reduce_min": by_definition(reduce_by(lax.min)),
     "reduce_prod": by_definition(reduce_product),
+    "rem": by_coefficients(remainder),
+    "scan": loop_rule,
     "sin": by_pair(sincos, -1, 0),
     "sinh": by_pair(lambda x: (jnp.sinh(x), jnp.cosh(x)), 1, 0),
     "square": by_coefficients(square_operand),
@@ -368,12 +353,15 @@ Expansion.rules = {
     "sum_of_products": by_definition(add_one_by_one),
 }
 SWITCHES: dict[str, Callable[..., list[Series]]] = {
-    **dict.fromkeys(("ge", "gt", "le", "lt", "max", "min"), lambda left, right: [left - right]),
+    **dict.fromkeys(
+        ("ge", "gt", "le", "le_to", "lt", "lt_to", "max", "min"), lambda left, right: [left - right]
+    ),
     **dict.fromkeys(("abs", "sign"), lambda x: [x]),
     "atan2": lambda y, x: [y],
     "ceil": lambda x: distances_to_rounding(x, lambda value: jnp.ceil(value) - 1),
     "clamp": lambda low, x, high: [x - low, high - x],
     "floor": lambda x: distances_to_rounding(x, jnp.floor),
+    "rem": remainder_switches,
     "round": lambda x: distances_to_rounding(x, lambda value: jnp.round(value) - 0.5),
 }
 """By primitive: functions of the operands; the result has a kink or a jump at their zeros."""

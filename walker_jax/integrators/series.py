@@ -125,6 +125,19 @@ def coefficients_up_to(series: Series, order: int) -> list:
     return [zero if series[k] is None else series[k] for k in range(order + 1)]
 
 
+def dense_coefficient(k: int, x: Series) -> Any:
+    """Return the k-th coefficient as an array, zeros for None."""
+    return jnp.zeros_like(x[0]) if x[k] is None else x[k]
+
+
+def parts(series: Series, equation) -> list[Series]:
+    """Split a series into those of an equation's results, if coefficients are lists of several."""
+    if not equation.primitive.multiple_results:
+        return [series]
+    part = lambda i: Series(lambda k: None if (all := series[k]) is None else all[i])
+    return [part(i) for i in range(len(equation.outvars))]
+
+
 series_log: ContextVar[list[Series] | None] = ContextVar("series_log", default=None)
 """The list that collects every new series; None if they are not wanted."""
 

@@ -15,6 +15,7 @@ function changes sign. `switching_series` returns the series of these functions.
 """
 
 from collections.abc import Callable
+from functools import wraps
 
 import equinox as eqx
 import jax
@@ -22,6 +23,7 @@ import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
+from walker_jax.checks import is_traced
 from walker_jax.integrators.expansion import compose, switches
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.series import (
@@ -36,7 +38,23 @@ from walker_jax.kernels.jaxprs import CALLS, called_function
 VectorField = Callable[[PyTree], PyTree]
 
 
-@eqx.filter_jit
+def traced_once(expand: Callable) -> Callable:
+    """Share the trace of an expansion among all calls with one function of the state.
+
+    JAX keeps the function. If it is no `equinox.Module`, tracers in its closure would be kept too,
+    so within a trace it is then expanded anew.
+    """
+    shared = eqx.filter_jit(expand)
+
+    @wraps(expand)
+    def call(function, state, *args, **kwargs):
+        keep = isinstance(function, eqx.Module) or not is_traced(state)
+        return (shared if keep else expand)(function, state, *args, **kwargs)
+
+    return call
+
+
+@traced_once
 def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyTree[list]:
     """Compute the Taylor coefficients of the solution of y' = f(y) that starts at `state`.
 
@@ -169,7 +187,7 @@ def order_of(series: PyTree[list]) -> int:
     return len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
 
 
-@eqx.filter_jit
+@traced_once
 def switching_series(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> list[list[Array]]:

@@ -107,6 +107,20 @@ def called_function(equation: JaxprEqn) -> ClosedJaxpr:
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
 
+def binding(equation: JaxprEqn) -> Callable:
+    """Return the primitive of an equation, with its parameters, as a function of operands."""
+    primitive = equation.primitive
+    return partial(primitive.bind, **primitive.get_bind_params(equation.params))
+
+
+def scan_counts(params: dict) -> tuple[int, int]:
+    """Return the numbers of a scan's constants and of the values that it carries."""
+    if "ft_in" in params:  # from jax 0.11 on
+        constants, carried, _ = map(len, params["ft_in"].unpack())
+        return constants, carried
+    return params["num_consts"], params["num_carry"]
+
+
 def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
     """Return the results of a call by interpreting its function."""
     return interpreter.interpret(called_function(equation), operands)

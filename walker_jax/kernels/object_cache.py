@@ -36,8 +36,16 @@ CHECKSUM_BYTES = 32
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of compiled programs: `VARIABLE`, or one in the user's cache folder."""
-    folder = os.environ.get(VARIABLE, platformdirs.user_cache_dir("walker-jax"))
+    """Return the folder of compiled programs: `VARIABLE`, or one in the user's cache folder.
+
+    None if the variable is empty, or for a user without a home, as a number in a container may be.
+    """
+    folder = os.environ.get(VARIABLE)
+    if folder is None:
+        try:
+            folder = platformdirs.user_cache_dir("walker-jax")
+        except RuntimeError:
+            return None
     return Path(folder) if folder else None
 
 

@@ -24,16 +24,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
+from jax.experimental import jet
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
 from walker_jax.kernels import ffi
+from walker_jax.kernels.jets import push_series
 from walker_jax.kernels.program import (
     MAX_PROGRAMS,
     Program,
     apply_settings,
     is_real,
+    nan_allowed,
     tracing_for_kernel,
 )
 from walker_jax.kernels.sharding import is_divided, lower_divided
@@ -86,7 +89,8 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
     if is_long(program) and n < LONG_CELLS:
         return compute_directions_as_cells(*operands, program=program, mapped=mapped)
     if not (here and on_cpu) or program.compiled is None:
-        return jit_call(program, mapped)(*operands)
+        with nan_allowed():
+            return jit_call(program, mapped)(*operands)
     run, results = program.compiled.bind(operands, list(map(bool, mapped)), n)
     run(0, n)
     with apply_settings(program.settings):
@@ -292,6 +296,7 @@ def push_forward(primals, tangents, *, program: Program, mapped: tuple[int, ...]
 
 
 ad.primitive_jvps[kernel_p] = push_forward
+jet.jet_rules[kernel_p] = functools.partial(push_series, kernel_p)
 
 
 def replace_some(operands: Sequence, places: Sequence[int], values: Sequence) -> list:

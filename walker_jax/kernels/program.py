@@ -103,7 +103,8 @@ class Program:
             if compiled is not None:
                 return compiled
         try:
-            compiled = Compiled(self.closed)
+            with nan_allowed():  # of known numbers, in branches that are not taken
+                compiled = Compiled(self.closed)
         except UnsupportedPrimitive as error:
             self.why_not = f"kernels do not support {error}"
             return None
@@ -209,11 +210,22 @@ def current_settings() -> tuple[tuple[Any, Any], ...]:
 
 
 @contextlib.contextmanager
+def nan_allowed():
+    """Return NaN and infinity as results, such as the state after a failure, not as errors.
+
+    JAX's options `jax_debug_nans` and `jax_debug_infs` check all else, such as a user's own `jit`.
+    """
+    with jax.debug_nans(False), jax.debug_infs(False):
+        yield
+
+
+@contextlib.contextmanager
 def apply_settings(settings: tuple[tuple[Any, Any], ...]):
     """Enter the contexts with values that were recorded earlier, or in another thread."""
     with contextlib.ExitStack() as now:
         for context, value in settings:
             now.enter_context(context(value))
+        now.enter_context(nan_allowed())
         yield
 
 

@@ -12,16 +12,13 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
-from walker_jax.kernels.jaxprs import UnsupportedPrimitive
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive, scan_counts
 
 
 def scan_as_while(params: dict) -> Callable:
     """Replace a scan by a while loop with a counter."""
     body, length, reverse = jaxpr_as_fun(params["jaxpr"]), params["length"], params["reverse"]
-    if "ft_in" in params:  # from jax 0.11 on
-        constants, carried, _ = map(len, params["ft_in"].unpack())
-    else:
-        constants, carried = params["num_consts"], params["num_carry"]
+    constants, carried = scan_counts(params)
     stacked = params["jaxpr"].out_avals[carried:]
 
     def function(*operands):

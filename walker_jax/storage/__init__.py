@@ -16,6 +16,7 @@ from walker_jax.storage.pieces import resumable as resumable
 from walker_jax.storage.places import ANOTHER_PLACE as ANOTHER_PLACE
 from walker_jax.storage.places import RESUME_HINT as RESUME_HINT
 from walker_jax.storage.places import StoreConflict as StoreConflict
+from walker_jax.storage.places import absolute as absolute
 from walker_jax.storage.places import atomic_file as atomic_file
 from walker_jax.storage.places import check_writable as check_writable
 from walker_jax.storage.places import write_text as write_text

@@ -43,9 +43,20 @@ def resolve_link(path: Path) -> Path:
     return path.resolve() if os.path.islink(path) else path
 
 
+def absolute(path: Path) -> Path:
+    """Return the whole path; raise `WrongPlace` if the working folder has been removed."""
+    try:
+        return path.absolute()
+    except FileNotFoundError:
+        raise WrongPlace(
+            f"{path} cannot be found: the working folder is gone: change to another, or give a "
+            "whole path"
+        ) from None
+
+
 def check_writable(path: Path) -> None:
     """Raise `WrongPlace` if no file can be made beside `path`."""
-    folder = path.absolute().parent
+    folder = absolute(path).parent
     try:
         if not folder.is_dir():
             raise WrongPlace(f"{path} cannot be written: there is no folder {folder}: make it")
@@ -60,7 +71,7 @@ def check_writable(path: Path) -> None:
 
 def scratch_folder(path: Path) -> Path:
     """Return the hidden folder of the run that writes at `path`."""
-    return path.absolute().with_name(f".{path.name}.walker-jax")
+    return absolute(path).with_name(f".{path.name}.walker-jax")
 
 
 @contextmanager

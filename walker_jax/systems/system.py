@@ -74,6 +74,13 @@ class System(eqx.Module):
                 f"{', '.join(self.section)}, not {short(angles)}"
             )
 
+        for name, value in statics_of(self).items():
+            if not all(isinstance(one, STATIC) for one in as_tuple(value)):
+                raise WrongUse(
+                    f"{name} of {self.label()} is static, so it must be numbers or words, not "
+                    f"{short(value)}: a function can be a method"
+                )
+
     def __repr__(self):
         """Show the values of parameters that are single numbers, and the type of all others."""
         code = {one.name for one in dataclasses.fields(self) if is_code(one)}
@@ -166,6 +173,20 @@ def is_code(field: dataclasses.Field) -> bool:
 def code_of(system: System) -> tuple[Any, ...]:
     """Return the values of a system's fields of code."""
     return tuple(getattr(system, one.name) for one in dataclasses.fields(system) if is_code(one))
+
+
+STATIC = bool, int, float, str, np.generic, type(None)
+"""Types of static values, which data sets name."""
+
+
+def statics_of(system: System) -> dict[str, Any]:
+    """Return the values of static fields by name, those of code excepted."""
+    static = (one for one in dataclasses.fields(system) if one.metadata.get("static"))
+    return {one.name: getattr(system, one.name) for one in static if not is_code(one)}
+
+
+def as_tuple(value: Any) -> tuple:
+    return value if isinstance(value, tuple) else (value,)
 
 
 def every_value(system: System) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.identity import code_fingerprint
 from walker_jax.systems.parameter import Parameter as Parameter
-from walker_jax.systems.system import AnySystem, System, code_of, is_code, numbers_of
+from walker_jax.systems.system import AnySystem, System, code_of, numbers_of, statics_of
 
 Described = TypeVar("Described")
 
@@ -71,14 +71,7 @@ class Option(NamedTuple):
 
 
 def options(walker: type[System] | System) -> tuple[Option, ...]:
-    """Return the options of a walker, in the order of its constructor's arguments.
-
-    Raises `WrongUse` for another static field, whose value data sets would lack.
-    """
-    for field in dataclasses.fields(walker):
-        static = field.metadata.get("static") and not is_code(field)
-        if static and description(field, Option) is None:
-            raise WrongUse(f"{field.name} must be a parameter of the walker, not a static field")
+    """Return the options of a walker, in the order of its constructor's arguments."""
     return described_by(walker, Option)
 
 
@@ -87,10 +80,23 @@ def chosen_options(walker: System) -> tuple[str, ...]:
     return tuple(one.name for one in options(walker) if getattr(walker, one.name))
 
 
+def other_statics(walker: System) -> dict[str, Any]:
+    """Return the values of static fields that are no options, as numbers or words."""
+    known = {one.name for one in options(walker)}
+
+    def plain(value):
+        if isinstance(value, bool):
+            return int(value)
+        return value if isinstance(value, int | float | str) else str(value)
+
+    return {name: plain(value) for name, value in statics_of(walker).items() if name not in known}
+
+
 def describe_walker(walker: System) -> dict[str, Any]:
     """Return the name, parameters and active options of a walker, for a request."""
     values = {name: float(value) for name, value in numbers_of(walker).items()}
-    return {"name": walker.label(), **values, **dict.fromkeys(chosen_options(walker), True)}
+    chosen = dict.fromkeys(chosen_options(walker), True)
+    return {"name": walker.label(), **values, **chosen, **other_statics(walker)}
 
 
 def attributes_of(walker: System, *, without: Container[str] = ()) -> dict[str, Any]:
@@ -101,7 +107,7 @@ def attributes_of(walker: System, *, without: Container[str] = ()) -> dict[str, 
     """
     values = {name: float(value) for name, value in numbers_of(walker).items()}
     values = {name: value for name, value in values.items() if name not in without}
-    values |= dict.fromkeys(chosen_options(walker), 1)
+    values |= dict.fromkeys(chosen_options(walker), 1) | other_statics(walker)
     code = code_fingerprint(type(walker), code_of(walker))
     about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
     about |= {"failures": list(walker.failures)} if walker.failures else {}
@@ -129,7 +135,8 @@ def describe_in_words(walker: System) -> str:
 def write_description(about: dict[str, Any], form: str = "g") -> str:
     """Write the result of `describe_walker` on one line."""
     name, *values = about.items()
-    return ", ".join([name[1], *(f"{key} {value:{form}}" for key, value in values)])
+    words = lambda value: value if isinstance(value, str) else f"{value:{form}}"
+    return ", ".join([name[1], *(f"{key} {words(value)}" for key, value in values)])
 
 
 BRIEF = 48

@@ -12,6 +12,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -173,7 +174,8 @@ def is_taken(name: str, path: Path) -> bool:
 
 def load_module(name: str, noun: str) -> ModuleType:
     """Return a module, of this folder or installed."""
-    make_importable(Path.cwd())
+    with suppress(FileNotFoundError):  # the folder may be gone
+        make_importable(Path.cwd())
     try:
         return importlib.import_module(name)
     except (Exception, SystemExit) as error:  # whatever a user's code raises

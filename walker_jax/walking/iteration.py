@@ -25,6 +25,7 @@ from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real
+from walker_jax.kernels.program import nan_allowed
 from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
@@ -64,8 +65,8 @@ class Targets(NamedTuple):
 
 def distances(x: Float[Array, "..."], targets: Targets, turns: Turns = None) -> Float[Array, " m"]:
     """Return the distance of a state from each target, which is within reach below 1."""
-    distance = jnp.sum(targets.frames * difference(x, targets.states, turns)[:, None], axis=2)
-    return largest(jnp.abs(distance), axis=1)
+    apart = difference(x[None], targets.states, turns)
+    return largest(jnp.abs(jnp.sum(targets.frames * apart[:, None], axis=2)), axis=1)
 
 
 class WalkEnd(NamedTuple):
@@ -203,14 +204,16 @@ def walk(
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
     if ground is None:
-        return follow_walk(walker, x, n, integrator)
+        with nan_allowed():
+            return follow_walk(walker, x, n, integrator)
     walker = check_planar(walker)
     steps = as_floating(ground, "ground").astype(x.dtype)
     if steps.shape != (n,):
         raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
     if not isinstance(steps, Tracer) and not np.isfinite(np.asarray(steps)).all():
         raise WrongUse("ground must be finite heights")
-    return follow_rough_walk(walker, x, steps, integrator)
+    with nan_allowed():
+        return follow_rough_walk(walker, x, steps, integrator)
 
 
 @partial(jax.jit, static_argnums=2)

@@ -18,6 +18,7 @@ from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
+from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.walkers.model import Scalar, State, Walker
 from walker_jax.walking.starts import as_floating, during_stride, full_state, prepare
@@ -31,7 +32,7 @@ from walker_jax.walking.stride import (
 
 
 def trajectory(
-    walker: Walker,
+    walker: HybridSystem,
     x: Float[ArrayLike, " coordinates"],
     times: Float[ArrayLike, " times"],
     *,
@@ -70,7 +71,7 @@ def trajectory(
 
 @kernel
 def state_after(
-    walker: Walker,
+    walker: HybridSystem,
     x: Float[Array, " coordinates"],
     time: Scalar,
     integrator: Integrator,
@@ -88,7 +89,7 @@ def state_after(
         begins = jnp.where(begun.verdict == Outcome.UNDECIDED, begun.time, jnp.inf)
         left = time - begins
         later = state_of_motion(mode, begun.state, jnp.maximum(left, 0), integrator)
-        if type(later) is not type(start):
+        if isinstance(walker, Walker) and type(later) is not type(start):
             later = walker.phases()[0].begin(legs(later))
         result = jax.tree.map(partial(jnp.where, left >= 0), later, result)
     return result
@@ -108,7 +109,7 @@ def legs(states: Any) -> State:
 
 
 def phase_times(
-    walker: Walker,
+    walker: HybridSystem,
     x: Float[ArrayLike, " coordinates"],
     *,
     tolerance: Real | None = None,
@@ -131,7 +132,7 @@ def phase_times(
 
 @kernel
 def follow_phase_times(
-    walker: Walker, x: Float[Array, " coordinates"], integrator: Integrator
+    walker: HybridSystem, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Float[Array, " phases"]:
     ends = follow_stride(walker, x, integrator).time
     walker = during_stride(walker, x)

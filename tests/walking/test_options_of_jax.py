@@ -1,0 +1,78 @@
+"""Options of JAX that users set to find faults of their own: none of them finds one here."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.experimental.jet import jet
+
+import walker_jax as wj
+
+WALKER, START, FALL = wj.SimplestWalker(0.009), jnp.array([0.2003, -0.1998]), jnp.array([0.3, -0.1])
+GRID = wj.Grid.sheared(theta=(0.1, 0.3, 6), sum=(-0.02, 0.01, 6))
+CALLS = {
+    "walk": lambda: wj.walk(WALKER, START, 2),
+    "find_gait": lambda: wj.find_gait(WALKER),
+    "gait_derivatives": lambda: wj.gait_derivatives(WALKER, wj.find_gait(WALKER), "slope"),
+    "trajectory": lambda: wj.trajectory(WALKER, START, jnp.array([0.0, 1.0])),
+    "direct basin": lambda: wj.basin(WALKER, GRID, "direct"),
+    "cell map": lambda: wj.basin(WALKER, GRID),
+    "refine": lambda: wj.refine(WALKER, GRID, 1),
+    "transients": lambda: wj.transients(WALKER, np.array([START, FALL])),
+    "lyapunov": lambda: wj.lyapunov(wj.HenonMap(), jnp.array([0.1, 0.1]), strides=100),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_no_function_relies_on_the_promotion_of_ranks(name):
+    with jax.numpy_rank_promotion("raise"):
+        CALLS[name]()
+
+
+FALLS = {
+    "stride": lambda: wj.stride(WALKER, FALL).outcome,
+    "strides": lambda: wj.strides(WALKER, FALL[None]).outcome[0],
+    "walk": lambda: wj.walk(WALKER, FALL, 2).outcomes[-1],
+    "rough ground": lambda: wj.walk(WALKER, FALL, 1, ground=jnp.array([0.001])).outcomes[-1],
+    "step down": lambda: wj.step_down(WALKER, FALL, 0.001).outcome,
+    "margins": lambda: wj.margins(WALKER, FALL).stride.outcome,
+    "mapped": lambda: jax.jit(jax.vmap(lambda x: wj.stride(WALKER, x).outcome))(FALL[None])[0],
+    "basin": lambda: wj.basin(WALKER, GRID, "direct").fate.values.max(),
+}
+
+
+@pytest.mark.parametrize("name", FALLS)
+def test_a_fall_is_no_error_where_nan_is_one(name):
+    with jax.debug_nans(True), jax.debug_infs(True):
+        assert FALLS[name]() == wj.Outcome.BACKWARD if name != "basin" else FALLS[name]() > 0
+
+
+class Sprung(wj.SimplestWalker):
+    """Traced anew in each process, as a user's own class is."""
+
+    stiffness: jax.Array
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        return free._replace(phidot=free.phidot - self.stiffness * state.phi)
+
+
+def test_no_tracer_is_left_behind_by_derivatives():
+    end = lambda stiffness: wj.stride(Sprung(0.009, stiffness), START).state[0]
+    with jax.checking_leaks():
+        slope = jax.jacfwd(end)(jnp.array(0.2))
+    low, high = (end(jnp.array(0.2 + d)) for d in (-1e-5, 1e-5))
+    assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-6)
+
+
+def test_jet_of_a_stride_is_the_series_along_a_curve():
+    """Its terms are derivatives along the curve, by JAX's convention; an outcome has none."""
+    along, bend = jnp.array([0.3, 0.1]), jnp.array([-0.2, 0.4])
+    stride = lambda x: wj.stride(WALKER, x)
+    with jax.numpy_dtype_promotion("standard"):  # JAX multiplies the outcome's zeros by a number
+        found, terms = jet(stride, (START,), ((along, bend),))
+    curve = lambda t: stride(START + t * along + t**2 / 2 * bend).state
+    assert found.outcome == wj.Outcome.STRIDE and not np.any(terms.outcome)
+    np.testing.assert_array_equal(found.state, curve(0.0))
+    np.testing.assert_allclose(terms.state[0], jax.jacfwd(curve)(0.0), rtol=1e-12)
+    np.testing.assert_allclose(terms.state[1], jax.jacfwd(jax.jacfwd(curve))(0.0), rtol=1e-10)
