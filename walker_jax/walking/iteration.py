@@ -258,7 +258,10 @@ def walk_on(
     """Walk on until a failure, until a target is reached, or for a number of strides."""
 
     def is_near(x):
-        return jnp.asarray(False) if targets is None else jnp.any(distances(x, targets) < 1)
+        if targets is None:
+            return jnp.asarray(False)
+        known = jnp.isfinite(x).all()  # XLA's maxima of NaN are -inf on a CPU
+        return known & jnp.any(distances(x, targets) < 1)
 
     def unfinished(carry):
         _, outcome, made, near = carry
