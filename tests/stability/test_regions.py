@@ -1,5 +1,7 @@
 """Boundaries between attractors count as boundaries between fates do."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +27,11 @@ GRID = wj.Grid.plain(theta=(0, 2 * np.pi, 120), x=(-0.5, 0.5, 120))
 
 @pytest.fixture(scope="module")
 def data():
-    return wj.boundary(TURN, GRID, side=6)
+    """Of the fractal boundary, whose edge states are many, only a short path is followed."""
+    with pytest.MonkeyPatch.context() as patch:
+        short = partial(wj.edge_state, rounds=10)
+        patch.setattr("walker_jax.stability.boundaries.edge_state", short)
+        return wj.boundary(TURN, GRID, side=6)
 
 
 def test_two_attractors_without_a_failure_have_a_boundary(data):

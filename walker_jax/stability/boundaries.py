@@ -107,13 +107,16 @@ def boundary(
             walker, grid, "direct", strides=strides, tolerance=tolerance, progress=progress
         )
     label = label_regions(walker, grid, data)
-    entropy = basin_entropy(label, side)
     regions = np.unique(label[label >= 0])
     regions = np.roll(regions, np.count_nonzero(regions >= len(Outcome)))  # attractors first
+    number = np.full(label.shape, -1)
+    for i, region in enumerate(regions):
+        number[label == region] = i
+    entropy = basin_entropy(number, side)
     spacings, shares = np.zeros(0, int), np.zeros(0)
     if len(regions) >= MIN_REGIONS:
         halvings = min(HALVINGS, int(np.log2(min(label.shape) / MIN_CELLS)))
-        found = merge_regions(label, radius, halvings=halvings)
+        found = merge_regions(number, radius, halvings=halvings)
         spacings, shares = found.spacings, found.share
     pairs, edges = [], []
     for first, second in track([*combinations(regions.tolist(), 2)], "edge states", progress):
