@@ -52,7 +52,7 @@ def test_the_answer_and_the_picture_name_attractors(data):
     assert answer["edges"][0]["regions"] == answer["regions"]
     text = "\n".join(boundary_in_words(TURN, answer))
     assert "attractor 0 / attractor 1" in text and "or more: fractal" in text
-    assert "No boundary" not in text
+    assert "No boundary" not in text and "(between" not in text
     axes = figures.boundary(data)
     legends = [one for one in axes.get_children() if isinstance(one, Legend)]
     words = [text.get_text() for legend in legends for text in legend.get_texts()]

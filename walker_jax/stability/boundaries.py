@@ -281,10 +281,12 @@ def summarise_boundary(data: xr.Dataset) -> dict:
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)
         known = lambda name, one=one: one[name].values[np.isfinite(one[name].values).all(axis=1)]
+        sides = regions(one["edge_fates"], one["edge_attractors"])
+        third = not np.array_equal(one["edge_between"], one["edge_fates"])
         edges.append(
             {
-                "regions": regions(one["edge_fates"], one["edge_attractors"]),
-                "between": names(one["edge_between"]),
+                "regions": sides,
+                "between": names(one["edge_between"]) if third else sides,
                 "kind": str(one["edge_kind"].values),
                 "period": int(one["edge_period"]),
                 "states": known("edge_saddle"),
