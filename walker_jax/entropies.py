@@ -8,6 +8,7 @@ box is known (Daza, Wagemakers, Georgeot, Guery-Odelin and Sanjuan 2016, Scienti
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,15 @@ from walker_jax.checks import WrongUse, array, check_whole, refuses_tracers, sho
 BOX = 5
 """Cells along a side of a box: 25 points in two dimensions, the least that the authors
 recommend."""
+FINEST = 2, 3
+"""Sides of the smallest boxes that tell how the basin entropy grows."""
+LEAST_EXCESS = 0.1
+"""Least excess of a fractal boundary's dimension. Squares of 5 cells, the worst of smooth pieces
+tried, have 0.1; straight lines have 0 or less."""
+STEEPEST = 4
+"""Largest component of the normals of the planes with which a boundary is compared."""
+BLOCKS = 8
+"""Parts along each axis, left out in turn for a standard error."""
 
 
 class BasinEntropy(NamedTuple):
@@ -35,14 +45,20 @@ class BasinEntropy(NamedTuple):
     """Number of boxes with more than one label."""
     crowded: int
     """Number of boxes with more than two labels."""
+    excess: float
+    """Dimension of the boundary beyond that of a plane: the least of two, from boxes of 2 and 3
+    cells, and of 3 cells and `side`. The value is proportional to the side to the power d - D (Daza
+    and others 2016). The power is compared with the least of planes of any direction on the same
+    cells. NaN where fewer than two of 8 parts along each axis have a boundary.
+    """
+    excess_error: float
+    """Its standard error, by a jackknife over parts of the grid; NaN with the excess."""
     fractal: bool
-    """Whether the boundary entropy exceeds log 2 by two standard errors, in these boxes and in
-    boxes of about half the side.
+    """Whether the excess is above `LEAST_EXCESS` by two standard errors, from both pairs of boxes.
 
-    If at most two smooth pieces met in each box, the mean would be at most log 2. A larger mean
-    shows a fractal boundary, provided that smooth pieces are wide beside the boxes. Stripes of a
-    cell or less exceed log 2 too; the smaller boxes reveal stripes that are wider. A fractal
-    boundary may have a lower entropy.
+    Stripes or spots of a cell or less look fractal too: only a finer grid tells. The smallest boxes
+    reveal stripes that are wider. A fractal boundary whose detail is rare, or of a dimension hardly
+    above that of a plane, may not show.
     """
 
 
@@ -79,8 +95,8 @@ def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -
     entropy, count = entropy_of_boxes(labels, side)
     known, mixed = entropy[count > 0], entropy[count > 1]
     boundary, error = boundary_entropy(entropy, side)
-    half = max(2, (side + 1) // 2)
-    smaller = boundary_entropy(entropy_of_boxes(labels, half)[0], half)
+    excesses = dimension_excesses(labels, side)
+    least = min(excesses, key=lambda one: one[0] - 2 * one[1], default=(np.nan, np.nan))
     return BasinEntropy(
         float(known.mean()) if known.size else np.nan,
         boundary,
@@ -88,7 +104,8 @@ def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -
         known.size,
         mixed.size,
         int((count > 2).sum()),
-        all(mean - 2 * spread > np.log(2) for mean, spread in ((boundary, error), smaller)),
+        *least,
+        fractal=least[0] - 2 * least[1] > LEAST_EXCESS,
     )
 
 
@@ -114,6 +131,64 @@ def boundary_entropy(entropy: Float[np.ndarray, "*places"], side: int) -> tuple[
     apart = apart[apart > 0]
     error = apart.std(ddof=1) / np.sqrt(apart.size) if apart.size > 1 else np.nan
     return float(mixed.mean()) if mixed.size else np.nan, float(error)
+
+
+def dimension_excesses(
+    labels: Shaped[np.ndarray, "*cells"], side: int
+) -> list[tuple[float, float]]:
+    """Return by how much a boundary's dimension exceeds a plane's, and the standard errors.
+
+    There is one excess for each pair of successive sides of boxes; boxes of all sides have the same
+    places, with a label in each cell of the largest. Empty where the boundary is in one part only.
+    """
+    sides = sorted({*FINEST, side})
+    if min(labels.shape) < sides[-1]:
+        return []
+    sums, whole = [], entropy_of_boxes(labels, sides[-1])[1] > 0
+    for size in sides:
+        first = (sides[-1] - size) // 2
+        places = tuple(slice(first, first + n - sides[-1] + 1) for n in labels.shape)
+        here = entropy_of_boxes(labels, size)[0][places] * whole
+        for axis, count in enumerate(here.shape):
+            starts = np.unique(np.arange(BLOCKS) * count // BLOCKS)
+            here = np.add.reduceat(here, starts, axis=axis)
+        sums.append(here.ravel())
+    found = []
+    for (small, large), entropies in zip(pairwise(sides), pairwise(sums), strict=True):
+        parts = np.stack(entropies)[:, entropies[1] > 0]  # a larger box has all labels of a smaller
+        count = parts.shape[1]
+        all_but_one = parts.sum(axis=1, keepdims=True) - parts
+        if count < 2 or not parts[0].any():
+            return []
+        with np.errstate(divide="ignore"):
+            powers = np.log(all_but_one[1] / all_but_one[0]) / np.log(large / small)
+        power = np.log(np.divide(*parts.sum(axis=1)[::-1])) / np.log(large / small)
+        error = np.sqrt((count - 1) * powers.var())
+        found.append((float(power_of_planes(small, large, labels.ndim) - power), float(error)))
+    return found
+
+
+def power_of_planes(small: int, large: int, axes: int) -> float:
+    """Return the least power of the side with which the entropy of planes grows between two sides.
+
+    A plane at a random place divides the cells of a box, in the order of their distances from it.
+    """
+    normals = [
+        np.array(one)
+        for one in combinations_with_replacement(range(STEEPEST + 1), axes)
+        if any(one)
+    ]
+    ratios = [entropy_of_plane(large, one) / entropy_of_plane(small, one) for one in normals]
+    return float(np.log(min(ratios)) / np.log(large / small))
+
+
+def entropy_of_plane(side: int, normal: Int[np.ndarray, " d"]) -> float:
+    """Return the integral of a box's entropy over the places of a plane with this normal."""
+    cells = np.indices((side,) * len(normal)).reshape(len(normal), -1)
+    distance = np.sort(normal @ cells)
+    share = np.arange(1, distance.size) / distance.size
+    entropy = -share * np.log(share) - (1 - share) * np.log1p(-share)
+    return float(np.sum(np.diff(distance) * entropy))
 
 
 def box_means(values: Float[np.ndarray, "*cells"], side: int) -> Float[np.ndarray, "*places"]:

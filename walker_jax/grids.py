@@ -2,8 +2,9 @@
 
 A point has box coordinates u, along which the cells lie, and state coordinates
 x = origin + shear @ u. If the box has fewer coordinates than the state, the grid is a slice, on
-which some coordinates of the state are fixed. Cells are half open, [low, high) along each box axis.
-They are numbered from 0 with the last axis fastest (C order), by int32; -1 stands for none.
+which some coordinates of the state are fixed. Along each box axis cells are half open, [low, high),
+but the last one is closed: both borders of the box belong to the grid. Cells are numbered from 0
+with the last axis fastest (C order), by int32; -1 stands for none.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Grid(eqx.Module):
     lower: Float[np.ndarray | Array, " d"]
     """Lower ends of the axes."""
     upper: Float[np.ndarray | Array, " d"]
-    """Upper ends of the axes; they lie outside the grid."""
+    """Upper ends of the axes; they belong to the last cells."""
     counts: Int32[np.ndarray | Array, " d"]
     """Cells along each axis."""
     shear: Float[np.ndarray | Array, "s d"]
@@ -259,7 +260,7 @@ class Grid(eqx.Module):
         lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in fields)
         with np.errstate(invalid="ignore"):  # raised by points that are not finite
             u = np.sum(unshear * (points - origin)[..., None, :], axis=-1)
-        return ((lower <= u) & (u < upper)).all(axis=-1)
+        return ((lower <= u) & (u <= upper)).all(axis=-1)
 
     def points_at(self, shares: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
         """Return points at shares, from 0 to 1, of the length of each axis; on the host only."""
@@ -295,9 +296,9 @@ class Grid(eqx.Module):
             raise WrongUse(f"the grid must not be a slice, with {' and '.join(self.fixed)} fixed")
         lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
         u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
-        inside = jnp.all((lower <= u) & (u < upper))  # False for NaN
+        inside = jnp.all((lower <= u) & (u <= upper))  # False for NaN
         places = jnp.floor(jnp.where(inside, u - lower, 0) / spacing).astype(jnp.int32)
-        places = jnp.minimum(places, self.counts - 1)  # the quotient may round up to the count
+        places = jnp.minimum(places, self.counts - 1)  # the upper border is in the last cell
         index = jnp.int32(0)
         for place, count in zip(places, self.counts, strict=True):
             index = index * count + place

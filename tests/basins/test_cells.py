@@ -73,7 +73,7 @@ def test_a_point_is_within_half_a_cell_or_off_the_grid(grid):
     width, random = grid.upper - grid.lower, np.random.default_rng(0)
     points = random.uniform(grid.lower - 0.2 * width, grid.upper + 0.2 * width, (1000, len(width)))
     cells = cells_of(grid, points @ grid.shear.T)
-    on_it = np.all((grid.lower <= points) & (points < grid.upper), axis=1)
+    on_it = np.all((grid.lower <= points) & (points <= grid.upper), axis=1)
     np.testing.assert_array_equal(cells >= 0, on_it)
     places = np.unravel_index(cells[on_it], grid.shape)
     pairs = zip(grid.axes.values(), places, strict=True)
@@ -103,7 +103,7 @@ def test_on_the_host_cells_are_the_same(dtype):
             np.testing.assert_allclose(places, expected, atol=1e-3 if dtype == np.float32 else 1e-9)
 
 
-def test_cells_are_half_open():
+def test_cells_are_half_open_and_the_last_one_is_closed():
     grid = Grid.plain(x=(0, 1, 4), y=(-1, 1, 2))
 
     def cell(x, y):
@@ -113,8 +113,22 @@ def test_cells_are_half_open():
     assert [cell(0.1, y) for y in (-1.0, 0.0)] == [0, 1]
     assert cell(np.nextafter(0.25, 0), -1.0) == 0
     assert cell(np.nextafter(1.0, 0), np.nextafter(1.0, 0)) == 7
-    outside = [(1.0, 0.0), (0.5, 1.0), (-1e-300, 0.0), (0.5, np.nextafter(-1, -2))]
+    assert [cell(*on) for on in ((1.0, -1.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0))] == [6, 1, 7, 5]
+    above, below = np.nextafter(1.0, 2), np.nextafter(-1.0, -2)
+    outside = [(above, 0.0), (0.5, above), (-1e-300, 0.0), (0.5, below)]
     assert {cell(x, float(y)) for x, y in outside} == {-1}
+
+
+@pytest.mark.parametrize(
+    "grid", [one for one in GRIDS if (one.shear == np.eye(len(one.names))).all()]
+)
+def test_corners_of_the_box_are_in_the_corner_cells(grid):
+    """Both borders belong to the grid, along every axis, up to the rounding of a shear."""
+    ends = np.array(list(np.ndindex((2,) * len(grid.names))))
+    corners = np.where(ends == 1, grid.upper, grid.lower)
+    expected = np.ravel_multi_index((ends * (grid.counts - 1)).T, grid.shape)
+    np.testing.assert_array_equal(cells_of(grid, corners), expected)
+    assert grid.contains(corners).all()
 
 
 @settings(max_examples=100, deadline=None)
@@ -415,7 +429,7 @@ def test_cell_image_is_a_cell_or_the_sink_of_what_went_wrong():
     def image(x, outcome):
         return cell_image(grid, jnp.array([x]), outcome, leave=7)
 
-    inside, outside, nowhere = 0.6, 1.0, np.nan
+    inside, outside, nowhere = 0.6, 1.01, np.nan
     assert image(inside, 0) == 2
     assert image(outside, 0) == image(nowhere, 0) == 4 + 7
     for failure in (1, 6, 7):

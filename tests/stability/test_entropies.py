@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from test_boundaries import snowflake
 
 import walker_jax as wj
 from walker_jax.wada import boundary_of
@@ -88,12 +89,90 @@ def test_the_entropy_is_that_of_a_loop_over_labelled_boxes():
 
 
 def test_smooth_stripes_wider_than_a_cell_are_not_fractal():
-    """Boxes of five cells hold three of them, and exceed log 2; smaller boxes do not."""
+    """Boxes of five cells hold three of them, and exceed log 2; boxes of two and three do not."""
     for width in (2, 3, 4):
-        found = wj.basin_entropy(np.arange(400)[:, None] // width % 3 * np.ones(400, int))
-        assert not found.fractal
+        for labels in (2, 3):
+            found = wj.basin_entropy(np.arange(400)[:, None] // width % labels * np.ones(400, int))
+            assert not found.fractal and found.excess < 0
         assert (found.boundary - 2 * found.boundary_error > np.log(2)) == (width < 4)
         assert (found.crowded > 0) == (width < 4)
+
+
+ROW, COLUMN = np.indices((400, 400))
+SMOOTH = {
+    "circle": np.hypot(ROW - 200, COLUMN - 190) < 150,
+    "small circle": np.hypot(ROW - 200, COLUMN - 190) < 5,
+    "rings": np.hypot(ROW - 200, COLUMN - 200) // 10 % 2,
+    "dots": np.hypot(ROW % 20 - 10, COLUMN % 20 - 10) < 5,
+    "diagonal": ROW + COLUMN < 399,
+    "slope of 2": 2 * ROW + COLUMN < 500,
+    "slope of 3/7": 3 * ROW + 7 * COLUMN < 2000,
+    "wave": ROW - 150 - 10 * np.sin(COLUMN / 10) > 0,
+    "corner": (ROW > 200) & (COLUMN > 200),
+    "squares": (ROW // 5 + COLUMN // 5) % 2,
+    "sectors": np.arctan2(ROW - 200.3, COLUMN - 200.7) * 8 / np.pi // 1 % 2,
+    "finger": np.abs(ROW - 200) < (400 - COLUMN) / 40,
+    "nothing": 0 * ROW,
+}
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_smooth_boundaries_of_two_basins_are_not_fractal(name):
+    for side in (2, 5, 20):
+        assert not wj.basin_entropy(SMOOTH[name].astype(int), side).fractal
+
+
+def grebogi(n):
+    """Return which of two fixed points each start goes to (Grebogi and others 1983).
+
+    The dimension of the boundary is 1.8, its entropy in boxes of 6 is 0.60 to 0.61.
+    """
+    share = (np.arange(n) + 0.5) / n
+    t, x = np.meshgrid(2 * np.pi * share, share - 0.5, indexing="ij")
+    for _ in range(300):
+        t, x = 1.32 * np.sin(2 * t) - 0.9 * np.sin(4 * t) - x * np.sin(t) + t, -0.3 * np.cos(t)
+    return (np.cos(t) > 0).astype(int)
+
+
+def test_a_fractal_boundary_of_two_basins_is_fractal():
+    labels = grebogi(400)
+    assert 0.60 < wj.basin_entropy(labels, 6).boundary < 0.61 < np.log(2)
+    for side in (2, 5, 20):
+        found = wj.basin_entropy(labels, side)
+        assert found.fractal and 0 < found.excess_error < 0.02
+        assert 0.6 < found.excess < 0.8  # planes in boxes of few cells grow a little faster
+    line = wj.basin_entropy(labels[:, 7], 5)  # across: a set of points of dimension 0.8
+    assert line.fractal and line.excess > 0.4
+    assert wj.basin_entropy(snowflake(grid_points(400))).fractal  # log 4 / log 3 = 1.26
+
+
+def grid_points(n):
+    share = (np.arange(n) + 0.5) / n - 0.5
+    return 1.4 * np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1)
+
+
+def test_too_little_of_a_boundary_is_no_evidence():
+    labels = np.zeros((64, 64), int)
+    labels[3:5, 3:5] = np.eye(2)
+    found = wj.basin_entropy(labels)
+    assert np.isnan(found.excess) and np.isnan(found.excess_error) and not found.fractal
+    assert not wj.basin_entropy(np.eye(2, dtype=int), 2).fractal
+
+
+def test_cells_of_no_label_make_no_boundary():
+    """Boxes that hold one are left out, on all sizes, so that a line beside them stays a line."""
+    labels = (ROW > 200).astype(int)
+    labels[np.hypot(ROW - 200, COLUMN - 200) < 80] = -1
+    labels[:, 300:][(ROW + COLUMN)[:, 300:] % 40 == 0] = -1
+    assert not wj.basin_entropy(labels).fractal
+
+
+def test_a_plane_in_space_is_not_fractal_and_noise_is():
+    i, j, k = np.indices((40, 40, 40))
+    for plane in (i, i + j, i + 2 * j + 3 * k):
+        assert not wj.basin_entropy((plane > plane.mean()).astype(int)).fractal
+    noise = np.random.default_rng(0).integers(0, 2, i.shape)
+    assert wj.basin_entropy(noise).excess == pytest.approx(1, abs=0.1)
 
 
 def test_the_entropy_of_newtons_method_goes_with_its_dimension():
@@ -115,6 +194,19 @@ def test_newton_s_basins_are_wada():
     farthest = found.distances.max(axis=(1, 2))
     assert (farthest <= 5 * found.spacings).all() and farthest[0] < 0.5 * farthest[-1]
     assert (found.mean_distances <= found.distances).all()
+
+
+def test_a_wada_boundary_may_have_few_points_beyond_the_radius():
+    """Whatever the radius: the trend of the distances tells, and the share is given."""
+    for radius in (3, 2):
+        found = wj.merge_regions(newton(400), radius)
+        assert found.wada and 0 < found.share[0] < 0.005
+    # a disc of one basin inside another has a boundary of its own, as small as that share
+    labels = newton(400)
+    i, j = np.indices(labels.shape)
+    labels[np.hypot(i - 360, j - 200) < 4] = 1
+    found = wj.merge_regions(labels)
+    assert not found.wada and 0 < found.share[0] < 0.01
 
 
 def test_a_cantor_set_is_wada_but_not_with_a_region_aside():

@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from walker_jax.gaits.cycles import gait_at, iterate_newton
+from walker_jax.basins.motions import Clouds, distinct_motions
+from walker_jax.gaits.cycles import (
+    find_multipliers,
+    gait_at,
+    iterate_newton,
+    linearise,
+    multiply_jacobians,
+)
 from walker_jax.gaits.search import cycle_guesses
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.angles import Turns, difference, turns_of
@@ -43,11 +50,14 @@ leave it."""
 MAX_DISTANCES = 2**24
 """Most distances from the states of a cycle that are held at once: an eighth of a gigabyte."""
 WITNESSES = 128
-"""Number of walkers followed to see whether a motion without a period lasts."""
+"""Number of walkers followed to see whether motions without a period last."""
 SURVIVAL = 1000, 2000
-"""Strides after which all of these walkers are on it, and further strides in which none may fall or
-converge to a cycle. This tells an attractor from a transient whose mean life is below some 85,000
-strides."""
+"""Strides after which all of these walkers are on one, and further strides in which none of those
+on it may fall or converge to a cycle. This tells an attractor from a transient whose mean life is
+below some 85,000 strides."""
+MOST_MOTIONS = 16
+"""Most motions without a period that count as attractors of their own. Walkers of a conservative
+system have each their own motion: all of these count as one."""
 
 
 class Attractor(NamedTuple):
@@ -56,7 +66,7 @@ class Attractor(NamedTuple):
     period: int | None
     """Strides in a cycle; None where the motion does not repeat itself."""
     states: Float[np.ndarray, "period section"]
-    """The states of the cycle; otherwise, one state of the motion."""
+    """The states of the cycle; otherwise, one state of the motion, of the smallest angle."""
     capture_boxes: Float[np.ndarray, "period section section"] | None = None
     """For each state, a matrix M: a walker at x has converged where |M (x - state)| < 1 in all
     coordinates. None where these are cubes of half edge `capture_radius`."""
@@ -67,6 +77,14 @@ class Attractor(NamedTuple):
     artefact: bool = False
     """Whether it is a cycle of cells alone: walkers from most of its centres do not converge to one
     attractor. Its states are those centres."""
+    cloud: Float[np.ndarray, "points section"] | None = None
+    """Points of a motion without a period, one stride apart. None for a cycle, and for an attractor
+    that stands for all motions without a period."""
+
+    @property
+    def points(self) -> Float[np.ndarray, "points section"]:
+        """All known points of the attractor."""
+        return self.states if self.cloud is None else self.cloud
 
 
 def capture_radius(dtype) -> float:
@@ -141,8 +159,8 @@ def find_attractors(
 
     Walkers are followed until each has failed, or repeats itself to rounding. Some do neither in
     some hundred strides, as close to a period doubling: for these a stable cycle is solved for. If
-    there is none, and none of these walkers falls or converges to a cycle for long, they are on an
-    attractor without a period. One such attractor is added for them all.
+    there is none, and none of these walkers falls or converges to a cycle for long, they are on
+    attractors without a period.
     """
     found = list(known)
     if len(x) > SCOUTS:
@@ -150,10 +168,9 @@ def find_attractors(
         if any(one.period for one in found):
             x = x[stay_undecided(found, walker, x, integrator)]
     x, solved = add_cycles(walker, x, found, integrator)
-    if len(x) and not solved and all(one.period for one in found):
-        wandering = on_lasting_motion(walker, x[:WITNESSES], found, integrator)
-        if len(wandering):
-            found.append(Attractor(None, x[wandering[:1]]))
+    stands_for_all = any(one.period is None and one.cloud is None for one in found)
+    if len(x) and not solved and not stands_for_all:
+        found += lasting_motions(walker, sample(x, WITNESSES), found, integrator)
     return found
 
 
@@ -190,32 +207,27 @@ def add_repeated(
     """Add the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
 
     For walkers that neither failed nor came to a cycle, it returns their states, the strides after
-    which each came nearest to its present state, and that distance.
+    which each came nearest to its present state, and that distance. Walkers repeat themselves on
+    unstable cycles too, if they start there or come exactly along the stable manifold.
     """
-    exact, turns = 1e3 * np.finfo(x.dtype).eps, turns_of(walker)
-    starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
+    exact, unstable, turns = 1e3 * np.finfo(x.dtype).eps, [], turns_of(walker)
+    period, nearest = np.ones(len(x), int), np.zeros(len(x))
     for _ in range(PATIENCE):
         states, outcome = orbits(walker, x, LONGEST_PERIOD, integrator)
         walks = outcome == Outcome.STRIDE
-        starts, back = starts[walks], states[walks, ::-1]  # (walkers, strides back, coordinates)
+        back = states[walks, ::-1]  # (walkers, strides back, coordinates)
         misses = np.abs(difference(back[:, 1:], back[:, :1], turns)).max(axis=2)
         repeated = (misses < exact).any(axis=1)
-        for start, path, miss in zip(
-            starts[repeated], back[repeated], misses[repeated], strict=True
-        ):
+        for path, miss in zip(back[repeated], misses[repeated], strict=True):
             # A slow approach that alternates returns close after two strides before it does after
             # one.
             count = first_period(miss, capture_radius(x.dtype))
-            cycle = new_cycle(path[:count][::-1], found, turns)
-            # A walker started on an unstable cycle repeats itself too; one that arrived there was
-            # attracted.
-            if cycle and (
-                began_elsewhere(cycle, start, turns) or attracts(walker, cycle.states, integrator)
-            ):
-                found.append(cycle)
+            if cycle := new_cycle(path[:count][::-1], [*found, *unstable], turns):
+                stable = attracts(walker, cycle.states, integrator)
+                (found if stable else unstable).append(cycle)
         x = back[:, 0]
         left = ~repeated & (match_attractor(x, found, turns=turns) < 0)
-        x, starts, misses = x[left], starts[left], misses[left]
+        x, misses = x[left], misses[left]
         period, nearest = misses.argmin(axis=1) + 1, misses.min(axis=1)
         if len(x) == 0:
             break
@@ -234,34 +246,33 @@ def stay_undecided(
     return (end.outcome == Outcome.STRIDE) & (end.target < 0)
 
 
-def on_lasting_motion(
+def lasting_motions(
     walker: System,
     x: Float[np.ndarray, "n section"],
-    cycles: Sequence[Attractor],
+    found: Sequence[Attractor],
     integrator: Integrator,
-) -> Int[np.ndarray, " m"]:
-    """Return the indices of the walkers on a motion that lasts; none if there is no such motion.
+) -> list[Attractor]:
+    """Return the motions without a period on which walkers last, apart from those already found.
 
-    They neither fall nor converge to a cycle for long, and none of them does so later either.
+    On such a motion walkers neither fall nor converge to a cycle for long, and none of them does so
+    later either.
     """
     early, late = SURVIVAL
-    left, x = still_wandering(walker, x, early, cycles, integrator)
-    later, _ = still_wandering(walker, x, late, cycles, integrator)
-    return left if len(later) == len(left) else left[:0]
-
-
-def still_wandering(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    strides: int,
-    cycles: Sequence[Attractor],
-    integrator: Integrator,
-) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
-    """Return the walkers that neither fall nor converge to a cycle, and their states."""
-    end = iterate(walker, x, strides, integrator)
-    left = np.flatnonzero(end.outcome == Outcome.STRIDE)
-    left = left[match_approaching(walker, end.state[left], cycles, integrator) < 0]
-    return left, end.state[left]
+    end = iterate(walker, x, early, integrator)
+    x = end.state[end.outcome == Outcome.STRIDE]
+    x = x[match_approaching(walker, x, found, integrator) < 0]
+    walks, outcome = orbits(walker, x, late, integrator)
+    lasts = outcome == Outcome.STRIDE
+    lasts[lasts] = match_approaching(walker, walks[lasts, -1], found, integrator) < 0
+    known = [one.cloud for one in found if one.cloud is not None]
+    new = distinct_motions(walks[lasts], known, MOST_MOTIONS + 1)
+    if new and not lasts.all():  # walkers leave the nearest motion, which is then a transient
+        left, _ = Clouds([*known, *new]).nearest(walks[~lasts])
+        new = [cloud for i, cloud in enumerate(new, len(known)) if i not in left]
+    first = [cloud[[cloud[:, 0].argmin()]] for cloud in new]
+    if len(new) > MOST_MOTIONS:
+        return [Attractor(None, first[0])]
+    return [Attractor(None, one, cloud=cloud) for one, cloud in zip(first, new, strict=True)]
 
 
 def match_approaching(
@@ -298,11 +309,20 @@ def approaches(
 def attracts(
     walker: System, cycle: Float[np.ndarray, "period section"], integrator: Integrator
 ) -> bool:
-    """Return whether walkers that start beside a cycle stay there, and do not move away."""
-    radius = capture_radius(cycle.dtype)
-    beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
+    """Return whether a cycle attracts: it does unless a multiplier is outside the unit circle.
+
+    Multipliers are computed where walkers from all sides do not stay near and come clearly nearer.
+    If there are none, as the stride has no derivative there, walkers must stay near.
+    """
+    radius, axes = capture_radius(cycle.dtype), np.eye(len(cycle[0]))
+    beside = cycle[0] + radius * np.concatenate([axes, -axes])
     largest = largest_distances(walker, beside, cycle, integrator).max(axis=0)
-    return bool(largest[-1] < max(radius, 1.5 * largest[1]))  # False for NaN, after a failure
+    if largest[0] < CLOSE and largest[-1] < radius / (2 * len(axes)):  # False for NaN
+        return True
+    jacobians = linearise(walker, cycle[None], integrator).jacobian
+    if np.isfinite(jacobians).all():
+        return bool(np.abs(find_multipliers(multiply_jacobians(jacobians))).max() < 1 + radius)
+    return bool(largest[-1] <= radius)
 
 
 def largest_distances(
@@ -363,10 +383,3 @@ def new_cycle(
     states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
     is_known = match_attractor(states[:1], known, turns=turns)[0] >= 0
     return None if is_known else Attractor(len(states), states)
-
-
-def began_elsewhere(
-    cycle: Attractor, start: Float[np.ndarray, " section"], turns: Turns = None
-) -> bool:
-    """Return whether a walk that ended on a cycle began elsewhere."""
-    return bool(distance_from(cycle.states, start[None], turns)[0] > capture_radius(start.dtype))

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from walker_jax.basins.attractor import (
     LONGEST_PERIOD,
     SAMPLE,
+    SURVIVAL,
     Attractor,
     find_attractors,
     match_approaching,
@@ -16,15 +17,19 @@ from walker_jax.basins.attractor import (
     sorted_numbers,
     targets_of,
 )
+from walker_jax.basins.motions import Clouds
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walking.iteration import iterate
+from walker_jax.walking.iteration import RECORDED, iterate, orbits
 
 FURTHER = 2**14
 """Further strides for which undecided walkers are followed to a cycle. They end all but one in ten
 million transients with a mean life of 1000 strides, and half of those with 24,000."""
+SKIPPED = 4
+"""Number of strides between the states of a walker that are compared with motions without a
+period."""
 
 
 class Labels(NamedTuple):
@@ -131,23 +136,69 @@ class Mapper(NamedTuple):
         """Find the attractors of walkers that have made all strides; return the mapper to all.
 
         The attractor is the cycle that they approach, or one found by following some of them
-        further, at most `most`. Otherwise it is the motion without a period, if there is one, even
-        for walkers that have yet to fall. Otherwise it is the cycle that they converge to later, or
-        -1.
+        further, at most `most`. Otherwise it is the nearest motion without a period, if there is
+        one, even for walkers that have yet to fall. Otherwise it is the cycle that they converge to
+        later, or -1.
         """
         number, mapper = self.match_approaching(x), self
-        unmatched = number < 0
-        if unmatched.any() and all(one.period for one in self.attractors):
-            mapper = self.with_attractors_from(sample(x[unmatched], most))
+        unmatched = np.flatnonzero(number < 0)
+        strange = unmatched[~self.on_known_motions(x[unmatched])]
+        if len(strange):
+            mapper = self.with_attractors_from(sample(x[strange], most))
             if len(mapper.attractors) > len(self.attractors):
-                number[unmatched] = mapper.match_approaching(x[unmatched])
+                number[strange] = mapper.match_approaching(x[strange])
         unmatched = number < 0
-        wandering = [i for i, one in enumerate(mapper.attractors) if one.period is None]
-        if wandering:
-            number[unmatched] = wandering[0]
+        if mapper.wandering:
+            number[unmatched] = mapper.nearest_motion(x[unmatched])
         elif mapper.attractors and mapper.further:
             number[unmatched] = mapper.follow_on(x[unmatched])
         return number, mapper
+
+    @property
+    def wandering(self) -> list[int]:
+        """Numbers of the attractors without a period."""
+        return [i for i, one in enumerate(self.attractors) if one.period is None]
+
+    def clouds(self) -> Clouds | None:
+        """Return the clouds of all motions without a period; None where one stands for all."""
+        known = [self.attractors[i].cloud for i in self.wandering]
+        clouds = [cloud for cloud in known if cloud is not None]
+        return Clouds(clouds) if len(clouds) == len(known) else None
+
+    def on_known_motions(self, x: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
+        """Return whether each walker is on one of the known motions without a period."""
+        if not self.wandering or not len(x):
+            return np.zeros(len(x), bool)
+        clouds = self.clouds()
+        if clouds is None:
+            return np.ones(len(x), bool)
+        return clouds.nearest(self.next_states(x)[:, ::SKIPPED])[1]
+
+    def nearest_motion(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
+        """Return the number of the motion without a period that is nearest to each walker.
+
+        It is -1 for walkers that repeat themselves, as on an unstable cycle. Of several motions, it
+        is the one that walkers on none of them come to in more strides.
+        """
+        walks, clouds = self.next_states(x), self.clouds()
+        number = np.full(len(x), self.wandering[0], np.int32)
+        if clouds is not None and len(self.wandering) > 1:
+            nearest, near = clouds.nearest(walks[:, ::SKIPPED])
+            end = iterate(self.walker, x[~near], SURVIVAL[0], self.integrator)
+            on = end.outcome == Outcome.STRIDE
+            later = self.next_states(end.state[on])[:, ::SKIPPED]
+            nearest[np.flatnonzero(~near)[on]], _ = clouds.nearest(later)
+            number = np.array(self.wandering, np.int32)[nearest]
+        exact = 1e3 * np.finfo(x.dtype).eps
+        repeats = (np.abs(walks[:, 1:] - walks[:, :1]).max(axis=2) < exact).any(axis=1)
+        number[repeats] = -1
+        return number
+
+    def next_states(
+        self, x: Float[np.ndarray, "n section"]
+    ) -> Float[np.ndarray, "n states section"]:
+        """Return the states of a few more strides of walkers, NaN after a failure."""
+        return orbits(self.walker, x, RECORDED, self.integrator)[0]
 
     def with_attractors_from(self, starts: Float[np.ndarray, "n section"]) -> "Mapper":
         """Return the mapper to the attractors of some starts too."""
@@ -155,14 +206,12 @@ class Mapper(NamedTuple):
         return self._replace(attractors=found)
 
     def without_unseen_motion(self, number: Int[np.ndarray, " n"]) -> "Mapper":
-        """Drop the attractor without a period if none of these walkers is on it.
-
-        That attractor is the last: none is sought once it is known.
-        """
+        """Drop attractors without a period, from the last on, if none of these walkers is on it."""
         last = len(self.attractors) - 1
         if last < 0 or self.attractors[last].period or (number == last).any():
             return self
-        return self._replace(attractors=self.attractors[:last])
+        fewer = self._replace(attractors=self.attractors[:last])
+        return fewer.without_unseen_motion(number)
 
     def with_sorted_attractors(self) -> "Mapper":
         """Return the mapper with its attractors in the order in which a basin numbers them."""

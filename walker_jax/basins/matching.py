@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from walker_jax.basins.motions import SPARSE, Clouds
 from walker_jax.gaits.cycles import cycle_distance
 from walker_jax.systems.angles import Turns
 
@@ -23,14 +24,36 @@ def match_cycles(
     turns: Turns = None,
 ) -> list[int]:
     """Find the index of the nearest known cycle of each cycle, each taken once; -1 for none."""
-    matches = [NONE] * len(cycles)
     pairs = [
-        (cycle_distance(cycle, one, turns), i, k)
+        (distance, i, k)
         for i, cycle in enumerate(cycles)
         for k, one in enumerate(known)
+        if (distance := cycle_distance(cycle, one, turns)) < within
     ]
-    for distance, i, k in sorted(pairs):
-        if distance < within and matches[i] == NONE and k not in matches:
+    return match_pairs(pairs, len(cycles))
+
+
+def match_clouds(
+    clouds: Sequence[Float[np.ndarray, "_ section"]],
+    known: Sequence[Float[np.ndarray, "_ section"]],
+) -> list[int]:
+    """Find the index of the nearest known cloud of each cloud, each taken once; -1 for none."""
+    if not clouds or not known:
+        return [NONE] * len(clouds)
+    apart = Clouds(known)
+    pairs = [
+        (distance, i, k)
+        for i, cloud in enumerate(clouds)
+        for k, distance in enumerate(apart.distances(cloud[None, SPARSE])[0])
+    ]
+    return match_pairs(pairs, len(clouds))
+
+
+def match_pairs(pairs: list[tuple[float, int, int]], count: int) -> list[int]:
+    """Match pairs (distance, i, k) from the nearest on, each i < count and each k once."""
+    matches = [NONE] * count
+    for _, i, k in sorted(pairs):
+        if matches[i] == NONE and k not in matches:
             matches[i] = k
     return matches
 
@@ -42,10 +65,10 @@ def number_alike(
 ) -> Int[np.ndarray, "*walkers number"]:
     """Give the attractors of a grid of walkers common numbers; -1 where there are fewer.
 
-    `periods` are -1 where there are fewer, and 0 where the motion has no period. A walker has at
-    most one attractor without a period, and all of these share one number. For each number, a cycle
-    is compared with the cycle of the nearest walker that has it. It takes the number of the nearest
-    such cycle of the same period within `NEIGHBOURS_APART`, or a new one.
+    `periods` are -1 where there are fewer, and 0 where the motion has no period. Attractors without
+    a period share one number; of several, the first of each walker share one, then the second ones.
+    For each number, a cycle is compared with the cycle of the nearest walker that has it. It takes
+    the number of the nearest such cycle of the same period within `NEIGHBOURS_APART`, or a new one.
     """
     shape, most = periods.shape[:-1], periods.shape[-1]
     numbers = np.full((*shape, most), NONE)

@@ -135,7 +135,10 @@ class DirectIteration(NamedTuple):
         strides = self.settings["strides"] - made
         mapper = mapper_of_grid(self.walker, window, self.integrator, strides)
         found = mapper.with_sorted_attractors().attractors
-        return {"attractors": [[one.period, one.states.tolist()] for one in found]}
+        as_list = lambda values: None if values is None else values.tolist()
+        return {
+            "attractors": [[one.period, one.states.tolist(), as_list(one.cloud)] for one in found]
+        }
 
     def window(self) -> tuple[Grid, int]:
         """Return the grid that is followed, and the strides made up to there."""
@@ -145,7 +148,8 @@ class DirectIteration(NamedTuple):
         """Return the mapper to the stored attractors, for walkers that have made some strides."""
         dtype = jnp.asarray(0.0).dtype
         known = [
-            Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
+            Attractor(period, np.array(states, dtype), cloud=cloud and np.array(cloud, dtype))
+            for period, states, cloud in notes["attractors"]
         ]
         strides = self.settings["strides"] - made
         return Mapper(self.walker, known, self.integrator, strides)

@@ -137,11 +137,16 @@ class RefinedCells:
 
     def compare(
         self, shares: Float[np.ndarray, " levels"], check: int
-    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
+    ) -> tuple[
+        Int[np.ndarray, " n"],
+        Int[np.ndarray, " n"],
+        Bool[np.ndarray, " n"],
+        Int[np.ndarray, " levels"],
+    ]:
         """Compare random points in cells that inherited with the labels of these cells.
 
         Returns the cells, in ascending order; 1 where only the point walks, -1 where only the cell
-        does, else 0; and the number of cells from each level.
+        does, else 0; whether their attractors differ; and the number of cells from each level.
         """
         counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
         counts = np.maximum(counts, (shares > 0) & (check > 0))
@@ -154,9 +159,9 @@ class RefinedCells:
         cells = np.concatenate([np.zeros(0, int), *drawn])
         within, order = self.random_places(len(cells)), np.argsort(cells)
         cells = cells[order]  # neighbours make about as many strides
-        walks = self.map(cells, within[order]).converged
-        cell_walks = self.runs.attractor[self.runs.of_cells(cells)] >= 0
-        return cells, walks.astype(int) - cell_walks, counts
+        points = self.map(cells, within[order]).attractor
+        own = self.runs.attractor[self.runs.of_cells(cells)]
+        return cells, (points >= 0).astype(int) - (own >= 0), points != own, counts
 
     def measure_variance(self, count: int) -> float:
         """Estimate the variance of the number of walking cells: the sum of f (1 - f).

@@ -266,10 +266,12 @@ def check_twice(
     Returns the cells, the mistake in each, and the number of checks of each level. Shares of the
     levels minimise the variance, the sum of (mistakes + 1) (size / count)^2.
     """
-    drawn, excess, _ = cells.compare(cells.inherited() ** (2 / 3), check)
+    drawn, excess, differs, _ = cells.compare(cells.inherited() ** (2 / 3), check)
     mistakes = np.bincount(cells.runs.levels_of(drawn[excess != 0]), minlength=levels)
-    cells.follow(levels, np.unique(drawn[excess != 0]))
-    return cells.compare(cells.inherited() ** (2 / 3) * (mistakes + 1) ** (1 / 3), check)
+    cells.follow(levels, np.unique(drawn[differs]))
+    shares = cells.inherited() ** (2 / 3) * (mistakes + 1) ** (1 / 3)
+    drawn, excess, _, counts = cells.compare(shares, check)
+    return drawn, excess, counts
 
 
 def check_finest(walker: System, grid: Grid, levels: int) -> Grid:

@@ -32,10 +32,11 @@ def boundary(
 ) -> None:
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
 
-    The measures are the basin entropy, over all boxes of 5 x 5 cells and over those on the boundary
-    (above log 2, and in boxes of 3 x 3 cells too, it is fractal where its smooth pieces are wide
-    beside the boxes); the share of a region's boundary that another region's lacks (none if it is
-    Wada, but also if the boundaries are merely close); and the edge states, such as a saddle, to
+    Regions are those that fall alike, and those that converge to one attractor. The measures are
+    the basin entropy, over all boxes of 5 x 5 cells and over those on the boundary, and by how much
+    its growth from boxes of 2 to 3 and to 5 cells shows a dimension above that of a line; the share
+    of a region's boundary that another region's lacks (none if it is Wada, but also if the
+    boundaries are merely close); and the edge states, such as a saddle, to
     which the boundary leads. The picture has the stable manifolds of the saddles. The default
     window is that of the command basin.
     """
@@ -53,20 +54,19 @@ def boundary(
 
 def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
     """Write the answer of `boundary`."""
-    yield f"Boundary between fates, {describe_in_words(walker)}"
-    yield f"  basin entropy {answer['basin_entropy']:.5f} (0: every fate is certain)"
+    yield f"Boundary between fates and attractors, {describe_in_words(walker)}"
+    yield f"  basin entropy {answer['basin_entropy']:.5f} (0: one fate or attractor in each box)"
     entropy = answer["boundary_entropy"]
     if entropy["value"] is not None:
-        fractal = (
-            "above log 2: fractal"
-            if entropy["fractal"]
-            else "not above log 2: no sign of a fractal"
-        )
-        yield f"  on the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}, {fractal}"
-        yield f"  boxes on the boundary with three fates or more: {entropy['crowded']:.2%}"
+        fractal = "fractal" if entropy["fractal"] else "no sign of a fractal"
+        yield f"  on the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}"
+        if entropy["excess"] is not None:
+            excess = f"{entropy['excess']:.3f} +- {entropy['excess_error']:.3f}"
+            yield f"  its dimension exceeds that of a smooth one by {excess} or more: {fractal}"
+        yield f"  boxes on the boundary with three regions or more: {entropy['crowded']:.2%}"
     if answer["wada"]:
         shares = ", ".join(f"{one['share']:.1%} at {one['spacing']}" for one in answer["wada"])
-        yield f"  largest part of a boundary that touches only two fates: {shares} cells"
+        yield f"  largest part of a boundary that touches only two regions: {shares} cells"
         yield "    it tends to nothing on finer grids if the boundary is Wada's"
     for one in answer["edges"]:
         yield f"  {edge_in_words(one)}"

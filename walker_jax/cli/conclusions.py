@@ -70,7 +70,10 @@ def share_in_words(share: float) -> str:
 def conclude_boundary(*, found: bool, fractal: bool) -> str:
     """Write the conclusion of `boundary`."""
     if not found:
-        return "No boundary between fates was found in this window: wider axes may hold one."
+        return (
+            "No boundary between fates or attractors was found in this window: "
+            "wider axes may hold one."
+        )
     if fractal:
         return (
             "Near a fractal boundary hardly any accuracy of the start foretells its fate: "

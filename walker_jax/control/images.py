@@ -211,8 +211,11 @@ def box_around(
     bend = jnp.abs(centre.place - sum(corners[0]) / len(corners[0]))
     # If part of a cell fails, the extent of its image is known only to the size of that image.
     bend = jnp.where(whole, bend, jnp.maximum(most - least, 1))
-    least, most = jnp.floor(least - bend), jnp.floor(most + bend)
     end = counts.astype(least.dtype)
+    least, most = (
+        jnp.where(place == end, end - 1, jnp.floor(place))  # the last cell has the upper border
+        for place in (least - bend, most + bend)
+    )
     inside, touches = ((least >= 0) & (most < end)).all(), ((most >= 0) & (least < end)).all()
     low, high = (jnp.clip(one, 0, end - 1).astype(jnp.int32) for one in (least, most))
     # The centre's image belongs to the box, however its place is rounded.

@@ -181,11 +181,9 @@ def values_between(
     steps = np.append(np.cumprod(counts[:0:-1])[::-1], 1).astype(np.int32)
     to = lambda values: jnp.asarray(values, x.dtype)
     values, acting = to(flat), jnp.asarray(has.ravel())
-    u = grid.position(x).astype(x.dtype)
-    inside = jnp.all((u >= 0) & (u < to(counts)))  # not so for NaN
-    u = jnp.where(inside, u, 0.5)
-    cell = jnp.clip(jnp.floor(u), 0, to(counts - 1)).astype(jnp.int32)
-    held = inside & acting[(cell * steps).sum()]
+    cell = grid.cell(x)
+    u = jnp.where(cell >= 0, grid.position(x).astype(x.dtype), 0.5)
+    held = (cell >= 0) & acting[cell]
     first = jnp.floor(u - 0.5)
     share = u - 0.5 - first
     total, weight = jnp.zeros_like(own), jnp.zeros((), x.dtype)

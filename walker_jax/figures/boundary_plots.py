@@ -1,4 +1,4 @@
-"""Pictures of the boundary between fates."""
+"""Pictures of the boundary between fates and attractors."""
 
 from typing import Any
 
@@ -17,10 +17,11 @@ from walker_jax.figures.regions import (
     regions_of,
     show_image,
 )
-from walker_jax.figures.style import BASINS, INK, failure_words
+from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
+from walker_jax.stability.boundaries import region_name
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import failures_of
+from walker_jax.systems.outcomes import outcome_in_words
 
 CURVES = ("#e4572e", "#17a398", "#f2c14e")
 """Colours of stable manifolds, unlike those of regions."""
@@ -70,7 +71,8 @@ def boundary(
     seen: dict[bytes, str] = {}
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)
-        pair = " / ".join(name_of(int(code), data) for code in one["edge_fates"].values)
+        sides = zip(one["edge_fates"].values, one["edge_attractors"].values, strict=True)
+        pair = " / ".join(outcome_in_words(region_name(data, *map(int, side))) for side in sides)
         colour = CURVES[len(seen) % len(CURVES)]
         states = one["edge_saddle"].values
         states = states[np.isfinite(states).all(axis=1)]
@@ -105,11 +107,6 @@ def boundary(
     return ax
 
 
-def name_of(outcome: int, data: xr.Dataset) -> str:
-    """Name a region in a word or two."""
-    return failure_words(outcome, failures_of(data))
-
-
 def saddle_phrase(one: xr.Dataset) -> str:
     """Describe a saddle with its multipliers."""
     period = int(one["edge_period"])
@@ -120,9 +117,9 @@ def saddle_phrase(one: xr.Dataset) -> str:
 
 
 def entropy_phrase(data: xr.Dataset) -> str:
-    """State the entropies of a basin, and the result of the log 2 test."""
+    """State the entropies of a basin, and whether its boundary is fractal."""
     value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
-    fractal = "fractal by log 2" if data["boundary_fractal"] else "log 2 test not passed"
+    fractal = "fractal" if data["boundary_fractal"] else "no sign of a fractal"
     value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"
     first = f"basin entropy {float(data['basin_entropy']):.4f}, {value_phrase};"
     return f"{first}\ncurves are stable manifolds of the saddles"

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from walker_jax.basins.attractor import Attractor, sample
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Labels, Mapper
-from walker_jax.basins.matching import NONE, match_cycles
+from walker_jax.basins.matching import NONE, match_clouds, match_cycles
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers
 from walker_jax.execution.progress import track
 from walker_jax.gaits.branches import (
@@ -79,7 +79,8 @@ def continue_basins(
     """Follow attractors over a parameter, with the fraction of a region that each basin takes.
 
     A gait keeps its number along its branch; a gait of twice the period that branches off has
-    another number. A motion without a period keeps its number from one value to the next.
+    another number. A motion without a period keeps its number from one value to the next; of
+    several, each takes the number of the nearest.
 
     ```python
     walker, slopes = wj.SimplestWalker(0.004), [0.004, 0.009, 0.015]
@@ -153,8 +154,8 @@ class Family:
         self.walker, self.parameter, self.interval = walker, parameter, interval
         self.tolerance, self.integrator = tolerance, Integrator(tolerance)
         self.branches: list[Branch | None] = []
-        self.without_period = NONE
-        """Number of the motion without a period at the last value."""
+        self.without_period: dict[int, Attractor] = {}
+        """The motions without a period at the last value, by their numbers."""
 
     def attractors_at(
         self, value: float, starts: Float[np.ndarray, "n section"], strides: int
@@ -176,8 +177,11 @@ class Family:
             mapper = mapper.with_attractors_from(sample(left))
         labels, mapper = mapper.complete_labels(labels)
         names += self.names_of(value, mapper.attractors[len(known) :], names)
-        periods = [one.period for one in mapper.attractors]
-        self.without_period = names[periods.index(None)] if None in periods else NONE
+        self.without_period = {
+            name: one
+            for name, one in zip(names, mapper.attractors, strict=True)
+            if one.period is None
+        }
         shown = [
             one
             if one.period
@@ -205,9 +209,12 @@ class Family:
     def names_of(self, value: float, found: list[Attractor], taken: list[int]) -> list[int]:
         """Return the numbers of attractors that were not known beforehand at a value."""
         names: list[int] = []
+        wandering = iter(self.names_without_period(found))
         for one in found:
-            branch, name = None, self.without_period
-            if one.period is not None:
+            branch, name = None, NONE
+            if one.period is None:
+                name = next(wandering)
+            else:
                 others = self.cycles_at(value)
                 known = [cycle for _, cycle in others]
                 turns = turns_of(self.walker)
@@ -227,6 +234,13 @@ class Family:
                 self.branches.append(branch)
             names.append(name)
         return names
+
+    def names_without_period(self, found: list[Attractor]) -> list[int]:
+        """Return the numbers of motions without a period; `NONE` for new ones."""
+        before = list(self.without_period)
+        clouds = [one.points for one in found if one.period is None]
+        known = [self.without_period[name].points for name in before]
+        return [NONE if i == NONE else before[i] for i in match_clouds(clouds, known)]
 
 
 def assemble(

@@ -1,4 +1,4 @@
-"""The boundary between fates: how fractal it is, whether it is Wada, and where it leads."""
+"""The boundary between fates and attractors: how fractal it is, whether Wada, where it leads."""
 
 from itertools import combinations
 
@@ -8,8 +8,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.computation import basin, check_grid
-from walker_jax.basins.edge_states import EdgeState, edge_state
+from walker_jax.basins.edge_states import EdgeState, edge_state, fate_of
+from walker_jax.basins.runs import label_of
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.entropies import BOX, basin_entropy
@@ -22,7 +24,7 @@ from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 
 NO_REGION = (Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells in no region, as no walk is known. Cells that are not feasible starts are in none
-either."""
+either, nor are those that walk to no known attractor, where some are known."""
 HALVINGS = 3
 """Number of coarser grids on which boundaries of merged regions are compared, if the grid is fine
 enough."""
@@ -47,10 +49,10 @@ def boundary(
     tolerance: float | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Analyse the boundary between the fates in a region: entropy, Wada property and edge states.
+    """Analyse the boundary between fates and attractors: entropy, Wada property and edge states.
 
-    Regions are the fates; all walkers that converge to an attractor are in one region. Cells that
-    are not feasible starts are in none.
+    Each attractor has a region, the cells that converge to it, and so has each failure. Cells that
+    are not feasible starts are in none, nor are walkers that come to no known attractor.
 
     ```python
     walker = wj.SimplestWalker(0.004)
@@ -71,10 +73,11 @@ def boundary(
     **Returns** the data set of `basin`, and
 
     - `basin_entropy`, `boundary_entropy` and its standard error `boundary_entropy_error`;
-    - `boundary_crowded`: the share of the boxes on the boundary with three fates or more;
-    - `boundary_fractal`: whether the entropy shows that the boundary is fractal, as in
-      `BasinEntropy`;
-    - `region`: the fates of the regions;
+    - `boundary_crowded`: the share of the boxes on the boundary with three regions or more;
+    - `boundary_excess` and its standard error `boundary_excess_error`: by how much the dimension of
+      the boundary exceeds that of a plane, as in `BasinEntropy`;
+    - `boundary_fractal`: whether that shows a fractal boundary;
+    - `region`, `region_attractor`: the fates of the regions, and their attractors, -1 for failures;
     - `wada_share`: over the `spacing` of the grid's points, the largest share of a region's
       boundary that another region's boundary lacks; empty with fewer than three regions.
 
@@ -82,7 +85,7 @@ def boundary(
     between two neighbouring cells, the nearest to the first attractor, or to the middle of the
     grid:
 
-    - `edge_fates`: the fates of the two regions;
+    - `edge_fates`, `edge_attractors`: the fates of the two regions, and their attractors;
     - `edge_kind`, `edge_between`, `edge_path`: the kind, fates and path of the edge state;
     - `edge_period`, `edge_saddle`, `edge_multipliers`: the period, states and multipliers of a
       saddle;
@@ -103,17 +106,17 @@ def boundary(
         data = basin(
             walker, grid, "direct", strides=strides, tolerance=tolerance, progress=progress
         )
-    fate = data["fate"].values
-    begins = np.ones(fate.shape, bool)
-    outside = np.flatnonzero(fate == Outcome.OUTSIDE)
-    begins.flat[outside] = jax.vmap(walker.feasible)(jnp.asarray(grid.centres(outside)))
-    label = np.where(begins & ~np.isin(fate, NO_REGION), fate, -1)
-    entropy = basin_entropy(label, side)
+    label = label_regions(walker, grid, data)
     regions = np.unique(label[label >= 0])
+    regions = np.roll(regions, np.count_nonzero(regions >= len(Outcome)))  # attractors first
+    number = np.full(label.shape, -1)
+    for i, region in enumerate(regions):
+        number[label == region] = i
+    entropy = basin_entropy(number, side)
     spacings, shares = np.zeros(0, int), np.zeros(0)
     if len(regions) >= MIN_REGIONS:
         halvings = min(HALVINGS, int(np.log2(min(label.shape) / MIN_CELLS)))
-        found = merge_regions(label, radius, halvings=halvings)
+        found = merge_regions(number, radius, halvings=halvings)
         spacings, shares = found.spacings, found.share
     pairs, edges = [], []
     for first, second in track([*combinations(regions.tolist(), 2)], "edge states", progress):
@@ -124,7 +127,7 @@ def boundary(
         try:
             edges.append(edge_state(walker, *ends, strides=strides, tolerance=tolerance))
         except (ComputationFailed, WrongUse):  # rounding lost this boundary: the others count
-            edges.append(EdgeState("", None, ends[:1], (Outcome(first), Outcome(second)), np.nan))
+            edges.append(EdgeState("", None, ends[:1], (fate_of(first), fate_of(second)), np.nan))
         pairs.append((first, second))
     return data.assign(
         {
@@ -132,13 +135,45 @@ def boundary(
             "boundary_entropy": entropy.boundary,
             "boundary_entropy_error": entropy.boundary_error,
             "boundary_crowded": entropy.crowded / entropy.mixed if entropy.mixed else np.nan,
+            "boundary_excess": entropy.excess,
+            "boundary_excess_error": entropy.excess_error,
             "boundary_fractal": entropy.fractal,
-            "region": ("region_number", regions),
+            "region": ("region_number", fates_of(regions)),
+            "region_attractor": ("region_number", attractors_of(regions)),
             "spacing": ("spacing", spacings),
             "wada_share": ("spacing", shares),
             **edge_arrays(walker, pairs, edges, tolerance, progress),
         }
     ).assign_attrs(side=side, radius=float(radius))
+
+
+def label_regions(walker: System, grid: Grid, data: xr.Dataset) -> Int[np.ndarray, "*cells"]:
+    """Return the label of each cell's region, as `label_of` numbers them; -1 for cells in none."""
+    fate, attractor = data["fate"].values, data["attractor"].values
+    begins = np.ones(fate.shape, bool)
+    outside = np.flatnonzero(fate == Outcome.OUTSIDE)
+    begins.flat[outside] = jax.vmap(walker.feasible)(jnp.asarray(grid.centres(outside)))
+    known = begins & ~np.isin(fate, NO_REGION)
+    if data.sizes["number"]:
+        known &= ~unmatched_cells(fate, attractor)
+    return np.where(known, label_of(fate, attractor), -1)
+
+
+def fates_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """Return the fates of regions."""
+    return np.where(labels < len(Outcome), labels, int(Outcome.STRIDE))
+
+
+def attractors_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """Return the attractors of regions; -1 for failures."""
+    return np.where(labels < len(Outcome), -1, labels - len(Outcome))
+
+
+def region_name(data: xr.Dataset, fate: int, attractor: int) -> str:
+    """Name a region: an attractor among several by its number, others by their fate."""
+    if attractor >= 0 and int((data["region_attractor"] >= 0).sum()) > 1:
+        return f"attractor {attractor}"
+    return name_of_outcome(fate, failures_of(data))
 
 
 def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
@@ -183,8 +218,10 @@ def edge_arrays(
     curves = [curves_of(walker, one, tolerance) for one in followed]
     both = [curve for pair in curves for curve in (*pair, *[np.zeros((0, size))] * (2 - len(pair)))]
     vertices = padded(both, size)
+    labels = np.array(pairs, int).reshape(-1, 2)
     return {
-        "edge_fates": (("edge", "beside"), np.array(pairs, int).reshape(-1, 2)),
+        "edge_fates": (("edge", "beside"), fates_of(labels)),
+        "edge_attractors": (("edge", "beside"), attractors_of(labels)),
         "edge_between": (
             ("edge", "beside"),
             np.array([one.fates for one in edges], int).reshape(-1, 2),
@@ -231,19 +268,25 @@ def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
 
 
 def summarise_boundary(data: xr.Dataset) -> dict:
-    """Return the results of `boundary` for JSON, with fates by name."""
+    """Return the results of `boundary` for JSON, with regions by name."""
     failures = failures_of(data)
     names = lambda codes: [name_of_outcome(int(code), failures) for code in codes.values]
-    value, crowded = float(data["boundary_entropy"]), float(data["boundary_crowded"])
+    regions = lambda fates, attractors: [
+        region_name(data, int(fate), int(number))
+        for fate, number in zip(fates.values, attractors.values, strict=True)
+    ]
+    finite = lambda value: float(value) if np.isfinite(value) else None
     shares = zip(data["spacing"].values.tolist(), data["wada_share"].values.tolist(), strict=True)
     edges = []
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)
         known = lambda name, one=one: one[name].values[np.isfinite(one[name].values).all(axis=1)]
+        sides = regions(one["edge_fates"], one["edge_attractors"])
+        third = not np.array_equal(one["edge_between"], one["edge_fates"])
         edges.append(
             {
-                "regions": names(one["edge_fates"]),
-                "between": names(one["edge_between"]),
+                "regions": sides,
+                "between": names(one["edge_between"]) if third else sides,
                 "kind": str(one["edge_kind"].values),
                 "period": int(one["edge_period"]),
                 "states": known("edge_saddle"),
@@ -253,12 +296,14 @@ def summarise_boundary(data: xr.Dataset) -> dict:
     return {
         "basin_entropy": float(data["basin_entropy"]),
         "boundary_entropy": {
-            "value": value if np.isfinite(value) else None,
+            "value": finite(data["boundary_entropy"]),
             "error": float(data["boundary_entropy_error"]),
+            "excess": finite(data["boundary_excess"]),
+            "excess_error": finite(data["boundary_excess_error"]),
             "fractal": bool(data["boundary_fractal"]),
-            "crowded": crowded if np.isfinite(crowded) else None,
+            "crowded": finite(data["boundary_crowded"]),
         },
-        "regions": names(data["region"]),
+        "regions": regions(data["region"], data["region_attractor"]),
         "wada": [{"spacing": spacing, "share": share} for spacing, share in shares],
         "edges": edges,
     }

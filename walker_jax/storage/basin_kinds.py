@@ -135,17 +135,23 @@ BASINS = {
         WALKER | SECTION | {"method": "`direct, refined`"},
     ),
     "boundary": Kind(
-        "A basin, and the boundary between its fates (`boundary`).",
+        "A basin, and the boundary between its fates and attractors (`boundary`).",
         {
             "basin_entropy": V("", "real", "", "mean over all boxes"),
-            "boundary_entropy": V("", "real", "", "mean over boxes with several fates"),
+            "boundary_entropy": V("", "real", "", "mean over boxes with several regions"),
             "boundary_entropy_error": V("", "real", "", "its standard error"),
-            "boundary_crowded": V("", "real", "", "share of these boxes with three fates or more"),
-            "boundary_fractal": V("", "boolean", "", "above log 2 in boxes of two sizes"),
+            "boundary_crowded": V(
+                "", "real", "", "share of these boxes with three regions or more"
+            ),
+            "boundary_excess": V("", "real", "", "of the boundary's dimension over a plane's"),
+            "boundary_excess_error": V("", "real", "", "its standard error"),
+            "boundary_fractal": V("", "boolean", "", "whether that shows a fractal boundary"),
             "region": V("region_number", "integer", "", "`Outcome` of the walkers in a region"),
+            "region_attractor": V("region_number", "integer", "", "its attractor; -1 for none"),
             "spacing": V("spacing", "integer", "cells", "of the points that are compared"),
             "wada_share": V("spacing", "real", "", "share of a boundary that another lacks"),
             "edge_fates": V("edge beside", "integer", "", "`Outcome` of regions that touch"),
+            "edge_attractors": V("edge beside", "integer", "", "their attractors; -1 for none"),
             "edge_between": V("edge beside", "integer", "", "`Outcome` beside the path's end"),
             "edge_kind": V("edge", "text", "", "`saddle`, the margin that is zero, or empty"),
             "edge_period": V("edge", "integer", "strides", "of the saddle; 0 for none"),
