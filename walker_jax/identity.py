@@ -191,7 +191,7 @@ def sha256_of(content: Any) -> str:
 @functools.lru_cache(MOST)
 def hash_of_code(code: types.CodeType) -> str:
     """Hash what a code object does, wherever it stands in its file."""
-    names = code.co_qualname, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
+    names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
     words = code.co_code, code.co_exceptiontable, names, counts, Describer().words(code.co_consts)
     return sha256_of(words)
