@@ -6,9 +6,11 @@ import math
 import os
 import random
 import re
+import signal
 import threading
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import explorer_server
 import numpy as np
@@ -75,6 +77,97 @@ def test_a_worker_is_interrupted_and_stays(monkeypatch):
         finally:
             crew.stop()
 
+    asyncio.run(use())
+
+
+@pytest.mark.parametrize(
+    ("at_work", "helps", "wanted"),
+    [(True, True, ["interrupted"]), (True, False, ["interrupted", "killed"]), (False, False, [])],
+)
+def test_a_process_is_killed_if_interrupts_do_not_help(monkeypatch, at_work, helps, wanted):
+    """While it starts, it is not interrupted."""
+
+    async def use():
+        job, worker, happened = asyncio.get_running_loop().create_future(), workers.Worker(), []
+
+        def interrupt(pid, how):
+            assert (pid, how) == (1234, signal.SIGINT)
+            happened.append("interrupted")
+            if helps:
+                job.set_result("interrupted")
+
+        def kill():
+            happened.append("killed")
+            job.set_exception(EOFError())
+
+        worker.process, worker.at_work = Mock(pid=1234), at_work
+        if not at_work:
+            asyncio.get_running_loop().call_soon(job.set_result, "done")
+        monkeypatch.setattr(workers, "GRACE", 0.05)
+        monkeypatch.setattr(workers.os, "kill", interrupt)
+        monkeypatch.setattr(worker, "stop_process", kill)
+        await asyncio.wait_for(worker.give_up(job), 60)
+        assert happened == wanted
+
+    asyncio.run(use())
+
+
+def test_jobs_are_shared_and_long_ones_are_the_first_workers(monkeypatch):
+    at_work = {}
+
+    async def run(self, function, name, told):
+        """As a process that works until it is told to end."""
+        at_work[name] = self, asyncio.get_running_loop().create_future()
+        try:
+            return await at_work[name][1]
+        finally:
+            del at_work[name]
+
+    async def turns():
+        for _ in range(9):
+            await asyncio.sleep(0)
+
+    async def use():
+        crew = workers.Workers(2)
+        ask = lambda name, **how: asyncio.create_task(crew.ask(str, name, **how))
+        keys = lambda *names: [(str, (name,)) for name in names]
+        where = lambda: {name: crew.all.index(worker) for name, (worker, _) in at_work.items()}
+
+        async def end(name):
+            at_work[name][1].set_result(name.upper())
+            await turns()
+
+        asked = {name: ask(name, long="long" in name) for name in ("a", "long", "longer", "b")}
+        await turns()
+        assert where() == {"a": 1, "long": 0} and len(crew.waiting) == 2
+        refused, again = ask("c"), ask("long", long=True)
+        await turns()
+        assert isinstance(refused.exception(), workers.Busy)
+        await end("a")
+        assert where() == {"b": 1, "long": 0}  # the longer one waits for the first worker
+        asked["long"].cancel()
+        await turns()
+        assert where() == {"b": 1, "long": 0}
+        again.cancel()
+        await turns()
+        assert where() == {"b": 1, "longer": 0}
+        await end("longer")
+        await end("b")
+        assert [asked[name].result() for name in ("a", "b", "longer")] == ["A", "B", "LONGER"]
+        kept, passed = ask("longer"), ask("d", keep=False)
+        await turns()
+        assert where() == {"d": 1} and kept.result() == "LONGER"
+        await end("d")
+        assert passed.result() == "D" and [*crew.answers] == keys("b", "longer")
+        last = ask("a")
+        await turns()
+        await end("a")
+        assert last.result() == "A" and [*crew.answers] == keys("longer", "a")
+        assert crew.jobs == {} and crew.idle == crew.all[::-1]
+
+    monkeypatch.setattr(workers.Worker, "run", run)
+    monkeypatch.setattr(workers, "MAX_WAITING", 2)
+    monkeypatch.setattr(workers, "REMEMBERED", 2)
     asyncio.run(use())
 
 

@@ -20,7 +20,7 @@ import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import NotWritten
 from walker_jax.storage import datasets, schema
-from walker_jax.storage.damage import CHECKSUMS, VERSION, Damaged, name_damage
+from walker_jax.storage.damage import CHECKSUMS, VERSION, Damaged, is_own_dataset, name_damage
 
 REQUEST = {"command": "basin", "slope": 0.004}
 SIZES = {name: size for size, name in enumerate(("theta", "sum", "slope"), 3)}
@@ -158,6 +158,16 @@ def test_every_entry_of_the_metadata_is_checked(tmp_path):
         (path / part).write_text(written)
         tried += len(trees)
     assert storage.find(path, REQUEST) is not None and tried > 60
+
+
+@pytest.mark.parametrize(
+    ("attributes", "own"),
+    [({"request": "{}"}, True), ({CHECKSUMS: "{}"}, True), ({VERSION: 1}, False)],
+)
+def test_either_attribute_of_a_group_shows_whose_it_is(tmp_path, attributes, own):
+    path = tmp_path / "a.zarr"
+    xr.Dataset({"fate": ("x", np.ones(5))}, attrs=attributes).to_zarr(path, consolidated=False)
+    assert is_own_dataset(path) == own
 
 
 @pytest.mark.parametrize("how", DAMAGE)
