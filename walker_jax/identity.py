@@ -160,10 +160,9 @@ class Describer:
 
     def describe_thing(self, value: Any) -> Hashable:
         """Return the object, or any other that it is equal to, within a process."""
-        alike = type(value).__eq__ is not object.__eq__
         with contextlib.suppress(Exception):  # whatever its class raises
             hash(value)
-            return self.words(type(value)), value if alike else self.name(value)
+            return self.words(type(value)), value
         return self.words(type(value)), self.name(value)
 
 

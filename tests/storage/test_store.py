@@ -430,8 +430,10 @@ def test_what_a_killed_run_left_beside_goes_with_the_next(tmp_path, data):
     path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.walker-jax"
     (left / "new" / "x").mkdir(parents=True)
     (left / "lock").touch()
+    (kept := tmp_path / "kept").mkdir()
+    (left / "link").symlink_to(kept)
     storage.save(data, path, REQUEST)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+    assert {p.name for p in tmp_path.iterdir()} == {"a.zarr", "kept"}
 
 
 def test_two_runs_may_not_begin_at_once(tmp_path, data):

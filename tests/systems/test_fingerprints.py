@@ -8,8 +8,9 @@ import math
 import os
 import subprocess
 import sys
+from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType
+from types import CellType, FunctionType, ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +21,17 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.identity import AsItIs, code_fingerprint, hash_of_code, holds_packages
+from walker_jax.identity import (
+    FOLDER,
+    AsItIs,
+    StoreDescriber,
+    code_fingerprint,
+    hash_of_code,
+    holds_packages,
+    imports_in,
+    root_of,
+    values_in,
+)
 from walker_jax.kernels import kernel
 from walker_jax.multibody import System
 from walker_jax.stability.metric import metric_of
@@ -313,6 +324,51 @@ def test_a_function_is_the_same_wherever_it_stands():
 
     source = "def read(x):\n    return one(x)"
     assert made(source) == made(f"# moved\n{source}") != made(source.replace("one", "other"))
+
+
+def test_values_of_unusual_kinds_are_told_apart():
+    def of(value):
+        return AsItIs(lambda: value)
+
+    empty = [FunctionType(of(1).function.__code__, {}, "f", None, (CellType(),)) for _ in range(2)]
+    assert AsItIs(empty[0]) == AsItIs(empty[1]) != of(1)
+    wrapped = lambda size: functools.wraps(math.sin)(lambda x, by=size: by * x)
+    assert AsItIs(wrapped(2)) == AsItIs(wrapped(2)) != AsItIs(wrapped(3))  # it is no code of Python
+    # The order of a set is that of its words, wherever its functions are in memory.
+    a, b, c, d = sorted((new_half() for _ in range(4)), key=id)
+    assert of({(a, 0), (b, 1)}) == of({(c, 1), (d, 0)}) != of({(a, 0), (b, 2)})
+    assert values_in(np.array([None]), 100) is None  # its bytes would be addresses
+    thing, alike = Steps(1.0), wj.Outcome.STRIDE
+    assert of(thing) == of(thing) != of(Steps(1.0)) and of(alike) == of(wj.Outcome(0))
+
+
+def new_half():
+    def half(x):
+        return x / 2
+
+    return half
+
+
+def test_files_that_are_covered_are_those_of_a_project(tmp_path):
+    def covered(root, name):
+        found = StoreDescriber()
+        found.add_file(root / name, root)
+        return sorted(found.sources)
+
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "outside.py").write_text("")
+    (tmp_path / "inner" / "one.py").write_text("try:\n    from .. import outside\nfinally: pass")
+    assert covered(tmp_path / "inner", "one.py") == ["one.py"]  # nothing above its folder
+    assert covered(tmp_path, "inner/one.py") == ["inner/one.py", "outside.py"]
+    assert covered(FOLDER.parent, "walker_jax/identity.py") == []
+    (tmp_path / "two.py").write_text("import inner.one, walker_jax")
+    assert covered(tmp_path, "two.py") == ["inner/one.py", "outside.py", "two.py"]
+    assert imports_in(b"import a\0") == imports_in(b"import (") == []
+    program = ModuleType("__main__")  # by python -m inner.one
+    program.__spec__ = ModuleSpec("inner.one", None)
+    assert root_of(program, tmp_path / "inner" / "one.py") == tmp_path
+    program.__spec__ = None
+    assert root_of(program, tmp_path / "inner" / "one.py") == tmp_path / "inner"
 
 
 def of_every_kind(a, /, b, *, c):
