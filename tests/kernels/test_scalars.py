@@ -284,7 +284,7 @@ def test_signs_pass_through_sums_and_products():
     assert chosen == ["add", "gt", "neg", "select_n"]
 
 
-def test_a_function_called_of_a_number_and_of_its_negative_is_another():
+def test_calls_of_a_number_and_of_its_negative_are_two():
     called = jax.jit(lambda x, y: x + 2.0 * y)
     function = lambda x, y: (called(x, y), called(-x, y), called(x, -y), called(-x, -y))
     assert list(map(float, unroll(function)(5.0, 7.0))) == [19.0, 9.0, -9.0, -19.0]

@@ -380,7 +380,7 @@ def of_every_kind(a, /, b, *, c):
     return lambda: values
 
 
-def test_code_is_all_that_a_function_does_and_not_where_it_stands():
+def test_code_is_what_it_does_and_not_where_it_stands():
     code = of_every_kind.__code__
     hashed = lambda **changed: hash_of_code(code.replace(**changed))
     for name in ("co_name", "co_qualname", "co_filename"):
