@@ -160,10 +160,9 @@ class Describer:
 
     def describe_thing(self, value: Any) -> Hashable:
         """Return the object, or any other that it is equal to, within a process."""
-        alike = type(value).__eq__ is not object.__eq__
         with contextlib.suppress(Exception):  # whatever its class raises
             hash(value)
-            return self.words(type(value)), value if alike else self.name(value)
+            return self.words(type(value)), value
         return self.words(type(value)), self.name(value)
 
 
@@ -191,7 +190,7 @@ def sha256_of(content: Any) -> str:
 @functools.lru_cache(MOST)
 def hash_of_code(code: types.CodeType) -> str:
     """Hash what a code object does, wherever it stands in its file."""
-    names = code.co_qualname, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
+    names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
     words = code.co_code, code.co_exceptiontable, names, counts, Describer().words(code.co_consts)
     return sha256_of(words)

@@ -6,9 +6,11 @@ import math
 import os
 import random
 import re
+import signal
 import threading
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import explorer_server
 import numpy as np
@@ -24,13 +26,6 @@ from walker_jax.explorer.subjects import read_subject
 # ---------------------------------------------------------------------------- measures, copies
 
 
-async def until(condition, seconds=60.0):
-    """Wait for something that another thread or task brings about."""
-    async with asyncio.timeout(seconds):
-        while not condition():
-            await asyncio.sleep(0.01)
-
-
 def roots_of(*numbers):
     """Yields the square root of each number; returns how many there are."""
     for one in numbers:
@@ -38,25 +33,37 @@ def roots_of(*numbers):
     return len(numbers)
 
 
-def test_a_worker_is_interrupted_and_stays():
+def long_job(part):
+    """Yields one part, and goes on for a minute."""
+    yield part
+    time.sleep(60)
+
+
+def test_a_worker_is_interrupted_and_stays(monkeypatch):
+    answers, call = [], workers.Worker.call
+    noted = lambda *given: answers.append(call(*given)) or answers[-1]
+    monkeypatch.setattr(workers.Worker, "call", noted)
+    monkeypatch.setattr(workers, "GRACE", 600.0)  # workers have a low priority: others go first
+
     async def use():
-        crew = workers.Workers(1)
+        crew, begun = workers.Workers(1), asyncio.Event()
         try:
             assert await crew.ask(math.sqrt, 4.0) == 2.0
             assert await crew.ask(math.exp, 4.0) == math.exp(4.0)
             pid = crew.all[0].process.pid
-            first, second = (asyncio.create_task(crew.ask(time.sleep, 60.0)) for _ in range(2))
-            third = asyncio.create_task(crew.ask(time.sleep, 61.0))
-            await until(lambda: crew.all[0].at_work and crew.waiting)
+            ask = lambda part: crew.ask(long_job, part, told=lambda _: begun.set())
+            first, second, third = (asyncio.create_task(ask(part)) for part in (1, 1, 2))
+            await begun.wait()
+            assert len(crew.waiting) == 1
             for task in (first, third):
                 task.cancel()
                 await asyncio.wait([task])
             assert crew.waiting == []  # the third one has not begun
             assert len(crew.jobs) == 1 and crew.idle == []  # the second one waits for the first
             second.cancel()
-            start = time.monotonic()
             assert await crew.ask(math.sqrt, 9.0) == 3.0
-            assert time.monotonic() - start < 30 and crew.all[0].process.pid == pid
+            assert answers[2:] == [("interrupted", None), ("done", 3.0)]
+            assert crew.all[0].process.pid == pid
             with pytest.raises(workers.Failure, match="math domain error"):
                 await crew.ask(math.sqrt, -1.0)
             told = []  # parts that come before the result, or before it fails
@@ -70,6 +77,97 @@ def test_a_worker_is_interrupted_and_stays():
         finally:
             crew.stop()
 
+    asyncio.run(use())
+
+
+@pytest.mark.parametrize(
+    ("at_work", "helps", "wanted"),
+    [(True, True, ["interrupted"]), (True, False, ["interrupted", "killed"]), (False, False, [])],
+)
+def test_a_process_is_killed_if_interrupts_do_not_help(monkeypatch, at_work, helps, wanted):
+    """While it starts, it is not interrupted."""
+
+    async def use():
+        job, worker, happened = asyncio.get_running_loop().create_future(), workers.Worker(), []
+
+        def interrupt(pid, how):
+            assert (pid, how) == (1234, signal.SIGINT)
+            happened.append("interrupted")
+            if helps:
+                job.set_result("interrupted")
+
+        def kill():
+            happened.append("killed")
+            job.set_exception(EOFError())
+
+        worker.process, worker.at_work = Mock(pid=1234), at_work
+        if not at_work:
+            asyncio.get_running_loop().call_soon(job.set_result, "done")
+        monkeypatch.setattr(workers, "GRACE", 0.05)
+        monkeypatch.setattr(workers.os, "kill", interrupt)
+        monkeypatch.setattr(worker, "stop_process", kill)
+        await asyncio.wait_for(worker.give_up(job), 60)
+        assert happened == wanted
+
+    asyncio.run(use())
+
+
+def test_jobs_are_shared_and_long_ones_are_the_first_workers(monkeypatch):
+    at_work = {}
+
+    async def run(self, function, name, told):
+        """As a process that works until it is told to end."""
+        at_work[name] = self, asyncio.get_running_loop().create_future()
+        try:
+            return await at_work[name][1]
+        finally:
+            del at_work[name]
+
+    async def turns():
+        for _ in range(9):
+            await asyncio.sleep(0)
+
+    async def use():
+        crew = workers.Workers(2)
+        ask = lambda name, **how: asyncio.create_task(crew.ask(str, name, **how))
+        keys = lambda *names: [(str, (name,)) for name in names]
+        where = lambda: {name: crew.all.index(worker) for name, (worker, _) in at_work.items()}
+
+        async def end(name):
+            at_work[name][1].set_result(name.upper())
+            await turns()
+
+        asked = {name: ask(name, long="long" in name) for name in ("a", "long", "longer", "b")}
+        await turns()
+        assert where() == {"a": 1, "long": 0} and len(crew.waiting) == 2
+        refused, again = ask("c"), ask("long", long=True)
+        await turns()
+        assert isinstance(refused.exception(), workers.Busy)
+        await end("a")
+        assert where() == {"b": 1, "long": 0}  # the longer one waits for the first worker
+        asked["long"].cancel()
+        await turns()
+        assert where() == {"b": 1, "long": 0}
+        again.cancel()
+        await turns()
+        assert where() == {"b": 1, "longer": 0}
+        await end("longer")
+        await end("b")
+        assert [asked[name].result() for name in ("a", "b", "longer")] == ["A", "B", "LONGER"]
+        kept, passed = ask("longer"), ask("d", keep=False)
+        await turns()
+        assert where() == {"d": 1} and kept.result() == "LONGER"
+        await end("d")
+        assert passed.result() == "D" and [*crew.answers] == keys("b", "longer")
+        last = ask("a")
+        await turns()
+        await end("a")
+        assert last.result() == "A" and [*crew.answers] == keys("longer", "a")
+        assert crew.jobs == {} and crew.idle == crew.all[::-1]
+
+    monkeypatch.setattr(workers.Worker, "run", run)
+    monkeypatch.setattr(workers, "MAX_WAITING", 2)
+    monkeypatch.setattr(workers, "REMEMBERED", 2)
     asyncio.run(use())
 
 
@@ -115,8 +213,8 @@ def test_a_measure_that_grows_is_lines(running, client, monkeypatch):
 
 
 def test_the_seconds_left_are_of_what_compiles_before(monkeypatch):
-    go = threading.Event()
-    monkeypatch.setattr(programs, "compile_programs", lambda _: go.wait())
+    begun, go = threading.Event(), threading.Event()
+    monkeypatch.setattr(programs, "compile_programs", lambda _: begun.set() or go.wait())
     kinds = {
         name: read_subject({"walker": name}) for name in ("kneed", "spring", "spatial", "powered")
     }
@@ -125,7 +223,7 @@ def test_the_seconds_left_are_of_what_compiles_before(monkeypatch):
         made = programs.Programs()
         left = lambda: [made.seconds_left(one) for one in kinds.values()]
         waiting = [asyncio.create_task(made.ready(kinds[name])) for name in ("kneed", "spring")]
-        await until(lambda: made.begun)
+        await asyncio.to_thread(begun.wait)
         made.begun[kinds["kneed"].offer] -= 10.0
         a, b, c, d = (SECONDS[name] for name in kinds)
         assert left() == pytest.approx(
@@ -136,10 +234,11 @@ def test_the_seconds_left_are_of_what_compiles_before(monkeypatch):
         go.set()
         await asyncio.gather(*waiting)
         assert made.begun == {} and left() == [0.0, 0.0, c, d]
+        begun.clear()
         go.clear()
         plain = read_subject({"walker": "kneed", "section": "plain"})
         waiting = asyncio.create_task(made.ready(plain))  # another plane of what is compiled
-        await until(lambda: made.begun)
+        await asyncio.to_thread(begun.wait)
         assert left() == [0.0, 0.0, c, d]
         go.set()
         await waiting

@@ -159,17 +159,21 @@ def test_cells_on_several_devices():
     assert done.returncode == 0, done.stderr
 
 
-def test_xlas_own_call_is_not_divided(card):
-    """Its number of cells is fixed, so that XLA would give it all of them on each device."""
-    token = gpu.trying.set(BY_XLA)
-    try:
-        mesh = jax.make_mesh((1,), ("cells",), axis_types=(jax.sharding.AxisType.Auto,))
-        xs = jnp.arange(8.0)
-        many = jax.vmap(kernel(lambda x: 3 * x))
-        cut = jax.shard_map(many, mesh=mesh, in_specs=jax.P("cells"), out_specs=jax.P("cells"))
-        assert gpu.PTX_CALL in jax.jit(cut).lower(xs).as_text()
-    finally:
-        gpu.trying.reset(token)
+@pytest.mark.parametrize("way", gpu.ROUTES, ids=["by the handler", "by XLA"])
+def test_xlas_own_call_is_not_divided(card, way, monkeypatch):
+    """Its number of cells is fixed, so that XLA would give it all of them on each device.
+
+    XLA divides cells along the axes of a mesh that `jax.shard_map` leaves to it.
+    """
+    monkeypatch.setattr(gpu, "route_in_use", lambda: way)
+    mesh = jax.make_mesh((1, 1), ("a", "b"), axis_types=(jax.sharding.AxisType.Auto,) * 2)
+    each = {"mesh": mesh, "in_specs": jax.P("a"), "out_specs": jax.P("a")}
+    many, xs = jax.vmap(kernel(lambda x: 3 * x)), jnp.arange(8.0)
+    lowered = lambda axes: jax.jit(jax.shard_map(many, axis_names=axes, **each)).lower(xs).as_text()
+    whole, divided = lowered({"a", "b"}), lowered({"a"})
+    call = gpu.PTX_CALL if way is BY_XLA else "stablehlo.custom_call @walker_jax"
+    assert call in whole and "num_batch_dims" not in whole
+    assert (call in divided) == ("num_batch_dims" in divided) == (way is BY_HANDLER)
 
 
 # Routes

@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import export, lax
+from jax.sharding import AxisType, NamedSharding
+from jax.sharding import PartitionSpec as P
 from turns import AS, BOTH, RNG, XS, A, X, assert_same, by_loop, number, unrolled
 
 from walker_jax.kernels import ffi, handler, kernel
@@ -148,6 +150,27 @@ def test_cells_on_several_devices():
         text=True,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("kind", [AxisType.Auto, AxisType.Explicit])
+def test_xla_computes_on_meshes_what_has_no_kernel(kind):
+    """Numbers in the function vary along no axis of a mesh, unlike its operands."""
+
+    def function(a, x):
+        return jnp.sort(jnp.stack([2.0 * x[0], a * x[1], jnp.sin(x[0] + 1.0)]))
+
+    mesh = jax.make_mesh((1, 1), ("i", "j"), axis_types=(kind,) * 2)
+    xs = jax.device_put(XS, NamedSharding(mesh, P("i")))
+    value = lambda f: jax.vmap(f, (None, 0))
+    gradient = lambda f: lambda a, x: jax.grad(lambda x: (value(f)(a, x) ** 3).sum())(x)
+    for of in (value, gradient):
+        own, expected = of(kernel(function)), jax.jit(of(function))(A, XS)
+        found = [jax.jit(own)(A, xs)]
+        for axes in ({"i"}, {"i", "j"}):
+            specs = {"in_specs": (P(), P("i")), "out_specs": P("i"), "axis_names": axes}
+            found.append(jax.jit(jax.shard_map(own, mesh=mesh, **specs))(A, xs))
+        for one in found:
+            np.testing.assert_allclose(one, expected, rtol=1e-12, atol=1e-14)
 
 
 # Programs for other processes

@@ -284,6 +284,13 @@ def test_signs_pass_through_sums_and_products():
     assert chosen == ["add", "gt", "neg", "select_n"]
 
 
+def test_calls_of_a_number_and_of_its_negative_are_two():
+    called = jax.jit(lambda x, y: x + 2.0 * y)
+    function = lambda x, y: (called(x, y), called(-x, y), called(x, -y), called(-x, -y))
+    assert list(map(float, unroll(function)(5.0, 7.0))) == [19.0, 9.0, -9.0, -19.0]
+    assert names(function, 5.0, 7.0) == ["add", "mul", "neg", "sub", "sub"]
+
+
 @pytest.mark.parametrize("at", [(0.3, 0.7, -1.9), (-2.5, 1e-9, 3e4)])
 def test_signs_change_no_bit(at):
     def function(a, x, y):

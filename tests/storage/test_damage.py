@@ -1,9 +1,11 @@
 """Damage to data sets on disk is found and named, or has no effect; what is damaged is replaced."""
 
+import copy
 import errno
+import json
 import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,13 @@ import pytest
 import xarray as xr
 import zarr
 from reference import DATA
+from zarr.codecs import Crc32cCodec, GzipCodec
 
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import NotWritten
 from walker_jax.storage import datasets, schema
-from walker_jax.storage.damage import VERSION, Damaged
+from walker_jax.storage.damage import CHECKSUMS, VERSION, Damaged, is_own_dataset, name_damage
 
 REQUEST = {"command": "basin", "slope": 0.004}
 SIZES = {name: size for size, name in enumerate(("theta", "sum", "slope"), 3)}
@@ -121,6 +124,52 @@ def test_a_group_that_has_lost_its_attributes_is_damaged(tmp_path, change):
     assert storage.find(path, REQUEST, overwrite=True) is None
 
 
+def changed_once(tree: Any) -> Iterator[Any]:
+    """Yield copies of a tree of dictionaries and lists in which one value is another, or lost."""
+    if not isinstance(tree, dict | list):
+        yield f"another {tree}" if isinstance(tree, str) else 7.5
+        return
+    for place in tree if isinstance(tree, dict) else range(len(tree)):
+        other = copy.copy(tree)
+        del other[place]
+        yield other
+        for one in changed_once(tree[place]):
+            other = copy.copy(tree)
+            other[place] = one
+            yield other
+
+
+def test_every_entry_of_the_metadata_is_checked(tmp_path):
+    """Also a number that is another one, with which everything can be read as before."""
+    path, tried = tmp_path / "a.zarr", 0
+    saved(path, fate=("x", np.arange(5), {"unit": "m"}))
+    for part in ("zarr.json", "fate/zarr.json"):
+        written = (path / part).read_text()
+        trees = [*changed_once(json.loads(written))]
+        if part == "zarr.json":
+            tree = json.loads(written)
+            for sums in changed_once(json.loads(tree["attributes"][CHECKSUMS])):
+                attributes = tree["attributes"] | {CHECKSUMS: json.dumps(sums)}
+                trees.append(tree | {"attributes": attributes})
+        for tree in trees:
+            (path / part).write_text(json.dumps(tree))
+            with pytest.raises(Damaged, match=f"{part} is not as it|{part} cannot be|schema v"):
+                storage.find(path, REQUEST)
+        (path / part).write_text(written)
+        tried += len(trees)
+    assert storage.find(path, REQUEST) is not None and tried > 60
+
+
+@pytest.mark.parametrize(
+    ("attributes", "own"),
+    [({"request": "{}"}, True), ({CHECKSUMS: "{}"}, True), ({VERSION: 1}, False)],
+)
+def test_either_attribute_of_a_group_shows_whose_it_is(tmp_path, attributes, own):
+    path = tmp_path / "a.zarr"
+    xr.Dataset({"fate": ("x", np.ones(5))}, attrs=attributes).to_zarr(path, consolidated=False)
+    assert is_own_dataset(path) == own
+
+
 @pytest.mark.parametrize("how", DAMAGE)
 def test_damage_is_named_and_what_is_damaged_may_be_replaced(tmp_path, how):
     path = tmp_path / "a.zarr"
@@ -158,13 +207,49 @@ def test_what_may_not_be_of_this_package_is_never_replaced(tmp_path):
     with pytest.raises(storage.StoreConflict, match="is not a data set"):
         storage.find(path, REQUEST, overwrite=True)
     (path / "link").unlink()
+    (path / "fate/c/0.1a2b.partial").write_bytes(b"half of")  # a chunk that was being written
     assert storage.find(path, REQUEST, overwrite=True) is None
-    foreign = tmp_path / "b.zarr"
-    xr.Dataset({"fate": ("x", np.ones(5))}).to_zarr(foreign, consolidated=False)
-    for name in ("fate/c/0", "fate/zarr.json", "zarr.json"):
-        damage(foreign / name, "cut")
-        with pytest.raises(storage.StoreConflict, match="is not a data set"):
-            storage.find(foreign, REQUEST, overwrite=True)
+    for number, compressors in enumerate(((), (Crc32cCodec(),), (GzipCodec(), Crc32cCodec()))):
+        foreign = tmp_path / f"b{number}.zarr"
+        data = xr.Dataset({"fate": ("x", np.ones(5), {}, {"compressors": compressors})})
+        data.to_zarr(foreign, consolidated=False)
+        for name in ("fate/c/0", "zarr.json", "fate/zarr.json"):
+            damage(foreign / name, "cut")
+            with pytest.raises(storage.StoreConflict, match="is not a data set"):
+                storage.find(foreign, REQUEST, overwrite=True)
+
+
+def test_what_may_not_be_read_is_not_damaged(tmp_path, monkeypatch):
+    """It is another user's, or memory is short: the data set may be whole, and is not replaced."""
+    path = tmp_path / "a.zarr"
+    written = saved(path)
+    for error in (PermissionError(errno.EACCES, "Permission denied"), MemoryError()):
+        with pytest.raises(type(error)), name_damage(path, "it"):
+            raise error
+    with pytest.raises(Damaged, match="it is gone") as refusal, name_damage(path, "it", "is gone"):
+        raise OSError(errno.EIO, "Input/output error")
+    assert isinstance(refusal.value.__cause__, OSError)
+    for name in [file.relative_to(path).as_posix() for file in files_of(path)]:
+        with monkeypatch.context() as patch:
+            refuse_to_read(path / name, patch)
+            for overwrite in (False, True):
+                with pytest.raises(storage.StoreConflict) as error:
+                    storage.find(path, REQUEST, overwrite=overwrite)
+                assert not isinstance(error.value, Damaged)
+    found = storage.find(path, REQUEST)
+    assert found is not None and found.identical(written)
+
+
+def refuse_to_read(secret: Path, patch: pytest.MonkeyPatch) -> None:
+    """As of a file of another user; a superuser may read every file."""
+    read = Path.read_bytes
+
+    def read_bytes(file: Path) -> bytes:
+        if file == secret:
+            raise PermissionError(errno.EACCES, "Permission denied", str(file))
+        return read(file)
+
+    patch.setattr(Path, "read_bytes", read_bytes)
 
 
 @pytest.mark.parametrize("version", [None, 2])

@@ -1,6 +1,7 @@
 import errno
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -205,6 +206,14 @@ def test_another_request_may_not_go_on(tmp_path):
 )
 def test_what_is_other_is_said(there, wanted, said):
     assert requests.first_difference(there, wanted) == said
+
+
+def test_only_a_complete_result_may_be_of_another_version(tmp_path):
+    attributes = {"request": requests.canonical_json({**REQUEST, "version": "0.1"})}
+    wanted = {**REQUEST, "version": "0.2"}
+    requests.check_request(tmp_path, attributes, wanted)
+    with pytest.raises(storage.StoreConflict, match=r'\(version: "0.1", not "0.2"\)'):
+        requests.check_request(tmp_path, attributes | {"unfinished": 1}, wanted)
 
 
 def test_two_runs_may_not_write_at_once(tmp_path):
@@ -430,8 +439,10 @@ def test_what_a_killed_run_left_beside_goes_with_the_next(tmp_path, data):
     path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.walker-jax"
     (left / "new" / "x").mkdir(parents=True)
     (left / "lock").touch()
+    (kept := tmp_path / "kept").mkdir()
+    (left / "link").symlink_to(kept)
     storage.save(data, path, REQUEST)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+    assert {p.name for p in tmp_path.iterdir()} == {"a.zarr", "kept"}
 
 
 def test_two_runs_may_not_begin_at_once(tmp_path, data):
@@ -472,14 +483,20 @@ def test_a_piece_that_does_not_fit_on_the_disk_is_missing(tmp_path, monkeypatch)
 
 
 def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
-    path = tmp_path / "a.zarr"
+    path, removals = tmp_path / "a.zarr", []
     with begun(path) as place:
         write(place, 0)
         write(place, 1)
         with monkeypatch.context() as patch:
             patch.setattr("walker_jax.storage.pieces.remove_arrays", lambda *_: None)
             place.finish(axes())
-    assert (path / "half").exists()
+    shutil.copytree(path / "half", path / "z")
+    with monkeypatch.context() as patch:
+        removed = lambda path, folder, names: removals.extend(names)
+        patch.setattr("walker_jax.storage.datasets.remove_arrays", removed)
+        storage.find(path, REQUEST)
+    assert sorted(removals) == ["half", "written", "z"]
+    assert removals[-1] == "written"  # it shows that others may remain
     found = storage.find(path, REQUEST)
     assert found is not None and set(found.variables) == {"value", "x", "y"}
     assert not (path / "half").exists() and not (path / "written").exists()
@@ -536,6 +553,8 @@ def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
             storage.export(place, file)
     storage.save(data, tmp_path / "b.zarr", REQUEST)
     path = tmp_path / "b.zarr"
+    with pytest.raises(storage.StoreConflict, match=r"a\.zarr exists"):
+        storage.export(path, tmp_path / "a.zarr", overwrite=True)
     with pytest.raises(ValueError, match="there is no folder"):
         storage.export(path, tmp_path / "none" / "a.nc")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

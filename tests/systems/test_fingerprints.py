@@ -1,13 +1,16 @@
 """Fingerprints of the code of walkers that are not of the package."""
 
+import dis
 import functools
 import importlib
+import inspect
 import math
 import os
 import subprocess
 import sys
+from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType
+from types import CellType, FunctionType, ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -18,7 +21,17 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.identity import AsItIs, code_fingerprint, holds_packages
+from walker_jax.identity import (
+    FOLDER,
+    AsItIs,
+    StoreDescriber,
+    code_fingerprint,
+    hash_of_code,
+    holds_packages,
+    imports_in,
+    root_of,
+    values_in,
+)
 from walker_jax.kernels import kernel
 from walker_jax.multibody import System
 from walker_jax.stability.metric import metric_of
@@ -33,6 +46,7 @@ import walker_jax as wj
 from constants import MASS
 from tools.helper import push
 import deep.inner.far
+from deep.inner import near
 
 
 class W(wj.SimplestWalker):
@@ -44,6 +58,7 @@ class W(wj.SimplestWalker):
     "own/tools/helper.py": "def push(): return 1",
     "own/deep/__init__.py": "",
     "own/deep/inner/far.py": "TABLE = [1, 2]",
+    "own/deep/inner/near.py": "",
     "own/lazy.py": "import constants\ndef late(): return 1",
     "own/beside.py": "",
     "pack/__init__.py": "",
@@ -311,6 +326,86 @@ def test_a_function_is_the_same_wherever_it_stands():
     assert made(source) == made(f"# moved\n{source}") != made(source.replace("one", "other"))
 
 
+def test_values_of_unusual_kinds_are_told_apart():
+    def of(value):
+        return AsItIs(lambda: value)
+
+    empty = [FunctionType(of(1).function.__code__, {}, "f", None, (CellType(),)) for _ in range(2)]
+    assert AsItIs(empty[0]) == AsItIs(empty[1]) != of(1)
+    wrapped = lambda size: functools.wraps(math.sin)(lambda x, by=size: by * x)
+    assert AsItIs(wrapped(2)) == AsItIs(wrapped(2)) != AsItIs(wrapped(3))  # it is no code of Python
+    # The order of a set is that of its words, wherever its functions are in memory.
+    a, b, c, d = sorted((new_half() for _ in range(4)), key=id)
+    assert of({(a, 0), (b, 1)}) == of({(c, 1), (d, 0)}) != of({(a, 0), (b, 2)})
+    assert values_in(np.array([None]), 100) is None  # its bytes would be addresses
+    thing, alike = Steps(1.0), wj.Outcome.STRIDE
+    assert of(thing) == of(thing) != of(Steps(1.0)) and of(alike) == of(wj.Outcome(0))
+
+
+def new_half():
+    def half(x):
+        return x / 2
+
+    return half
+
+
+def test_files_that_are_covered_are_those_of_a_project(tmp_path):
+    def covered(root, name):
+        found = StoreDescriber()
+        found.add_file(root / name, root)
+        return sorted(found.sources)
+
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "outside.py").write_text("")
+    (tmp_path / "inner" / "one.py").write_text("try:\n    from .. import outside\nfinally: pass")
+    assert covered(tmp_path / "inner", "one.py") == ["one.py"]  # nothing above its folder
+    assert covered(tmp_path, "inner/one.py") == ["inner/one.py", "outside.py"]
+    assert covered(FOLDER.parent, "walker_jax/identity.py") == []
+    (tmp_path / "two.py").write_text("import inner.one, walker_jax")
+    assert covered(tmp_path, "two.py") == ["inner/one.py", "outside.py", "two.py"]
+    assert imports_in(b"import a\0") == imports_in(b"import (") == []
+    program = ModuleType("__main__")  # by python -m inner.one
+    program.__spec__ = ModuleSpec("inner.one", None)
+    assert root_of(program, tmp_path / "inner" / "one.py") == tmp_path
+    program.__spec__ = None
+    assert root_of(program, tmp_path / "inner" / "one.py") == tmp_path / "inner"
+
+
+def of_every_kind(a, /, b, *, c):
+    values = [a, b]
+    try:
+        values.append(c.size)
+    except AttributeError:
+        values.append(1.0)
+    return lambda: values
+
+
+def test_code_is_what_it_does_and_not_where_it_stands():
+    code = of_every_kind.__code__
+    hashed = lambda **changed: hash_of_code(code.replace(**changed))
+    for name in ("co_name", "co_qualname", "co_filename"):
+        assert hashed(**{name: "other"}) == hash_of_code(code)
+    assert hashed(co_firstlineno=1) == hashed(co_linetable=b"") == hash_of_code(code)
+    assert len(code.co_exceptiontable) and len(code.co_cellvars)
+    renamed = {
+        name: tuple(f"other_{one}" for one in getattr(code, name))
+        for name in ("co_names", "co_varnames", "co_cellvars")
+    }
+    others = {
+        **renamed,
+        "co_freevars": ("free",),
+        "co_code": code.co_code + bytes([dis.opmap["NOP"], 0]),
+        "co_exceptiontable": b"",
+        "co_consts": (*code.co_consts, 1.0),
+        "co_argcount": 1,
+        "co_posonlyargcount": 0,
+        "co_kwonlyargcount": 0,
+        "co_flags": code.co_flags ^ inspect.CO_GENERATOR,
+    }
+    found = [hash_of_code(code), *(hashed(**{name: one}) for name, one in others.items())]
+    assert len({*found}) == len(found)
+
+
 @pytest.mark.parametrize("kernels", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_walker_reads_what_is_there_at_that_moment(kernels, monkeypatch):
     """As in a notebook, where a cell is run again, and the class is not."""
@@ -382,6 +477,7 @@ def test_functions_that_do_the_same_with_the_same_are_alike():
     assert AsItIs(make(1.0, ones)) == AsItIs(make(1.0, np.ones(3)))
     assert hash(AsItIs(make(1.0, ones))) == hash(AsItIs(make(1.0, np.ones(3))))
     others = make(2.0, ones), make(1, ones), make(1.0, np.ones(4)), make(1.0, [1.0])
+    others += tuple(make(1.0, one) for one in (ones[None], ones[:, None], ones.view(int)))
     for other in (*others, lambda key: key):
         assert AsItIs(make(1.0, ones)) != AsItIs(other)
     unhashable = wj.SimplestWalker(0.004)  # it says that it is equal to others

@@ -200,7 +200,13 @@ def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     return jax.ffi.ffi_lowering(target)(ctx, *operands)
 
 
-lower_to_xla = mlir.lower_fun(compute_by_xla, multiple_results=True)
+def lower_to_xla(ctx, *operands, program: Program, mapped: tuple[int, ...]):
+    """Lower to JAX's own primitives of plain arrays, as `jax.shard_map` has checked the others."""
+    plain = ctx.replace(avals_in=[ShapedArray(x.shape, x.dtype) for x in ctx.avals_in])
+    lower = mlir.lower_fun(compute_by_xla, multiple_results=True)
+    return lower(plain, *operands, program=program, mapped=mapped)
+
+
 mlir.register_lowering(kernel_p, lower_to_xla)
 mlir.register_lowering(kernel_p, lower_on_cpu, platform="cpu")
 
