@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -122,6 +123,16 @@ def test_multipliers_of_fixed_points_of_flows(rates, near, span):
         for one in np.eye(len(x))
     ]
     np.testing.assert_allclose(np.transpose(each), found, rtol=0, atol=1e-9 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Tsit5()])
+def test_multipliers_at_rest_by_runge_kutta_methods(solver):
+    x = np.array([np.sqrt(2 / 3), np.sqrt(2 / 3) / 3])
+    values = np.linalg.eigvals(np.asarray(jax.jacfwd(nagumo)(x)))
+    system = time_map(lambda y, t: nagumo(y), 2, 1.0)
+    end = lambda x: wj.stride(system, x, solver=solver, tolerance=1e-9).state
+    found = np.linalg.eigvals(jax.jacfwd(end)(jnp.asarray(x)))
+    np.testing.assert_allclose(np.sort(found), np.sort(np.exp(values)), rtol=0, atol=1e-6)
 
 
 def test_derivatives_that_feel_what_the_solution_does_not():

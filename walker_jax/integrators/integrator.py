@@ -27,6 +27,7 @@ from walker_jax.integrators.runge_kutta_steps import (
     MOST_STEPS,
     controller_of,
     defect_of,
+    derivative_error,
     expansion_errors,
     in_units_of,
     interpolate,
@@ -266,17 +267,18 @@ class Method(eqx.Module):
     ) -> tuple[tuple[PyTree, PyTree], PyTree]:
         """Return both ends of a step, and its errors, for the controller.
 
-        The errors within the step, of the interpolation and of functions along it, are among them.
-        An error that is no number counts as infinite, so that the step becomes shorter. All are
-        constant to derivatives.
+        The errors within the step, of the interpolation and of functions along it, are among them,
+        and those of derivatives. An error that is no number counts as infinite, so that the step
+        becomes shorter. All are constant to derivatives.
         """
+        of_derivatives = derivative_error((error, state, end))
         method, state, end, error, series = stop_gradients((self, state, end, error, series))
         scaled = partial(in_units_of, method.limits.scales)
         defect = defect_of(method.field, series, length)
         error = jax.tree.map(lambda a, b: jnp.maximum(jnp.abs(a), b), error, defect)
         others = expansion_errors(method.others, series, length)
         others += [method.tolerance * twist_of(one, series, length) for one in method.conditions]
-        others = lax.stop_gradient(others)
+        others = lax.stop_gradient([*others, of_derivatives])
         none = [jnp.zeros_like(one) for one in others]
         finite = lambda x: jnp.where(jnp.isfinite(x), x, jnp.inf)
         both = (scaled(state), none), (scaled(end), none)

@@ -6,9 +6,11 @@ of the interpolation p, and the error of the polynomials of functions, such as g
 """
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,11 +21,13 @@ from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.step_lengths import DERIVATIVE_TOLERANCE
 from walker_jax.integrators.taylor import (
     VectorField,
     evaluate_series,
     function_series,
     is_list,
+    with_zeros,
 )
 
 INTERPOLATION_ORDER = 6
@@ -103,6 +107,28 @@ def defect_of(field: VectorField, series: PyTree[list], length: Scalar) -> PyTre
         return jax.tree.map(lambda a, b: jnp.abs(a - b) * length, found, expected)
 
     return jax.tree.map(lambda *sizes: largest(jnp.stack(sizes), 0), *map(at, DEFECT_AT))
+
+
+@eqx.filter_custom_jvp
+def derivative_error(*blocks: tuple[PyTree, PyTree, PyTree]) -> Scalar:
+    """Return the largest error of a step's derivatives, relative to each; zero if there are none.
+
+    A block holds the error of a step, its start and its end. The first is that of the solution; JAX
+    adds those of its derivatives, whose steps may have to be shorter (`step_lengths`).
+    """
+    size_of = lambda tree: reduce(jnp.maximum, (largest(jnp.abs(x)) for x in jax.tree.leaves(tree)))
+    worst = 0 * size_of(blocks[0][0])
+    for error, start, end in blocks[1:]:
+        size = DERIVATIVE_TOLERANCE * jnp.maximum(size_of(start), size_of(end))
+        worst = jnp.maximum(worst, size_of(error) / jnp.where(size > 0, size, 1))
+    return worst
+
+
+@derivative_error.def_jvp
+def vary_error(primals, tangents):
+    changes = [with_zeros(*pair) for pair in zip(tangents, primals, strict=True)]
+    worst = derivative_error(*primals, *changes)
+    return worst, jnp.zeros_like(worst)
 
 
 def expansion_errors(
