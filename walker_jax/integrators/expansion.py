@@ -36,6 +36,8 @@ from walker_jax.kernels.products import add_one_by_one
 
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
 """The list that collects switching functions; None if they are not wanted."""
+bases: ContextVar[list[Series] | None] = ContextVar("bases", default=None)
+"""The list that collects the bases of fractional powers, which are switching functions too."""
 
 
 def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
@@ -242,12 +244,33 @@ def power_rule(expansion, equation, operands: list[Series]) -> list[Series]:
     """Expand x^p for a real p; if p is a literal integer, p >= 0, x may be zero."""
     x, p = operands
     exponent = equation.invars[1]
-    rule = by_equation("pow")
+    rule = fractional_power
     if isinstance(exponent, Literal) and exponent.val >= 0 and float(exponent.val).is_integer():
         rule = by_definition(lambda x, p: by_squaring(x, int(exponent.val)))
+    elif isinstance(exponent, Literal) and exponent.val < 0:
+        rule = by_equation("pow")
     elif not varies(p):
         p = constant(jnp.asarray(p[0], x[0].dtype))
     return rule(expansion, equation, [x, p])
+
+
+def fractional_power(expansion, equation, operands: list[Series]) -> list[Series]:
+    """Expand a root, or a power with a real exponent, whose derivatives are infinite at x = 0.
+
+    Where x is zero for a while, the power is zero too, with its derivatives. If x only begins at
+    zero, it is a switching function that is zero at once, so that the step is very short.
+    """
+    name, bind = equation.primitive.name, binding(equation)
+    for found in (switches.get(), bases.get()):
+        if found is not None:
+            found.append(operands[0])
+
+    def value(x, *p):
+        zero = x == 0
+        at_zero = jnp.where(p[0] > 0, 0, jnp.where(p[0] == 0, 1, jnp.inf)) if p else 0
+        return jnp.where(zero, at_zero, bind(jnp.where(zero, 1, x), *p))
+
+    return [solution(EQUATIONS[name], value, *operands)]
 
 
 def integer_power_rule(expansion, equation, operands: list[Series]) -> list[Series]:
@@ -344,6 +367,7 @@ Expansion.rules = {
     **dict.fromkeys(("add", "add_any"), by_coefficients(plus)),
     **dict.fromkeys(("conv_general_dilated", "dot_general"), by_coefficients(bilinear)),
     **{name: by_equation(name) for name in EQUATIONS},
+    **dict.fromkeys(("cbrt", "sqrt"), fractional_power),
     "abs": by_coefficients(absolute_value),
     "clamp": by_coefficients(clamped_operand),
     "convert_element_type": conversion_rule,

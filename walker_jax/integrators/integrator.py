@@ -35,6 +35,7 @@ from walker_jax.integrators.taylor_steps import (
     Taylor,
     evaluate_series,
     taylor_step,
+    usable_series,
 )
 
 AnySolver = diffrax.AbstractSolver
@@ -248,7 +249,8 @@ class Method(eqx.Module):
     def series_of(self, state: PyTree) -> PyTree[list]:
         """Return the series of the solution from a state, for a Taylor method."""
         assert isinstance(self.solver, Taylor)
-        return solution_series(self.field, state, self.solver.taylor_order)
+        series = solution_series(self.field, state, self.solver.taylor_order)
+        return usable_series(self.field, series)
 
     def no_series(self, state: PyTree) -> PyTree[list]:
         """Return a constant polynomial with as many coefficients as those of steps."""

@@ -22,9 +22,15 @@ import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
-from walker_jax.integrators.expansion import compose, switches
+from walker_jax.integrators.expansion import bases, compose, switches
 from walker_jax.integrators.power_balance import PowerBalance
-from walker_jax.integrators.series import Series, coefficients_up_to, recording, scale
+from walker_jax.integrators.series import (
+    Series,
+    coefficients_up_to,
+    evaluate_polynomial,
+    recording,
+    scale,
+)
 from walker_jax.kernels.jaxprs import CALLS, called_function
 
 VectorField = Callable[[PyTree], PyTree]
@@ -91,7 +97,7 @@ def with_zeros(tangents: PyTree, state: PyTree) -> PyTree:
 
 
 SMOOTH = frozenset(
-    "add add_any cos div exp integer_pow log mul neg sin sqrt square sub sum_of_products".split()
+    "add add_any cos div exp integer_pow log mul neg sin square sub sum_of_products".split()
 )
 """Primitives whose derivatives consist of these primitives too."""
 
@@ -153,12 +159,16 @@ def expandable(series: PyTree[list]) -> tuple[PyTree[Series], PyTree]:
     return known, jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
 
 
+def evaluate_series(series: PyTree[list], t) -> PyTree:
+    """Return y(t), given its Taylor coefficients."""
+    return jax.tree.map(lambda c: evaluate_polynomial(c, t), series, is_leaf=is_list)
+
+
 def order_of(series: PyTree[list]) -> int:
     """Return the order of the last coefficients."""
     return len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
 
 
-@eqx.filter_jit
 def switching_series(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> list[list[Array]]:
@@ -173,19 +183,39 @@ def switching_series(
     time; an empty list if `function` is smooth. Their order is that of the series, less two for a
     `PowerBalance`.
     """
+    return series_of_switches(function, series)[0]
+
+
+def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> list[list[Array]]:
+    """Expand the bases of fractional powers, of which derivatives are infinite at zero.
+
+    Arguments and result are those of `switching_series`, which has these functions too.
+    """
+    return series_of_switches(function, series)[1]
+
+
+@eqx.filter_jit
+def series_of_switches(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> tuple[list[list[Array]], list[list[Array]]]:
+    """Expand all switching functions, and those that are bases of fractional powers."""
     (known, start), order = expandable(series), order_of(series)
-    with recording(switches) as found:
+    with recording(switches) as of_switches, recording(bases) as of_bases:
         if isinstance(function, PowerBalance):
             function.balance(jax.tree.leaves(known), jax.tree.leaves(start))
             order -= 2
         else:
             compose(function, known, start)
-    varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
-    return [
-        [coefficient.ravel()[i] for coefficient in coefficients_up_to(one, order)]
-        for one in varying
-        for i in range(one[0].size)
-    ]
+
+    def scalars(found: list[Series]) -> list[list[Array]]:
+        varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
+        return [
+            [coefficient.ravel()[i] for coefficient in coefficients_up_to(one, order)]
+            for one in varying
+            for i in range(one[0].size)
+        ]
+
+    return scalars(of_switches), scalars(of_bases)
 
 
 def is_absent(x) -> bool:
