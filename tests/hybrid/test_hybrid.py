@@ -299,10 +299,9 @@ def test_what_is_foregone_or_not_going_is_not_followed():
     assert stayed.time == 0 and stayed.state[0] == 1 and stayed.guard not in (0, 1, NO_GUARD)
 
 
-def test_what_never_ends_is_given_up_after_so_many_steps(monkeypatch):
-    monkeypatch.setattr("walker_jax.hybrid.following.MAX_STEPS", 30)
+def test_what_never_ends_is_given_up_after_so_many_steps():
     square = lambda state: (state[0] ** 2,)
-    mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),))
+    mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),), most_steps=30)
     run = jax.vmap(
         kernel(lambda y: follow_mode(mode, (y,), jnp.asarray(True), taylor(square, 1e-9)))
     )

@@ -147,7 +147,7 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
     plain: Any = roots.differentiable_zero
     replaced = functools.wraps(plain)(lambda *args: plain(*args))
     changes = [
-        (integrator, "MAX_STEPS", 7),
+        (integrator, "MOST_EXPANDED_AGAIN", 1),
         (program_cache, "register_bits", lambda: 64),
         (roots, "differentiable_zero", replaced),
         (roots, "differentiable_zero", roots.first_zero),

@@ -24,7 +24,7 @@ from walker_jax.hybrid.misses import (
     with_rates,
 )
 from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
-from walker_jax.integrators.integrator import MAX_STEPS, Method, zero_at
+from walker_jax.integrators.integrator import Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import function_series, is_list
@@ -102,13 +102,13 @@ def follow_mode(
 
     def unfinished(now: Unfinished):
         finite = jnp.isfinite(now.last.time + now.last.length)
-        return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
+        return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
     def follow(now: Unfinished) -> Unfinished:
         if measured:
             last = measured_step(mode, method, now.last)
             return search_step(mode, method, now._replace(last=last, count=now.count + 1))
-        quiet = lambda carry: carry[0].quiet & (carry[1] < MAX_STEPS)
+        quiet = lambda carry: carry[0].quiet & (carry[1] < mode.most_steps)
         take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
         # In a batch, lanes that have ended wait here for the others.
         begun = now.last._replace(quiet=now.guard == NO_GUARD), now.count

@@ -261,9 +261,9 @@ def fractional_power(expansion, equation, operands: list[Series]) -> list[Series
     zero, it is a switching function that is zero at once, so that the step is very short.
     """
     name, bind = equation.primitive.name, binding(equation)
-    for found in (switches.get(), bases.get()):
-        if found is not None:
-            found.append(operands[0])
+    if switches.get() is not None:
+        for found in (switches.get(), bases.get()):
+            add_switches(found, [Series(operands[0].__getitem__)], equation)
 
     def value(x, *p):
         zero = x == 0
@@ -313,10 +313,18 @@ def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Call
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         if (found := switches.get()) is not None and varies(operands[0]):
-            found += switch(*operands)
+            add_switches(found, switch(*operands), equation)
         return rule(expansion, equation, operands)
 
     return expand
+
+
+def add_switches(found: list[Series] | None, new: list[Series], equation) -> None:
+    """Add an equation's switching functions to a list."""
+    for one in new:
+        one.equation = equation
+    if found is not None:
+        found += new
 
 
 def conversion_rule(expansion, equation, operands: list[Series]) -> list[Series]:

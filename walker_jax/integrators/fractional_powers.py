@@ -58,7 +58,7 @@ def step_near_powers(
     near = may_be_near(lax.stop_gradient(bases), length)
     series, begins, straight = straighten(series, bases, scale)
     keep_line = partial(first_terms, straight)
-    switches = [departing(keep_line(one), AT_ZERO * eps * unit) for one in switches]
+    switches = [departing(keep_line(one), AT_ZERO * eps * unit, straight) for one in switches]
 
     length = jnp.where(near, jnp.minimum(length, steady_length(series, tolerance, scale)), length)
     constant = lax.stop_gradient(series)
@@ -113,13 +113,17 @@ def may_be_near(bases: list[list[Scalar]], length: Scalar) -> Bool[Array, ""]:
     return near
 
 
-def departing(switch: list[Scalar], distance: Scalar) -> list[Scalar]:
-    """Return a switching function without the zero at which a step begins, if it moves away."""
+def departing(switch: list[Scalar], distance: Scalar, straight: Bool[Array, ""]) -> list[Scalar]:
+    """Return a switching function without the zero at which a step begins, if it moves away.
+
+    If the step is `straight`, a function with an infinite rate counts as constant.
+    """
     value, rate, bend = switch[:3]
+    rate = jnp.where(straight & ~jnp.isfinite(rate), 0, rate)
     leaves = value * jnp.where(rate == 0, bend, rate) >= 0
     at_zero = (jnp.abs(value) <= distance * jnp.abs(rate)) & leaves
     beyond = float(jnp.finfo(value.dtype).max) ** 0.5
-    return [jnp.where(at_zero, beyond, value), *switch[1:]]
+    return [jnp.where(at_zero, beyond, value), rate, *switch[2:]]
 
 
 def steady_length(series: PyTree, tolerance: Scalar, scale: Scalar) -> Scalar:

@@ -43,8 +43,10 @@ Solver = diffrax.AbstractAdaptiveSolver
 
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
-MAX_STEPS = 1000
-"""Most steps of one integration, so that it always ends."""
+MOST_STEPS = 100_000
+"""Default of the most steps of a mode, so that it always ends. A return of a Rikitake dynamo may
+take hundreds of turns: of 1600 starts 5 % make more than 1000 steps at first, 0.5 % more than
+10,000, and 0.1 % more than this in 500 returns."""
 MOST_EXPANDED_AGAIN = 5
 """Most variables of a state whose series is expanded again for the search within a step. For more
 variables, and where an expansion takes long, as that of a `PowerBalance` does, it is cheaper to
@@ -181,8 +183,8 @@ class Method(eqx.Module):
             return SeriesSteps(self.field, order, self.tolerance, self.others)
         return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
 
-    def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
-        """Integrate from `state` at t0 to t1."""
+    def solve(self, state: PyTree, t0, t1, most_steps: int = MOST_STEPS) -> diffrax.Solution:
+        """Integrate from `state` at t0 to t1, if that takes at most so many steps."""
         solver = self.solver
         if isinstance(solver, Taylor):
             solver = Taylor(solver.taylor_order, self.field)
@@ -196,7 +198,7 @@ class Method(eqx.Module):
             saveat=diffrax.SaveAt(t1=True),
             stepsize_controller=self.controller(),
             adjoint=diffrax.ForwardMode(),
-            max_steps=MAX_STEPS,
+            max_steps=most_steps,
             throw=False,
         )
 

@@ -94,6 +94,9 @@ class Series:
     A coefficient of `None` is zero. The first coefficient of an argument or result is never `None`.
     """
 
+    equation: Any = None
+    """The equation of a jaxpr to which a switching function belongs."""
+
     def __init__(self, rule: Callable[[int], Any], coefficients: Iterable = ()):
         self.rule = rule
         self.coefficients: list = list(coefficients)

@@ -15,6 +15,7 @@ function changes sign. `switching_series` returns the series of these functions.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -199,6 +200,21 @@ def series_of_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> tuple[list[list[Array]], list[list[Array]]]:
     """Expand all switching functions, and those that are bases of fractional powers."""
+    all_of_them, of_powers = find_switches(function, series)
+    return [one for _, one in all_of_them], [one for _, one in of_powers]
+
+
+def located_switches(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> list[tuple[Any, list[Array]]]:
+    """Expand the switching functions, each with the equation of a jaxpr that switches."""
+    return find_switches(function, series)[0]
+
+
+def find_switches(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> tuple[list[tuple[Any, list[Array]]], list[tuple[Any, list[Array]]]]:
+    """Expand all switching functions, and the bases of powers, each with its equation."""
     (known, start), order = expandable(series), order_of(series)
     with recording(switches) as of_switches, recording(bases) as of_bases:
         if isinstance(function, PowerBalance):
@@ -207,10 +223,10 @@ def series_of_switches(
         else:
             compose(function, known, start)
 
-    def scalars(found: list[Series]) -> list[list[Array]]:
+    def scalars(found: list[Series]) -> list[tuple[Any, list[Array]]]:
         varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
         return [
-            [coefficient.ravel()[i] for coefficient in coefficients_up_to(one, order)]
+            (one.equation, [c.ravel()[i] for c in coefficients_up_to(one, order)])
             for one in varying
             for i in range(one[0].size)
         ]

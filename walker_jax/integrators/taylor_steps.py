@@ -27,6 +27,7 @@ from walker_jax.integrators.taylor import (
     solution_series,
     switching_series,
 )
+from walker_jax.kernels.jaxprs import CALLS, called_function
 
 SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
 """Order of the series: the fastest, or nearly, at the default tolerance (benchmarks/README.md).
@@ -127,6 +128,24 @@ def taylor_step(
     return series, jnp.where(steady, length, jnp.nan)
 
 
+SHARP = frozenset("cosh erf erfc exp exp2 expm1 log1p logistic pow sinh tanh".split())
+"""Primitives whose derivatives of all orders may be negligible at a point and large nearby."""
+
+
+def has_sharp_features(function: Callable, state: PyTree) -> bool:
+    """Return whether a function contains primitives whose series may not show what lies ahead."""
+
+    def any_sharp(closed) -> bool:
+        return any(
+            any_sharp(called_function(one))
+            if one.primitive.name in CALLS
+            else one.primitive.name in SHARP
+            for one in closed.jaxpr.eqns
+        )
+
+    return any_sharp(jax.make_jaxpr(function)(state))
+
+
 def usable_series(vector_field: VectorField, series: PyTree[list]) -> PyTree[list]:
     """Return the series of a solution; a line very near to the zero of a fractional power."""
     bases = power_bases(vector_field, series)
@@ -175,15 +194,14 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
 
     def expand(self, terms, t0, y0, args) -> tuple[PyTree[list], PyTree, list[list[Scalar]]]:
         """Expand the solution from a state: its series, last terms and switching functions."""
-        field, state, order = self.field, y0, self.taylor_order
-        if field is None:
-            state = jnp.asarray(t0), y0
 
-            def field(state):
-                time, y = state
-                return jnp.ones_like(time), terms.vf(time, y, args)
+        def autonomous(state):
+            time, y = state
+            return jnp.ones_like(time), terms.vf(time, y, args)
 
-        known = solution_series(field, state, order)
+        field = autonomous if self.field is None else self.field
+        state = (jnp.asarray(t0), y0) if self.field is None else y0
+        known = solution_series(field, state, self.taylor_order)
         series = usable_series(field, known)
         last = jax.tree.map(lambda c: c[-1], known, is_leaf=is_list)
         switches = switching_series(field, series)

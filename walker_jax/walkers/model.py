@@ -58,6 +58,9 @@ class Walker(HybridSystem):
     not check it in between."""
     foot_stays_down: ClassVar[bool] = False
     """Whether a foot ahead that has come down stays down, so that no integration step misses it."""
+    most_steps: ClassVar[int] = 10_000
+    """A phase or swing that has not ended after so many integration steps is `UNDECIDED`. A stride
+    makes less than a hundred; a walker that rocks on its feet makes all of them."""
     inverted_pendulum: ClassVar[bool] = False
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
@@ -142,6 +145,7 @@ class Walker(HybridSystem):
             rates_at=self.vector_field,
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
             energy=energy_of(self),
+            most_steps=self.most_steps,
         )
         return *(phase.mode() for phase in self.phases()), swing
 

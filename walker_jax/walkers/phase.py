@@ -111,6 +111,7 @@ class Phase(eqx.Module):
             rates_at=self.vector_field,
             as_smooth=as_smooth,
             energy=energy_of(self),
+            most_steps=walker.most_steps,
         )
 
 

@@ -19,7 +19,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.checks import WrongUse, check_number, short
+from walker_jax.checks import WrongUse, check_number, check_whole, short
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.modes import Mode
@@ -141,6 +141,8 @@ def modes_from(
     """
     *phases, swing = walker.modes()
     check_outcomes(walker, *phases, swing)
+    for mode in (*phases, swing):
+        check_whole("most_steps", mode.most_steps)
     launched = not on_section(walker, x)
     if launched or to_the_end:
         swing = swing._replace(foregone=None)
