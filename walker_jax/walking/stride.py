@@ -271,12 +271,14 @@ def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[
     fallen = fall_of(judging_mode(walker, modes), following)
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
-    struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
+    point = walker.project(following)
+    finite = jnp.isfinite(lift) & jnp.all(jnp.isfinite(point))
+    struck = jnp.where(finite, struck, Outcome.UNDECIDED)
     struck = judge_end(modes[-1], last.state, struck)
     for outcome, violated in reversed(last.violated.items()):
         struck = jnp.where(violated, outcome, struck)
     outcome = jnp.where(last.verdict == Outcome.STRIDE, struck, last.verdict).astype(jnp.int8)
-    return following, make_stride(walker.project(following), outcome, last.time)
+    return following, make_stride(point, outcome, last.time)
 
 
 def judging_mode(walker: HybridSystem, modes: list[Mode]) -> Mode:
