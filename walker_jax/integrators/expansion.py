@@ -7,7 +7,7 @@ The series is valid until a switching function changes sign: x for |x|, a - b fo
 import operator
 from collections.abc import Callable
 from contextvars import ContextVar
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 import jax
@@ -16,6 +16,12 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, PyTree
 
+from walker_jax.integrators.definitions import (
+    by_squaring,
+    cumulative_product,
+    reduce_by,
+    reduce_product,
+)
 from walker_jax.integrators.series import (
     EQUATIONS,
     Series,
@@ -278,34 +284,6 @@ def integer_power_rule(expansion, equation, operands: list[Series]) -> list[Seri
     if p >= 0:
         return by_definition(by_squaring)(expansion, equation, operands)
     return [solution(lambda y, x, Dx: Dx * (y * p) / x, binding(equation), *operands)]
-
-
-def by_squaring(x, y: int):
-    """Return x^y for an integer y >= 0."""
-    if y < 2:
-        return x if y else jnp.ones_like(x)
-    half = by_squaring(x, y // 2)
-    return half * half * x if y % 2 else half * half
-
-
-def cumulative_product(x, axis: int, reverse: bool):
-    return lax.associative_scan(lax.mul, x, axis=axis, reverse=reverse)
-
-
-def reduce_product(x, axes, **_):
-    rows = jnp.moveaxis(x, axes, range(len(axes)))
-    rows = rows.reshape(-1, *rows.shape[len(axes) :])
-    return reduce(operator.mul, rows, jnp.ones_like(x, shape=rows.shape[1:]))
-
-
-def reduce_by(operation: Callable) -> Callable:
-    """Return the largest or the least entry along axes, pair by pair."""
-
-    def reduce_pairs(x, axes, **_):
-        rows = jnp.moveaxis(x, axes, range(len(axes)))
-        return reduce(operation, rows.reshape(-1, *rows.shape[len(axes) :]))
-
-    return reduce_pairs
 
 
 def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Callable:

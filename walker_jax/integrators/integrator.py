@@ -1,6 +1,6 @@
 """Integration of equations of motion: its checked settings, and single steps of any method.
 
-A method is a Taylor series, or an explicit Runge-Kutta method of diffrax. The loop around its steps
+A method is a Taylor series, or a Runge-Kutta method of diffrax. The loop around its steps
 is in `hybrid.following`.
 """
 
@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
@@ -115,17 +116,19 @@ def integrator_of(
 ) -> Integrator:
     """Return the integrator of a checked tolerance and solver, or of the defaults of a dtype.
 
-    Raises `WrongUse` for a solver that is neither a `Taylor` nor an explicit Runge-Kutta method.
+    Raises `WrongUse` for a solver that is neither a `Taylor` nor a Runge-Kutta method whose stages
+    are explicit or solved one by one (ESDIRK).
     """
     tolerance = default_tolerance(dtype, tolerance)
     tolerance = tolerance if isinstance(tolerance, Tracer) else float(tolerance)
     if solver is None:
         return Integrator(tolerance)
-    explicit = isinstance(solver, (diffrax.AbstractERK, Taylor))
-    if not (explicit and isinstance(solver, diffrax.AbstractAdaptiveSolver)):
+    known = isinstance(solver, (diffrax.AbstractERK, diffrax.AbstractESDIRK, Taylor))
+    if not (known and isinstance(solver, diffrax.AbstractAdaptiveSolver)):
         raise WrongUse(
-            "solver must be an explicit Runge-Kutta method of diffrax that estimates its error, "
-            f"such as diffrax.Dopri8(), or a Taylor, not {short(solver)}"
+            "solver must be a Runge-Kutta method of diffrax that estimates its error, such as "
+            "diffrax.Dopri8() or, for stiff equations, diffrax.Kvaerno5(), or a Taylor, "
+            f"not {short(solver)}"
         )
     return Integrator(tolerance, solver)
 
@@ -175,7 +178,13 @@ class Method(eqx.Module):
         """Return the solver with a loop over stages that supports forward mode."""
         if not isinstance(self.solver, diffrax.AbstractRungeKutta):
             return self.solver
-        return eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=is_absent)
+        solver = eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=is_absent)
+        finder: Any = getattr(solver, "root_finder", None)
+        if finder is None or isinstance(finder.rtol, float):
+            return solver
+        # Implicit stages are solved to the tolerance; diffrax sets it in `diffeqsolve` only.
+        where = lambda s: (s.root_finder.rtol, s.root_finder.atol, s.root_finder.norm)
+        return eqx.tree_at(where, solver, (self.tolerance, self.tolerance, optimistix.max_norm))
 
     def controller(self) -> diffrax.AbstractStepSizeController:
         if isinstance(self.solver, Taylor):

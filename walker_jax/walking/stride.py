@@ -107,7 +107,7 @@ def stride(
       rate (`integrators.taylor_steps.step_size`), or of the error that another solver estimates.
       By default 1e-12 in float64 and 1e-6 in float32. A stride amplifies this error, up to 1e5
       times near falling backward.
-    - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
+    - `solver`: one of diffrax's Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
       of the Taylor series. It does not know where a vector field has kinks.
 
     **Returns** a `Stride`. A failure is an `Outcome`. Raises `ValueError` for a wrong shape or
