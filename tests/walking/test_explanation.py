@@ -185,7 +185,7 @@ class Decaying(Switched):
         return (mode._replace(field=field, most_steps=100),)
 
 
-def test_digits_that_are_noise_and_features_that_may_be_missed_are_told():
+def test_noise_and_features_that_may_be_missed_are_told():
     found = wj.explain(Decaying(), jnp.array([0.2]))
     assert found.outcome == wj.Outcome.STRIDE and found.complaints == []
     (mode,) = found.modes
