@@ -258,3 +258,25 @@ def test_fast_motions_have_steps():
 
     made = wj.stride(Decay(), [3.0])
     assert float(made.state[0]) == pytest.approx(2 + np.exp(-1), abs=1e-12 * 1e6)  # of the rate
+
+
+class KinkAtTheStart(wj.HybridSystem):
+    """A ramp that begins as the motion does, beside a root that is never zero."""
+
+    section = ("sum",)
+
+    def lift(self, x):
+        return jnp.stack([0 * x[0], x[0]])
+
+    def project(self, state):
+        return state[1:]
+
+    def modes(self):
+        rate = lambda t: jnp.where(t > 0, t, 0) + jnp.sqrt(1 + t)
+        field = lambda s: jnp.stack([1 + 0 * s[0], rate(s[0])])
+        return (wj.Mode(field, (wj.Guard(lambda s: s[0] - 1),)),)
+
+
+def test_a_kink_at_the_start_beside_a_root_far_from_zero():
+    made = wj.stride(KinkAtTheStart(), jnp.array([0.0]))
+    assert float(made.state[0]) == pytest.approx(0.5 + 2 / 3 * (2**1.5 - 1), rel=1e-11)

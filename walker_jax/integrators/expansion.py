@@ -43,7 +43,7 @@ from walker_jax.kernels.products import add_one_by_one
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
 """The list that collects switching functions; None if they are not wanted."""
 bases: ContextVar[list[Series] | None] = ContextVar("bases", default=None)
-"""The list that collects the bases of fractional powers, which are switching functions too."""
+"""The list that collects the bases of fractional powers, which switch too; None likewise."""
 
 
 def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
@@ -267,9 +267,8 @@ def fractional_power(expansion, equation, operands: list[Series]) -> list[Series
     zero, it is a switching function that is zero at once, so that the step is very short.
     """
     name, bind = equation.primitive.name, binding(equation)
-    if switches.get() is not None:
-        for found in (switches.get(), bases.get()):
-            add_switches(found, [Series(operands[0].__getitem__)], equation)
+    if (found := bases.get()) is not None:
+        add_switches(found, [Series(operands[0].__getitem__)], equation)
 
     def value(x, *p):
         zero = x == 0
@@ -297,12 +296,11 @@ def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Call
     return expand
 
 
-def add_switches(found: list[Series] | None, new: list[Series], equation) -> None:
+def add_switches(found: list[Series], new: list[Series], equation) -> None:
     """Add an equation's switching functions to a list."""
     for one in new:
         one.equation = equation
-    if found is not None:
-        found += new
+    found += new
 
 
 def conversion_rule(expansion, equation, operands: list[Series]) -> list[Series]:

@@ -35,7 +35,7 @@ FAR, GROWTH = 1000.0, 4.0
 def step_near_powers(
     field: Callable,
     series: PyTree,
-    switches: list[list[Scalar]],
+    kinks: list[list[Scalar]],
     bases: list[list[Scalar]],
     length: Scalar,
     tolerance: Real,
@@ -46,7 +46,7 @@ def step_near_powers(
     **Arguments:**
 
     - `field`, `series`: the equations, and the series of their solution.
-    - `switches`, `bases`: the series of all switching functions, and of those that are bases.
+    - `bases`, `kinks`: the series of the bases of powers, and of all other switching functions.
     - `length`, `tolerance`, `scale`: the length of the step if the bases are not near zero, the
       tolerance of its last terms, and the |y| to which that is relative.
 
@@ -55,27 +55,37 @@ def step_near_powers(
     eps = float(jnp.finfo(length.dtype).eps)
     tolerance = jnp.asarray(tolerance, length.dtype)
     unit = scale / jnp.maximum(largest(series, 1), eps * scale)
-    near = may_be_near(lax.stop_gradient(bases), length)
+    near = functools.reduce(jnp.logical_or, [may_be_near(one, length) for one in bases])
     series, begins, straight = straighten(series, bases, scale)
-    keep_line = partial(first_terms, straight)
-    switches = [departing(keep_line(one), AT_ZERO * eps * unit, straight) for one in switches]
-
-    length = jnp.where(near, jnp.minimum(length, steady_length(series, tolerance, scale)), length)
     constant = lax.stop_gradient(series)
-    shortest = jnp.where(begins, tolerance**SHORTEST_START * unit, length)
-    length = jnp.where(straight, shortest, length)
-    length = halve_until_right(field, constant, length, shortest, tolerance * scale)
-    behind = jnp.maximum(tolerance * length, BEHIND * eps * unit)
-    length = cut_at_switches(switches, length, behind)
-    if len(switches) == len(bases):
+    seen = partial(departing, begins, straight, AT_ZERO * eps * unit)
+    kinks, bases = list(map(seen, kinks)), list(map(seen, bases))
+    behind = lambda length: jnp.maximum(tolerance * length, BEHIND * eps * unit)
+
+    def shorten(length):
+        length = jnp.minimum(length, steady_length(series, tolerance, scale))
+        shortest = jnp.where(begins, tolerance**SHORTEST_START * unit, length)
+        length = jnp.where(straight, shortest, length)
+        length = halve_until_right(field, constant, length, shortest, tolerance * scale)
+        return cut_at_switches(bases, length, behind(length))
+
+    # A loop of one turn, as most steps are far from the zeros, and take none.
+    _, length = lax.while_loop(
+        lambda carry: carry[0],
+        lambda carry: (jnp.zeros_like(carry[0]), shorten(carry[1])),
+        (near | straight, length),
+    )
+    if not kinks:
         return series, length
+    behind = behind(length)
+    length = cut_at_switches(kinks, length, behind)
     # A step that begins at a zero may leave a jump there behind.
     zero = jnp.where(begins, 0, lax.stop_gradient(length) - behind)
     change = lambda distance: difference(field, constant, zero - distance, zero + distance)
     jump = change(behind)
     continuous = change(FAR * behind) > GROWTH * jump
-    steady = (jump <= jnp.sqrt(tolerance) * scale) | continuous
-    return series, jnp.where(steady, length, jnp.nan)
+    smooth = (jump <= jnp.sqrt(tolerance) * scale) | continuous
+    return series, jnp.where(smooth, length, jnp.nan)
 
 
 def straighten(
@@ -104,26 +114,25 @@ def first_terms(straight: Bool[Array, ""], series: list[Array]) -> list[Array]:
     return [*series[:2], *(jnp.where(straight, 0, one) for one in series[2:])]
 
 
-def may_be_near(bases: list[list[Scalar]], length: Scalar) -> Bool[Array, ""]:
+def may_be_near(base: list[Scalar], length: Scalar) -> Bool[Array, ""]:
     """Return whether a base may have a zero within two lengths of a step, also in complex time."""
-    near = jnp.asarray(False)
-    for base in bases:
-        later = evaluate_polynomial([jnp.abs(c) for c in base[1:]], 2 * length) * 2 * length
-        near |= ~(jnp.abs(base[0]) > later)
-    return near
+    value, *later = (jnp.abs(lax.stop_gradient(c)) for c in base)
+    return ~(value > evaluate_polynomial(later, 2 * length) * 2 * length)
 
 
-def departing(switch: list[Scalar], distance: Scalar, straight: Bool[Array, ""]) -> list[Scalar]:
+def departing(
+    begins: Bool[Array, ""], straight: Bool[Array, ""], distance: Scalar, switch: list[Scalar]
+) -> list[Scalar]:
     """Return a switching function without the zero at which a step begins, if it moves away.
 
-    If the step is `straight`, a function with an infinite rate counts as constant.
+    If the step is `straight`, so is the function, and constant if its rate is infinite.
     """
     value, rate, bend = switch[:3]
     rate = jnp.where(straight & ~jnp.isfinite(rate), 0, rate)
     leaves = value * jnp.where(rate == 0, bend, rate) >= 0
-    at_zero = (jnp.abs(value) <= distance * jnp.abs(rate)) & leaves
+    at_zero = begins & (jnp.abs(value) <= distance * jnp.abs(rate)) & leaves
     beyond = float(jnp.finfo(value.dtype).max) ** 0.5
-    return [jnp.where(at_zero, beyond, value), rate, *switch[2:]]
+    return first_terms(straight, [jnp.where(at_zero, beyond, value), rate, *switch[2:]])
 
 
 def steady_length(series: PyTree, tolerance: Scalar, scale: Scalar) -> Scalar:

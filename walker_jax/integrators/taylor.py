@@ -184,7 +184,8 @@ def switching_series(
     time; an empty list if `function` is smooth. Their order is that of the series, less two for a
     `PowerBalance`.
     """
-    return series_of_switches(function, series)[0]
+    kinks, of_powers = series_of_switches(function, series)
+    return [*kinks, *of_powers]
 
 
 def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> list[list[Array]]:
@@ -199,22 +200,23 @@ def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> l
 def series_of_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> tuple[list[list[Array]], list[list[Array]]]:
-    """Expand all switching functions, and those that are bases of fractional powers."""
-    all_of_them, of_powers = find_switches(function, series)
-    return [one for _, one in all_of_them], [one for _, one in of_powers]
+    """Expand the switching functions: the bases of fractional powers last, on their own."""
+    kinks, of_powers = find_switches(function, series)
+    return [one for _, one in kinks], [one for _, one in of_powers]
 
 
 def located_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> list[tuple[Any, list[Array]]]:
     """Expand the switching functions, each with the equation of a jaxpr that switches."""
-    return find_switches(function, series)[0]
+    kinks, of_powers = find_switches(function, series)
+    return [*kinks, *of_powers]
 
 
 def find_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> tuple[list[tuple[Any, list[Array]]], list[tuple[Any, list[Array]]]]:
-    """Expand all switching functions, and the bases of powers, each with its equation."""
+    """Expand the switching functions, and the bases of powers, each with its equation."""
     (known, start), order = expandable(series), order_of(series)
     with recording(switches) as of_switches, recording(bases) as of_bases:
         if isinstance(function, PowerBalance):

@@ -24,6 +24,7 @@ from walker_jax.integrators.taylor import (
     is_list,
     order_of,
     power_bases,
+    series_of_switches,
     solution_series,
     switching_series,
 )
@@ -109,12 +110,16 @@ def taylor_step(
         length = jnp.minimum(
             length, uncapped_step_size((known,), tolerance, scale).astype(length.dtype)
         )
-    if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
-        return series, length
-    if bases := [b for f in (vector_field, *others) for b in power_bases(f, series)]:
+    found = [series_of_switches(f, series) for f in (vector_field, *others)]
+    switches, bases = (
+        [one for part in parts for one in part] for parts in zip(*found, strict=True)
+    )
+    if bases:
         return step_near_powers(
             vector_field, series, switches, bases, length, tolerance, scale_of(series)
         )
+    if not switches:
+        return series, length
     least = jnp.asarray(tolerance, length.dtype) * length
     length = cut_at_switches(switches, length, least)
     constant, end = lax.stop_gradient((series, length))
