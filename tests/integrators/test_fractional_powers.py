@@ -195,11 +195,8 @@ def test_a_stride_with_a_power_of_an_angle():
         return [thetadot, phidot, np.sin(angle), swing - 0.02 * phi * np.sqrt(abs(phi))]
 
     theta, thetadot = start
-    y, t, end = (
-        [theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot],
-        0.0,
-        float(made.time),
-    )
+    y: Any = [theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot]
+    t, end = 0.0, float(made.time)
     crosses: Any = lambda t, y: y[1]
     crosses.terminal = True
     while t < end:
@@ -250,13 +247,13 @@ def test_fast_motions_have_steps():
     class Decay(wj.HybridSystem):
         section = ("y",)
         lift = lambda self, x: jnp.stack([x[0], 0 * x[0]])
-        project = lambda self, s: s[:1]
+        project = lambda self, state: state[:1]
 
         def modes(self):
             field = lambda s: jnp.stack([-1e6 * (s[0] - 2), 1e6 * s[1] ** 0])
             return (wj.Mode(field, (wj.Guard(lambda s: s[1] - 1),)),)
 
-    made = wj.stride(Decay(), [3.0])
+    made = wj.stride(Decay(), jnp.array([3.0]))
     assert float(made.state[0]) == pytest.approx(2 + np.exp(-1), abs=1e-12 * 1e6)  # of the rate
 
 

@@ -60,14 +60,14 @@ def step_near_powers(
     constant = lax.stop_gradient(series)
     seen = partial(departing, begins, straight, AT_ZERO * eps * unit)
     kinks, bases = list(map(seen, kinks)), list(map(seen, bases))
-    behind = lambda length: jnp.maximum(tolerance * length, BEHIND * eps * unit)
+    distance_behind = lambda length: jnp.maximum(tolerance * length, BEHIND * eps * unit)
 
     def shorten(length):
         length = jnp.minimum(length, steady_length(series, tolerance, scale))
         shortest = jnp.where(begins, tolerance**SHORTEST_START * unit, length)
         length = jnp.where(straight, shortest, length)
         length = halve_until_right(field, constant, length, shortest, tolerance * scale)
-        return cut_at_switches(bases, length, behind(length))
+        return cut_at_switches(bases, length, distance_behind(length))
 
     # A loop of one turn, as most steps are far from the zeros, and take none.
     _, length = lax.while_loop(
@@ -77,7 +77,7 @@ def step_near_powers(
     )
     if not kinks:
         return series, length
-    behind = behind(length)
+    behind = distance_behind(length)
     length = cut_at_switches(kinks, length, behind)
     # A step that begins at a zero may leave a jump there behind.
     zero = jnp.where(begins, 0, lax.stop_gradient(length) - behind)
