@@ -1,5 +1,6 @@
 """Lyapunov exponents: of maps in closed form, and of the walker against reference values."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -174,3 +175,11 @@ def test_what_is_refused():
         wj.lyapunov(system, np.array([np.nan, 0.1]))
     with pytest.raises(ValueError, match="points must be finite, of shape"):
         wj.information_dimension(np.full((3, 2), np.nan))
+
+
+def test_exponents_by_another_solver():
+    walker = wj.SimplestWalker(0.004)
+    gait = wj.find_gait(walker)
+    found = wj.lyapunov(walker, gait.states[0], solver=diffrax.Dopri8())
+    expected = np.log(np.abs(gait.multipliers))
+    np.testing.assert_allclose(found.exponents, expected, rtol=0, atol=1e-6)

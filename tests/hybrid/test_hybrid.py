@@ -1,6 +1,9 @@
 """Modes with guards: crossings of polynomials, and modes followed to their end."""
 
+from typing import Any
+
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from polynomials import ascending
+from scipy.integrate import solve_ivp
 
+import walker_jax as wj
+from walker_jax.checks import WrongUse
 from walker_jax.hybrid.crossings import HOP, Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.following import NO_GUARD, follow_mode
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
@@ -299,10 +305,9 @@ def test_what_is_foregone_or_not_going_is_not_followed():
     assert stayed.time == 0 and stayed.state[0] == 1 and stayed.guard not in (0, 1, NO_GUARD)
 
 
-def test_what_never_ends_is_given_up_after_so_many_steps(monkeypatch):
-    monkeypatch.setattr("walker_jax.integrators.integrator.MAX_STEPS", 30)
+def test_what_never_ends_is_given_up_after_so_many_steps():
     square = lambda state: (state[0] ** 2,)
-    mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),))
+    mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),), most_steps=30)
     run = jax.vmap(
         kernel(lambda y: follow_mode(mode, (y,), jnp.asarray(True), taylor(square, 1e-9)))
     )
@@ -311,6 +316,61 @@ def test_what_never_ends_is_given_up_after_so_many_steps(monkeypatch):
     decays, grows = found.time[:2]
     np.testing.assert_allclose(found.state[0][0], -1 / (1 + decays), rtol=1e-8)
     assert grows < 1 and found.state[0][2] == 0
+
+
+class Rikitake(wj.HybridSystem):
+    """A dynamo, whose next crossing of a plane may take a hundred turns."""
+
+    most_steps: int = eqx.field(static=True, default=Mode._field_defaults["most_steps"])
+
+    section = ("x", "y")
+
+    def lift(self, x):
+        return jnp.append(x, 0 * x[0])
+
+    def project(self, state):
+        return state[:2]
+
+    def modes(self):
+        guard = wj.Guard(lambda s: s[2])
+        return (wj.Mode(lambda s: jnp.stack(dynamo(s)), (guard,), most_steps=self.most_steps),)
+
+
+def dynamo(s):
+    return [-0.47 * s[0] + s[2] * s[1], -0.47 * s[1] + s[0] * (s[2] - 1), 1 - s[0] * s[1]]
+
+
+def test_a_motion_of_many_steps_has_its_end():
+    """That of an independent integration, after more than a thousand steps."""
+    start = [-5.9, 0.3]
+    made = wj.stride(Rikitake(), jnp.array(start))
+    rises: Any = lambda t, y: y[2]
+    rises.terminal, rises.direction = True, 1
+    by: Any = dict(method="DOP853", rtol=1e-12, atol=1e-14)
+    field = lambda _, s: dynamo(s)
+    begun = solve_ivp(field, (0, 0.1), [*start, 0.0], **by).y[:, -1]  # above the plane
+    found = solve_ivp(field, (0.1, 200), begun, events=rises, **by)
+    assert found.t[-1] > 100 and float(made.time) == pytest.approx(found.t[-1], abs=1e-7)
+    np.testing.assert_allclose(made.state, found.y[:2, -1], rtol=1e-7)
+    starts = np.stack(np.meshgrid(np.linspace(-5.9, 5.9, 12), np.linspace(-5.8, 5.8, 12)), -1)
+    ends = wj.strides(Rikitake(), starts.reshape(-1, 2))
+    assert (ends.outcome == wj.Outcome.STRIDE).all()
+    few = wj.strides(Rikitake(1000), starts.reshape(-1, 2))
+    given_up = few.outcome == wj.Outcome.UNDECIDED
+    assert 0 < given_up.sum() < 30
+    np.testing.assert_array_equal(few.state[~given_up], ends.state[~given_up])
+
+
+class Hurried(wj.SimplestWalker):
+    most_steps = 5
+
+
+def test_a_walker_has_a_limit_of_steps_too():
+    x = jnp.array([0.2, -0.2])
+    assert wj.stride(wj.SimplestWalker(0.004), x).outcome == wj.Outcome.STRIDE
+    assert wj.stride(Hurried(0.004), x).outcome == wj.Outcome.UNDECIDED
+    with pytest.raises(WrongUse, match="most_steps must be at least 1, not 0"):
+        wj.stride(Rikitake(0), x)
 
 
 def test_float32():

@@ -2,6 +2,7 @@
 
 from contextlib import contextmanager
 
+import diffrax
 import jax
 import numpy as np
 import pytest
@@ -61,6 +62,14 @@ def test_a_push_that_changes_the_speed_alone(gait, least):
     scaled = least_disturbance(WALKER, gait, along=[0, 1], scale=np.abs(state))
     np.testing.assert_allclose(scaled.state, found.state, rtol=0, atol=1e-10)
     assert scaled.size == pytest.approx(found.size / abs(state[1]))
+
+
+@pytest.mark.slow
+def test_the_least_disturbance_by_another_solver(gait):
+    expected = least_disturbance(WALKER, gait, along=[0, 1])
+    found = least_disturbance(WALKER, gait, along=[0, 1], solver=diffrax.Dopri8())
+    assert found.failure == expected.failure
+    np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
 
 
 def test_the_boundary_is_normal_to_the_least_disturbance(gait, least):

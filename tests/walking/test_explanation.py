@@ -3,6 +3,7 @@
 import json
 import re
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,7 +91,7 @@ class Shut(Lost):
 @pytest.mark.parametrize(
     ("system", "complaint"),
     [
-        (Lost(0.1), r"project\(lift\(x\)\) is \(0.3\)"),
+        (Lost(0.1), r"project\(lift\(x\)\) is \(0.3\); no stride begins at"),
         (Lost(), r"no stride begins at the next point, \(6.48"),
         pytest.param(
             Shut(),
@@ -105,6 +106,94 @@ def test_what_does_not_fit_together_is_found(system, complaint):
     found = wj.explain(system, jnp.array([0.2]))
     assert re.search(complaint, "; ".join(found.complaints))
     assert f"\n! {found.complaints[0]}" in str(found)
+
+
+def test_modes_are_told_where_lift_and_project_do_not_fit():
+    found = wj.explain(Lost(0.1), jnp.array([0.2]))
+    (mode,) = found.modes
+    assert mode.ended_by == "STRIDE" and mode.time == pytest.approx(2 * np.pi, rel=1e-12)
+
+
+class Switched(Lost):
+    """A rate that jumps, or is not finite, past an angle; or a clock that is slow."""
+
+    limit: float = 1.0
+
+    def rate(self, angle):
+        return jnp.where(angle > self.limit, 1.5, 1.0)
+
+    def modes(self):
+        field = lambda y: {"angle": self.rate(y["angle"]), "clock": 1 + 0 * y["clock"]}
+        return (wj.Mode(field, (wj.Guard(lambda y: y["clock"] - 6),), most_steps=30),)
+
+    def lift(self, x):
+        return {"angle": x[0], "clock": 0 * x[0]}
+
+    def project(self, state):
+        return state["angle"][None]
+
+
+class Vanishing(Switched):
+    def rate(self, angle):
+        return 1 + 1e-3 * jnp.log(self.limit - angle)
+
+
+class Slow(Switched):
+    def rate(self, angle):
+        return jnp.cos(30 * angle)
+
+
+class Overflowing(Switched):
+    def modes(self):
+        (mode,) = super().modes()
+        return (mode._replace(reset=lambda y: y | {"angle": jnp.sqrt(-y["angle"])}),)
+
+
+@pytest.mark.parametrize(
+    ("system", "reason"),
+    [
+        (
+            Switched(),
+            r"vector field, in gt, line \d+ of test_explanation.py: the rate of angle jumps by 0.5 "
+            r"at 0.8, in \(1, 0.8\)",
+        ),
+        (Vanishing(), r"field is not finite at 0.8.*, from \(1, 0.8.*: the rate of angle"),
+        (Slow(), r"none has risen when its 30 steps run out \(most_steps\) at [0-5]\.\d+, in \(0"),
+        (Overflowing(limit=9.0), "the state after the last reset is not finite: angle"),
+    ],
+    ids=lambda one: "" if isinstance(one, str) else type(one).__name__,
+)
+def test_why_a_stride_is_undecided(system, reason):
+    found = wj.explain(system, jnp.array([0.2]))
+    assert found.outcome == wj.Outcome.UNDECIDED
+    assert re.search(reason, "; ".join(found.complaints))
+
+
+def test_a_solver_that_rejects_all_steps_is_told():
+    found = wj.explain(Vanishing(), jnp.array([0.2]), solver=diffrax.Bosh3(), tolerance=1e-4)
+    assert found.outcome == wj.Outcome.UNDECIDED
+    assert re.search(r"30 steps run out|rejects all steps at 0\.8", found.complaints[0])
+
+
+class Decaying(Switched):
+    """A clock, beside a variable that becomes small, and a step that is smooth."""
+
+    def modes(self):
+        (mode,) = super().modes()
+        smooth = lambda y: 1e-9 * jnp.tanh(y["clock"] - 3)
+        field = lambda y: {"angle": -9 * y["angle"], "clock": 1 + smooth(y)}
+        return (mode._replace(field=field, most_steps=100),)
+
+
+def test_noise_and_features_that_may_be_missed_are_told():
+    found = wj.explain(Decaying(), jnp.array([0.2]))
+    assert found.outcome == wj.Outcome.STRIDE and found.complaints == []
+    (mode,) = found.modes
+    noise, sharp = mode.doubts
+    assert re.match(r"in mode 0 angle falls to \S+, beside variables of \S+: .* scales", noise)
+    assert re.match(r"the longest step of mode 0 takes 0\.\d+: .* longest_step", sharp)
+    assert f"? {noise}" in str(found).splitlines()
+    assert wj.explain(Lost(), jnp.array([0.2])).modes[0].doubts == ()
 
 
 class Begun(Lost):

@@ -30,7 +30,7 @@ from walker_jax.checks import (
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import find_multipliers, linearise, multiply_jacobians
 from walker_jax.gaits.long_runs import RECORDED_STATES, SETTLED_DISTANCE, START_OFFSET
-from walker_jax.integrators.integrator import Integrator, default_tolerance
+from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome
@@ -75,6 +75,7 @@ def lyapunov(
     settling: int = 500,
     seed: int = 0,
     tolerance: Real | None = None,
+    solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Lyapunov:
     """Compute all Lyapunov exponents of the attractor to which a state converges.
@@ -97,7 +98,7 @@ def lyapunov(
       turn of it gives its exponents.
     - `settling`: strides before these, which do not count.
     - `seed`: seed of the random starts.
-    - `tolerance`: tolerance of the integration, as in `stride`.
+    - `tolerance`, `solver`: tolerance and solver of the integration, as in `stride`.
     - `progress`: label of a progress bar, which is shown on a terminal only.
 
     **Returns** a `Lyapunov`. On a closed curve the walks keep step and do not scatter; the
@@ -124,7 +125,7 @@ def lyapunov(
         check_whole(name, number, least)
     starts = np.asarray(x, float).reshape(-1, size)
     system, many = as_arrays(system, len(starts), starts.dtype)
-    integrator = Integrator(default_tolerance(jnp.float64, tolerance)).in_dtype(starts.dtype)
+    integrator = integrator_of(jnp.float64, tolerance, solver).in_dtype(starts.dtype)
     rates, determinant, states = find_cycle_exponents(
         system, starts, settling + strides, integrator
     )

@@ -8,17 +8,24 @@ import numpy as np
 from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.gaits.search import find_gaits, search_gait
+from walker_jax.integrators.integrator import AnySolver
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System
 
 
-def require_gait(walker: System, instead: Iterable[str], *, tolerance: Real | None = None) -> Gait:
+def require_gait(
+    walker: System,
+    instead: Iterable[str],
+    *,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
+) -> Gait:
     """Return the gait that `find_gait` finds by default.
 
     Raises `ComputationFailed` if it finds none, and names the arguments to use `instead`.
     """
-    gait = search_gait(walker, tolerance=tolerance)
+    gait = search_gait(walker, tolerance=tolerance, solver=solver)
     if not gait.found:
         names = [*instead]
         told = f"give {', '.join(names)}"

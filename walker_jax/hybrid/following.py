@@ -110,13 +110,13 @@ def follow_mode(
 
     def unfinished(now: Unfinished):
         finite = jnp.isfinite(now.last.time + now.last.length)
-        return (now.guard == NO_GUARD) & (now.count < method.most_steps) & finite
+        return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
     def follow(now: Unfinished) -> Unfinished:
         if measured:
             last = measured_step(mode, method, now.last)
             return search_step(mode, method, now._replace(last=last, count=now.count + 1))
-        quiet = lambda carry: carry[0].quiet & (carry[1] < method.most_steps)
+        quiet = lambda carry: carry[0].quiet & (carry[1] < mode.most_steps)
         take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
         # In a batch, lanes that have ended wait here for the others.
         begun = now.last._replace(quiet=now.guard == NO_GUARD), now.count

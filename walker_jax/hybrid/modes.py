@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from walker_jax.integrators.expansion import without_derivatives
+from walker_jax.integrators.integrator import MOST_STEPS
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 
@@ -107,6 +108,8 @@ class Mode(NamedTuple):
     short pulse, may else lie between two places where the equations are evaluated."""
     energy: Function | None = None
     """The energy of a state, if it is known. Only `explain` uses it, to report its change."""
+    most_steps: int = MOST_STEPS
+    """A mode that has not ended after so many integration steps is `UNDECIDED`."""
 
     @property
     def rates(self) -> Callable[[Any], Any]:

@@ -7,7 +7,7 @@ The series is valid until a switching function changes sign: x for |x|, a - b fo
 import operator
 from collections.abc import Callable
 from contextvars import ContextVar
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 import jax
@@ -23,6 +23,12 @@ from walker_jax.integrators.branches import (
     loop_rule,
     remainder,
     remainder_switches,
+)
+from walker_jax.integrators.definitions import (
+    by_squaring,
+    cumulative_product,
+    reduce_by,
+    reduce_product,
 )
 from walker_jax.integrators.linear_systems import LINEAR_ALGEBRA
 from walker_jax.integrators.series import (
@@ -54,6 +60,8 @@ from walker_jax.kernels.products import add_one_by_one
 
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
 """The list that collects switching functions; None if they are not wanted."""
+bases: ContextVar[list[Series] | None] = ContextVar("bases", default=None)
+"""The list that collects the bases of fractional powers, which switch too; None likewise."""
 
 
 def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
@@ -234,12 +242,32 @@ def power_rule(expansion, equation, operands: list[Series]) -> list[Series]:
     """Expand x^p for a real p; if p is a literal integer, p >= 0, x may be zero."""
     x, p = operands
     exponent = equation.invars[1]
-    rule = by_equation("pow")
+    rule = fractional_power
     if isinstance(exponent, Literal) and exponent.val >= 0 and float(exponent.val).is_integer():
         rule = by_definition(lambda x, p: by_squaring(x, int(exponent.val)))
+    elif isinstance(exponent, Literal) and exponent.val < 0:
+        rule = by_equation("pow")
     elif not varies(p):
         p = constant(jnp.asarray(p[0], x[0].dtype))
     return rule(expansion, equation, [x, p])
+
+
+def fractional_power(expansion, equation, operands: list[Series]) -> list[Series]:
+    """Expand a root, or a power with a real exponent, whose derivatives are infinite at x = 0.
+
+    Where x is zero for a while, the power is zero too, with its derivatives. If x only begins at
+    zero, it is a switching function that is zero at once, so that the step is very short.
+    """
+    name, bind = equation.primitive.name, binding(equation)
+    if (found := bases.get()) is not None:
+        add_switches(found, [Series(operands[0].__getitem__)], equation)
+
+    def value(x, *p):
+        zero = x == 0
+        at_zero = jnp.where(p[0] > 0, 0, jnp.where(p[0] == 0, 1, jnp.inf)) if p else 0
+        return jnp.where(zero, at_zero, bind(jnp.where(zero, 1, x), *p))
+
+    return [solution(EQUATIONS[name], value, *operands)]
 
 
 def integer_power_rule(expansion, equation, operands: list[Series]) -> list[Series]:
@@ -249,43 +277,22 @@ def integer_power_rule(expansion, equation, operands: list[Series]) -> list[Seri
     return [solution(lambda y, x, Dx: Dx * (y * p) / x, binding(equation), *operands)]
 
 
-def by_squaring(x, y: int):
-    """Return x^y for an integer y >= 0."""
-    if y < 2:
-        return x if y else jnp.ones_like(x)
-    half = by_squaring(x, y // 2)
-    return half * half * x if y % 2 else half * half
-
-
-def cumulative_product(x, axis: int, reverse: bool):
-    return lax.associative_scan(lax.mul, x, axis=axis, reverse=reverse)
-
-
-def reduce_product(x, axes, **_):
-    rows = jnp.moveaxis(x, axes, range(len(axes)))
-    rows = rows.reshape(-1, *rows.shape[len(axes) :])
-    return reduce(operator.mul, rows, jnp.ones_like(x, shape=rows.shape[1:]))
-
-
-def reduce_by(operation: Callable) -> Callable:
-    """Return the largest or the least entry along axes, pair by pair."""
-
-    def reduce_pairs(x, axes, **_):
-        rows = jnp.moveaxis(x, axes, range(len(axes)))
-        return reduce(operation, rows.reshape(-1, *rows.shape[len(axes) :]))
-
-    return reduce_pairs
-
-
 def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Callable:
     """Extend a rule so that it records the primitive's switching functions."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         if (found := switches.get()) is not None and varies(operands[0]):
-            found += switch(*operands)
+            add_switches(found, switch(*operands), equation)
         return rule(expansion, equation, operands)
 
     return expand
+
+
+def add_switches(found: list[Series], new: list[Series], equation) -> None:
+    """Add an equation's switching functions to a list."""
+    for one in new:
+        one.equation = equation
+    found += new
 
 
 def conversion_rule(expansion, equation, operands: list[Series]) -> list[Series]:
@@ -326,6 +333,7 @@ Expansion.rules = {
     **dict.fromkeys(("add", "add_any"), by_coefficients(plus)),
     **dict.fromkeys(("conv_general_dilated", "dot_general"), by_coefficients(bilinear)),
     **{name: by_equation(name) for name in EQUATIONS},
+    **dict.fromkeys(("cbrt", "sqrt"), fractional_power),
     "abs": by_coefficients(absolute_value),
     "clamp": by_coefficients(clamped_operand),
     "cond": branch_rule,

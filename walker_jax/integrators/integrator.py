@@ -1,6 +1,6 @@
 """Integration of equations of motion: its checked settings, and single steps of any method.
 
-A method is a Taylor series, or an explicit Runge-Kutta method of diffrax. The loop around its steps
+A method is a Taylor series, or a Runge-Kutta method of diffrax. The loop around its steps
 is in `hybrid.following`.
 """
 
@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix
 from jax import lax
 from jax.core import Tracer
 from jaxtyping import PyTree
@@ -24,7 +25,6 @@ from walker_jax.integrators.expansion import with_fast_sincos, without_derivativ
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.integrators.runge_kutta_steps import (
-    MOST_STEPS,
     controller_of,
     defect_of,
     derivative_error,
@@ -46,6 +46,7 @@ from walker_jax.integrators.taylor_steps import (
     SeriesSteps,
     Taylor,
     taylor_step,
+    usable_series,
 )
 
 AnySolver = diffrax.AbstractSolver
@@ -53,8 +54,10 @@ Solver = diffrax.AbstractAdaptiveSolver
 
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
-MAX_STEPS = 1000
-"""Most Taylor steps of one integration."""
+MOST_STEPS = 100_000
+"""Default of the most steps of a mode, so that it always ends. A return of a Rikitake dynamo may
+take hundreds of turns: of 1600 starts 5 % make more than 1000 steps at first, 0.5 % more than
+10,000, and 0.1 % more than this in 500 returns."""
 MOST_EXPANDED_AGAIN = 5
 """Most variables of a state whose series is expanded again for the search within a step. For more
 variables, and where an expansion takes long, as that of a `PowerBalance` does, it is cheaper to
@@ -119,17 +122,19 @@ def integrator_of(
 ) -> Integrator:
     """Return the integrator of a checked tolerance and solver, or of the defaults of a dtype.
 
-    Raises `WrongUse` for a solver that is neither a `Taylor` nor an explicit Runge-Kutta method.
+    Raises `WrongUse` for a solver that is neither a `Taylor` nor a Runge-Kutta method whose stages
+    are explicit or solved one by one (ESDIRK).
     """
     tolerance = default_tolerance(dtype, tolerance)
     tolerance = tolerance if isinstance(tolerance, Tracer) else float(tolerance)
     if solver is None:
         return Integrator(tolerance)
-    explicit = isinstance(solver, (diffrax.AbstractERK, Taylor))
-    if not (explicit and isinstance(solver, diffrax.AbstractAdaptiveSolver)):
+    known = isinstance(solver, (diffrax.AbstractERK, diffrax.AbstractESDIRK, Taylor))
+    if not (known and isinstance(solver, diffrax.AbstractAdaptiveSolver)):
         raise WrongUse(
-            "solver must be an explicit Runge-Kutta method of diffrax that estimates its error, "
-            f"such as diffrax.Dopri8(), or a Taylor, not {short(solver)}"
+            "solver must be a Runge-Kutta method of diffrax that estimates its error, such as "
+            "diffrax.Dopri8() or, for stiff equations, diffrax.Kvaerno5(), or a Taylor, "
+            f"not {short(solver)}"
         )
     return Integrator(tolerance, solver)
 
@@ -174,16 +179,17 @@ class Method(eqx.Module):
         return isinstance(self.solver, Taylor)
 
     @property
-    def most_steps(self) -> int:
-        """Return the most steps of one integration, so that it always ends."""
-        return MAX_STEPS if self.is_series else MOST_STEPS
-
-    @property
     def forward_solver(self) -> Solver:
         """Return the solver with a loop over stages that supports forward mode."""
         if not isinstance(self.solver, diffrax.AbstractRungeKutta):
             return self.solver
-        return eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=is_absent)
+        solver = eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=is_absent)
+        finder: Any = getattr(solver, "root_finder", None)
+        if finder is None or isinstance(finder.rtol, float):
+            return solver
+        # Implicit stages are solved to the tolerance; diffrax sets it in `diffeqsolve` only.
+        where = lambda s: (s.root_finder.rtol, s.root_finder.atol, s.root_finder.norm)
+        return eqx.tree_at(where, solver, (self.tolerance, self.tolerance, optimistix.max_norm))
 
     def controller(self) -> diffrax.AbstractStepSizeController:
         if isinstance(self.solver, Taylor):
@@ -191,8 +197,8 @@ class Method(eqx.Module):
             return SeriesSteps(self.field, order, self.tolerance, self.others)
         return controller_of(self.tolerance, self.limits.longest)
 
-    def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
-        """Integrate from `state` at t0 to t1."""
+    def solve(self, state: PyTree, t0, t1, most_steps: int = MOST_STEPS) -> diffrax.Solution:
+        """Integrate from `state` at t0 to t1, if that takes at most so many steps."""
         solver = self.solver
         if isinstance(solver, Taylor):
             solver = Taylor(solver.taylor_order, self.field)
@@ -206,7 +212,7 @@ class Method(eqx.Module):
             saveat=diffrax.SaveAt(t1=True),
             stepsize_controller=self.controller(),
             adjoint=diffrax.ForwardMode(),
-            max_steps=self.most_steps,
+            max_steps=most_steps,
             throw=False,
         )
 
@@ -287,7 +293,8 @@ class Method(eqx.Module):
     def series_of(self, state: PyTree) -> PyTree[list]:
         """Return the series of the solution from a state, for a Taylor method."""
         assert isinstance(self.solver, Taylor)
-        return solution_series(self.field, state, self.solver.taylor_order)
+        series = solution_series(self.field, state, self.solver.taylor_order)
+        return usable_series(self.field, series)
 
     def no_series(self, state: PyTree) -> PyTree[list]:
         """Return a constant polynomial with as many coefficients as those of steps."""

@@ -132,3 +132,17 @@ def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
         for k in range(len(series) - 2, i - 1, -1):
             series[k] = sum_of_products(step, series[k + 1], series[k])
     return series
+
+
+def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
+    """Cut a step just behind the first zero of functions given by their series.
+
+    The length has the derivatives of that zero, since second derivatives depend on where a step
+    ends at a kink.
+    """
+    for switch in switches:
+        zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
+        length = jnp.where(
+            zero + behind < length, differentiable_zero(switch, zero) + behind, length
+        )
+    return length

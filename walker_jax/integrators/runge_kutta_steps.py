@@ -42,8 +42,6 @@ EXPANSION_AT = 0.5, 1.0
 UNRESOLVED = 0.15
 """Largest third difference of a condition over quarters of a step, in units of its range there. It
 is 0.19 for a cubic whose two extrema are the ends of the step, and larger if they are within."""
-MOST_STEPS = 20_000
-"""Most steps of one integration, rejected ones included. A method of low order takes thousands."""
 
 
 def controller_of(tolerance: Real, longest: Real | None) -> diffrax.PIDController:

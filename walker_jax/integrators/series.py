@@ -77,11 +77,25 @@ def evaluate_polynomial(coefficients: list, t):
     return value
 
 
+def short_log(x: Float[Array, ""]) -> Float[Array, ""]:
+    """Return log(x) in float32, where it is cheap, also of a float64 too large for that type."""
+    known = jnp.zeros((), jnp.float32)
+    if x.dtype == jnp.float64:
+        for _ in range(5):  # up to 1e308
+            large = x > 1e30
+            x = jnp.where(large, x * 1e-60, x)
+            known = jnp.where(large, known + 60 * math.log(10), known)
+    return known + jnp.log(x.astype(jnp.float32))
+
+
 class Series:
     """A power series whose coefficients are computed when first read.
 
     A coefficient of `None` is zero. The first coefficient of an argument or result is never `None`.
     """
+
+    equation: Any = None
+    """The equation of a jaxpr to which a switching function belongs."""
 
     def __init__(self, rule: Callable[[int], Any], coefficients: Iterable = ()):
         self.rule = rule
@@ -270,10 +284,15 @@ def square(k: int, x: Series) -> Any:
     return add_products(x, x, [(k // 2, k // 2)] if k % 2 == 0 else [], start=scale(pairs, 2))
 
 
-def quotient(numerator: Series, denominator: Series, divide: Callable | None = None) -> Series:
+def quotient(
+    numerator: Series,
+    denominator: Series,
+    divide: Callable | None = None,
+    invert: Callable = lambda divisor: 1 / divisor,
+) -> Series:
     """Return r = n / d, from n = r d."""
     # One division for all orders: XLA would repeat the computation of the divisor for each.
-    reciprocal = Series(lambda k: 1 / denominator[0])
+    reciprocal = Series(lambda k: invert(denominator[0]))
 
     def rule(k):
         if k == 0 and divide is not None:
@@ -287,6 +306,27 @@ def quotient(numerator: Series, denominator: Series, divide: Callable | None = N
     return result
 
 
+def inverse_or_zero(divisor):
+    """Return 1 / x, or zero where x is zero; its derivatives are finite."""
+    zero = divisor == 0
+    return jnp.where(zero, 0, 1 / jnp.where(zero, 1, divisor))
+
+
+def over_base(numerator: Series, base: Series) -> Series:
+    """Return n / x for a power of x; zero where x begins at zero, so that the power stays zero."""
+    return quotient(numerator, base, invert=inverse_or_zero)
+
+
+def base_log(base: Series) -> Series:
+    """Return log(x) for a base x of a power; zero where x begins at zero, as that power is zero."""
+
+    def value(x):
+        zero = x == 0
+        return jnp.where(zero, 0, jnp.log(jnp.where(zero, 1, x)))
+
+    return solution(lambda y, x, Dx: over_base(Dx, x), value, base)
+
+
 # Functions that solve a differential equation: D y of a result y, given each operand x and D x,
 # with D = t d/dt. D x is the left factor: it is zero at t = 0, so the k-th coefficient of D y does
 # not read y_k.
@@ -298,7 +338,7 @@ EQUATIONS: dict[str, Callable[..., Series]] = {
     "atan": lambda y, x, Dx: Dx / (1 + x * x),
     "atan2": lambda angle, y, Dy, x, Dx: (Dy * x - Dx * y) / (x * x + y * y),
     "atanh": lambda y, x, Dx: Dx / ((1 - x) * (1 + x)),
-    "cbrt": lambda y, x, Dx: Dx * y / (x * 3),
+    "cbrt": lambda y, x, Dx: over_base(Dx * y, x * 3),
     "erf": lambda y, x, Dx: Dx * exp_series(-(x * x)) * (2 / math.sqrt(math.pi)),
     "erf_inv": lambda y, x, Dx: Dx * exp_series(y * y) * (math.sqrt(math.pi) / 2),
     "erfc": lambda y, x, Dx: Dx * exp_series(-(x * x)) * (-2 / math.sqrt(math.pi)),
@@ -309,9 +349,9 @@ EQUATIONS: dict[str, Callable[..., Series]] = {
     "log1p": lambda y, x, Dx: Dx / (1 + x),
     "log2": lambda y, x, Dx: Dx / (x * math.log(2)),
     "logistic": lambda y, x, Dx: Dx * (y - y * y),
-    "pow": lambda y, x, Dx, p, Dp: Dx * (p * y) / x + Dp * (log_series(x) * y),
+    "pow": lambda y, x, Dx, p, Dp: over_base(Dx * (p * y), x) + Dp * (base_log(x) * y),
     "rsqrt": lambda y, x, Dx: Dx * y / (x * -2),
-    "sqrt": lambda y, x, Dx: Dx / (y * 2),
+    "sqrt": lambda y, x, Dx: over_base(Dx, y * 2),
     "tan": lambda y, x, Dx: Dx * (1 + y * y),
     "tanh": lambda y, x, Dx: Dx * (1 - y * y),
 }

@@ -28,7 +28,7 @@ from walker_jax.integrators.expansion import LINEAR, trace
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
-from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.series import evaluate_polynomial, short_log
 from walker_jax.integrators.taylor import (
     VariedField,
     VectorField,
@@ -153,8 +153,7 @@ def uncapped_step_size(series: PyTree, tolerance: Real, sizes: PyTree) -> Scalar
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
     def log_length(k):
-        part = relative_size(series, k, sizes).astype(jnp.float32)
-        return (log_tolerance - jnp.log(part)) / k
+        return (log_tolerance - short_log(relative_size(series, k, sizes))) / k
 
     return jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
 

@@ -16,6 +16,7 @@ function changes sign. `switching_series` returns the series of these functions.
 
 from collections.abc import Callable
 from functools import wraps
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,7 +25,7 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
 from walker_jax.checks import is_traced
-from walker_jax.integrators.expansion import compose, switches
+from walker_jax.integrators.expansion import bases, compose, switches
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.series import (
     Series,
@@ -115,7 +116,7 @@ def with_zeros(tangents: PyTree, state: PyTree) -> PyTree:
 
 
 SMOOTH = frozenset(
-    "add add_any cos div exp integer_pow log mul neg sin sqrt square sub sum_of_products".split()
+    "add add_any cos div exp integer_pow log mul neg sin square sub sum_of_products".split()
 )
 """Primitives whose derivatives consist of these primitives too."""
 
@@ -187,7 +188,6 @@ def order_of(series: PyTree[list]) -> int:
     return len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
 
 
-@traced_once
 def switching_series(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> list[list[Array]]:
@@ -202,19 +202,56 @@ def switching_series(
     time; an empty list if `function` is smooth. Their order is that of the series, less two for a
     `PowerBalance`.
     """
+    kinks, of_powers = series_of_switches(function, series)
+    return [*kinks, *of_powers]
+
+
+def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> list[list[Array]]:
+    """Expand the bases of fractional powers, of which derivatives are infinite at zero.
+
+    Arguments and result are those of `switching_series`, which has these functions too.
+    """
+    return series_of_switches(function, series)[1]
+
+
+@eqx.filter_jit
+def series_of_switches(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> tuple[list[list[Array]], list[list[Array]]]:
+    """Expand the switching functions: the bases of fractional powers last, on their own."""
+    kinks, of_powers = find_switches(function, series)
+    return [one for _, one in kinks], [one for _, one in of_powers]
+
+
+def located_switches(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> list[tuple[Any, list[Array]]]:
+    """Expand the switching functions, each with the equation of a jaxpr that switches."""
+    kinks, of_powers = find_switches(function, series)
+    return [*kinks, *of_powers]
+
+
+def find_switches(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> tuple[list[tuple[Any, list[Array]]], list[tuple[Any, list[Array]]]]:
+    """Expand the switching functions, and the bases of powers, each with its equation."""
     (known, start), order = expandable(series), order_of(series)
-    with recording(switches) as found:
+    with recording(switches) as of_switches, recording(bases) as of_bases:
         if isinstance(function, PowerBalance):
             function.balance(jax.tree.leaves(known), jax.tree.leaves(start))
             order -= 2
         else:
             compose(function, known, start)
-    varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
-    return [
-        [coefficient.ravel()[i] for coefficient in coefficients_up_to(one, order)]
-        for one in varying
-        for i in range(one[0].size)
-    ]
+
+    def scalars(found: list[Series]) -> list[tuple[Any, list[Array]]]:
+        varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
+        return [
+            (one.equation, [c.ravel()[i] for c in coefficients_up_to(one, order)])
+            for one in varying
+            for i in range(one[0].size)
+        ]
+
+    return scalars(of_switches), scalars(of_bases)
 
 
 def is_absent(x) -> bool:

@@ -14,14 +14,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import PyTree
 
+from walker_jax.integrators.fractional_powers import step_near_powers, straighten
 from walker_jax.integrators.reductions import largest
-from walker_jax.integrators.roots import (
-    Real,
-    Scalar,
-    derivative_of,
-    differentiable_zero,
-    first_zero,
-)
+from walker_jax.integrators.roots import Real, Scalar, cut_at_switches, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.step_lengths import (
     NO_LIMITS,
@@ -35,6 +30,8 @@ from walker_jax.integrators.taylor import (
     VectorField,
     evaluate_series,
     is_list,
+    power_bases,
+    series_of_switches,
     solution_series,
     switching_series,
 )
@@ -67,7 +64,15 @@ def taylor_step(
     length = longest_step(vector_field, state, series, tolerance, limits)
     for function in watched:
         length = cut_for_function(function, lax.stop_gradient(series), length, tolerance)
-    if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
+    found = [series_of_switches(f, series) for f in (vector_field, *others)]
+    switches, bases = (
+        [one for part in parts for one in part] for parts in zip(*found, strict=True)
+    )
+    if bases:
+        return step_near_powers(
+            vector_field, series, switches, bases, length, tolerance, scale_of(series)
+        )
+    if not switches:
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length
     length = cut_at_switches(switches, length, least)
@@ -82,18 +87,10 @@ def taylor_step(
     return series, jnp.where(steady, length, jnp.nan)
 
 
-def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
-    """Cut a step just behind the first zero of functions given by their series.
-
-    The length has the derivatives of that zero, since second derivatives depend on where a step
-    ends at a kink.
-    """
-    for switch in switches:
-        zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
-        length = jnp.where(
-            zero + behind < length, differentiable_zero(switch, zero) + behind, length
-        )
-    return length
+def usable_series(vector_field: VectorField, series: PyTree[list]) -> PyTree[list]:
+    """Return the series of a solution; a line very near to the zero of a fractional power."""
+    bases = power_bases(vector_field, series)
+    return straighten(series, bases, scale_of(series))[0] if bases else series
 
 
 class TaylorInterpolation(diffrax.AbstractLocalInterpolation):
@@ -136,25 +133,29 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
 
-    def expand(self, terms, t0, y0, args) -> tuple[PyTree[list], list[list[Scalar]]]:
-        """Expand the solution from a state, and its switching functions."""
-        if self.field is not None:
-            series = solution_series(self.field, y0, self.taylor_order)
-            return series, switching_series(self.field, series)
+    def expand(self, terms, t0, y0, args) -> tuple[PyTree[list], PyTree, list[list[Scalar]]]:
+        """Expand the solution from a state: its series, last terms and switching functions."""
 
         def autonomous(state):
             time, y = state
             return jnp.ones_like(time), terms.vf(time, y, args)
 
-        both = solution_series(autonomous, (jnp.asarray(t0), y0), self.taylor_order)
-        return both[1], switching_series(autonomous, both)
+        field = autonomous if self.field is None else self.field
+        state = (jnp.asarray(t0), y0) if self.field is None else y0
+        known = solution_series(field, state, self.taylor_order)
+        series = usable_series(field, known)
+        last = jax.tree.map(lambda c: c[-1], known, is_leaf=is_list)
+        switches = switching_series(field, series)
+        return (
+            (series, last, switches) if self.field is not None else (series[1], last[1], switches)
+        )
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         del solver_state, made_jump
-        series, switches = self.expand(terms, t0, y0, args)
+        series, last, switches = self.expand(terms, t0, y0, args)
         length = jnp.asarray(t1 - t0)
         power = length**self.taylor_order
-        error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
+        error = jax.tree.map(lambda c: c * power, last)
         if switches:
             # A step over a kink gets an error that every controller rejects; a step that ends just
             # behind the kink does not.

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import ComputationFailed, check_kind, check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
-from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.stability.descents import descend_to_failure
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
@@ -71,6 +71,7 @@ def least_disturbance(
     directions: int = DENSE,
     strides: int = 500,
     tolerance: float | None = None,
+    solver: AnySolver | None = None,
     progress: bool = True,
 ) -> LeastDisturbance:
     """Find the least disturbance after which a walker does not return to its gait, or falls.
@@ -111,7 +112,7 @@ def least_disturbance(
     - `directions`: number of directions in a plane. Three dimensions have four times as many, and
       more dimensions a sixteenth, at random.
     - `strides`: number of strides in which a walker may return, or fall.
-    - `tolerance`: of the integration, as in `stride`.
+    - `tolerance`, `solver`: of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal, after a second.
 
     Raises `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that
@@ -123,14 +124,16 @@ def least_disturbance(
     lost = failure_test(fall)
     check_whole("directions", directions)
     check_kind("progress", progress, bool)
-    mapper = mapper_of_gait(walker, gait, strides, tolerance)
+    mapper = mapper_of_gait(walker, gait, strides, tolerance, solver)
     states = mapper.attractors[0].states
     rays = spread_directions(len(sizes.basis), OTHER_GAITS_DIRECTIONS) @ sizes.basis
     y = (OTHER_GAITS_DISTANCES * rays[:, None]).reshape(-1, rays.shape[1])
     around = [x + sizes.disturbance(x, y) for x in states]
     all_gaits = with_other_gaits(mapper, np.concatenate(around))
     loose = all_gaits._replace(
-        integrator=Integrator(max(mapper.integrator.tolerance, SEARCH_TOLERANCE))
+        integrator=Integrator(
+            max(mapper.integrator.tolerance, SEARCH_TOLERANCE), mapper.integrator.solver
+        )
     )
 
     def fails(
@@ -141,7 +144,8 @@ def least_disturbance(
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = all_gaits(points).strides
         axes = np.eye(points.shape[1])
-        return differentiate_margins(walker, points, count, axes, (), mapper.integrator.tolerance)
+        by = mapper.integrator
+        return differentiate_margins(walker, points, count, axes, (), by.tolerance, by.solver)
 
     def nearest(x: Float[np.ndarray, " section"]) -> Float[np.ndarray, " section"]:
         def gradient_along(y: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:

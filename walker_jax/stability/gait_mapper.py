@@ -1,6 +1,7 @@
 """The mapper to a stable gait, and the test of its failures."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,13 +12,17 @@ from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
 from walker_jax.gaits.cycles import Gait, check_cycle, check_found
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.integrator import integrator_of
+from walker_jax.integrators.integrator import AnySolver, integrator_of
 from walker_jax.systems.system import System, check_single
 from walker_jax.walking.iteration import strides as take_strides
 
 
 def mapper_of_gait(
-    walker: System, gait: Gait | None, strides: int, tolerance: float | None
+    walker: System,
+    gait: Gait | None,
+    strides: int,
+    tolerance: float | None,
+    solver: AnySolver | None = None,
 ) -> Mapper:
     """Return the mapper whose only attractor is a stable gait, with its capture boxes.
 
@@ -27,7 +32,8 @@ def mapper_of_gait(
     check_kind("walker", walker, System)
     check_single(walker)
     check_whole("strides", strides)
-    gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
+    by: Any = {"tolerance": tolerance, "solver": solver}
+    gait = require_gait(walker, ["gait"], **by) if gait is None else gait
     check_found(gait)
     if not gait.stable:
         size = float(np.abs(gait.multipliers).max())
@@ -39,9 +45,9 @@ def mapper_of_gait(
     check_precision(states.dtype)
     if states.shape[1:] != (len(walker.section),):
         raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
-    ends = np.asarray(take_strides(walker, states, tolerance=tolerance).state)
+    ends = np.asarray(take_strides(walker, states, **by).state)
     check_cycle(walker, states, ends, capture_radius(states.dtype))
-    integrator = integrator_of(states.dtype, tolerance)
+    integrator = integrator_of(states.dtype, tolerance, solver)
     return with_capture_boxes(Mapper(walker, [Attractor(len(states), states)], integrator, strides))
 
 

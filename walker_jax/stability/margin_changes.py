@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from walker_jax.execution.tiles import map_cells
-from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.integrator import Integrator, Solver
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Scalar
@@ -24,6 +24,7 @@ def differentiate_margins(
     directions: Float[np.ndarray, "axes section"],
     parameters: Sequence[str],
     tolerance: Real,
+    solver: Solver | None = None,
 ) -> Float[np.ndarray, "n columns"]:
     """Compute derivatives of the margins of failing walks from x, along directions and parameters.
 
@@ -38,7 +39,9 @@ def differentiate_margins(
     # By name: a constructor may set them in any order.
     tangent = with_values(walker, {name: column(name) for name in numbers_of(walker)})
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
-    shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, Integrator(tolerance)))
+    shared = jax.tree.map(
+        lambda leaf: np.asarray(leaf, dtype), (walker, Integrator(tolerance, solver))
+    )
     return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
 
 

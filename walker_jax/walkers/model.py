@@ -60,6 +60,9 @@ class Walker(HybridSystem):
     """Whether a foot ahead that has come down stays down, so that no integration step misses it."""
     longest_step: ClassVar[float | None] = None
     """Longest step of the integration, as for a `Mode`."""
+    most_steps: ClassVar[int] = 10_000
+    """A phase or swing that has not ended after so many integration steps is `UNDECIDED`. A stride
+    makes less than a hundred; a walker that rocks on its feet makes all of them."""
     inverted_pendulum: ClassVar[bool] = False
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
@@ -145,6 +148,7 @@ class Walker(HybridSystem):
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
             longest_step=self.longest_step,
             energy=energy_of(self),
+            most_steps=self.most_steps,
         )
         return *(phase.mode() for phase in self.phases()), swing
 

@@ -112,6 +112,7 @@ class Phase(eqx.Module):
             as_smooth=as_smooth,
             longest_step=walker.longest_step,
             energy=energy_of(self),
+            most_steps=walker.most_steps,
         )
 
 

@@ -18,16 +18,27 @@ from jaxtyping import Float
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.following import along, is_due
 from walker_jax.hybrid.modes import Condition, Mode
-from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
-from walker_jax.systems.angles import unnamed_angles
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.starts import during_stride, full_state, is_feasible, on_section, prepare
+from walker_jax.walking.consistency import (
+    check_landing,
+    check_point,
+    check_projection,
+    format_point,
+)
+from walker_jax.walking.starts import during_stride, full_state, prepare
 from walker_jax.walking.stride import begin_next, fall_of, method_of, modes_from, stride
+from walker_jax.walking.undecided import (
+    doubts,
+    not_finite,
+    steps_ran_out,
+    why_it_stops,
+)
 
 MOST_RISES = 20
 """Most rises of a mode that are reported: the last ones."""
@@ -35,6 +46,9 @@ ENERGY_DRIFT = 1e-6
 """Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
 PARTS = 0.25, 0.5, 0.75, 1.0
 """Fractions of a step at which conditions are checked."""
+
+MOST_STUCK = 100
+"""A mode is given up after so many steps without length, which are those that a solver rejects."""
 
 
 class Rise(NamedTuple):
@@ -68,6 +82,10 @@ class ModeRecord(NamedTuple):
     """The greatest value of each guard at the ends of steps, by its number and outcome."""
     energy: tuple[float, float]
     """Energy at its start and at its end; NaN where the mode does not define it."""
+    reason: str = ""
+    """Why nothing ended it."""
+    doubts: tuple[str, ...] = ()
+    """Why its numbers may be wrong, and remedies."""
 
 
 class Explanation(NamedTuple):
@@ -80,7 +98,7 @@ class Explanation(NamedTuple):
     start: Float[np.ndarray, " coordinates"]
     modes: list[ModeRecord]
     complaints: list[str]
-    """Inconsistencies of the model; none for a sound one."""
+    """Inconsistencies of the model, and why a stride is `UNDECIDED`; none for a sound one."""
     state: Float[np.ndarray, " section"]
     jacobian: Float[np.ndarray, "section coordinates"]
     """Derivative of the next point by the start; NaN where there is none."""
@@ -113,17 +131,18 @@ class Explanation(NamedTuple):
             if rows == columns and np.isfinite(self.jacobian).all():
                 largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
                 lines[-1] += f", greatest multiplier {largest:.6g}"
+        lines += [f"? {one}" for mode in self.modes for one in mode.doubts]
         lines += [f"! {one}" for one in self.complaints]
         return "\n".join(lines)
 
 
-def format_point(values: Float[np.ndarray, " n"]) -> str:
-    return f"({', '.join(f'{value:.9g}' for value in values)})"
-
-
 @refuses_tracers()
 def explain(
-    walker: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
+    walker: System,
+    x: Float[ArrayLike, " section"],
+    *,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
 ) -> Explanation:
     """Explain why the stride from x ends as it does, and check that a model fits together.
 
@@ -131,9 +150,11 @@ def explain(
     admitted, and how near the others came. It reports about the least values of conditions, and the
     change of the energy where that is known (`Mode.energy`, an `energy` of a walker). Complaints
     are: a start that is not feasible; a point of the section that `lift` and `project` change; a
-    field that is not finite; a mode that no guard ends, as none rose or was admitted; energy that
+    field that is not finite; a mode that no guard ends, as none rose or was admitted, and why:
+    steps that ran out, a jump, with its line of code, or a number that is not finite; energy that
     changes although gravity alone drives a walker; an impact that leads off the section, or to a
-    point from which no stride begins; derivatives that are not finite.
+    point from which no stride begins; derivatives that are not finite. Lines with ? say what may be
+    wrong although the stride has an end.
 
     ```python
     found = wj.explain(wj.SimplestWalker(0.004), (0.2, -0.2))
@@ -143,23 +164,27 @@ def explain(
 
     **Arguments:** any system and a point of its section, as in `stride`.
     """
-    walker, x, integrator = prepare(walker, x, tolerance)
-    made = stride(walker, x, tolerance=tolerance)
+    walker, x, integrator = prepare(walker, x, tolerance, solver)
+    made = stride(walker, x, tolerance=tolerance, solver=solver)
     outcome = Outcome(int(made.outcome))
     jacobian = np.full((len(walker.section), len(x)), np.nan)
     if outcome == Outcome.STRIDE:
-        jacobian = np.asarray(jax.jacfwd(lambda x: stride(walker, x, tolerance=tolerance).state)(x))
+        next_point = lambda x: stride(walker, x, tolerance=tolerance, solver=solver).state
+        jacobian = np.asarray(jax.jacfwd(next_point)(x))
     complaints = check_point(walker, x)
     records: list[ModeRecord] = []
     if isinstance(walker, HybridSystem) and not complaints:
+        complaints += check_projection(walker, x)
         records, landed = record_modes(during_stride(walker, x), x, integrator)
         complaints += check_records(records)
         if isinstance(walker, Walker) and walker.driven_by_gravity():
             complaints += check_energy(records)
         if outcome == Outcome.STRIDE and landed is not None:
             complaints += check_landing(walker, landed)
+        if landed is not None and (names := not_finite(landed)):
+            complaints.append(f"the state after the last reset is not finite: {names}")
     if outcome == Outcome.UNDECIDED and not complaints:
-        complaints.append("the stride has no end: no guard rises, or a number is not finite")
+        complaints.append("the next point is not finite")
     if outcome == Outcome.STRIDE:
         if not np.isfinite(jacobian).all():
             complaints.append(f"derivatives of the next point are not finite: {jacobian.tolist()}")
@@ -174,37 +199,12 @@ def explain(
     )
 
 
-def check_point(system: System, x: Any) -> list[str]:
-    """Return complaints about a start."""
-    if not on_section(system, x):
-        return []
-    if not bool(system.feasible(x)):
-        return ["the start is not feasible"]
-    if not isinstance(system, HybridSystem):
-        return []
-    back = system.project(system.lift(x))
-    again = system.project(system.lift(back))  # an angle may be wrapped, once
-    rounding = 64 * float(jnp.finfo(back.dtype).eps) * max(1.0, float(jnp.max(jnp.abs(back))))
-    if not float(jnp.max(jnp.abs(again - back))) <= rounding:
-        return [f"project(lift(x)) is {format_point(np.asarray(back))}"]
-    first = full_state(system, x)
-    modes = modes_from(system, x)
-    if unnamed := unnamed_angles(system, x):
-        return [f"project takes full turns off {unnamed[0]}, which angles does not name"]
-    rates = jax.tree.leaves(modes[0].rates(first))
-    if not all(bool(jnp.all(jnp.isfinite(rate))) for rate in rates):
-        return ["the vector field at the start is not finite"]
-    if not bool(is_feasible(system, x, first)):
-        return ["the start is not feasible"]
-    return []
-
-
 def check_records(records: list[ModeRecord]) -> list[str]:
     """Return complaints about guards."""
     found = []
     for i, mode in enumerate(records):
         if not mode.ended_by:
-            found.append(f"mode {i} is not ended by any of its guards")
+            found.append(f"mode {i} is not ended by any of its guards: {mode.reason}")
         refused = {rise.guard for rise in mode.rises if not rise.admitted}
         admitted = {rise.guard for rise in mode.rises if rise.admitted}
         for guard in sorted(refused - admitted):
@@ -223,21 +223,6 @@ def check_energy(records: list[ModeRecord]) -> list[str]:
                 "the walker: vector_field and energy do not belong together"
             )
     return found
-
-
-def check_landing(system: HybridSystem, landed: Any) -> list[str]:
-    """Return complaints about the state in which the next stride begins."""
-    point = system.project(landed)
-    again = system.lift(point)
-    if jax.tree.structure(again) != jax.tree.structure(landed):
-        return ["the last reset leads to a state of another kind than lift"]
-    if not isinstance(system, Walker):  # others may count time, or turns, from anywhere
-        return []
-    largest = lambda tree: max(float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(tree))
-    miss = largest(jax.tree.map(jnp.subtract, again, landed))
-    if miss > 1e-6 * max(1.0, largest(landed)):
-        return [f"the impact leads {miss:.3g} off the section"]
-    return []
 
 
 def record_modes(
@@ -285,7 +270,7 @@ def record_mode(
     fallen = int(fall_of(mode, state, number > 0))
     if fallen != Outcome.UNDECIDED:
         return over_at_once(name_of_outcome(fallen, failures), {}), state, False
-    method = method_of(mode, state, integrator)
+    method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
     if may_be_due and is_due(mode, method, state):
         at_end = values_at_end(mode, state, failures)
         return over_at_once(names[-1], at_end), state, all(one > 0 for one in at_end.values())
@@ -293,11 +278,14 @@ def record_mode(
     step, end_at = steps_of(mode, method, [*conditions.values()])
     rises: list[Rise] = []
     time, count, memory, ending = 0.0, 0, method.first_memory(state), None
+    reason, stuck, way = "", 0, [(0.0, state)]
     below = [value <= 0 for value in values]
-    while ending is None and count < method.most_steps:
+    while ending is None and count < mode.most_steps:
         series, end, length, memory, polynomials, (there, values, seen) = step(state, memory)
         count += 1
-        if not np.isfinite(length):
+        stuck = 0 if length > 0 else stuck + 1
+        if not np.isfinite(length) or stuck > MOST_STUCK:
+            reason = why_it_stops(mode, method, state, time)
             break
         found = [
             Rise(number, i, names[i], time + when, admitted)
@@ -317,13 +305,17 @@ def record_mode(
         for name, value in zip(greatest, values, strict=True):
             greatest[name] = max(greatest[name], float(value))
         state, time = end, time + float(length)
+        way.append((time, state))
+    if ending is None and not reason:
+        reason = steps_ran_out(mode, time, state)
     rises = rises[-MOST_RISES:]
     there = state if ending is None else there
     change = energy, float(energy_of(there))
     leads_on = ending is not None and ending.leads_to == Outcome.STRIDE.name
     at_end = values_at_end(mode, there, failures) if leads_on else {}
     ended = (np.inf, count, "") if ending is None else (ending.time, count, ending.leads_to)
-    record = ModeRecord(*ended, rises, least, at_end, greatest, change)
+    doubted = tuple(doubts(number, mode, way))
+    record = ModeRecord(*ended, rises, least, at_end, greatest, change, reason, doubted)
     return record, there, leads_on and all(value > 0 for value in at_end.values())
 
 
@@ -348,6 +340,8 @@ def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Calla
 def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[float, bool]]:
     """Return when a guard rises in a step, and whether each rise is admitted."""
     holds = lambda one, when: np.polyval(np.array(one)[::-1], when) > 0
+    if not length > 0 or not np.isfinite(value).all():
+        return []
     times = rises_of(np.array(value), length, below)
     return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
 

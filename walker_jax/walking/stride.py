@@ -19,7 +19,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.checks import WrongUse, check_number, short
+from walker_jax.checks import WrongUse, check_number, check_whole, short
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.modes import Mode, ends_at_once
 from walker_jax.integrators.expansion import with_fast_sincos
@@ -107,7 +107,7 @@ def stride(
       rate (`integrators.taylor_steps.step_size`), or of the error that another solver estimates.
       By default 1e-12 in float64 and 1e-6 in float32. A stride amplifies this error, up to 1e5
       times near falling backward.
-    - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
+    - `solver`: one of diffrax's Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
       of the Taylor series. It does not know where a vector field has kinks.
 
     **Returns** a `Stride`. A failure is an `Outcome`. Raises `ValueError` for a wrong shape or
@@ -141,6 +141,8 @@ def modes_from(
     """
     *phases, swing = walker.modes()
     check_outcomes(walker, *phases, swing)
+    for mode in (*phases, swing):
+        check_whole("most_steps", mode.most_steps)
     launched = not on_section(walker, x)
     if launched or to_the_end:
         swing = swing._replace(foregone=None)
@@ -274,12 +276,14 @@ def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[
     fallen = fall_of(judging_mode(walker, modes), following)
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
-    struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
+    point = walker.project(following)
+    finite = jnp.isfinite(lift) & jnp.all(jnp.isfinite(point))
+    struck = jnp.where(finite, struck, Outcome.UNDECIDED)
     struck = judge_end(modes[-1], last.state, struck)
     for outcome, violated in reversed(last.violated.items()):
         struck = jnp.where(violated, outcome, struck)
     outcome = jnp.where(last.verdict == Outcome.STRIDE, struck, last.verdict).astype(jnp.int8)
-    return following, make_stride(walker.project(following), outcome, last.time)
+    return following, make_stride(point, outcome, last.time)
 
 
 def judging_mode(walker: HybridSystem, modes: list[Mode]) -> Mode:

@@ -53,8 +53,8 @@ def trajectory(
     ```
 
     Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN
-    where that takes too many steps of integration. Raises `ValueError` as `stride` does, and
-    for times that are not finite or negative.
+    where that takes more than `Mode.most_steps` of integration. Raises `ValueError` as `stride`
+    does, and for times that are not finite or negative.
     """
     walker, x, integrator = prepare(walker, x, tolerance, solver)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
@@ -98,7 +98,7 @@ def state_after(
 def state_of_motion(mode: Mode, start: Any, time: Scalar, integrator: Integrator) -> Any:
     """Compute the state a time after another, in one mode."""
     method = integrator.method(mode.field, start)
-    solution = method.solve(start, jnp.zeros_like(time), time)
+    solution = method.solve(start, jnp.zeros_like(time), time, mode.most_steps)
     arrived = solution.result == diffrax.RESULTS.successful
     return jax.tree.map(lambda values: nan_unless(arrived, values[-1]), solution.ys)
 

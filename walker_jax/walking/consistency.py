@@ -1,0 +1,67 @@
+"""Checks of a model: its starts, its section, and the state in which its strides end."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.systems.angles import unnamed_angles
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.starts import full_state, is_feasible, on_section
+from walker_jax.walking.stride import modes_from
+from walker_jax.walking.undecided import not_finite
+
+
+def format_point(values: Float[np.ndarray, " n"]) -> str:
+    return f"({', '.join(f'{value:.9g}' for value in values)})"
+
+
+def check_point(system: System, x: Any) -> list[str]:
+    """Return complaints about a start."""
+    if not on_section(system, x):
+        return []
+    if not bool(system.feasible(x)):
+        return ["the start is not feasible"]
+    if not isinstance(system, HybridSystem):
+        return []
+    first = full_state(system, x)
+    if names := not_finite(first):
+        return [f"the state that lift returns is not finite: {names}"]
+    if names := not_finite(modes_from(system, x)[0].rates(first)):
+        return [f"the vector field at the start is not finite: the rate of {names}"]
+    if not bool(is_feasible(system, x, first)):
+        return ["the start is not feasible"]
+    return []
+
+
+def check_projection(system: HybridSystem, x: Any) -> list[str]:
+    """Return a complaint if `lift` and `project` change a point, or wrap an unnamed angle."""
+    if not on_section(system, x):
+        return []
+    back = system.project(system.lift(x))
+    again = system.project(system.lift(back))  # an angle may be wrapped, once
+    rounding = 64 * float(jnp.finfo(back.dtype).eps) * max(1.0, float(jnp.max(jnp.abs(back))))
+    if not float(jnp.max(jnp.abs(again - back))) <= rounding:
+        return [f"project(lift(x)) is {format_point(np.asarray(back))}"]
+    if unnamed := unnamed_angles(system, x):
+        return [f"project takes full turns off {unnamed[0]}, which angles does not name"]
+    return []
+
+
+def check_landing(system: HybridSystem, landed: Any) -> list[str]:
+    """Return complaints about the state in which the next stride begins."""
+    point = system.project(landed)
+    again = system.lift(point)
+    if jax.tree.structure(again) != jax.tree.structure(landed):
+        return ["the last reset leads to a state of another kind than lift"]
+    if not isinstance(system, Walker):  # others may count time, or turns, from anywhere
+        return []
+    largest = lambda tree: max(float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(tree))
+    miss = largest(jax.tree.map(jnp.subtract, again, landed))
+    if miss > 1e-6 * max(1.0, largest(landed)):
+        return [f"the impact leads {miss:.3g} off the section"]
+    return []
