@@ -57,7 +57,6 @@ def test_at_the_steeper_slope_too():
     assert wj.prove_basin(wj.SimplestWalker(0.009), 0.99 * 0.0022556).attrs["all_walk"]
 
 
-@pytest.mark.slow
 def test_more_than_the_least_disturbance_is_not_proved():
     found = wj.prove_basin(WALKER, 1.01 * RADIUS, levels=6)
     assert not found.attrs["all_walk"] and np.any(found["proved"] == OPEN)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.proofs import flows
+from walker_jax.proofs import flows, strides
 from walker_jax.proofs.enclosures import Enclosure, Space, exactly, monomials
 from walker_jax.proofs.provable import check_provable, enclose_parameters
 from walker_jax.proofs.strides import FALL, STRIDE, UNDECIDED, verify_stride
@@ -124,3 +124,34 @@ def test_the_jacobian_of_all_points_of_a_box_is_enclosed():
 def jacobians(walker, x):
     one = jax.jacfwd(lambda x: wj.stride(walker, x).state)
     return jax.vmap(one)(jax.numpy.asarray(x))
+
+
+STARTS = np.array([GAIT, [0.15, -0.3], [0.8, -0.8]])
+"""The gait, a start that falls, and one with theta above pi / 4 and all else as in a stride."""
+
+
+def verdicts_of_starts() -> list[int]:
+    return verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES).verdict.tolist()
+
+
+def test_starts_stride_fall_or_are_not_feasible():
+    assert verdicts_of_starts() == [STRIDE, FALL, UNDECIDED]
+
+
+@pytest.mark.parametrize(
+    ("part", "fact", "verdicts"),
+    [
+        ("take_step", {"proved": False}, [UNDECIDED, UNDECIDED]),
+        ("watch_step", {"no_strike": False}, [UNDECIDED, UNDECIDED]),
+        ("watch_step", {"clear": False}, [UNDECIDED, FALL]),
+        ("watch_step", {"no_strike": True, "rising": True}, [STRIDE, UNDECIDED]),
+        ("enclose_strike", {"proved": False}, [UNDECIDED, FALL]),
+    ],
+)
+def test_a_verdict_rests_on_each_fact(monkeypatch, part, fact, verdicts):
+    """On a proof of the step, of no strike before, of no fall, and of the strike itself."""
+    prove = getattr(strides, part)
+    flags = {name: np.full(len(STARTS), value) for name, value in fact.items()}
+    monkeypatch.setattr(strides, part, lambda *args, **how: prove(*args, **how)._replace(**flags))
+    monkeypatch.setattr(strides, "MOST_STEPS", 18)
+    assert verdicts_of_starts() == [*verdicts, UNDECIDED]
