@@ -272,11 +272,12 @@ def test_one_box_that_does_not_come_back_is_no_trap(monkeypatch, period, stride,
     def carry(walker, known: Boxes, trap: Trap, wrong: bool) -> Carried:
         now, last = len(made), len(made) == period - 1
         assert (trap.size > 0) == last
-        made.append(known)
+        assert now == 0 or known is made[-1]  # those after the stride before
+        made.append(Boxes(known.terms + 1, known.radii))
         verdicts = np.full(known.count, TRAPPED if last else STRIDE)
         if wrong and now == stride:
             verdicts[known.count // 2] = verdict
-        return Carried(known, verdicts)
+        return Carried(made[-1], verdicts)
 
     for wrong in (False, True):
         made.clear()
@@ -306,11 +307,16 @@ FATES = {  # what is guessed, the verdict on the stride: what is done and what g
 def test_a_fate_is_proved_by_its_own_verdicts_alone(monkeypatch):
     guesses, verdicts = (np.array(one) for one in zip(*FATES, strict=True))
     some = Boxes(np.arange(len(FATES) * 6.0).reshape(-1, 2, 3), np.zeros((len(FATES), 2)))
-    monkeypatch.setattr(following, "carry", lambda *_: Carried(some, verdicts.copy()))
-    partly = lambda _, known: Carried(known, np.full(known.count, PARTLY))
+    copied = lambda: Boxes(some.terms.copy(), some.radii.copy())
+    monkeypatch.setattr(following, "carry", lambda *_: Carried(copied(), verdicts.copy()))
+    partly = lambda _, known: Carried(
+        Boxes(-known.terms, known.radii + 1), np.full(known.count, PARTLY)
+    )
     monkeypatch.setattr(following, "carry_partly", partly)
     nothing: Any = SimpleNamespace(holds=lambda fate, known: np.zeros(known.count, bool))
-    _, goes, done = following.follow_once(WALKER, some, guesses, TRAP, nothing)
+    new, goes, done = following.follow_once(WALKER, some, guesses, TRAP, nothing)
+    known = np.arange(len(FATES)) * 6.0
+    assert new.terms[:, 0, 0].tolist() == [*known[:-1], -known[-1]] and new.radii[-1, 0] == 1
     assert [*zip(done.tolist(), goes.tolist(), strict=True)] == [*FATES.values()]
     # Of boxes that go on, those that come into cells of their own fate are done.
     held: Any = SimpleNamespace(holds=lambda fate, known: np.full(known.count, fate == FALLS))

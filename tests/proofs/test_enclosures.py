@@ -14,7 +14,14 @@ from walker_jax.kernels import kernel
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.proofs import elementary, enclosures
 from walker_jax.proofs.elementary import enclose_sine_and_cosine
-from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, ball, monomials
+from walker_jax.proofs.enclosures import (
+    BALLS,
+    Enclosure,
+    Space,
+    ball,
+    interval_between,
+    monomials,
+)
 from walker_jax.proofs.evaluation import evaluate
 from walker_jax.proofs.provable import check_provable, enclose_parameters
 
@@ -137,6 +144,55 @@ def test_polynomials_hold_the_exact_results(name, space):
             assert off <= Fraction(float(found.radius[i]))
 
 
+@pytest.mark.parametrize("space", [BALLS, Space(1, 1), PLANE])
+def test_bounds_hold_all_values(space):
+    """Of values far from zero too, whose last digits are larger than what they vary by."""
+    rng, count = np.random.default_rng(10), 200
+    one = random_model(rng, count, space)
+    scale = 10.0 ** rng.uniform(-17, 0, count)
+    small = Enclosure([one.terms[0], *[t * scale for t in one.terms[1:]]], scale, space)
+    for i in range(count):
+        ends = [[Fraction(s * np.sign(t[i])) for t in small.terms[1:3]] for s in (-1, 1)]
+        values = [
+            value_at(small, i, u[: space.variables], e) for u, e in zip(ends, (-1, 1), strict=True)
+        ]
+        assert Fraction(small.lower[i]) <= min(values) and max(values) <= Fraction(small.upper[i])
+        assert max(map(abs, values)) <= Fraction(small.magnitude[i])
+
+
+def test_a_quotient_by_what_may_be_zero_has_no_bounds():
+    for radius in (1.0, 2.0):
+        with np.errstate(all="ignore"):
+            found = 1.0 / ball(np.array([1.0]), radius)
+        assert found.radius[0] == np.inf and not found.lower[0] > 0
+
+
+def test_constants_hold_all_numbers_that_round_to_them():
+    """But whole ones are exact."""
+    tenth = evaluate(lambda x: 0.1 * x, ball(np.array([1.0]), 0.0))
+    assert abs(Fraction(tenth.midpoint[0]) - Fraction(1, 10)) <= Fraction(tenth.radius[0])
+    double = evaluate(lambda x: 2.0 * x, ball(np.array([2.0**-60]), 0.0))
+    assert double.radius[0] < 2.0**-111
+
+
+def ends_left_out() -> int:
+    rng = np.random.default_rng(11)
+    low = rng.normal(size=2000)
+    high = low + 10.0 ** rng.uniform(-17, 0, 2000)
+    found = interval_between(low, high)
+    values = zip(low.tolist(), high.tolist(), found.midpoint, found.radius, strict=True)
+    return sum(
+        max(abs(Fraction(a) - Fraction(m)), abs(Fraction(b) - Fraction(m))) > Fraction(r)
+        for a, b, m, r in values
+    )
+
+
+def test_intervals_hold_their_ends(monkeypatch):
+    assert ends_left_out() == 0
+    monkeypatch.setattr(enclosures, "ROUNDING", 0.0)
+    assert ends_left_out() > 0
+
+
 def test_sums_of_products_hold_the_exact_results():
     """Next to powers of two a sum of products may be off by the roundings of all of them."""
     rng, space, count = np.random.default_rng(8), Space(1, 4), 1000
@@ -180,6 +236,26 @@ def test_a_remainder_left_out_is_seen(monkeypatch):
     assert sine_misses(600, BALLS, seed=6) == 0
     monkeypatch.setattr(elementary, "remainder_of_series", lambda odd: 0.0)
     assert sine_misses(600, BALLS, seed=6) > 0
+
+
+def angles_reduced_in_error() -> int:
+    """Angles whose distance from the nearest quarter turn is not in its interval."""
+    rng = np.random.default_rng(9)
+    x = rng.uniform(-1, 1, 2000) * 10.0 ** rng.uniform(-2, 5.9, 2000)
+    turns, y = elementary.reduce_angle(x)
+    middle, radius = np.asarray(y.midpoint), np.asarray(y.radius)
+    with mpmath.workdps(40):
+        rest = [mpmath.mpf(a) - k * mpmath.pi / 2 for a, k in zip(x.tolist(), turns, strict=True)]
+        off = [abs(a - b) for a, b in zip(rest, middle.tolist(), strict=True)]
+    assert np.all(y.magnitude <= elementary.REDUCED)
+    return sum(a > b for a, b in zip(off, radius.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("part", ["ROUNDING", "REST_OF_HALF_PI"])
+def test_reduced_angles_hold_the_true_ones(monkeypatch, part):
+    assert angles_reduced_in_error() == 0
+    monkeypatch.setattr(elementary, part, 0.0)
+    assert angles_reduced_in_error() > 0
 
 
 def test_beyond_the_reduction_nothing_is_claimed():
