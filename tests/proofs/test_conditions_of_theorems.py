@@ -11,7 +11,15 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.proofs import basin_proofs, boxes, doubling_proofs, following, gait_proofs, traps
+from walker_jax.proofs import (
+    basin_proofs,
+    boxes,
+    doubling_proofs,
+    following,
+    gait_proofs,
+    returns,
+    traps,
+)
 from walker_jax.proofs.atlas import FALLS, OPEN, WALKS, Window
 from walker_jax.proofs.boxes import PLANE, TRAPPED, Boxes, Carried, Trap, carry_box, is_trapped
 from walker_jax.proofs.enclosures import Enclosure, ball
@@ -19,7 +27,7 @@ from walker_jax.proofs.gait_proofs import has_no_shorter_period
 from walker_jax.proofs.landings import PARTLY
 from walker_jax.proofs.matrices import Zero, identity, is_contraction, krawczyk
 from walker_jax.proofs.provable import check_provable
-from walker_jax.proofs.returns import Cycle
+from walker_jax.proofs.returns import FIRST_DEGREE, Cycle
 from walker_jax.proofs.strides import FALL, STRIDE, UNDECIDED, VerifiedStride
 from walker_jax.proofs.subdivision import LevelCells, children
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
@@ -73,6 +81,33 @@ def test_a_contraction_is_one_for_all_matrices_of_an_interval():
     assert is_contraction(matrix([[0.0, -1.0], [1.0, 0.0]], 1e-3)) is None
     # One multiplier is 1.05 in the middle, and below 1 at a corner.
     assert is_contraction(matrix([[0.45, 0.6], [0.6, 0.45]], 0.0265)) is None
+
+
+@pytest.mark.parametrize("part", ["verify_points", "verify_boxes"])
+def test_a_cycle_is_enclosed_only_if_all_its_strides_are_proved(monkeypatch, part):
+    """Of points and of boxes about them, which come once for each direction."""
+
+    def stride(states, undecided: bool) -> VerifiedStride:
+        verdict = np.full(len(states), STRIDE)
+        verdict[-1] = UNDECIDED if undecided else STRIDE
+        zero, half = (
+            Enclosure([np.full(len(states), value), None, None], 0.0, FIRST_DEGREE)
+            for value in (0.0, 0.5)
+        )
+        there = tuple(Enclosure([x, None, None], 0.0, FIRST_DEGREE) for x in states[::-1].T)
+        return VerifiedStride(verdict, there, ((half, zero),), 1)
+
+    for wrong in (False, True):
+        for name, times in (("verify_points", 1), ("verify_boxes", 2)):
+            undecided = wrong and name == part
+            monkeypatch.setattr(
+                returns,
+                name,
+                lambda _, states, *__, times=times, undecided=undecided: stride(
+                    np.concatenate([states] * times), undecided
+                ),
+            )
+        assert (returns.enclose_cycle(WALKER, STATES[:2], 1e-6) is None) == wrong
 
 
 @pytest.mark.parametrize(

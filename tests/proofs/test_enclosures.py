@@ -180,7 +180,8 @@ def ends_left_out() -> int:
     low = rng.normal(size=2000)
     high = low + 10.0 ** rng.uniform(-17, 0, 2000)
     found = interval_between(low, high)
-    values = zip(low.tolist(), high.tolist(), found.midpoint, found.radius, strict=True)
+    middle, radius = np.asarray(found.midpoint), np.asarray(found.radius)
+    values = zip(low.tolist(), high.tolist(), middle.tolist(), radius.tolist(), strict=True)
     return sum(
         max(abs(Fraction(a) - Fraction(m)), abs(Fraction(b) - Fraction(m))) > Fraction(r)
         for a, b, m, r in values

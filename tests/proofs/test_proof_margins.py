@@ -8,6 +8,8 @@ from walker_jax.proofs import atlas, boxes, landings, traps
 from walker_jax.proofs.atlas import WALKS, Atlas, Index, Window
 from walker_jax.proofs.boxes import Boxes, Trap, rectangle_of
 from walker_jax.proofs.enclosures import Enclosure, ball, lies_within
+from walker_jax.proofs.returns import ERRORS, align_errors
+from walker_jax.walkers.model import State
 
 exactly = np.vectorize(Fraction, otypes=[object])
 SHEAR = np.array([[1.0, 0.3], [-1.0, 0.7]])
@@ -179,3 +181,36 @@ def test_covers_of_traps_hold_their_borders(monkeypatch):
     monkeypatch.setattr(traps, "SLACK", 0.0)
     monkeypatch.setattr(traps, "is_inverse", lambda *_: True)
     assert starts_left_out() > 0
+
+
+def states_left_out(kind: str) -> int:
+    """States of an enclosure that are not in the aligned one: at ends of its variables and radii.
+
+    `kind`: of rounding errors alone, or of errors along one direction, which are aligned.
+    """
+    rng, count = np.random.default_rng(7), 40
+    if kind == "narrow":
+        ways, radii = np.zeros((4, count, 4)), rng.random((4, count)) * 1e-16
+    else:
+        ways = rng.normal(size=(4, count, 4)) * [1.0, 1e-9, 1e-9, 1e-9]
+        radii = rng.random((4, count)) * 1e-12
+    made = [Enclosure([np.zeros(count), *ways[i].T], radii[i], ERRORS) for i in range(4)]
+    found = align_errors(State(*made))  # pyright: ignore[reportArgumentType] (enclosures)
+    lost = 0
+    for n in range(count):
+        new = exactly(np.array([[one.terms[1 + k][n] for k in range(4)] for one in found]))
+        room = exactly(np.array([one.radius[n] for one in found]))
+        for _ in range(4):
+            u, e = exactly(rng.choice([-1.0, 1.0], (2, 4)))
+            x = exactly(ways[:, n]) @ u + exactly(radii[:, n]) * e
+            # The columns of `new` are nearly at right angles: each share is that of a projection.
+            share = np.array([(x @ side) / (side @ side) for side in new.T])
+            rest = x - new @ np.clip(share, -1, 1)
+            lost += bool(np.any(abs(rest) > room))
+    return lost
+
+
+def test_aligned_errors_hold_all_errors(monkeypatch):
+    assert states_left_out("narrow") == states_left_out("long") == 0
+    monkeypatch.setattr("walker_jax.proofs.returns.ROUNDING", 0.0)
+    assert states_left_out("long") > 0
