@@ -3,12 +3,16 @@
 Guards are polynomials of the only coordinate, which is the time, in a step of length 1.
 """
 
+from types import SimpleNamespace
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from walker_jax.hybrid.crossings import Crossing
+from walker_jax.hybrid.following import Step, measured_step
 from walker_jax.hybrid.misses import Misses, Seen, add_misses, turns_in_step
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 
@@ -33,6 +37,20 @@ def seen(*guards: Guard, until: float = 1.0, violated: dict | None = None) -> Se
     ]
     begin, end = (number(0),), (number(until),)
     return Seen(begin, series, number(1), end, number(until), crossings, violated or {})
+
+
+def test_a_step_that_its_method_rejects_changes_no_side():
+    """It has no length; a guard at zero, as a mode begins, still has neither side."""
+    guards = [Guard(RISES), Guard(lambda state: state[0]), Guard(ALWAYS)]
+    mode = Mode(lambda state: (jnp.ones(()),), tuple(guards))
+    method: Any = SimpleNamespace(
+        step=lambda state, memory: ((), state, 0 * state[0], memory),
+        carries_series=lambda state: False,
+    )
+    sides = [jnp.float64(side) for side in (-1, 0, 1)]
+    zero, yes = jnp.float64(0), jnp.asarray(True)
+    step = Step((zero,), (zero,), zero, zero, sides, sides, [], yes, (), ())
+    assert measured_step(mode, method, step).ends == sides
 
 
 MISSES = [  # value, what admits it, its greatest miss
