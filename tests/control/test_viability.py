@@ -36,7 +36,7 @@ def test_no_action_leads_to_anything_of_value_zero():
 
 
 @pytest.mark.parametrize("failing", [[], [0], [0, 1, 2]])
-def test_a_box_reaches_a_whole_image_farther_if_part_of_its_cell_fails(failing):
+def test_a_box_is_wider_if_part_of_its_cell_fails(failing):
     """The images of centre and corners are within 0.1 of each other, in a cell of the grid."""
     grid = wj.Grid.plain(x=(0, 9, 9), y=(0, 9, 9))
     place = np.array([[4.45, 4.45], [4.55, 4.45], [4.45, 4.55], [4.55, 4.55]])

@@ -67,7 +67,7 @@ def test_cells_of_a_chart(charted):
     assert (fate[a < -((1 - b) ** 2) / 4 - 0.02] == -1).all()
 
 
-def test_a_bifurcation_is_on_a_curve_whichever_state_comes_first():
+def test_a_bifurcation_is_on_a_curve_from_any_state_on():
     """The cycle of period 3 on the curve may begin with any of its states, in its own order."""
     cycle = np.array([[0.1, 0.2], [0.5, 0.1], [0.9, 0.7]])
     lines = np.linspace(0, 1, 5)
@@ -119,7 +119,7 @@ def test_a_gait_far_from_its_guess_is_another_one(monkeypatch):
     assert np.isnan(gaits[1:3]).all() and stable.tolist() == [True, False, False, False]
 
 
-def test_criteria_of_codimension_two_change_their_sign_as_they_say():
+def test_criteria_of_codimension_two_are_their_formulas():
     """Of the polynomial (x - m) (x - 1/2) of two multipliers, and the coefficient 3 of the form."""
     doubled = criteria("doubling", np.array([-1.0, 0.5 + 0j]), np.zeros(0), 3.0)
     # chi(1) = 2 (1/2) = 1, and chi'(-1) = -1 - 1/2

@@ -50,7 +50,7 @@ def test_a_value_that_keeps_its_sign_is_no_strike(strike):
     assert look(UNTIL_NOW, strike) == UNTIL_NOW
 
 
-def test_a_value_that_may_be_zero_is_no_strike_if_it_falls_or_none_is_admitted():
+def test_a_value_near_zero_strikes_unless_it_falls():
     assert look(UNTIL_NOW, ANY, rate=BELOW) == UNTIL_NOW
     assert look(UNTIL_NOW, ANY, admits=BELOW) == UNTIL_NOW
     for rate, admits in ((ANY, ABOVE), (ANY, ANY), (ZERO, ZERO)):
@@ -72,7 +72,7 @@ def test_facts_that_are_lost_stay_lost():
     assert not look(UNTIL_NOW._replace(clear=False)).clear
 
 
-def test_a_piece_is_clear_only_if_no_start_may_fall_or_violate_a_condition():
+def test_a_piece_is_clear_only_if_all_starts_are():
     for fall in (ANY, ABOVE, ZERO):
         assert not look(UNTIL_NOW, fall=fall).clear
     for condition in (ANY, BELOW):
@@ -143,7 +143,7 @@ def test_a_strike_is_not_proved(true, believed):
     assert not strike_of(true, believed).proved
 
 
-def test_a_step_is_watched_from_its_start_to_the_end_of_its_last_piece():
+def test_a_step_is_watched_from_its_start_to_its_end():
     watch = lambda *lines: watch_step(clock(*lines), step_of(), UNTIL_NOW, np.float64(0.5))
     above, never = (1.0, 0.0), (-1.0, 0.0)
     assert watch(above) == UNTIL_NOW
@@ -209,7 +209,7 @@ def test_a_stride_ends_at_a_strike_only_if_all_of_it_is_proved():
 
 
 @pytest.mark.parametrize("kind", [TrailingFootStays, TurnedBack])
-def test_a_stride_ends_only_if_the_foot_lifts_and_the_leg_goes_on(kind):
+def test_a_stride_ends_only_if_foot_and_leg_go_on(kind):
     assert not lands(enclose_parameters(check_provable(kind(0.004)), BALLS))
 
 

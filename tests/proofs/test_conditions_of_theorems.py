@@ -54,7 +54,7 @@ def cycle_of(states, spread=1e-13, proved=True, jacobian=((0.5, 0.0), (0.0, 0.1)
 # Gaits
 
 
-def test_a_zero_is_proved_only_if_all_coordinates_stay_in_the_box():
+def test_a_zero_is_proved_in_all_coordinates_or_not():
     """x = 0 and y = 0, where one of the Jacobian's entries is known to within 1, not 0.1."""
     for wide in (None, 0, 1):
         jacobian = matrix(np.eye(2), 0.1)
@@ -410,7 +410,7 @@ def data_of(fates: list, finer: list, radius: float = 0.0):
     return basin_proofs.dataset_of(known, ("theta", "thetadot"), window, trap, found, 1, radius)
 
 
-def test_areas_are_bounded_by_cells_that_walk_and_by_those_that_may():
+def test_areas_are_bounded_by_cells_that_walk_or_may():
     """The whole window has the area 0.32, a cell 0.16, and a fourth of it 0.04."""
     data = data_of([WALKS, OPEN], [WALKS, FALLS, OPEN, OPEN])
     assert data["proved"].values.tolist() == [WALKS, WALKS, FALLS, OPEN, OPEN]
@@ -422,7 +422,7 @@ def test_areas_are_bounded_by_cells_that_walk_and_by_those_that_may():
     assert not data_of([WALKS, OPEN], []).attrs["all_walk"]
 
 
-def test_a_cell_that_reaches_beyond_a_disc_counts_in_the_upper_bound_alone():
+def test_cells_across_a_circle_count_in_the_upper_bound():
     """The first two fourths, of 0.04 each, end 0.283 from the centre, the others 0.447."""
     part = data_of([FALLS, OPEN], [WALKS, OPEN, WALKS, FALLS], radius=0.3).attrs
     assert part["area_lower"] == pytest.approx(0.04, rel=1e-9)

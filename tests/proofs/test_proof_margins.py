@@ -140,7 +140,7 @@ def intervals_held_in_error() -> tuple[int, int]:
     return int(np.sum(held & beyond)), int(np.sum(held))
 
 
-def test_intervals_beyond_another_by_a_rounding_do_not_lie_in_it(monkeypatch):
+def test_intervals_lie_within_another_to_a_rounding(monkeypatch):
     wrong, held = intervals_held_in_error()
     assert wrong == 0 and held > 300
     monkeypatch.setattr("walker_jax.proofs.enclosures.GROWTH", 1.0)

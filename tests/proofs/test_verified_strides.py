@@ -163,7 +163,7 @@ def test_starts_stride_fall_or_are_not_feasible(monkeypatch):
         assert [one[row] for one in watched[:count]] == until
 
 
-def test_a_step_that_is_not_proved_ends_nothing_and_counts_for_nothing(monkeypatch):
+def test_a_step_that_is_not_proved_counts_for_nothing(monkeypatch):
     steps = verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES).steps
     take, watch, calls = strides.take_step, strides.watch_step, []
 

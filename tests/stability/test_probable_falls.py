@@ -67,7 +67,7 @@ def made_up_point(length, ray):
     return NearestPoint(np.array(ray, float), length, residual=0.0, flatness=1.0)
 
 
-def test_a_longer_search_begins_with_the_shorter_sequence_early_and_late(monkeypatch):
+def test_a_longer_search_begins_with_the_shorter_sequence(monkeypatch):
     """One more stride without a disturbance comes before it or after it."""
     begun = []
 
