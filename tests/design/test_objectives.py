@@ -166,7 +166,7 @@ NONE = np.zeros(0, int)
 @pytest.mark.parametrize(
     ("fate", "strides", "counts"),
     [
-        (wj.Outcome.FORWARD, 1, True),
+        (wj.Outcome.FORWARD, 0, True),
         (wj.Outcome.OUTSIDE, 1, True),
         (wj.Outcome.OUTSIDE, 0, False),  # the border of the starts themselves is fixed
     ],
