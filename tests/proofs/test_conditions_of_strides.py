@@ -13,7 +13,9 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.proofs import landings
 from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, ball
+from walker_jax.proofs.evaluation import evaluate
 from walker_jax.proofs.events import (
     Measures,
     Strike,
@@ -25,12 +27,21 @@ from walker_jax.proofs.events import (
 from walker_jax.proofs.flows import Flow, VerifiedStep, take_step
 from walker_jax.proofs.landings import (
     LANDING_PIECES,
+    PARTLY,
     LandingBounds,
+    LandingSearch,
     find_strike_pieces,
     join_landings,
 )
 from walker_jax.proofs.provable import check_provable, enclose_parameters
-from walker_jax.proofs.strides import is_feasible, land_from
+from walker_jax.proofs.strides import (
+    FALL,
+    GOING,
+    UNDECIDED,
+    is_feasible,
+    land_from,
+    start_flow,
+)
 from walker_jax.walkers.model import State
 
 ANY, BELOW, ABOVE, ZERO = (
@@ -277,3 +288,49 @@ def test_bounds_hold_all_landings_and_none_that_is_far():
     assert known and same == bounds
     for far in (((1e3, 0.1), (0.0, 0.1)), ((0.0, 0.1), (1e3, 0.1)), ((-1e3, 0.1), (-1e3, 0.1))):
         assert not join_landings(bounds, landing(*far), np.True_)[1]
+
+
+NO_LANDINGS = LandingBounds(*((np.float64(x),) * 2 for x in (1.0, 8.0, -8.0)))
+SOME_LANDINGS = NO_LANDINGS._replace(low=(np.float64(0.1),) * 2, high=(np.float64(0.2),) * 2)
+START = ball(np.float64(0.15), 1e-9), ball(np.float64(-0.15), 1e-9)
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("proved", [True, False])
+@pytest.mark.parametrize("fallen", [True, False])
+def test_all_of_a_box_falls_only_by_proved_steps(monkeypatch, known, proved, fallen):
+    """And only if all landings so far are bounded."""
+    take, nothing = landings.take_step, lambda *_: (np.float64(16), np.float64(-1))
+    step = lambda *args, **how: take(*args, **how)._replace(proved=np.bool_(proved))
+    monkeypatch.setattr(landings, "take_step", step)
+    monkeypatch.setattr(landings, "find_strike_pieces", nothing)
+    monkeypatch.setattr(landings, "landings_between", lambda *_: None)
+    monkeypatch.setattr(landings, "join_landings", lambda *_: (SOME_LANDINGS, np.bool_(known)))
+    monkeypatch.setattr(landings, "fallen_by", lambda _: np.bool_(fallen))
+    flow = evaluate(start_flow, WALKER, START, ())
+    begun = LandingSearch(flow, np.float64(1.0), NO_LANDINGS, np.int32(GOING), np.int32(0))
+    now = landings.advance_landings(WALKER, WALKER, lambda one: one, begun)
+    verdict = (FALL if fallen else GOING) if known else UNDECIDED
+    assert now.verdict == (verdict if proved else GOING)
+    assert now.bounds == (SOME_LANDINGS if proved else NO_LANDINGS)
+    assert (now.flow.state[0].midpoint != flow.state[0].midpoint) == proved
+
+
+@pytest.mark.parametrize(
+    ("last", "found", "verdict"),
+    [
+        (FALL, NO_LANDINGS, FALL),
+        (FALL, SOME_LANDINGS, PARTLY),
+        (UNDECIDED, NO_LANDINGS, UNDECIDED),
+        (UNDECIDED, SOME_LANDINGS, UNDECIDED),
+    ],
+)
+def test_landings_are_bounded_only_once_all_else_has_fallen(monkeypatch, last, found, verdict):
+    def advance(walker, parameters, fill, now):
+        return now._replace(
+            verdict=jnp.int32(last), bounds=jax.tree.map(jnp.float64, found), steps=now.steps + 1
+        )
+
+    monkeypatch.setattr(landings, "advance_landings", advance)
+    start: Any = [ball(jnp.float64(one.midpoint), jnp.float64(1e-9)) for one in START]
+    assert landings.enclose_landings(WALKER, start)[0] == verdict

@@ -25,7 +25,13 @@ from walker_jax.proofs.boxes import PLANE, TRAPPED, Boxes, Carried, Trap, carry_
 from walker_jax.proofs.enclosures import Enclosure, ball
 from walker_jax.proofs.gait_proofs import has_no_shorter_period
 from walker_jax.proofs.landings import PARTLY
-from walker_jax.proofs.matrices import Zero, identity, is_contraction, krawczyk
+from walker_jax.proofs.matrices import (
+    Zero,
+    identity,
+    is_contraction,
+    krawczyk,
+    midpoints,
+)
 from walker_jax.proofs.provable import check_provable
 from walker_jax.proofs.returns import FIRST_DEGREE, Cycle
 from walker_jax.proofs.strides import FALL, STRIDE, UNDECIDED, VerifiedStride
@@ -85,17 +91,24 @@ def test_a_contraction_is_one_for_all_matrices_of_an_interval():
 
 @pytest.mark.parametrize("part", ["verify_points", "verify_boxes"])
 def test_a_cycle_is_enclosed_only_if_all_its_strides_are_proved(monkeypatch, part):
-    """Of points and of boxes about them, which come once for each direction."""
+    """Of points and of boxes about them, which come once for each direction. It is a zero of
+    S(x_1) - x_2 and S(x_2) - x_1, whose Jacobian has those of both strides on its diagonal."""
 
     def stride(states, undecided: bool) -> VerifiedStride:
         verdict = np.full(len(states), STRIDE)
         verdict[-1] = UNDECIDED if undecided else STRIDE
-        zero, half = (
-            Enclosure([np.full(len(states), value), None, None], 0.0, FIRST_DEGREE)
-            for value in (0.0, 0.5)
-        )
-        there = tuple(Enclosure([x, None, None], 0.0, FIRST_DEGREE) for x in states[::-1].T)
-        return VerifiedStride(verdict, there, ((half, zero),), 1)
+        enclose = lambda values: Enclosure([values, None, None], 0.0, FIRST_DEGREE)
+        slopes = enclose(np.arange(1.0, 1 + len(states))), enclose(-np.ones(len(states)))
+        there = tuple(enclose(x) for x in states[::-1].T)
+        return VerifiedStride(verdict, there, (slopes,), 1)
+
+    def solve(centre, radius, values, jacobian):
+        expected = [[1, 3, -1, 0], [-1, -1, 0, -1], [-1, 0, 2, 4], [0, -1, -1, -1]]
+        assert centre.tolist() == STATES[:2].ravel().tolist() and radius == 1e-6
+        assert midpoints(jacobian).tolist() == expected and not midpoints(values).any()
+        return Zero([], True)
+
+    monkeypatch.setattr(returns, "krawczyk", solve)
 
     for wrong in (False, True):
         for name, times in (("verify_points", 1), ("verify_boxes", 2)):

@@ -21,6 +21,7 @@ from walker_jax.proofs.enclosures import (
     ball,
     interval_between,
     monomials,
+    rounded_once,
 )
 from walker_jax.proofs.evaluation import evaluate
 from walker_jax.proofs.provable import check_provable, enclose_parameters
@@ -169,10 +170,14 @@ def test_a_quotient_by_what_may_be_zero_has_no_bounds():
 
 def test_constants_hold_all_numbers_that_round_to_them():
     """But whole ones are exact."""
-    tenth = evaluate(lambda x: 0.1 * x, ball(np.array([1.0]), 0.0))
-    assert abs(Fraction(tenth.midpoint[0]) - Fraction(1, 10)) <= Fraction(tenth.radius[0])
-    double = evaluate(lambda x: 2.0 * x, ball(np.array([2.0**-60]), 0.0))
-    assert double.radius[0] < 2.0**-111
+    tenth = rounded_once(0.1, BALLS)
+    assert 0 < abs(Fraction(tenth.midpoint) - Fraction(1, 10)) <= Fraction(tenth.radius)
+    assert rounded_once(2.0, BALLS).radius == 0
+
+
+def test_powers_may_be_negative():
+    found = evaluate(lambda x: x**-2 + x**3, ball(np.array([2.0]), 0.0))
+    assert abs(found.midpoint[0] - 8.25) <= found.radius[0] < 1e-13
 
 
 def ends_left_out() -> int:
