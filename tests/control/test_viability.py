@@ -1,5 +1,7 @@
 """The viability kernel against a published map, closed forms and plain searches."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from reference import DATA
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.control.images import Arrivals, box_around
 from walker_jax.controlled_maps import (
     Boxes,
     Points,
@@ -23,6 +26,27 @@ from walker_jax.controlled_maps import (
 PUBLISHED = dict(np.load(DATA / "slip_map.npz"))
 ENERGY = 0.85 + 5.5**2 / (2 * 9.81)
 RUNNER = wj.SpringMassRunner(stiffness=8200 / (80 * 9.81), energy=ENERGY)
+
+
+def test_no_action_leads_to_anything_of_value_zero():
+    """Cells 0, 1 and 2 are worth 2, 1 and 0; beyond them nothing is worth anything."""
+    image = np.array([[2, 1, 0], [2, 3, 4], [2, 1, 3], [4, 4, 4]], np.int32)
+    action = best_action(Points(image), np.array([2, 1, 0, 0]))
+    assert action.tolist() == [2, -1, 1, -1]
+
+
+@pytest.mark.parametrize("failing", [[], [0], [0, 1, 2]])
+def test_a_box_is_wider_if_part_of_its_cell_fails(failing):
+    """The images of centre and corners are within 0.1 of each other, in a cell of the grid."""
+    grid = wj.Grid.plain(x=(0, 9, 9), y=(0, 9, 9))
+    place = np.array([[4.45, 4.45], [4.55, 4.45], [4.45, 4.55], [4.55, 4.55]])
+    made = ~np.isin(np.arange(4), failing)
+    there: Any = jnp.array([4.5, 4.5]), jnp.asarray(True), jnp.asarray(4 * 9 + 4)
+    corners = jnp.where(made[:, None], place, jnp.nan), jnp.asarray(made)
+    low, high, whole, some = box_around((grid, grid), Arrivals(*there), corners)
+    reach = 1 if failing else 0
+    assert low.tolist() == [4 - reach] * 2 and high.tolist() == [4 + reach] * 2
+    assert bool(whole) == (not failing) and some
 
 
 # A published map: a spring-mass runner that chooses its angle of attack

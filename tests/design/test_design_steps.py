@@ -2,6 +2,7 @@
 
 from contextlib import closing
 from threading import Barrier
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,8 +10,8 @@ from optima import FEW, SLOPES, WALKER, measure, values
 from scipy.optimize import brentq
 
 import walker_jax as wj
-from walker_jax.design import climbs, problem
-from walker_jax.design.area_gradients import AreaSettings
+from walker_jax.design import climbs, evaluation, problem
+from walker_jax.design.area_gradients import AreaGradient, AreaSettings
 from walker_jax.design.evaluation import ENDS_STAGE, Evaluation
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
@@ -111,6 +112,43 @@ def test_the_gait_has_the_largest_basin_or_is_the_most_stable():
     assert trace.note(np.array([0.03])) == trace.note(np.array([0.009])) == ""
     of_area = doubled._replace(weights={"area": 1.0})
     assert Trace(of_area, None, None, False, 1).note(np.array([0.0165])) == ""
+
+
+def test_a_gain_is_sure_beyond_the_errors_of_both_ends():
+    """Two standard errors of the difference: with 0.3 and 0.4, that is 1."""
+    nothing = np.zeros(1)
+    row = lambda value, error: Evaluation(0, 0, nothing, value, error, nothing, nothing, nothing, 0)
+    for sign in (1.0, -1.0):
+        one = problem_of(WALKER, SLOPES)._replace(sign=sign)
+        for errors in ((0.3, 0.4), (0.4, 0.3)):
+            gain = lambda by, errors=errors, one=one: climbs.sure_gain(
+                one, row(2.0, errors[0]), row(2.0 + by, errors[1])
+            )
+            assert gain(0.99) == gain(-0.99) == 0
+            assert [gain(1.01), gain(-1.01)] == pytest.approx([1.01 * sign, -1.01 * sign])
+
+
+def test_errors_of_an_area_are_positive_whatever_its_weight(monkeypatch):
+    area = AreaGradient(
+        2.0, np.array([3.0]), 0.1, np.array([0.2]), np.array([False]), 5, 0, strides=7
+    )
+    monkeypatch.setattr(evaluation, "differentiate_area", lambda *_: area)
+    of_area = problem_of(WALKER, SLOPES)._replace(grid=FEW, weights={"area": -2.0})
+    measured: Any = lambda *_: None
+    row = evaluation.evaluate_objective(of_area, 0, np.array([0.004]), measured, measured)
+    assert (row.value, row.gradient.tolist()) == (-4.0, [-6.0])
+    assert (row.value_error, row.gradient_error.tolist()) == (0.2, [0.4])
+
+
+def test_areas_at_the_ends_have_the_tolerance_of_the_request():
+    """During the optimisation a looser one, unless it is given."""
+    of_area = problem_of(WALKER, SLOPES)._replace(grid=FEW, weights={"area": 1.0})
+    settings = lambda tolerance, stage: (
+        evaluation.area_settings(of_area._replace(tolerance=tolerance), FEW, stage).tolerance
+    )
+    assert settings(None, ENDS_STAGE) is None
+    assert settings(None, 0) == evaluation.AREA_TOLERANCE
+    assert settings(1e-9, ENDS_STAGE) == settings(1e-9, 0) == 1e-9
 
 
 def test_within_their_errors_values_are_not_believed():

@@ -163,11 +163,28 @@ NONE = np.zeros(0, int)
 """No mistakes of a check."""
 
 
-def test_the_error_of_an_integral_is_of_independent_parts(disc, monkeypatch):
+@pytest.mark.parametrize(
+    ("fate", "strides", "counts"),
+    [
+        (wj.Outcome.FORWARD, 0, True),
+        (wj.Outcome.OUTSIDE, 1, True),
+        (wj.Outcome.OUTSIDE, 0, False),  # the border of the starts themselves is fixed
+    ],
+)
+def test_the_error_of_an_integral_is_of_independent_parts(monkeypatch, fate, strides, counts):
     """A straight edge that moves by a rate of each line's own, but one of which none is known.
 
     That one counts as one that moves as the others do, in the mean square.
     """
+
+    def follow(mapper, x, **_):
+        last = 9 * x[:, 1] > 8
+        labels = labels_where(x[:, 0] < 0.5, x)
+        labels.fate[last & ~labels.converged] = fate
+        labels.strides[last & ~labels.converged] = strides
+        return labels
+
+    monkeypatch.setattr(Mapper, "follow", follow)
     grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 9))
     attractor = np.repeat([0, 0, -1, -1], 9).reshape(4, 9).astype(np.int16)
     label = label_of(np.where(attractor < 0, 1, 0), attractor)
@@ -201,7 +218,7 @@ def test_the_error_of_an_integral_is_of_independent_parts(disc, monkeypatch):
     integral = integrate_along_boundary(walker, found, ("slope",))
     # lines 0 to 7 move by their numbers: in four parts, by 0 + 4, 1 + 5, 2 + 6 and 3 + 7
     assert integral.gradient[0] == pytest.approx(28 / 36, rel=1e-12)
-    scatter, unknown = np.sqrt(4 * np.var([4, 6, 8, 10], ddof=1)), np.sqrt(140 / 8)
+    scatter, unknown = np.sqrt(4 * np.var([4, 6, 8, 10], ddof=1)), np.sqrt(140 / 8) * counts
     assert integral.error[0] == pytest.approx(np.hypot(scatter, unknown) / 36)
     assert (integral.crossings, integral.lost) == (9, 1)
 

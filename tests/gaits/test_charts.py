@@ -1,6 +1,7 @@
 """Charts of two parameters, of the map of Hénon, whose curves are known in closed form."""
 
 import json
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,9 +13,16 @@ from unchecked import unchecked
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.figures.chart_plots import NOT_KNOWN
-from walker_jax.gaits.charts import words_in
+from walker_jax.gaits import charts
+from walker_jax.gaits.charts import Found, lies_on, shifted, words_in
+from walker_jax.gaits.codimension_two import criteria
+from walker_jax.gaits.event_curves import EventCurve
+from walker_jax.gaits.event_paths import Ranges
+from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.gait_summary import summarise_chart
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.storage.schema import check_dataset
+from walker_jax.walking.iteration import with_parameters
 
 BOUNDS = {"a": (-0.3, 1.3), "b": (-1.1, 0.6)}
 
@@ -57,6 +65,79 @@ def test_cells_of_a_chart(charted):
     doubled &= b > -1
     assert (period[doubled] == 2).all() and doubled.sum() > 10
     assert (fate[a < -((1 - b) ** 2) / 4 - 0.02] == -1).all()
+
+
+def test_a_bifurcation_is_on_a_curve_from_any_state_on():
+    """The cycle of period 3 on the curve may begin with any of its states, in its own order."""
+    cycle = np.array([[0.1, 0.2], [0.5, 0.1], [0.9, 0.7]])
+    lines = np.linspace(0, 1, 5)
+    curve = EventCurve(
+        *("doubling", ("a", "b"), np.stack([lines, 2 * lines], 1), np.tile(cycle, (5, 1, 1))),
+        *(np.zeros((5, 2), complex), np.zeros(5), [], ("", "")),
+    )
+    ranges = Ranges(np.zeros(2), np.array([1.0, 2.0]))
+    lies = lambda states, kind="doubling", at=(0.3, 0.6): lies_on(
+        curve, Found(np.array(at), Bifurcation(kind, 0.3, states, np.zeros(2), cycle, 0.0)), ranges
+    )
+    assert all(lies(np.roll(cycle, shift, axis=0)) for shift in range(3))
+    assert not lies(cycle[::-1]) and not lies(cycle + 0.1) and not lies(cycle[:2])
+    assert not lies(cycle, at=(0.3, 0.7)) and not lies(cycle, "fold")
+
+
+def test_values_that_move_leave_places_without_any():
+    values = np.arange(12.0).reshape(3, 2, 2)
+    for by in (1, -1, 2, -2):
+        moved = shifted(values, by, 0)
+        kept = slice(by, None) if by > 0 else slice(None, by)
+        came = slice(None, -by) if by > 0 else slice(-by, None)
+        np.testing.assert_array_equal(moved[kept], values[came])
+        assert np.isnan(moved).all(axis=(1, 2)).sum() == abs(by)
+    np.testing.assert_array_equal(shifted(values, 1, 1)[:, 1], values[:, 0])
+    np.testing.assert_array_equal(shifted(values, -1, 1)[:, 0], values[:, 1])
+    assert np.isnan(shifted(values, -1, 1)[:, 1]).all()
+
+
+def test_a_gait_far_from_its_guess_is_another_one(monkeypatch):
+    """Gaits move by 1 over the known points: half of that is near, in each coordinate."""
+
+    def newton(systems, guesses, *_):
+        off = np.array([[0.4, -0.4], [0.1, 0.6], [0.0, 0.0]])[np.arange(len(guesses)) % 3]
+        found = np.arange(len(guesses)) % 3 != 2
+        states = guesses + off[:, None]
+        return SimpleNamespace(found=found, states=states, stable=found)
+
+    monkeypatch.setattr(charts, "iterate_newton", newton)
+    monkeypatch.setattr(charts, "MOST_TRIES", 1)
+    values = np.array([[0.5, 0.5], [0.5, 1.5], [1.5, 0.5]])
+    known = np.concatenate([values, [[0.0, 0.0], [1.0, 0.5], [0.5, 1.0]]], axis=1)
+    ranges = Ranges(np.zeros(2), np.array([2.0, 2.0]))
+    systems = with_parameters(wj.HenonMap(), ("a", "b"), np.tile(values, (2, 1))[:4])
+    gaits, stable = charts.spread_gaits(
+        systems, np.tile(values, (2, 1))[:4], known, (2, 2), ranges, Integrator(1e-10)
+    )
+    np.testing.assert_allclose(gaits[0], [0.4, -0.4])
+    assert np.isnan(gaits[1:3]).all() and stable.tolist() == [True, False, False, False]
+
+
+def test_criteria_of_codimension_two_are_their_formulas():
+    """Of the polynomial (x - m) (x - 1/2) of two multipliers, and the coefficient 3 of the form."""
+    doubled = criteria("doubling", np.array([-1.0, 0.5 + 0j]), np.zeros(0), 3.0)
+    # chi(1) = 2 (1/2) = 1, and chi'(-1) = -1 - 1/2
+    assert doubled == pytest.approx(
+        {"1:2 resonance": -1.5, "fold-flip": 1.0, "generalised flip": -4.5}
+    )
+    fold = criteria("fold", np.array([1.0, 0.5 + 0j]), np.zeros(0), 3.0)
+    assert fold == pytest.approx({"cusp": 1.5, "1:1 resonance": 0.5, "fold-flip": 3.0})
+    pair = np.exp([1.2j, -1.2j])
+    torus = criteria("neimark-sacker", np.append(pair, 0.5), np.array([np.cos(1.2)]), 3.0)
+    cosine = np.cos(1.2)
+    assert torus == pytest.approx(
+        {
+            **{"1:1 resonance": cosine - 1, "1:2 resonance": cosine + 1},
+            **{"1:3 resonance": cosine + 0.5, "1:4 resonance": cosine},
+            **{"Chenciner": 1.5, "fold-Neimark-Sacker": 0.5, "flip-Neimark-Sacker": -1.5},
+        }
+    )
 
 
 def test_the_summary_of_a_chart_is_json(charted):

@@ -240,7 +240,8 @@ def test_runge_kutta_steps_land_too(solver):
     assert abs(time - (0.4 + np.pi / 2)) < 1e-6 and abs(place) < 1e-15 and abs(rate - 1) < 1e-6
 
 
-def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch):
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch, measured):
     """From q = 0, p = 1 the guard -q begins at zero and falls; it rises at t = pi."""
     cautious = Method.first_memory
 
@@ -251,7 +252,8 @@ def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch):
     monkeypatch.setattr(Method, "first_memory", bold)
     method = Method(oscillator, diffrax.Bosh3(), 1e-8)
     start = jnp.array(0.0), jnp.array(1.0)
-    found = jax.jit(lambda s: follow_mode(mode_of(DOWN), s, jnp.asarray(True), method))(start)
+    follow = lambda s: follow_mode(mode_of(DOWN), s, jnp.asarray(True), method, measured=measured)
+    found = jax.jit(follow)(start)
     assert found.guard == 0 and found.time == pytest.approx(np.pi, abs=1e-5)
 
 

@@ -314,9 +314,9 @@ def test_the_longest_step_of_a_walker():
 
 def test_which_functions_are_sharp():
     y = jnp.asarray(0.5)
-    sharp = [jnp.exp, jnp.tanh, jax.nn.softplus, jax.nn.sigmoid, lambda y: y**20, lambda y: y**1.5]
+    sharp = [jnp.exp, jnp.tanh, jax.nn.softplus, jax.nn.sigmoid, lambda y: y**20]
     assert all(has_sharp_features(one, y) for one in sharp)
-    plain = [jnp.sin, lambda y: 1 / y**2, jnp.sqrt, jnp.log, lambda y: y**4, jnp.arctan]
+    plain = [jnp.sin, lambda y: 1 / y**2, jnp.sqrt, jnp.log, lambda y: y**4, lambda y: y**1.5]
     assert not any(has_sharp_features(one, y) for one in plain)
 
 

@@ -35,7 +35,7 @@ def random_boxes(rng, count: int) -> Boxes:
         ]
     )
     terms = np.concatenate([(w @ WINDOW.shear.T)[..., None], sides], -1)
-    return Boxes(terms, np.full((count, 2), 1e-7))
+    return Boxes(terms, 10 ** rng.uniform(-7, -2.5, (count, 2)))
 
 
 def misses(known: Atlas) -> tuple[int, int]:

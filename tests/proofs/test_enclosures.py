@@ -14,7 +14,15 @@ from walker_jax.kernels import kernel
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.proofs import elementary, enclosures
 from walker_jax.proofs.elementary import enclose_sine_and_cosine
-from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, ball, monomials
+from walker_jax.proofs.enclosures import (
+    BALLS,
+    Enclosure,
+    Space,
+    ball,
+    interval_between,
+    monomials,
+    rounded_once,
+)
 from walker_jax.proofs.evaluation import evaluate
 from walker_jax.proofs.provable import check_provable, enclose_parameters
 
@@ -115,7 +123,7 @@ def value_at(one: Enclosure, i: int, u: list[Fraction], error: int) -> Fraction:
     """A value that an enclosure stands for, at some u; with its error at one end."""
     value = Fraction(float(np.broadcast_to(one.radius, np.shape(one.terms[0]))[i])) * error
     for powers, term in zip(monomials(one.space), one.terms, strict=True):
-        product = Fraction(float(term[i]))
+        product = Fraction(0.0 if term is None else float(term[i]))
         for x, p in zip(u, powers, strict=True):
             product *= x**p
         value += product
@@ -135,6 +143,71 @@ def test_polynomials_hold_the_exact_results(name, space):
             true = OPERATIONS[name](value_at(a, i, u, ea), value_at(b, i, u, eb))
             off = abs(true - value_at(found, i, u, 0))
             assert off <= Fraction(float(found.radius[i]))
+
+
+@pytest.mark.parametrize("space", [BALLS, Space(1, 1), PLANE])
+def test_bounds_hold_all_values(space):
+    """Of values far from zero too, whose last digits are larger than what they vary by."""
+    rng, count = np.random.default_rng(10), 200
+    one = random_model(rng, count, space)
+    scale = 10.0 ** rng.uniform(-17, 0, count)
+    small = Enclosure([one.terms[0], *[t * scale for t in one.terms[1:]]], scale, space)
+    for i in range(count):
+        ends = [[Fraction(s * np.sign(t[i])) for t in small.terms[1:3]] for s in (-1, 1)]
+        values = [
+            value_at(small, i, u[: space.variables], e) for u, e in zip(ends, (-1, 1), strict=True)
+        ]
+        assert Fraction(small.lower[i]) <= min(values) and max(values) <= Fraction(small.upper[i])
+        assert max(map(abs, values)) <= Fraction(small.magnitude[i])
+
+
+def test_a_quotient_by_what_may_be_zero_has_no_bounds():
+    for radius in (1.0, 2.0):
+        with np.errstate(all="ignore"):
+            found = 1.0 / ball(np.array([1.0]), radius)
+        assert found.radius[0] == np.inf and not found.lower[0] > 0
+
+
+def test_constants_hold_all_numbers_that_round_to_them():
+    """But whole ones are exact."""
+    tenth = rounded_once(0.1, BALLS)
+    assert 0 < abs(Fraction(tenth.midpoint) - Fraction(1, 10)) <= Fraction(tenth.radius)
+    assert rounded_once(2.0, BALLS).radius == 0
+
+
+def test_powers_may_be_negative():
+    found = evaluate(lambda x: x**-2 + x**3, ball(np.array([2.0]), 0.0))
+    assert abs(found.midpoint[0] - 8.25) <= found.radius[0] < 1e-13
+
+
+def ends_left_out() -> int:
+    rng = np.random.default_rng(11)
+    low = rng.normal(size=2000)
+    high = low + 10.0 ** rng.uniform(-17, 0, 2000)
+    found = interval_between(low, high)
+    middle, radius = np.asarray(found.midpoint), np.asarray(found.radius)
+    values = zip(low.tolist(), high.tolist(), middle.tolist(), radius.tolist(), strict=True)
+    return sum(
+        max(abs(Fraction(a) - Fraction(m)), abs(Fraction(b) - Fraction(m))) > Fraction(r)
+        for a, b, m, r in values
+    )
+
+
+def test_intervals_hold_their_ends(monkeypatch):
+    assert ends_left_out() == 0
+    monkeypatch.setattr(enclosures, "ROUNDING", 0.0)
+    assert ends_left_out() > 0
+
+
+def test_sums_of_products_hold_the_exact_results():
+    """Next to powers of two a sum of products may be off by the roundings of all of them."""
+    rng, space, count = np.random.default_rng(8), Space(1, 4), 1000
+    near = lambda: 1 + 2.0**-52 * rng.integers(0, 2**26, count)
+    a, b = (Enclosure([near(), near(), near(), None, None], 0.0, space) for _ in range(2))
+    found = a * b
+    for i in range(count):
+        true = value_at(a, i, [Fraction(1)], 0) * value_at(b, i, [Fraction(1)], 0)
+        assert abs(true - value_at(found, i, [Fraction(1)], 0)) <= Fraction(float(found.radius[i]))
 
 
 def sine_misses(count: int, space: Space, seed: int) -> int:
@@ -169,6 +242,26 @@ def test_a_remainder_left_out_is_seen(monkeypatch):
     assert sine_misses(600, BALLS, seed=6) == 0
     monkeypatch.setattr(elementary, "remainder_of_series", lambda odd: 0.0)
     assert sine_misses(600, BALLS, seed=6) > 0
+
+
+def angles_reduced_in_error() -> int:
+    """Angles whose distance from the nearest quarter turn is not in its interval."""
+    rng = np.random.default_rng(9)
+    x = rng.uniform(-1, 1, 2000) * 10.0 ** rng.uniform(-2, 5.9, 2000)
+    turns, y = elementary.reduce_angle(x)
+    middle, radius = np.asarray(y.midpoint), np.asarray(y.radius)
+    with mpmath.workdps(40):
+        rest = [mpmath.mpf(a) - k * mpmath.pi / 2 for a, k in zip(x.tolist(), turns, strict=True)]
+        off = [abs(a - b) for a, b in zip(rest, middle.tolist(), strict=True)]
+    assert np.all(y.magnitude <= elementary.REDUCED)
+    return sum(a > b for a, b in zip(off, radius.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("part", ["ROUNDING", "REST_OF_HALF_PI"])
+def test_reduced_angles_hold_the_true_ones(monkeypatch, part):
+    assert angles_reduced_in_error() == 0
+    monkeypatch.setattr(elementary, part, 0.0)
+    assert angles_reduced_in_error() > 0
 
 
 def test_beyond_the_reduction_nothing_is_claimed():

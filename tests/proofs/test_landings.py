@@ -1,7 +1,6 @@
 """Boxes next to boundaries: all strides from them land in their enclosure."""
 
 import numpy as np
-import pytest
 
 import walker_jax as wj
 from walker_jax.proofs.boxes import Boxes, Carried, carry_partly
@@ -43,24 +42,13 @@ def strides_outside(boxes: Boxes, found: Carried) -> int:
     return outside
 
 
-@pytest.fixture(scope="module")
-def walker():
-    return check_provable(WALKER)
-
-
-@pytest.mark.slow
-def test_all_strides_land_in_their_enclosures(walker):
+def test_all_strides_land_in_their_enclosures():
+    """And in no part of them: so they are close, and the check can fail."""
     boxes = boxes_across(np.random.default_rng(1), 1024)
-    found = carry_partly(walker, boxes)
+    found = carry_partly(check_provable(WALKER), boxes)
     counts = np.bincount(found.verdicts, minlength=6)
     assert strides_outside(boxes, found) == 0
     assert counts[PARTLY] > 300 and counts[FALL] > 200
-
-
-def test_enclosures_that_are_too_small_are_seen(walker):
-    """A part of them does not hold all strides: so they are close, and the check can fail."""
-    boxes = boxes_across(np.random.default_rng(1), 1024)
-    found = carry_partly(walker, boxes)
     terms = found.boxes.terms * [1.0, 0.3, 0.3]
     assert strides_outside(boxes, Carried(Boxes(terms, found.boxes.radii), found.verdicts)) > 0
     none = np.where(found.verdicts == PARTLY, FALL, found.verdicts)

@@ -57,7 +57,6 @@ def test_at_the_steeper_slope_too():
     assert wj.prove_basin(wj.SimplestWalker(0.009), 0.99 * 0.0022556).attrs["all_walk"]
 
 
-@pytest.mark.slow
 def test_more_than_the_least_disturbance_is_not_proved():
     found = wj.prove_basin(WALKER, 1.01 * RADIUS, levels=6)
     assert not found.attrs["all_walk"] and np.any(found["proved"] == OPEN)
@@ -147,8 +146,11 @@ def test_wrong_use_of_basins_is_refused():
         wj.prove_basin(wj.PointFootWalker(0.004), 0.001)
     with pytest.raises(WrongUse, match="region must be a Grid, or a radius"):
         wj.prove_basin(WALKER, -0.1)
-    with pytest.raises(WrongUse, match="both coordinates of the section"):
-        wj.prove_basin(WALKER, wj.Grid.plain(theta=(0, 0.3, 4), thetadot=-0.1))
+    axes = {"theta": (0, 0.3, 4), "thetadot": (-0.2, -0.1, 4)}
+    moved = wj.Grid(axes, np.eye(2), np.array([0.0, 0.01]))
+    for grid in (wj.Grid.plain(theta=(0, 0.3, 4), thetadot=-0.1), moved):
+        with pytest.raises(WrongUse, match="both coordinates of the section"):
+            wj.prove_basin(WALKER, grid)
 
 
 def test_an_interrupted_proof_goes_on_with_the_same_bits(tmp_path, monkeypatch, cells):
@@ -188,7 +190,17 @@ def test_functions_with_derivatives_of_their_own_are_refused():
             sincos.defjvp(lambda x, dx: (sincos(*x), (0.0 * dx[0], 0.0 * dx[0])))
             return super().vector_field(state._replace(phi=sincos(state.phi)[0]))
 
-    for kind, what in ((Stopped, "stop_gradient"), (Named, "custom_jvp_call")):
+    class StoppedImpact(wj.SimplestWalker):
+        def impact(self, state):
+            foot, after = super().impact(state)
+            return foot, after._replace(thetadot=jax.lax.stop_gradient(after.thetadot))
+
+    class StoppedForce(wj.SimplestWalker):
+        def contact_force(self, state):
+            return jax.lax.stop_gradient(super().contact_force(state))
+
+    kinds = dict.fromkeys((Stopped, StoppedImpact, StoppedForce), "stop_gradient")
+    for kind, what in (kinds | {Named: "custom_jvp_call"}).items():
         with pytest.raises(WrongUse, match=f"without derivatives of their own, so without {what}"):
             check_provable(kind(0.004))
 

@@ -1,11 +1,14 @@
 """Verified strides: random plain strides lie in them, and a bound left out is seen."""
 
+from collections.abc import Callable
+from functools import partial
+
 import jax
 import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.proofs import flows
+from walker_jax.proofs import flows, strides
 from walker_jax.proofs.enclosures import Enclosure, Space, exactly, monomials
 from walker_jax.proofs.provable import check_provable, enclose_parameters
 from walker_jax.proofs.strides import FALL, STRIDE, UNDECIDED, verify_stride
@@ -124,3 +127,79 @@ def test_the_jacobian_of_all_points_of_a_box_is_enclosed():
 def jacobians(walker, x):
     one = jax.jacfwd(lambda x: wj.stride(walker, x).state)
     return jax.vmap(one)(jax.numpy.asarray(x))
+
+
+STARTS = np.array([GAIT, [0.15, -0.3], [0.8, -0.8]])
+"""The gait, a start that falls, and one with theta above pi / 4 and all else as in a stride."""
+
+
+def verdicts_of_starts() -> list[int]:
+    return verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES).verdict.tolist()
+
+
+def record(monkeypatch, name: str, pick: Callable) -> list:
+    """Record of each call of a function of `strides` what is picked of its arguments and result."""
+    calls, whole = [], getattr(strides, name)
+
+    def recorded(*args, **how):
+        result = whole(*args, **how)
+        calls.append(pick(args, result))
+        return result
+
+    monkeypatch.setattr(strides, name, recorded)
+    return calls
+
+
+def test_starts_stride_fall_or_are_not_feasible(monkeypatch):
+    """Each step is watched up to where the next begins, and the last one until the strike."""
+    watched = record(monkeypatch, "watch_step", lambda args, _: args[3])
+    begun = record(monkeypatch, "flow_at", lambda args, _: args[1])
+    latest = record(monkeypatch, "enclose_strike", lambda _, strike: strike.latest)
+    found = verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES)
+    assert found.verdict.tolist() == [STRIDE, FALL, UNDECIDED]
+    for row, count in enumerate(found.steps[:2]):
+        until = [one[row] for one in begun[: count - 1]]
+        until.append((latest if row == 0 else begun)[count - 1][row])
+        assert [one[row] for one in watched[:count]] == until
+
+
+def test_a_step_that_is_not_proved_counts_for_nothing(monkeypatch):
+    steps = verified(wj.SimplestWalker(0.004), STARTS, 1e-6, LINES).steps
+    take, watch, calls = strides.take_step, strides.watch_step, []
+
+    def take_step(*args, proved, **how):
+        calls.append(0)
+        step = take(*args, **how)
+        return step._replace(proved=step.proved & proved(len(calls)))
+
+    last = lambda number: number < steps  # the one with the strike or the fall
+    monkeypatch.setattr(strides, "take_step", partial(take_step, proved=last))
+    assert verdicts_of_starts() == [UNDECIDED] * 3
+    calls.clear()
+
+    def watch_step(*args):
+        found = watch(*args)
+        return found._replace(no_strike=found.no_strike & (len(calls) > 1))
+
+    monkeypatch.setattr(strides, "take_step", partial(take_step, proved=lambda number: number > 1))
+    monkeypatch.setattr(strides, "watch_step", watch_step)
+    assert verdicts_of_starts() == [STRIDE, FALL, UNDECIDED]
+
+
+@pytest.mark.parametrize(
+    ("part", "fact", "verdicts"),
+    [
+        ("take_step", {"proved": False}, [UNDECIDED, UNDECIDED]),
+        ("watch_step", {"no_strike": False}, [UNDECIDED, UNDECIDED]),
+        ("watch_step", {"clear": False}, [UNDECIDED, FALL]),
+        ("watch_step", {"no_strike": True, "rising": True}, [STRIDE, UNDECIDED]),
+        ("enclose_strike", {"proved": False}, [UNDECIDED, FALL]),
+    ],
+)
+def test_a_verdict_rests_on_each_fact(monkeypatch, part, fact, verdicts):
+    """On a proof of the step, of no strike before, of no fall, and of the strike itself."""
+    prove = getattr(strides, part)
+    flags = {name: np.full(len(STARTS), value) for name, value in fact.items()}
+    monkeypatch.setattr(strides, part, lambda *args, **how: prove(*args, **how)._replace(**flags))
+    monkeypatch.setattr(strides, "MOST_STEPS", 18)
+    assert verdicts_of_starts() == [*verdicts, UNDECIDED]

@@ -1,5 +1,6 @@
 """The most probable fall: nearest points of boundaries, margins of disturbed strides, the law."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -10,10 +11,14 @@ from scipy.stats import norm
 
 import walker_jax as wj
 from walker_jax import Disturbance, Outcome, figures
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import WrongUse
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.stability import probable_falls
 from walker_jax.stability.disturbed_falls import DisturbedWalks
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.nearest_points import descend, solve_nearest
+from walker_jax.stability.nearest_points import NearestPoint, descend, solve_nearest
 from walker_jax.stability.probable_falls import ProbableFall
 from walker_jax.stability.rays import spread_directions
 from walker_jax.walking.disturbed import follow_disturbed, follow_disturbed_margins
@@ -51,6 +56,48 @@ def test_flatness_is_that_of_curved_boundaries():
     found = nearest(lambda w: height(w) > 0, gradient, 3)
     assert found.length == pytest.approx(1, rel=1e-11)
     assert found.flatness == pytest.approx(np.prod(1 + bends), rel=1e-6)
+
+
+def made_up_walks(*deviations: float) -> DisturbedWalks:
+    mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))], Integrator(1e-10), 10)
+    return DisturbedWalks(mapper, np.zeros(4), np.array(deviations), 4, None)
+
+
+def made_up_point(length, ray):
+    return NearestPoint(np.array(ray, float), length, residual=0.0, flatness=1.0)
+
+
+def test_a_longer_search_begins_with_the_shorter_sequence(monkeypatch):
+    """One more stride without a disturbance comes before it or after it."""
+    begun = []
+
+    def descend(fails, gradient, rays, count, known):
+        begun.append((rays.tolist(), known))
+        return rays, np.ones(len(rays))
+
+    monkeypatch.setattr(probable_falls, "descend", descend)
+    monkeypatch.setattr(probable_falls, "solve_nearest", lambda *_: made_up_point(1.0, [1.0]))
+    walks = made_up_walks(1.0, 0.0, 0.5)
+    shorter = made_up_point(2.0, np.arange(1, 7) / np.sqrt(91))
+    ray = shorter.ray.tolist()
+    probable_falls.search(walks, shorter, 4, 12)
+    (rays, (count, most)) = begun.pop()
+    assert rays == [[0, 0, *ray], [*ray, 0, 0]]
+    assert count == 2 and 2.0 < most < 2.2
+    probable_falls.search(walks, made_up_point(2.0, [0.6, 0.8]), 2, 12)
+    (rays, _) = begun.pop()
+    assert rays[:2] == [[0, 0, 0.6, 0.8], [0.6, 0.8, 0, 0]] and len(rays) > 10
+
+
+def test_actions_are_the_least_of_at_most_so_many_strides(monkeypatch):
+    ends = lambda _, tried: SimpleNamespace(
+        strides=np.zeros(len(tried), int), outcome=np.full(len(tried), Outcome.FORWARD)
+    )
+    monkeypatch.setattr(DisturbedWalks, "follow", ends)
+    monkeypatch.setattr(DisturbedWalks, "falls", lambda _, ends: ends.strides == 0)
+    found = [made_up_point(size, [1.0, 0.0, 0.0]) for size in (3.0, 4.0, 2.0, 2.5)]
+    told = probable_falls.describe(made_up_walks(1.0, 0.0, 0.0), found, unit=0.5)
+    assert told.actions.tolist() == [18.0, 18.0, 8.0, 8.0] and told.action == 8.0
 
 
 @pytest.mark.slow

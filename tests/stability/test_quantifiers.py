@@ -10,13 +10,16 @@ from matplotlib.legend import Legend
 
 import walker_jax as wj
 from walker_jax import Outcome
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import WrongUse
 from walker_jax.gaits.cycles import Gait
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.boundaries import curves_of, summarise_boundary, touching_cells
 from walker_jax.stability.metric import metric_of
 from walker_jax.stability.rays import nearest_failure
 from walker_jax.stability.sampling import draw_from_ball, draw_starts
-from walker_jax.stability.tipping import transition_counts
+from walker_jax.stability.tipping import FAILURES, Ends, assemble_tipping, transition_counts
 
 WALKER = wj.SimplestWalker(0.004)
 MATRIX = np.array([[2.0, 1.5], [1.5, 3.0]])
@@ -226,6 +229,20 @@ def test_transitions_of_a_map_whose_basins_are_known():
     stays = (roots[1] + 2) / (roots[0] + 2)
     np.testing.assert_allclose(share, [[stays, 1 - stays], [0, 1]], atol=0.02)
     assert roots[1] < roots[0] and counts.sum() == len(x)
+
+
+def test_a_gait_may_jump_to_an_end_that_no_start_has():
+    """Of two starts near attractor 0, one ends at attractor 1 and one falls; the gait itself ends
+    at attractor 2."""
+    attractors = [Attractor(1, np.full((1, 2), 0.1 * number)) for number in range(3)]
+    before, after = (Mapper(WALKER, attractors[:count], Integrator(1e-10), 10) for count in (1, 3))
+    fallen = FAILURES + int(Outcome.FORWARD)
+    ends = Ends(np.array([0, 0, fallen]), np.array([1, fallen, fallen]), [np.array([2])])
+    found = assemble_tipping(ends, before, after, 0.95)
+    assert found.before == ("attractor 0", "FORWARD")
+    assert found.after == ("attractor 1", "attractor 2", "FORWARD")
+    np.testing.assert_array_equal(found.starts, [[1, 0, 1], [0, 0, 1]])
+    np.testing.assert_array_equal(found.on_attractor, [[0, 1, 0], [np.nan] * 3])
 
 
 def test_tipping_is_the_overlap_of_two_basins(gait):

@@ -6,6 +6,8 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.integrators.integrator import integrator_of
+from walker_jax.stability.escapes import exponents_along
 
 
 def tent(x, steepness):
@@ -72,6 +74,26 @@ def test_the_saddle_beyond_the_loss_of_walking():
     assert 15 < found.mean_life < 22 and found.ended.all()
     assert found.exponents[0] > found.rate > 0 > found.exponents[1]
     assert 0 < found.dimension < 2
+
+
+def test_frames_are_aligned_before_exponents_count():
+    """Along x' = A x the exponents are the logarithms of A's eigenvalues, once a frame is along the
+    first: their ratio of 6 to the power of 40 leaves no error."""
+    a, axes = np.diag([1.8, 0.3]), np.array([[1.0, 0.7], [0.4, 1.0]])
+    matrix = jnp.asarray(axes @ a @ np.linalg.inv(axes))
+    system = wj.Map(lambda x: matrix @ x, ("x", "y"))
+    paths = [np.zeros((200, 2)), np.ones((250, 2))]
+    found = exponents_along(system, paths, integrator_of(np.float64))
+    np.testing.assert_allclose(found, np.log([1.8, 0.3]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["no crisis", "at the first value"])
+def test_lives_that_follow_no_law_have_no_crisis(law):
+    """A crisis far below all values, or at the first one, would fit them best."""
+    values = np.linspace(1.0, 2.0, 12)
+    lives = np.exp(-3 * values) if law == "no crisis" else np.append(1e30, (values[1:] - 1) ** -1)
+    with pytest.raises(ComputationFailed, match="no crisis fits these lives best"):
+        wj.crisis_law(values, lives, 0.01 * lives)
 
 
 def test_crisis_laws_are_found_again():

@@ -107,3 +107,16 @@ def test_times_of_phases_are_where_they_end():
     assert phi[1] == pytest.approx(2 * theta[1], abs=1e-11)
     assert last == pytest.approx(float(whole.time), rel=1e-13)
     assert np.isnan(wj.phase_times(slowed(1.0), np.array([0.2, -0.05]))).all()
+
+
+def test_tension_as_a_phase_ends_is_no_start_in_tension():
+    """The leg is in tension where 3 cos(theta - slope) < 2 E, so from just before the phase ends.
+
+    It falls forward without a heel strike; only a start in tension is running at once.
+    """
+    energy = 3 * np.cos(LEAN - 0.01 + SLOPE) / 2
+    rate = lambda theta: -np.sqrt(2 * (energy - np.cos(theta - SLOPE)))
+    begun = np.array([[0.1, rate(0.1)], [0.16, rate(0.16)]])
+    for walker in (SimplestWalker(SLOPE), slowed(1.0)):
+        outcomes = jax.vmap(lambda x, walker=walker: wj.stride(walker, x).outcome)(begun)
+        assert outcomes.tolist() == [Outcome.FORWARD, Outcome.RUNNING]

@@ -192,7 +192,7 @@ def values_between(
         there = jnp.clip(place, 0, jnp.asarray(counts - 1, jnp.int32))
         number = (there * steps).sum()
         near = jnp.prod(jnp.where(jnp.asarray(corner) == 1, share, 1 - share))
-        near = jnp.where(acting[number] & jnp.all(place == there), near, 0)
+        near = jnp.where(acting[number], near, 0)
         total = total + near * values[number]
         weight = weight + near
     return jnp.where(held, total / jnp.where(held, weight, 1), own)

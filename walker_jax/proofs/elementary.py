@@ -1,6 +1,7 @@
 """Sine and cosine of enclosures, with bounds on the remainders of their series."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,19 +31,25 @@ REDUCED = 0.79
 """Upper bound on a reduced angle: pi / 4 and the rounding of the reduction."""
 
 
+def reduce_angle(x) -> tuple[Any, Enclosure]:
+    """Return the number k of quarter turns next to an angle, and an interval about x - k pi/2.
+
+    The product of k and the first part of pi/2 is exact, and so is its difference from x, by
+    Sterbenz's lemma. The error is the rounding of the second difference, and k times what both
+    parts leave of pi/2; there is none if k = 0.
+    """
+    turns = array_module(x).round(x * (2 / math.pi))
+    y = (x - turns * HALF_PI[0]) - turns * HALF_PI[1]
+    error = outward(ROUNDING * abs(y) + abs(turns) * REST_OF_HALF_PI)
+    return turns, ball(y, choose(turns == 0, 0.0, error))
+
+
 def sine_and_cosine_of_number(x) -> tuple[Enclosure, Enclosure]:
     """Enclose the sine and cosine of a float in intervals.
 
-    The angle is reduced to x - k pi/2, for k quarter turns. The product of k and the first part of
-    pi/2 is exact, and so is its difference from x, by Sterbenz's lemma. The error is the rounding
-    of the second difference, and k times what both parts leave of pi/2. Beyond `MOST_TURNS` quarter
-    turns both intervals are [-2, 2], which says nothing.
+    Beyond `MOST_TURNS` quarter turns both are [-2, 2], which says nothing.
     """
-    turns = array_module(x).round(x * (2 / math.pi))
-    turned = choose(turns == 0, 0.0, 1.0)
-    y = (x - turns * HALF_PI[0]) - turns * HALF_PI[1]
-    error = outward(turned * ROUNDING * abs(y) + abs(turns) * REST_OF_HALF_PI)
-    y = ball(y, choose(turns == 0, 0.0, error))
+    turns, y = reduce_angle(x)
     z = y * y
     sine = y * power_series(z, 1)
     cosine = power_series(z, 0)

@@ -265,9 +265,7 @@ def interval_between(low, high) -> Enclosure:
 
 def lies_within(inner: Enclosure, outer: Enclosure):
     """Return whether an interval certainly lies in another one."""
-    apart = abs(inner.midpoint - outer.midpoint)
-    apart = apart + ROUNDING * (abs(inner.midpoint) + abs(outer.midpoint))
-    return outward(apart + inner.spread) <= outer.radius
+    return outward(abs(inner.midpoint - outer.midpoint) + inner.spread) <= outer.radius
 
 
 def array_module(*values):

@@ -49,7 +49,7 @@ def check_derivatives(walker: Any) -> None:
     *_, mode = walker.modes()
     values = lambda state: [one.value(state) for one in (*mode.guards, *mode.conditions)]
     after = lambda state: walker.exchange_legs(walker.impact(state)[1])
-    for function in (walker.vector_field, mode.rates, values, after, walker.project):
+    for function in (walker.vector_field, values, after):
         equations = equations_in(jax.make_jaxpr(function)(state).jaxpr)
         found = {one.primitive.name for one in equations} & OWN_DERIVATIVES
         if found:

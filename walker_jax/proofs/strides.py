@@ -183,7 +183,7 @@ def advance_stride(walker, parameters, method: tuple, now: PartialStride) -> Par
     struck, landing = land_from(walker, parameters, strike, watch)
     flow = flow_at(step, length)
     # a guard has risen, with no strike before
-    fallen = fallen_by(measure_ranges(parameters, flow)) & watch.no_strike & ~watch.rising
+    fallen = fallen_by(measure_ranges(parameters, flow)) & ~watch.rising
     wide = is_wide(flow)
     verdict = choose(fallen, FALL, choose(wide, UNDECIDED, GOING))
     verdict = choose(last, choose(struck, STRIDE, UNDECIDED), verdict)

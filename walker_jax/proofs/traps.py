@@ -22,8 +22,8 @@ from walker_jax.proofs.strides import STRIDE
 SQUARES = 24
 """Number of squares along a diameter of the ellipse."""
 SLACK = 1e-8
-"""Part of its size by which the cover reaches beyond the ellipse, for the rounding of L's
-inverse."""
+"""Part of its size by which the cover reaches beyond the ellipse, for the rounding of L's inverse,
+and of theirs by which its squares overlap, for the rounding of their corners."""
 SHRINKING = 0.8
 """Ratio of successive sizes that are tried."""
 LARGEST_TRAP = 1.0
@@ -52,7 +52,7 @@ def cover(trap: Trap) -> Boxes:
     ticks = -reach + half * (2 * np.arange(SQUARES) + 1)
     z = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), -1).reshape(-1, 2)
     nearest = np.maximum(np.abs(z) - half, 0)
-    z = z[np.hypot(*nearest.T) <= reach * (1 + SLACK)]
+    z = z[np.hypot(*nearest.T) <= reach]
     p, q = upright_boxes(z.T, [np.full(len(z), half * (1 + SLACK))] * 2)
     exact = lambda value: exactly(np.float64(value), p.space)
     return boxes_of(

@@ -285,8 +285,8 @@ def crisis_law(
         raise WrongUse(f"crisis must be below {values[0]:g}, not {short(crisis)}")
     weights = (lives / errors) ** 2
     at, exponent, chi = fit_crisis(values, np.log(lives), weights, crisis)
-    ends = values[0] - np.exp(SOUGHT) * (values[-1] - values[0])
-    if crisis is None and not (0.99 * ends[1] + 0.01 * values[0] < at < ends[0]):
+    nearest, farthest = np.exp(SOUGHT) * (values[-1] - values[0])
+    if crisis is None and not 1.01 * nearest < values[0] - at < 0.99 * farthest:
         raise ComputationFailed("no crisis fits these lives best: give crisis", of="crisis")
     rng = np.random.default_rng(0)
     scatter = rng.normal(size=(RESAMPLES, len(values))) * errors / lives
