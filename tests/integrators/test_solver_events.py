@@ -14,6 +14,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.hybrid.modes import Condition
 from walker_jax.integrators.integrator import Method
+from walker_jax.systems.system import code_field
 
 SOLVERS = diffrax.Dopri8(), diffrax.Tsit5(), diffrax.Dopri5()
 TOLERANCES = 1e-6, 1e-9, 1e-12
@@ -37,8 +38,8 @@ class Thrown(wj.HybridSystem):
     """A ball thrown up at a time and caught at the same height: a parabola, at any tolerance."""
 
     section = ("speed", "time")
-    guard: Any = eqx.field(static=True, default=None)
-    condition: Any = eqx.field(static=True, default=None)
+    guard: Any = code_field(default=None)
+    condition: Any = code_field(default=None)
 
     def lift(self, x):
         return Ball(0 * x[0], x[0], x[1])

@@ -142,6 +142,28 @@ def test_derivatives_that_feel_what_the_solution_does_not():
     np.testing.assert_allclose(jacobian(system, [0.0]), [[np.exp(-10)]], rtol=1e-9)
 
 
+def test_derivatives_by_a_gain_that_is_zero_before_its_switch():
+    """y' = g (1 + tanh((t - 5) / w)) / 2 with g = 0: dy/dg is 0 until t = 5, and then t - 5."""
+
+    class Switched(wj.HybridSystem):
+        gain: Any = 0.0
+        section = ("y",)
+
+        def lift(self, x):
+            return Flow(x[0], 0 * x[0])
+
+        def project(self, state):
+            return state.y[None]
+
+        def modes(self):
+            switch = lambda t: (1 + jnp.tanh((t - 5) / 1e-2)) / 2
+            field = lambda s: Flow(self.gain * switch(s.t), 1 + 0 * s.t)
+            return (wj.Mode(field, (wj.Guard(lambda s: s.t - 10),)),)
+
+    end = lambda gain: wj.stride(Switched(gain), jnp.asarray([1.0])).state[0]
+    np.testing.assert_allclose(jax.jacfwd(end)(0.0), 5, rtol=1e-9)
+
+
 def test_derivatives_by_parameters_and_of_second_order_at_rest():
     """y' = -60 (y - a^2) from y = a^2: dy/da = 2 a (1 - e^-60), of second order 2 (1 - e^-60)."""
 

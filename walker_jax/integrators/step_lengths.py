@@ -62,7 +62,7 @@ MOST_HALVINGS = 100
 solution at rest may have the length 1 / epsilon before."""
 SHARP = frozenset("cosh erf erfc exp exp2 expm1 log1p logistic sinh tanh".split())
 """Primitives whose derivatives of all orders may be negligible at a point and large nearby. Poles
-and branch points, as those of quotients, roots and fractional powers, show in a series from afar."""
+and branch points, as those of quotients, roots and fractional powers, show from afar."""
 LOW_POWER = 8
 """Integer powers above this count as sharp too."""
 
@@ -308,11 +308,14 @@ def halve_until(fits: Callable[[Scalar], Bool[Array, ""]], length: Scalar) -> Sc
 def derivative_fits(series: PyTree, length: Scalar, tolerance: Real) -> Bool[Array, ""]:
     """Return whether the last terms of a derivative are small beside its first ones in a step.
 
-    That is so of a derivative that is not finite, which needs no short steps.
+    If they are not finite, no shorter step makes them so.
     """
-    order = order_of(series)
-    last = largest_term(series, length, (order - 1, order))
-    return ~(last > DERIVATIVE_TOLERANCE * tolerance * largest_term(series, length, FIRST_TERMS))
+    last = order_of(series) - 1, order_of(series)
+    finite = jnp.isfinite(
+        largest_coefficient(series, last[0]) + largest_coefficient(series, last[1])
+    )
+    size = DERIVATIVE_TOLERANCE * tolerance * largest_term(series, length, FIRST_TERMS)
+    return ~(finite & (largest_term(series, length, last) > size))
 
 
 def largest_term(series: PyTree, length: Scalar, orders: Iterable[int]) -> Scalar:
@@ -343,12 +346,17 @@ def field_fits(
     allowed = [sizes] * count if eqx.is_array(sizes) else jax.tree.leaves(sizes)
     for series in blocks[1:]:
         allowed += [DERIVATIVE_TOLERANCE * largest_term(series, length, FIRST_TERMS)] * count
+    # A derivative may vanish before the feature; it is then compared with its change beyond.
+    scale, rounding = scale_of(blocks[0]), float(jnp.finfo(length.dtype).eps)
+    unit = scale / jnp.maximum(largest_coefficient(blocks[0], 1), rounding * scale)
     slopes = jax.tree.map(derivative_of, nest(blocks), is_leaf=is_list)
     agree = jnp.asarray(True)
     for t in (length, length / 2):
         rates = jax.tree.leaves(field(evaluate_series(nest(blocks), t)))
         expected = jax.tree.leaves(evaluate_series(slopes, t))
-        for rate, slope, size in zip(rates, expected, allowed, strict=True):
+        for i, (rate, slope, size) in enumerate(zip(rates, expected, allowed, strict=True)):
+            if i >= count:
+                size = jnp.maximum(size, DERIVATIVE_TOLERANCE * unit * jnp.abs(rate))
             near = jnp.abs(rate - slope) * length <= DEFECT * tolerance * size
             agree &= jnp.all(near | ~jnp.isfinite(slope))  # no shorter step makes a series finite
     return agree
