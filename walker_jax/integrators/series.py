@@ -79,12 +79,13 @@ def evaluate_polynomial(coefficients: list, t):
 
 def short_log(x: Float[Array, ""]) -> Float[Array, ""]:
     """Return log(x) in float32, where it is cheap, also of a float64 too large for that type."""
-    known = jnp.zeros((), jnp.float32)
-    if x.dtype == jnp.float64:
-        for _ in range(5):  # up to 1e308
-            large = x > 1e30
-            x = jnp.where(large, x * 1e-60, x)
-            known = jnp.where(large, known + 60 * math.log(10), known)
+    known = jnp.zeros_like(x, jnp.float32)
+    if x.dtype == jnp.float64:  # a loop, as hardly any number is so large
+        x, known = lax.while_loop(
+            lambda carry: (carry[0] > 1e30) & (carry[0] < jnp.inf),
+            lambda carry: (carry[0] * 1e-60, carry[1] + 60 * math.log(10)),
+            (x, known),
+        )
     return known + jnp.log(x.astype(jnp.float32))
 
 
