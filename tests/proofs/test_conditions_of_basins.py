@@ -222,5 +222,8 @@ def test_cells_across_a_circle_count_in_the_upper_bound():
     whole = data_of([WALKS, WALKS], [], radius=0.15).attrs
     assert whole["area_lower"] == pytest.approx(np.pi * 0.15**2, rel=1e-9)
     assert whole["area_upper"] == pytest.approx(np.pi * 0.15**2, rel=1e-9)
+    # All final cells of the first level walk, but not all of the next.
+    part = data_of([WALKS, OPEN], [WALKS, FALLS, OPEN, OPEN], radius=0.15).attrs
+    assert part["area_lower"] == 0 and not part["all_walk"]
     some = data_of([WALKS, OPEN], [], radius=0.15).attrs
     assert some["area_lower"] == 0 and some["area_upper"] <= np.pi * 0.15**2 * (1 + 1e-11)
