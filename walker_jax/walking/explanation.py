@@ -6,7 +6,7 @@ a second opinion on the search that decides a stride.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -123,7 +123,10 @@ def format_point(values: Float[np.ndarray, " n"]) -> str:
 
 @refuses_tracers()
 def explain(
-    walker: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
+    walker: System,
+    x: Float[ArrayLike, " section"] | Sequence[Any],
+    *,
+    tolerance: Real | None = None,
 ) -> Explanation:
     """Explain why the stride from x ends as it does, and check that a model fits together.
 

@@ -85,7 +85,7 @@ class WalkEnd(NamedTuple):
 @refuses_tracers("within them use jax.vmap(lambda x: wj.stride(walker, x))(xs)")
 def strides(
     walker: System,
-    xs: Float[ArrayLike, "n coordinates"],
+    xs: Float[ArrayLike, "n coordinates"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
@@ -110,7 +110,7 @@ def strides(
 def for_each_start(
     function: Callable,
     walker: System,
-    xs: Float[ArrayLike, "n coordinates"],
+    xs: Float[ArrayLike, "n coordinates"] | Sequence[Any],
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
     progress: str | None = None,
@@ -180,10 +180,10 @@ def check_parameter_arrays(walker: System, n: int) -> None:
 
 def walk(
     walker: System,
-    x: Float[ArrayLike, " section"],
+    x: Float[ArrayLike, " section"] | Sequence[Any],
     n: int,
     *,
-    ground: Float[ArrayLike, " n"] | None = None,
+    ground: Float[ArrayLike, " n"] | Sequence[Any] | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Walk:
