@@ -130,8 +130,9 @@ def optimise(
       (n, section) that returns n numbers, the same for all parameters; 0 beyond the grid.
     - `known`: an earlier result, or the trace of an interrupted run; its measurements are reused.
     - `keep`: called with the trace after each measurement.
-    - `seconds`: time after which no further step is made; the best walker so far is then the
-      optimum. A measurement in progress is completed, and both ends are measured. The run can be
+    - `seconds`: time of the climbs, compilation included, after which the best walker so far is
+      the optimum. A measurement in progress is given up, that of the first start excepted. The
+      exact measurements of both ends, the scan and the basins shown come on top. The run can be
       continued by `known`.
     - `progress`: whether to show progress on a terminal, after a second.
 

@@ -25,6 +25,7 @@ from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real
+from walker_jax.kernels.primitive import vary_together
 from walker_jax.kernels.program import nan_allowed
 from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
@@ -226,8 +227,8 @@ def follow_walk(
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
-    first = (x, jnp.asarray(Outcome.STRIDE, jnp.int8))
-    _, (states, outcomes, times) = lax.scan(follow, first, length=n)
+    walker, *first = vary_together((walker, x, jnp.asarray(Outcome.STRIDE, jnp.int8)))
+    _, (states, outcomes, times) = lax.scan(follow, (*first,), length=n)
     return Walk(jnp.concatenate([x[None], states]), outcomes, times)
 
 
