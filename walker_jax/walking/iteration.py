@@ -25,8 +25,7 @@ from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real
-from walker_jax.kernels.primitive import vary_together
-from walker_jax.kernels.program import nan_allowed
+from walker_jax.kernels.primitive import nan_allowed, vary_together
 from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
