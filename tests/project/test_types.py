@@ -73,7 +73,7 @@ def test_lists_are_points_as_arrays_are():
     walker, start = wj.SimplestWalker(0.009), [0.2, -0.2]
     for function in (wj.stride, lambda *given: wj.walk(*given, 2), wj.margins):
         found = [jax.tree.leaves(function(walker, one)) for one in (start, jnp.array(start))]
-        for one, other in zip(*found, strict=True):
+        for one, other in zip(found[0], found[1], strict=True):
             np.testing.assert_array_equal(one, other)
     found = [wj.descend(walker, one, 2) for one in ([[start]], np.array([[start]]))]
-    np.testing.assert_array_equal(*found)
+    np.testing.assert_array_equal(found[0], found[1])

@@ -308,10 +308,8 @@ def iterate(
     if for_host:
         end.target[:] = nearest_target(starts, for_host, turns)
     compiled = pad_to_power_of_two(None if for_host else targets, size, starts.dtype)
-    active, done = np.flatnonzero(end.target < 0), 0
-    moves = isinstance(walker, HybridSystem)
-    of_modes = ROUNDS_ON_GPU if route_here() else ROUNDS
-    first = of_modes if moves else ROUNDS_OF_MAPS
+    active, done, moves = np.flatnonzero(end.target < 0), 0, isinstance(walker, HybridSystem)
+    first = (ROUNDS_ON_GPU if route_here() else ROUNDS) if moves else ROUNDS_OF_MAPS
     rounds = itertools.chain(first, itertools.repeat(first[-1]))
     in_lanes = moves and jax.local_devices()[0].platform == "cpu"
     while len(active) and done < limit:
