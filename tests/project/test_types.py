@@ -71,7 +71,7 @@ def test_programs_of_users_have_no_errors_and_wrong_ones_have(tmp_path):
 
 def test_lists_are_points_as_arrays_are():
     walker, start = wj.SimplestWalker(0.009), [0.2, -0.2]
-    for function in (wj.stride, lambda *given: wj.walk(*given, 2), wj.margins):
+    for function in (wj.stride, lambda walker, x: wj.walk(walker, x, 2), wj.margins):
         found = [jax.tree.leaves(function(walker, one)) for one in (start, jnp.array(start))]
         for one, other in zip(found[0], found[1], strict=True):
             np.testing.assert_array_equal(one, other)

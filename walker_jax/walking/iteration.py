@@ -226,8 +226,8 @@ def follow_walk(
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
-    walker, *first = vary_together((walker, x, jnp.asarray(Outcome.STRIDE, jnp.int8)))
-    _, (states, outcomes, times) = lax.scan(follow, (*first,), length=n)
+    walker, first = vary_together((walker, (x, jnp.asarray(Outcome.STRIDE, jnp.int8))))
+    _, (states, outcomes, times) = lax.scan(follow, first, length=n)
     return Walk(jnp.concatenate([x[None], states]), outcomes, times)
 
 
@@ -368,8 +368,7 @@ def orbits(
     walker, many = as_arrays(walker, n, starts.dtype)
     integrator = integrator.in_dtype(starts.dtype)
     states = np.full((n, count + 1, size), np.nan, starts.dtype)
-    states[:, 0] = starts
-    outcome, active = np.zeros(n, np.int8), np.arange(n)
+    states[:, 0], outcome, active = starts, np.zeros(n, np.int8), np.arange(n)
     for done in range(0, count, RECORDED):
         if len(active) == 0:
             break
