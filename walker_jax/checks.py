@@ -167,10 +167,18 @@ def check_precision(dtype: Any, needed_by: str | None = None) -> None:
     )
 
 
+class NoKernelWarning(UserWarning):
+    """XLA computes a user's own system, as there is no machine code of this package for it."""
+
+
+CALLERS = "walker_jax", "jax", "equinox", "jaxtyping", "contextlib", "functools"
+"""Packages between the user's line and a warning."""
+
+
 @functools.cache
-def warn_once(text: str) -> None:
-    """Give a `PrecisionWarning` at the user's line, once in a process."""
+def warn_once(text: str, category: type[Warning] = PrecisionWarning) -> None:
+    """Give a warning at the user's line, once in a process."""
     level, frame = 1, sys._getframe()
-    while frame is not None and frame.f_globals.get("__name__", "").startswith("walker_jax"):
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in CALLERS:
         level, frame = level + 1, frame.f_back
-    warnings.warn(text, PrecisionWarning, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)

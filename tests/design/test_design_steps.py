@@ -333,3 +333,29 @@ def test_a_measurement_is_kept_once_it_is_taken(monkeypatch):
     trace.measure(0, 0, places[1])
     trace.measure(0, 0, places[1])
     assert len(begun) == 2 and kept == [1, 2]
+
+
+def test_out_of_time_ends_a_measurement_and_hurries_the_last(monkeypatch):
+    """The time is over as the third measurement begins, which stops before its first kernel."""
+    began, ended = [], []
+
+    def evaluate(problem, stage, *given, **options):
+        began.append(stage)
+        row = evaluation.evaluate_objective(problem, stage, *given, **options)
+        ended.append(stage)
+        return row
+
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate)
+    monkeypatch.setattr(Trace, "is_out_of_time", lambda trace: len(began) > 2)
+    walker = wj.SpringWalker(0.004, 1.0)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.1, 0.05, 40))
+    options = {"grid": grid, "starts": 1, "levels": 2, "progress": False}
+    found = optimise(walker, {"hip_stiffness": (0.0, 30.0)}, "area", **options)
+    assert began[:3] == [0, 0, 0] and ended[:2] == [0, 0] and {*ended[2:]} == {-3}
+    assert bool(found.out_of_time) and not bool(found.converged)
+    assert {*found.stage.values.tolist()} == {0, -3} and found.fate_optimum.size <= 100**2
+    best = walker.__class__(0.004, float(found.optimum[0]))
+    area = wj.refine(best, grid, 1, check=50_000, progress=False).area.sum()
+    error = float(found.exact_optimum_error)
+    assert 0 < error < 0.1 * float(found.exact_optimum)
+    assert abs(float(found.exact_optimum) - float(area)) < 4 * error

@@ -14,7 +14,8 @@ import optimistix
 import pytest
 from jax import lax
 
-from walker_jax.checks import WrongUse
+import walker_jax as wj
+from walker_jax.checks import NoKernelWarning, WrongUse, warn_once
 from walker_jax.kernels import kernel, machine, machine_code, program, why_not
 
 
@@ -139,6 +140,33 @@ def test_why_not_of_a_kernel_and_its_derivative():
     assert why_not(of_terms, 2.0, 3) is why_not(of_terms, 2.0, terms=3, scale=0.5) is None
     assert why_not(jax.grad(jnp.sin), 2.0) is None
     assert why_not(lambda x: middle(x) + of_terms(x[0], 3)["sum"], jnp.ones(3)) is not None
+
+
+class SortingWalker(wj.SimplestWalker):
+    """A walker of a user's own, with an impact that has no kernel."""
+
+    def impact(self, state):
+        nothing = 0 * jnp.sort(jnp.stack(state))[0]
+        return super().impact(jax.tree.map(lambda value: value + nothing, state))
+
+
+def test_a_users_own_system_without_a_kernel_says_so_once(monkeypatch):
+    systems = {
+        "SortingWalker": (SortingWalker(0.009), [0.2, -0.2]),
+    }
+    warn_once.cache_clear()
+    for name, (system, x) in systems.items():
+        said = f"^{name} has no kernel, so XLA computes it, .*: kernels do not support sort"
+        with pytest.warns(NoKernelWarning, match=said) as warned:
+            first = wj.stride(system, x)
+            again = wj.strides(system, [x])
+        assert len(warned) == 1 and warned[0].filename == __file__
+        assert int(first.outcome) == again.outcome[0]
+    with monkeypatch.context() as patch:
+        patch.setenv(machine.VARIABLE, "off")
+        warn_once.cache_clear()
+        wj.stride(SortingWalker(0.01), [0.2, -0.2], tolerance=1e-11)
+    assert why_not(lambda x: jnp.sort(x), jnp.ones(2)) is not None  # no system: nothing is said
 
 
 def test_why_not_where_kernels_are_off_or_arrays_are_elsewhere(monkeypatch):

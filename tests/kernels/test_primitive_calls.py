@@ -135,6 +135,13 @@ starts = jnp.asarray([0.2003109, -0.1998325]) * (1 + 0.01 * xs)
 stride = lambda slope, x: wj.stride(wj.SimplestWalker(slope), x)
 check(jax.vmap(stride), (0.009 + 1e-4 * many, starts), (over, over), over)
 check(jax.vmap(stride, (None, 0)), (jnp.asarray(0.009), starts), (None, over), over)
+
+# Walks, and searches for gaits
+for follow in lambda w, x: wj.walk(w, x, 2), wj.find_gait:
+    many = jax.vmap(lambda slope, x: follow(wj.SimplestWalker(slope), x), (None, 0))
+    apart = jax.shard_map(many, mesh=over.mesh, in_specs=(P(), P("cells")), out_specs=P("cells"))
+    found, expected = (jax.jit(f)(jnp.asarray(0.009), starts[:8]) for f in (apart, many))
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
 """
 
 

@@ -75,8 +75,8 @@ class EdgeState(NamedTuple):
 @refuses_tracers("the saddle is a gait, which find_gait follows under transformations")
 def edge_state(
     walker: System,
-    a: Float[ArrayLike, " section"],
-    b: Float[ArrayLike, " section"],
+    a: Float[ArrayLike, " section"] | Sequence[Any],
+    b: Float[ArrayLike, " section"] | Sequence[Any],
     *,
     rounds: int = 200,
     strides: int = 500,

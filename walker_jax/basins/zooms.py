@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -37,7 +38,7 @@ from walker_jax.systems.system import System, check_single
 def boundary_point(
     walker: System,
     grid: Grid,
-    near: Float[ArrayLike, " section"] | None = None,
+    near: Float[ArrayLike, " section"] | Sequence[Any] | None = None,
     *,
     strides: int = 500,
     tolerance: float | None = None,
@@ -132,7 +133,7 @@ def zoom(
     walker: System,
     grid: Grid,
     factor: float | int,
-    centre: Float[ArrayLike, " section"] | None = None,
+    centre: Float[ArrayLike, " section"] | Sequence[Any] | None = None,
     *,
     frames: int = 120,
     strides: int = 500,

@@ -1,6 +1,7 @@
 """One ascent along the gradient of an objective, within bounds and limits."""
 
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from contextlib import closing
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from walker_jax.design.evaluation import STEP_SIZES, Evaluation
 from walker_jax.design.measures import gait_measures
 from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.trace import Trace
+from walker_jax.execution.threads import stopped_when
 
 OTHER_STEPS = (-1.0, 0.5, -0.5, 0.25, -0.25)
 """Multiples of the optimiser's step, tried in turn after the step until one improves the objective;
@@ -38,15 +40,30 @@ class Climb(NamedTuple):
 def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Climb:
     """Climb from a place by the steps of one stage, until none improves the objective.
 
-    It ends earlier if the time is over, but the first start is always measured.
+    It ends earlier if the time is over, with the best so far; a measurement in progress is then
+    given up. But the first start is always measured.
     """
+    if (run, stage) == (0, 0):
+        return climb_by_steps(trace, run, stage, place)
+    try:
+        with stopped_when(trace.is_out_of_time):
+            return climb_by_steps(trace, run, stage, place)
+    except CancelledError:
+        if not trace.is_out_of_time():  # another climb has failed
+            raise
+    problem = trace.problem
+    return Climb(None, None, False, f"{problem.describe_values(problem.values(place))}: no time")
+
+
+def climb_by_steps(
+    trace: Trace, run: int, stage: int, place: Float[np.ndarray, " parameters"]
+) -> Climb:
+    """Do the work of `climb`; raise `CancelledError` where no time is left before a first step."""
     import optax  # only here, as it takes a quarter of a second
 
     problem = trace.problem
     if trace.is_out_of_time() and (run, stage) != (0, 0):
-        return Climb(
-            None, None, False, f"{problem.describe_values(problem.values(place))}: no time"
-        )
+        raise CancelledError
     begin = trace.limits.nearest_allowed(place)
     if begin is None:
         return Climb(None, None, False, explain_failure(trace, place))
@@ -69,7 +86,13 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
         downhill = jnp.asarray(-trace.limits.feasible_direction(place, uphill))
         with standard():
             update, state = optimiser.update(downhill, state)
-        higher = step_up(trace, run, stage, best, np.asarray(update))
+        try:
+            with stopped_when(trace.is_out_of_time):
+                higher = step_up(trace, run, stage, best, np.asarray(update))
+        except CancelledError:
+            if not trace.is_out_of_time():  # another climb has failed
+                raise
+            break
         if higher is None:
             return Climb(start, best, True)
         resolved = stage < len(STEP_SIZES) - 1 and sure_gain(problem, best, higher) == 0

@@ -30,10 +30,13 @@ BAND_LEVELS_OMITTED = 1
 to a few hundredths of the largest one, and takes half to a quarter of the time."""
 SCAN_LEVELS_OMITTED = 2
 """Levels omitted in the scan, which serves a picture."""
+HURRIED_OMITTED = LEVELS_OMITTED[-1]
+"""Levels omitted at the ends when the time is over. With fewer starts to correct an area, too, it
+takes a few seconds; its standard error says how well it is known."""
 HOW_MEASURED = tuple(zip(LEVELS_OMITTED, BAND_HALF_WIDTHS, strict=True))
 """Settings on which the measurements of each stage depend, beside the parameters."""
-SCAN_STAGE, ENDS_STAGE = -1, -2
-"""Stage numbers of the scan for a picture, and of both ends."""
+SCAN_STAGE, ENDS_STAGE, HURRIED_ENDS_STAGE = -1, -2, -3
+"""Stage numbers of the scan for a picture, and of both ends: exactly, or when the time is over."""
 CHECK_STARTS = 50_000, 500_000
 """Starts that correct an area during optimisation, and at the ends."""
 CHECK_STARTS_IN_SPACE = 5_000, 50_000
@@ -128,8 +131,9 @@ def evaluate_objective(
 
 def area_settings(problem: Problem, grid: Grid, stage: int) -> AreaSettings:
     """Return how areas are measured in a stage, in the scan or at the ends."""
-    exact, in_scan = stage == ENDS_STAGE, stage == SCAN_STAGE
-    omitted = 0 if exact else SCAN_LEVELS_OMITTED if in_scan else LEVELS_OMITTED[stage]
+    exact = stage == ENDS_STAGE
+    others = {SCAN_STAGE: SCAN_LEVELS_OMITTED, ENDS_STAGE: 0, HURRIED_ENDS_STAGE: HURRIED_OMITTED}
+    omitted = others[stage] if stage < 0 else LEVELS_OMITTED[stage]
     return AreaSettings(
         grid=grid,
         levels=max(0, problem.levels - omitted),

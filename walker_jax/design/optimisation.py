@@ -36,6 +36,7 @@ from walker_jax.design.area_gradients import Density
 from walker_jax.design.climbs import Climb, climb
 from walker_jax.design.evaluation import (
     ENDS_STAGE,
+    HURRIED_ENDS_STAGE,
     SCAN_STAGE,
     STEP_SIZES,
     Evaluation,
@@ -66,9 +67,9 @@ USUAL_MEASUREMENTS = 10
 """Measurements of one climb, to estimate how long an optimisation takes."""
 VIEW_CELLS = 300
 """Cells along each axis of the basins shown for the start and the optimum."""
-VIEW_CELLS_IN_SPACE = 100
+VIEW_CELLS_IN_SPACE = HURRIED_VIEW_CELLS = 100
 """The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py): a
-ninth of the starts."""
+ninth of the starts. No more are shown of any walker when the time is over."""
 
 
 @refuses_tracers()
@@ -130,9 +131,10 @@ def optimise(
       (n, section) that returns n numbers, the same for all parameters; 0 beyond the grid.
     - `known`: an earlier result, or the trace of an interrupted run; its measurements are reused.
     - `keep`: called with the trace after each measurement.
-    - `seconds`: time after which no further step is made; the best walker so far is then the
-      optimum. A measurement in progress is completed, and both ends are measured. The run can be
-      continued by `known`.
+    - `seconds`: time of the climbs, compilation included, after which the best walker so far is
+      the optimum. A measurement in progress is given up, that of the first start excepted. Both
+      ends are then measured on a grid half as fine, and their basins shown on fewer cells, which
+      comes on top, as does a scan. The run can be continued by `known`.
     - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** a data set. Over the parameters:
@@ -151,13 +153,13 @@ def optimise(
       the objective; `out_of_time`: whether it ended because the `seconds` were over;
     - `note_start` and `note_optimum`: the gait of `find_gait`, if that is another one.
 
-    Over all evaluations, the trace: `run`, `stage` (-1 for the scan, -2 for the ends),
-    `parameters`, `value` and `value_error`, `gradient` and `gradient_error` (by the parameters; NaN
-    where a step was rejected by its area alone), `measures`, and the number of `strides` made for
-    them. Over the starts, `note`: the reason why a run failed. Of the scan: `scan_parameters`,
-    `scan_value` and `scan_allowed` (by the limits). Of both ends: the basins `fate_start` and
-    `fate_optimum`, on a grid that shows them; -1 where a walker converges to an attractor. If
-    `found` is false, all starts failed, and everything but the trace is missing.
+    Over all evaluations, the trace: `run`, `stage` (-1 for the scan, -2 for the ends, -3 for these
+    if out of time), `parameters`, `value` and `value_error`, `gradient` and `gradient_error` (by
+    the parameters; NaN where a step was rejected by its area alone), `measures`, and the number of
+    `strides` made for them. Over the starts, `note`: the reason why a run failed. Of the scan:
+    `scan_parameters`, `scan_value` and `scan_allowed` (by the limits). Of both ends: the basins
+    `fate_start` and `fate_optimum`, on a grid that shows them; -1 where a walker converges to an
+    attractor. If `found` is false, all starts failed, and everything but the trace is missing.
 
     The measured gait is the one with the largest basin in the grid, of any period; if none attracts
     there, the one that `find_gait` finds.
@@ -194,9 +196,11 @@ def optimise(
         "converged": last.converged,
         "out_of_time": trace.is_out_of_time() and not last.converged,
     }
-    found = measure_ends(trace, start, best) | ended
+    found = measure_ends(trace, start, best, ended["out_of_time"]) | ended
     found |= scan_objective(trace, best, scan) if scan else {}
-    found |= {} if problem.grid is None else compare_basins(problem, start, best)
+    found |= (
+        {} if problem.grid is None else compare_basins(problem, start, best, ended["out_of_time"])
+    )
     return trace.data().assign(notes | found | {"found": True})
 
 
@@ -292,12 +296,13 @@ def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -
     return next((one for one in map(default_region, walkers) if one is not None), None)
 
 
-def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
-    """Measure the start and the end of the best climb."""
+def measure_ends(trace: Trace, start: Evaluation, best: Evaluation, hurried: bool) -> dict:
+    """Measure the start and the end of the best climb; roughly if `hurried`."""
     problem, sides = trace.problem, {"start": start, "optimum": best}
     found: dict = {}
     ends = [problem.place_of(row.parameters) for row in sides.values()]
-    with closing(trace.measure_each(best.run, ENDS_STAGE, ends)) as rows:
+    stage = HURRIED_ENDS_STAGE if hurried else ENDS_STAGE
+    with closing(trace.measure_each(best.run, stage, ends)) as rows:
         exactly = list(rows)
     for (name, row), exact in zip(sides.items(), exactly, strict=True):
         found[name] = "parameter", row.parameters
@@ -335,7 +340,7 @@ def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
     }
 
 
-def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dict:
+def compare_basins(problem: Problem, start: Evaluation, best: Evaluation, hurried: bool) -> dict:
     """Return both basins on one grid; for a volume, in the slice at one of the gaits."""
     grid = problem.grid
     if problem.size == "volume":
@@ -347,7 +352,7 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
     refine_roughly = partial(
         refine_cells,
         grid=grid,
-        levels=min(1, problem.levels),
+        levels=0 if hurried else min(1, problem.levels),
         strides=problem.strides,
         check=check_starts(problem.walker, False),
         seed=problem.seed,
@@ -361,6 +366,7 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
     low, high = np.maximum(low - margin, 0), np.minimum(high + margin, shape)
     spacing = np.asarray(rough[0].grid.spacing)
     shown_cells = VIEW_CELLS if is_planar(problem.walker) else VIEW_CELLS_IN_SPACE
+    shown_cells = min(shown_cells, HURRIED_VIEW_CELLS) if hurried else shown_cells
     axes = {
         name: (float(start + first * width), float(start + last * width), shown_cells)
         for name, start, first, last, width in zip(

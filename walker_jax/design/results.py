@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from walker_jax.design.evaluation import ENDS_STAGE
+from walker_jax.design.evaluation import ENDS_STAGE, HURRIED_ENDS_STAGE
 
 if TYPE_CHECKING:
     import pandas
@@ -77,7 +77,7 @@ def runs(data: xr.Dataset, parameter: str) -> list[Run]:
     """Return all runs, over one parameter."""
     at = data["parameters"].sel(parameter=parameter).values
     run, stage, value = (data[name].values for name in ("run", "stage", "value"))
-    best = run[stage == ENDS_STAGE][0]
+    best = run[(stage == ENDS_STAGE) | (stage == HURRIED_ENDS_STAGE)][0]
     found = []
     for number in np.unique(run[stage >= 0]).tolist():
         own = (stage >= 0) & (run == number)

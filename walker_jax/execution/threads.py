@@ -4,12 +4,13 @@ A kernel uses all cores by itself. Between kernels, in Python and NumPy, a compu
 core; another computation keeps the others busy meanwhile.
 """
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from threading import Event
 from typing import TypeVar
 
-from walker_jax.execution.tiles import cores, stopping
+from walker_jax.execution.tiles import Stop, cores, stopping
 from walker_jax.kernels.program import apply_settings, current_settings
 
 Item = TypeVar("Item")
@@ -35,3 +36,13 @@ def side_by_side(
             yield from pool.map(as_here, items)
         finally:
             stop.set()
+
+
+@contextmanager
+def stopped_when(is_over: Callable[[], bool]) -> Iterator[None]:
+    """Stop what is computed within before its next kernel (`CancelledError`) once that holds."""
+    token = stopping.set((*stopping.get(), Stop(is_over)))
+    try:
+        yield
+    finally:
+        stopping.reset(token)

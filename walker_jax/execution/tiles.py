@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextvars import ContextVar
 from threading import Event
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -163,7 +163,15 @@ def run_in_threads(
 
 
 core_limit: int | None = None
-stopping: ContextVar[tuple[Event, ...]] = ContextVar("stopping", default=())
+
+
+class Stop(NamedTuple):
+    """A reason to stop, asked before each kernel; an `Event` is another."""
+
+    is_set: Callable[[], bool]
+
+
+stopping: ContextVar[tuple[Event | Stop, ...]] = ContextVar("stopping", default=())
 """Any of these events stops the computation of this thread, before its next kernel."""
 
 

@@ -13,12 +13,13 @@ from walker_jax.basins.cell_classes import along_axis, large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.labels import draw_label, keep_clear
 from walker_jax.figures.layout import (
+    DrawnAxes,
     Shown,
+    axes_for,
     dress,
     figure_legend,
     figure_title,
     name_axes,
-    new_axes,
     new_figure,
     size_between,
 )
@@ -58,7 +59,7 @@ def basin(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the basin of attraction and the ways to fall around it, over a grid of two dimensions.
 
     Figures 2 (plain axes) and 4 (sheared axes) of Schwab and Wisse (2001). Each fate has a pale
@@ -83,7 +84,7 @@ def basin(
             f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}"
             f"{slicing_hint(fate)}"
         )
-    ax = new_axes(7, 5.4) if ax is None else ax
+    ax = axes_for(ax, 7, 5.4)
     large = large_basins(data, len(BASINS))
     regions = regions_of(data, large)
     x, y = map(str, fate.dims)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import Shown, dress, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
 from walker_jax.figures.regions import (
     extent_of,
     paint,
@@ -46,7 +46,7 @@ def boundary(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the basin, the saddles on its boundary, and their stable manifolds.
 
     **Arguments:**
@@ -62,7 +62,7 @@ def boundary(
     fate = data["fate"]
     if fate.ndim != 2 or min(fate.shape) < 2:
         raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}")
-    ax = new_axes(7, 6.2) if ax is None else ax
+    ax = axes_for(ax, 7, 6.2)
     x, y = map(str, fate.dims)
     extent = extent_of(data, x, y)
     regions = regions_of(data, large_basins(data, len(BASINS)))

@@ -13,7 +13,15 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.figures.exponent_plots import lyapunov_exponents
-from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, new_figure, size_between
+from walker_jax.figures.layout import (
+    DrawnAxes,
+    Shown,
+    axes_for,
+    dress,
+    figure_title,
+    new_figure,
+    size_between,
+)
 from walker_jax.figures.style import (
     BASINS,
     DASHED,
@@ -60,7 +68,7 @@ def gait_branches(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw all gaits against a parameter: the first coordinate at the start of each stride.
 
     Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours show periods. Lines are
@@ -79,7 +87,7 @@ def gait_branches(
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
     check_dataset(data, "gait branches")
-    ax = new_axes(7, 5.6) if ax is None else ax
+    ax = axes_for(ax, 7, 5.6)
     drawn = read_curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
@@ -132,7 +140,7 @@ def largest_multiplier(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the largest Floquet multiplier's modulus against a parameter, along the main cascade.
 
     The left axis of Figure 8 of Schwab and Wisse (2001), for the most stable gait of period one,
@@ -149,7 +157,7 @@ def largest_multiplier(
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
     check_dataset(data, "gait branches")
-    ax = new_axes(7, 4.6) if ax is None else ax
+    ax = axes_for(ax, 7, 4.6)
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
     family = cascade_curves(data)
     handles = period_lines(family)
@@ -188,7 +196,7 @@ def bifurcation_diagram(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the attractors against a parameter: the first coordinate at the start of each stride.
 
     A dot is a recorded state of a walker that does not fall. Dashed lines are unstable parts of the
@@ -205,7 +213,7 @@ def bifurcation_diagram(
     **Returns** the axes. Raises `ValueError` for a data set without gaits and attractors.
     """
     check_dataset(data, "bifurcation diagram")
-    ax = new_axes(7, 5) if ax is None else ax
+    ax = axes_for(ax, 7, 5)
     value, state = attractor_states(data)
     ax.plot(value, state, "o", color=BASINS[0], ms=1, mew=0, rasterized=True, zorder=4)
     for curve in cascade_curves(data)[:1]:

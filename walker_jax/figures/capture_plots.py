@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from walker_jax.basins.cell_classes import CellClass
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
-from walker_jax.figures.layout import Shown, dress, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
 from walker_jax.figures.regions import Region, extent_of, paint, patch_of, show_image
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
@@ -37,7 +37,7 @@ def capturability(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw how large the basin could be: n-step capturable states within the viability kernel.
 
     Cells are coloured by the fewest strides into the target, darker for fewer. Then come viable
@@ -59,7 +59,7 @@ def capturability(
     check_dataset(data, "viability")
     plane, place = middle_plane(data)
     around = read_basins(data, {} if basins is None else basins)
-    ax = new_axes(3.5, 4.4) if ax is None else ax
+    ax = axes_for(ax, 3.5, 4.4)
     x, y = map(str, plane["viable"].dims)
     extent = extent_of(plane, x, y)
     regions = regions_of_capture(plane, areas_of_capture(data))

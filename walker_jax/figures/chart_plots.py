@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from walker_jax.figures.layout import Shown, cell_edges, dress, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, cell_edges, dress
 from walker_jax.figures.style import INK, PERIODS, SIGNS, SMALL, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.gaits.charts import NO_GAIT, words_in
@@ -62,7 +62,7 @@ def chart(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw attractors and curves of bifurcations over two parameters.
 
     The tint of a cell shows the period of its attractor. The colour of a curve shows the period of
@@ -79,7 +79,7 @@ def chart(
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "chart")
-    ax = new_axes(7, 5.8) if ax is None else ax
+    ax = axes_for(ax, 7, 5.8)
     axes = data["first"].values, data["second"].values
     periods = draw_cells(ax, data)
     drawn = draw_lines(ax, data)

@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import Shown, dress, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
@@ -23,7 +23,7 @@ def lyapunov_exponents(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw Lyapunov exponents of the attractor against a parameter, with their error bands.
 
     Bands are twice the standard error on each side. Walking is chaotic where the first exponent is
@@ -41,7 +41,7 @@ def lyapunov_exponents(
     check_dataset(data, "bifurcation diagram")
     if "exponents" not in data:
         raise WrongUse("data must have exponents: give bifurcation_diagram a number of strides")
-    ax = new_axes(7, 4.6) if ax is None else ax
+    ax = axes_for(ax, 7, 4.6)
     value = data["sample_value"].values
     found, errors = data["exponents"].values, data["exponent_errors"].values
     ax.axhline(0, color=INK, lw=0.8, zorder=1)

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -122,9 +122,25 @@ def make_smaller(ax: Axes) -> None:
         line.set(markeredgewidth=SMALLER * line.get_markeredgewidth())
 
 
-def new_axes(width: float | int, height: float | int, layout: Layout = "constrained") -> Axes:
-    """Make the axes of a new figure, of a size in inches."""
-    return new_figure(width, height, layout).add_subplot()
+if TYPE_CHECKING:
+
+    class DrawnAxes(Axes):
+        """To type checkers, axes that are in no subfigure, so that their figure has `savefig`."""
+
+        figure: Figure
+
+        def get_figure(self, root: bool = False) -> Figure: ...
+
+else:
+    DrawnAxes = Axes
+
+
+def axes_for(
+    ax: Axes | None, width: float | int, height: float | int, layout: Layout = "constrained"
+) -> DrawnAxes:
+    """Return the given axes, or make those of a new figure, of a size in inches."""
+    ax = new_figure(width, height, layout).add_subplot() if ax is None else ax
+    return cast(DrawnAxes, ax)
 
 
 def figure_of(ax: Axes) -> Figure:

@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
-from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, figure_of
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
@@ -23,7 +23,7 @@ def metastability(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the quasi-stationary distribution: where walks that still last are on the section.
 
     The axes are theta and theta + thetadot, as for basins; on rough ground the third direction is
@@ -39,7 +39,7 @@ def metastability(
     Raises `ValueError` for another data set.
     """
     check_dataset(data, "metastable walking")
-    ax = new_axes(6.4, 5.2) if ax is None else ax
+    ax = axes_for(ax, 6.4, 5.2)
     edges, chance = data["edges"].values, data["chance"].values
     seen = chance > FAINTEST * chance.max()
     shares = (np.arange(PARTS) + 0.5) / PARTS - 0.5

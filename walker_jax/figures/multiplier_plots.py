@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.transforms import offset_copy
 
-from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, figure_of
 from walker_jax.figures.style import INK, SMALL, gait_marker
 from walker_jax.figures.text import count_noun, short_number
 from walker_jax.gaits.cycles import Gait
@@ -28,7 +28,7 @@ def multipliers(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the Floquet multipliers of gaits in the complex plane, with the unit circle.
 
     Colours and signs show periods; signs are filled for stable gaits and open for unstable ones. An
@@ -43,7 +43,7 @@ def multipliers(
 
     **Returns** the axes.
     """
-    ax = new_axes(6.2, 7.2, "compressed") if ax is None else ax
+    ax = axes_for(ax, 6.2, 7.2, "compressed")
     gaits = [gait for gait in gaits if gait.found]
     ax.add_patch(Circle((0, 0), 1, fc="#f2f2f2", ec=INK, lw=1, zorder=1))
     ax.axhline(0, color=INK, lw=0.4, zorder=1.5)

@@ -26,12 +26,13 @@ from walker_jax.design.results import (
     weights,
 )
 from walker_jax.figures.layout import (
+    DrawnAxes,
     Shown,
+    axes_for,
     dress,
     figure_legend,
     figure_of,
     figure_title,
-    new_axes,
     new_figure,
 )
 from walker_jax.figures.regions import (
@@ -83,7 +84,7 @@ def optimisation(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the values of a parameter that an optimisation tried, and the objective.
 
     Dots are evaluations, joined in their order, from light and large to dark and small as the steps
@@ -107,7 +108,7 @@ def optimisation(
     parameter = names[0] if parameter is None else parameter
     if parameter not in names:
         raise WrongUse(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
-    ax = new_axes(7, 5.6) if ax is None else ax
+    ax = axes_for(ax, 7, 5.6)
     shown = Shown(title, subtitle, legend, labels)
     draw_optimisation(ax, data, parameter, headline(data, 60), shown)
     return ax

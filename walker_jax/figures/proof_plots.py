@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import Patch
 
-from walker_jax.figures.layout import Shown, dress, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
@@ -29,7 +29,7 @@ def proof(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the cells that are proved to walk for ever, or to fall, and the trap.
 
     **Arguments:**
@@ -41,7 +41,7 @@ def proof(
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "proof")
-    ax = new_axes(7, 5.4) if ax is None else ax
+    ax = axes_for(ax, 7, 5.4)
     low, high = data["lower"].values, data["upper"].values
     width = (high - low) / data["count"].values / 2.0 ** data["level"].values[:, None]
     corner = low + data["place"].values * width

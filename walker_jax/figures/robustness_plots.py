@@ -13,10 +13,11 @@ from walker_jax.basins.cell_classes import has_known_units, large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.basin_maps import basin
 from walker_jax.figures.layout import (
+    DrawnAxes,
     Shown,
+    axes_for,
     dress,
     figure_title,
-    new_axes,
     new_figure,
     padded_limits,
 )
@@ -58,7 +59,7 @@ def disturbance(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the basin near its gait, and the nearest start from which the walker does not return.
 
     The walker returns from all starts inside the solid curve. If the nearest start converges to
@@ -76,7 +77,7 @@ def disturbance(
     check_dataset(data, "robustness")
     if not has_plane_disturbance(data):
         raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
-    ax = new_axes(5.4, 5.4) if ax is None else ax
+    ax = axes_for(ax, 5.4, 5.4)
     axes = x, y = str(data["fate"].dims[0]), str(data["fate"].dims[1])
     starts = nearest_starts(data)
     curves = [place_states(data, circle(one.gait_state, one.distance), axes) for one in starts]
@@ -168,7 +169,7 @@ def robustness_measures(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw area of the basin, least disturbance and largest multiplier against a parameter.
 
     Figure 8 of Schwab and Wisse (2001), with the least disturbance added. Area and disturbance are
@@ -185,7 +186,7 @@ def robustness_measures(
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     values, parameter = table_axis(data)
-    ax = new_axes(7, 4.6) if ax is None else ax
+    ax = axes_for(ax, 7, 4.6)
     handles: list[Line2D] = []
     for name in ("total_area", "least_disturbance"):
         largest = largest_of(data[name])
@@ -215,7 +216,7 @@ def boundary_dimension(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the dimension of the boundary of the basin against a parameter, with its interval.
 
     It is 1 where the boundary is smooth, and larger where it is fractal.
@@ -223,7 +224,7 @@ def boundary_dimension(
     **Arguments** and errors are those of `robustness_measures`.
     """
     values, parameter = table_axis(data)
-    ax = new_axes(7, 4.6) if ax is None else ax
+    ax = axes_for(ax, 7, 4.6)
     low, middle, high = (data[f"dimension{end}"].values for end in ("_low", "", "_high"))
     ax.fill_between(values, low, high, color=BASINS[0], alpha=0.25, lw=0)
     ax.plot(values, middle, "o-", color=BASINS[0], markersize=4)

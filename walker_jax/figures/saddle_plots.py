@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from walker_jax.checks import WrongUse, check_kind, numbers
-from walker_jax.figures.layout import Shown, dress, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
 from walker_jax.figures.style import BASINS, INK, OTHERS
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.escapes import CrisisLaw, Transients
@@ -34,7 +34,7 @@ def chaotic_saddle(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw a chaotic saddle, the attractor before the crisis, and the ways in which walks leave.
 
     States are just after heel strike. The axes are the first two coordinates of the section; for
@@ -56,7 +56,7 @@ def chaotic_saddle(
     check_kind("found", found, Transients)
     if len(found.section) < 2:
         raise WrongUse(f"found must have two coordinates, not {', '.join(found.section)}")
-    ax = new_axes(7, 5.6) if ax is None else ax
+    ax = axes_for(ax, 7, 5.6)
     summed = found.section[:2] == ("theta", "thetadot")
 
     def place(states: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +109,7 @@ def crisis_law(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw mean lives against the distance from a crisis, on logarithmic axes, and the fitted law.
 
     **Arguments:**
@@ -130,7 +130,7 @@ def crisis_law(
     distance = values - law.crisis
     if not (values.ndim == 1 and len(values) and (distance > 0).all()):
         raise WrongUse(f"values must be above the crisis, {law.crisis:g}")
-    ax = new_axes(7, 5) if ax is None else ax
+    ax = axes_for(ax, 7, 5)
     weights = (lives / errors) ** 2
     middle = [np.exp(np.average(np.log(one), weights=weights)) for one in (distance, lives)]
     ends = np.array([distance.min(), distance.max()])

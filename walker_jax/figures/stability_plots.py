@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from walker_jax.figures.branch_plots import HIGHEST, draw_multiplier
-from walker_jax.figures.layout import Shown, dress, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
 from walker_jax.figures.style import BASINS, INK, SOLID
 from walker_jax.figures.text import AREA_LABEL, RADIUS
 from walker_jax.gaits.curves import cascade_curves
@@ -22,7 +22,7 @@ def stability_and_area(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the gait's largest multiplier and the area of the basin against the slope.
 
     Figure 8 of Schwab and Wisse (2001).
@@ -40,7 +40,7 @@ def stability_and_area(
     """
     check_dataset(gaits, "gait branches")
     check_dataset(areas, "areas over slopes")
-    ax = new_axes(8, 4.8) if ax is None else ax
+    ax = axes_for(ax, 8, 4.8)
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
     slopes = areas["slope"].values
     for curve in cascade_curves(gaits)[:1]:

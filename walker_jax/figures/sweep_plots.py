@@ -4,7 +4,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from walker_jax.basins.cell_classes import has_known_units
-from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, figure_of
 from walker_jax.figures.style import BASINS
 from walker_jax.figures.text import (
     AREA_LABEL,
@@ -24,7 +24,7 @@ def sweep(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the area or volume of the basin over one or two parameters; over one, with its error.
 
     **Arguments:**
@@ -38,7 +38,7 @@ def sweep(
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "sweep")
-    ax = new_axes(7, 4.8) if ax is None else ax
+    ax = axes_for(ax, 7, 4.8)
     area, error = data["total_area"], data["total_area_error"]
     others = [str(name) for name in area.dims[2:]]
     first = dict.fromkeys(others, 0)

@@ -12,7 +12,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, figure_of
 from walker_jax.figures.regions import (
     Extent,
     extent_of,
@@ -44,7 +44,7 @@ def viability(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the viability kernel over a grid and the failures around it; of three axes, a slice.
 
     Viable cells are shaded by the share of actions that keep them viable. Other cells have the
@@ -64,7 +64,7 @@ def viability(
     check_dataset(data, "viability")
     data, place = middle_plane(data)
     viable = data["viable"]
-    ax = new_axes(7, 5.4) if ax is None else ax
+    ax = axes_for(ax, 7, 5.4)
     x, y = map(str, viable.dims)
     extent = extent_of(data, x, y)
     regions = with_failures([], data["failure"].values, failures_of(data))

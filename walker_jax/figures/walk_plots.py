@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import Shown, dress, new_axes, new_figure
+from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, new_figure
 from walker_jax.figures.poses import GROUND, SWING
 from walker_jax.figures.regions import (
     attractor_mark,
@@ -37,7 +37,7 @@ def leg_angles(
     subtitle: bool = True,
     legend: bool = True,
     labels: bool = True,
-) -> Axes:
+) -> DrawnAxes:
     """Draw the angles of both legs from the normal of the slope, over time.
 
     Figure 6 of Schwab and Wisse (2001). Thin lines are heel strikes, at which the legs exchange
@@ -53,7 +53,7 @@ def leg_angles(
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "walk")
-    ax = new_axes(9, 4.2) if ax is None else ax
+    ax = axes_for(ax, 9, 4.2)
     stride, time = data["stride"].values, data["time"].values
     theta = data["theta"].values
     ax.axhline(0, color=GROUND, lw=0.6, zorder=1)

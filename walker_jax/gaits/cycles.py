@@ -17,6 +17,7 @@ from walker_jax.gaits.implicit_roots import find_root
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.kernels.primitive import vary_together
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.systems.system import System
@@ -114,12 +115,13 @@ def solve_cycle(
     walker: System, states: Float[Array, "period section"], integrator: Integrator
 ) -> Gait:
     """Find a gait by Newton's iteration on all states of a cycle."""
+    walker, states, integrator = vary_together((walker, states, integrator))
     dtype, turns = states.dtype, turns_of(walker)
     mismatch = lambda states: cycle_mismatch(states, (walker, integrator))
     states = find_root(mismatch, states, MAX_SEARCH_STEPS)
     apply = lambda states: apply_strides(walker, states, integrator)
     (ends, times), derivative = jax.linearize(apply, states)
-    basis = jnp.eye(states.shape[1], dtype=dtype)
+    basis, _ = vary_together((jnp.eye(states.shape[1], dtype=dtype), states))
     apply_jacobian = lambda direction: derivative(jnp.broadcast_to(direction, states.shape))[0]
     jacobian = basis
     for factor in jax.vmap(apply_jacobian, out_axes=2)(basis):
@@ -128,7 +130,7 @@ def solve_cycle(
     multipliers = multipliers[jnp.lexsort((-multipliers.imag, -jnp.abs(multipliers)))]
     residual = largest(jnp.abs(difference(ends, jnp.roll(states, -1, axis=0), turns)))
     found = (residual < MAX_RESIDUAL[dtype]) & ~has_shorter_period(states, turns)
-    unit = jnp.eye(states.size, dtype=dtype).reshape(-1, *states.shape)
+    unit, _ = vary_together((jnp.eye(states.size, dtype=dtype).reshape(-1, *states.shape), states))
     rows = jax.vmap(lambda change: derivative(change)[0] - jnp.roll(change, -1, axis=0))(unit)
     found &= (
         estimate_error(residual, rows.reshape(states.size, -1)) < SAME_STATE_DISTANCE[dtype] / 10

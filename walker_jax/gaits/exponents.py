@@ -9,7 +9,8 @@ turn of it: they are the logarithms of the moduli of its multipliers, divided by
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -68,7 +69,7 @@ class Lyapunov(NamedTuple):
 @refuses_tracers()
 def lyapunov(
     system: System,
-    x: Float[ArrayLike, "*systems section"],
+    x: Float[ArrayLike, "*systems section"] | Sequence[Any],
     strides: int = 2000,
     *,
     walks: int = 32,

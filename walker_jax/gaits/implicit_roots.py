@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import optimistix
 from jax import lax
 from jaxtyping import Array, Float
+
+from walker_jax.kernels.primitive import vary_together
 
 Function = Callable[[Float[Array, "..."]], Float[Array, "..."]]
 
@@ -24,13 +25,24 @@ def find_root(function: Function, guess: Float[Array, "..."], steps: int) -> Flo
 def newton(function: Function, guess: Float[Array, "..."], steps: int) -> Float[Array, "..."]:
     """Return the last of Newton's iterates."""
     accuracy = 500 * float(jnp.finfo(guess.dtype).eps)
-    solver = optimistix.Newton(rtol=accuracy, atol=accuracy)
-    of_two = lambda x, _: function(x)
-    return optimistix.root_find(of_two, solver, guess, max_steps=steps, throw=False).value
+
+    def unfinished(iterate):
+        made, _, going = iterate
+        return going & (made < steps)
+
+    def advance(iterate):
+        made, x, _ = iterate
+        value, derivative = jax.linearize(function, x)
+        change = solve_linear(derivative, value)
+        converged = jnp.all(jnp.abs(change) <= accuracy * (1 + jnp.abs(x)))
+        return made + 1, x - change, ~converged & jnp.all(jnp.isfinite(change))
+
+    return lax.while_loop(unfinished, advance, (0, guess, jnp.all(jnp.isfinite(guess))))[1]
 
 
 def solve_linear(function: Function, values: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return where a linear function has some values."""
     basis = jnp.eye(values.size, dtype=values.dtype).reshape(-1, *values.shape)
+    basis, _ = vary_together((basis, values))
     columns = jax.vmap(function)(basis).reshape(values.size, -1)
     return jnp.linalg.solve(columns.T, values.ravel()).reshape(values.shape)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -41,8 +41,8 @@ thousand times the largest residual of a gait."""
 def attractors(
     walker: System,
     parameter: str,
-    values: Float[ArrayLike, " values"],
-    starts: Float[ArrayLike, "..."],
+    values: Float[ArrayLike, " values"] | Sequence[Any],
+    starts: Float[ArrayLike, "..."] | Sequence[Any],
     *,
     strides: int = 1000,
     tolerance: Real | None = None,

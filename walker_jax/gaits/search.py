@@ -273,7 +273,7 @@ def search_region(
 @refuses_tracers()
 def descend(
     walker: System,
-    cycles: Float[np.ndarray, "n period section"],
+    cycles: Float[ArrayLike, "n period section"] | Sequence[Any],
     steps: int = 300,
     *,
     rate: float = 0.003,

@@ -13,6 +13,8 @@ from typing import Any, ClassVar, no_type_check
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxprs_in_params
 
+from walker_jax.identity import FOLDER
+
 INSTALLED = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
 """Folders of installed code, as opposed to a user's own."""
 
@@ -77,6 +79,8 @@ def line_of(equation: JaxprEqn) -> str | None:
     for frame in traceback.frames if traceback else ():
         file = Path(frame.file_name)
         if file.exists() and not any(map(file.is_relative_to, INSTALLED)):
+            if file.is_relative_to(FOLDER):  # the series of an equation, whose line is not known
+                return None
             return f"line {frame.line_num} of {file.name}"
     return None
 

@@ -143,6 +143,12 @@ def vary_alike(leaves: list) -> list:
     ]
 
 
+def vary_together(tree: Any) -> Any:
+    """Make all arrays of a tree vary alike, as those that a loop carries must."""
+    leaves, structure = jax.tree.flatten(tree)
+    return jax.tree.unflatten(structure, vary_alike(leaves))
+
+
 def estimate_operations(program: Program, directions: int) -> int:
     """Estimate the number of operations of a program's derivative along several directions."""
     return program.size * (directions + 1)

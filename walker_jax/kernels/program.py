@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import jaxpr_as_fun, jaxprs_in_params
 
-from walker_jax.checks import WrongUse, is_traced
+from walker_jax.checks import NoKernelWarning, WrongUse, is_traced, warn_once
 from walker_jax.identity import sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
@@ -32,6 +32,7 @@ from walker_jax.kernels.program_cache import (
     recall_trace,
     trace_name,
     user_code_states,
+    user_system_in,
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
 
@@ -76,6 +77,8 @@ class Program:
         """Programs of threads by the arguments of `ptx`; None if there is none."""
         self.tree: Any = self.traced.tree if self.traced else None
         """The tree of the results; None of a derivative."""
+        self.owner: str | None = None if origin is None else origin[0].owner
+        """Name of the user's own system that it computes; None for any other function."""
         self.why_not: str | None = None
         """Why it has no machine code; known once the code has been asked for."""
 
@@ -107,6 +110,12 @@ class Program:
                 compiled = Compiled(self.closed)
         except UnsupportedPrimitive as error:
             self.why_not = f"kernels do not support {error}"
+            if self.owner is not None:
+                warn_once(
+                    f"{self.owner} has no kernel, so XLA computes it, which may take many times as "
+                    f"long: {self.why_not}",
+                    NoKernelWarning,
+                )
             return None
         found = Traced(self.operands, self.results, self.tree, self.size, compiled.digest)
         keep_trace(self.name, found)
@@ -248,6 +257,7 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
 
     name = None if machine.switched_off() else trace_name(function, structure, avals, settings)
     program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
+    program.owner = user_system_in(structure)
     if program.tree is None:
         program.tree = results
     programs[key] = program, program.tree

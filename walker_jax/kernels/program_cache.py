@@ -132,6 +132,14 @@ def user_code_states(function: Callable, structure: Any) -> tuple[Hashable, ...]
 
 
 @functools.lru_cache(MOST)
+def user_system_in(structure: Any) -> str | None:
+    """Return the name of the first of a tree's classes that is a user's own system, if any."""
+    opens = Describer().opens
+    systems = (one for one in classes_of(structure) if hasattr(one, "section") and opens(one))
+    return next((one.__qualname__ for one in systems), None)
+
+
+@functools.lru_cache(MOST)
 def classes_of(structure: Any) -> tuple[type, ...]:
     """Return the classes of a tree's nodes."""
     data = structure.node_data()

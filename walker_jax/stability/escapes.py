@@ -76,7 +76,7 @@ class Transients(NamedTuple):
 @refuses_tracers()
 def transients(
     system: System,
-    starts: Float[ArrayLike, "n section"],
+    starts: Float[ArrayLike, "n section"] | Sequence[Any],
     *,
     settle: int = 20,
     strides: int = 10_000,

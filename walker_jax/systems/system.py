@@ -36,7 +36,7 @@ class System(eqx.Module):
 
     ```python
     class Logistic(wj.System):
-        r: jax.Array = 3.2
+        r: float | jax.Array = 3.2
         section = ("x",)
 
         def advance(self, x):

@@ -6,7 +6,7 @@ a second opinion on the search that decides a stride.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -139,7 +139,7 @@ class Explanation(NamedTuple):
 @refuses_tracers()
 def explain(
     walker: System,
-    x: Float[ArrayLike, " section"],
+    x: Float[ArrayLike, " section"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,

@@ -13,6 +13,7 @@ all walkers alike (`hybrid.misses`):
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -95,7 +96,10 @@ class Margins(NamedTuple):
 
 
 def margins(
-    walker: System, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
+    walker: System,
+    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
+    *,
+    tolerance: Real | None = None,
 ) -> Margins:
     """Follow one stride, as `stride` does, and measure its margins.
 
@@ -113,7 +117,7 @@ def margins(
 @refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(xs)")
 def margins_of_many(
     walker: System,
-    xs: Float[ArrayLike, "n coordinates"],
+    xs: Float[ArrayLike, "n coordinates"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
     progress: str | None = None,

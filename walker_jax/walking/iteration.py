@@ -25,7 +25,7 @@ from walker_jax.execution.tiles import map_cells, route_here
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real
-from walker_jax.kernels.program import nan_allowed
+from walker_jax.kernels.primitive import nan_allowed, vary_together
 from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
@@ -85,7 +85,7 @@ class WalkEnd(NamedTuple):
 @refuses_tracers("within them use jax.vmap(lambda x: wj.stride(walker, x))(xs)")
 def strides(
     walker: System,
-    xs: Float[ArrayLike, "n coordinates"],
+    xs: Float[ArrayLike, "n coordinates"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
@@ -110,7 +110,7 @@ def strides(
 def for_each_start(
     function: Callable,
     walker: System,
-    xs: Float[ArrayLike, "n coordinates"],
+    xs: Float[ArrayLike, "n coordinates"] | Sequence[Any],
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
     progress: str | None = None,
@@ -180,10 +180,10 @@ def check_parameter_arrays(walker: System, n: int) -> None:
 
 def walk(
     walker: System,
-    x: Float[ArrayLike, " section"],
+    x: Float[ArrayLike, " section"] | Sequence[Any],
     n: int,
     *,
-    ground: Float[ArrayLike, " n"] | None = None,
+    ground: Float[ArrayLike, " n"] | Sequence[Any] | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Walk:
@@ -226,7 +226,7 @@ def follow_walk(
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
-    first = (x, jnp.asarray(Outcome.STRIDE, jnp.int8))
+    walker, first = vary_together((walker, (x, jnp.asarray(Outcome.STRIDE, jnp.int8))))
     _, (states, outcomes, times) = lax.scan(follow, first, length=n)
     return Walk(jnp.concatenate([x[None], states]), outcomes, times)
 
@@ -308,10 +308,8 @@ def iterate(
     if for_host:
         end.target[:] = nearest_target(starts, for_host, turns)
     compiled = pad_to_power_of_two(None if for_host else targets, size, starts.dtype)
-    active, done = np.flatnonzero(end.target < 0), 0
-    moves = isinstance(walker, HybridSystem)
-    of_modes = ROUNDS_ON_GPU if route_here() else ROUNDS
-    first = of_modes if moves else ROUNDS_OF_MAPS
+    active, done, moves = np.flatnonzero(end.target < 0), 0, isinstance(walker, HybridSystem)
+    first = (ROUNDS_ON_GPU if route_here() else ROUNDS) if moves else ROUNDS_OF_MAPS
     rounds = itertools.chain(first, itertools.repeat(first[-1]))
     in_lanes = moves and jax.local_devices()[0].platform == "cpu"
     while len(active) and done < limit:
@@ -370,8 +368,7 @@ def orbits(
     walker, many = as_arrays(walker, n, starts.dtype)
     integrator = integrator.in_dtype(starts.dtype)
     states = np.full((n, count + 1, size), np.nan, starts.dtype)
-    states[:, 0] = starts
-    outcome, active = np.zeros(n, np.int8), np.arange(n)
+    states[:, 0], outcome, active = starts, np.zeros(n, np.int8), np.arange(n)
     for done in range(0, count, RECORDED):
         if len(active) == 0:
             break

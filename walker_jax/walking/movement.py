@@ -9,6 +9,7 @@ normal to it, relative to the first place. There, every other stride is that of 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -51,11 +52,11 @@ ANGLES = SpatialState._fields[2:6]
 @refuses_tracers()
 def motion(
     walker: Walker,
-    x: Float[ArrayLike, " section"],
+    x: Float[ArrayLike, " section"] | Sequence[Any],
     strides: int,
     *,
     step: float = 0.05,
-    ground: Float[ArrayLike, " strides"] | None = None,
+    ground: Float[ArrayLike, " strides"] | Sequence[Any] | None = None,
     tolerance: float | None = None,
 ) -> xr.Dataset:
     """Compute the motion of a walk from x, and of its fall, at times about `step` apart.

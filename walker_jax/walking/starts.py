@@ -1,5 +1,6 @@
 """The start of a stride: a walker and a point of its section, or a full state, checked."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -23,7 +24,7 @@ from walker_jax.walkers.spatial import SpatialWalker
 
 def prepare(
     walker: AnySystem,
-    x: Float[ArrayLike, " coordinates"],
+    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
     tolerance: Real | None,
     solver: AnySolver | None = None,
 ) -> tuple[AnySystem, Float[Array, " coordinates"], Integrator]:

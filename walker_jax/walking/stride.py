@@ -10,6 +10,7 @@ heel strike. A stride that starts in tension is over at once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -73,7 +74,7 @@ class Arrival(NamedTuple):
 
 def stride(
     walker: System,
-    x: Float[ArrayLike, " coordinates"],
+    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
     *,
     step: Real | None = None,
     tolerance: Real | None = None,
@@ -309,7 +310,7 @@ def begin_next(walker: HybridSystem, last: Mode, state: Any) -> tuple[Scalar, An
 
 def step_down(
     walker: Walker,
-    x: Float[ArrayLike, " coordinates"],
+    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
     drop: Real,
     *,
     tolerance: Real | None = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -33,8 +34,8 @@ from walker_jax.walking.stride import (
 
 def trajectory(
     walker: HybridSystem,
-    x: Float[ArrayLike, " coordinates"],
-    times: Float[ArrayLike, " times"],
+    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
+    times: Float[ArrayLike, " times"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
@@ -110,7 +111,7 @@ def legs(states: Any) -> State:
 
 def phase_times(
     walker: HybridSystem,
-    x: Float[ArrayLike, " coordinates"],
+    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
