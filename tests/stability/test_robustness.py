@@ -244,7 +244,7 @@ BOXES: dict = {}
 def boxed(monkeypatch):
     """The capture boxes of each gait are found once."""
 
-    def once(walker, gait, strides, tolerance):
+    def once(walker, gait, strides, tolerance, solver):
         key = float(walker.slope), strides
         if key not in BOXES:
             BOXES[key] = mapper_of_gait(walker, gait, strides, tolerance)

@@ -14,7 +14,7 @@ from walker_jax.basins.attractor import Attractor, match_attractor
 from walker_jax.gaits.cycles import cycle_distance, has_shorter_period
 from walker_jax.gaits.search import remove_duplicates
 from walker_jax.systems.angles import difference, turn_to, turns_of, wrap
-from walker_jax.walking.explanation import check_point
+from walker_jax.walking.consistency import check_projection
 
 TURN = 2 * np.pi
 
@@ -101,7 +101,7 @@ def test_derivatives_and_exponents_of_a_gait_on_the_cut():
         wj.gait_derivatives(system, gait, "stop") for system, gait in ((CUT, there), (PLAIN, GAIT))
     )
     for one, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-8)
+        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-12)
     found = wj.lyapunov(
         circle(), np.array([3.0, 0.1]), walks=2
     )  # at rest on the cut, from both sides
@@ -161,6 +161,6 @@ def test_an_angle_that_is_not_named_is_a_complaint():
     class Unnamed(wj.BouncingBall):
         angles = ()
 
-    assert check_point(wj.BouncingBall(), jnp.array([0.8, 3.1])) == []
-    (complaint,) = check_point(Unnamed(), jnp.array([0.8, 3.1]))
+    assert check_projection(wj.BouncingBall(), jnp.array([0.8, 3.1])) == []
+    (complaint,) = check_projection(Unnamed(), jnp.array([0.8, 3.1]))
     assert complaint == "project takes full turns off angle, which angles does not name"

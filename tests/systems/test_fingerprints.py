@@ -13,7 +13,6 @@ from pathlib import Path
 from types import CellType, FunctionType, ModuleType
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -452,15 +451,6 @@ def test_equations_of_motion_read_what_is_there_at_that_moment():
     for names["HEAVIER"] in (1.0, 3.0, 1.0):
         found.append(float(force(walker, state)))
     assert found[0] == found[2] and abs(found[1] - found[0]) > 0.01
-
-
-def test_a_static_field_that_is_no_option_is_refused():
-    class Static(wj.SimplestWalker):
-        extra: float = eqx.field(static=True, default=0.0)
-
-    grid = wj.Grid.sheared(theta=(0.1, 0.2, 2), sum=(-0.01, 0.0, 2))
-    with pytest.raises(WrongUse, match="extra must be a parameter of the walker, not a static"):
-        wj.basin(Static(slope=0.004), grid)
 
 
 class Steps:

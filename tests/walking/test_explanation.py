@@ -182,7 +182,7 @@ class Decaying(Switched):
         (mode,) = super().modes()
         smooth = lambda y: 1e-9 * jnp.tanh(y["clock"] - 3)
         field = lambda y: {"angle": -9 * y["angle"], "clock": 1 + smooth(y)}
-        return (mode._replace(field=field, most_steps=100),)
+        return (mode._replace(field=field, most_steps=1000),)
 
 
 def test_noise_and_features_that_may_be_missed_are_told():

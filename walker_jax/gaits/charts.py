@@ -205,8 +205,9 @@ def lies_on(curve: EventCurve, found: Found, ranges: Ranges, turns: Turns = None
     values = np.broadcast_to(found.values / ranges.widths, curve.values.shape)
     step = np.diff(points, axis=0)
     for shift in range(curve.period):
-        state = turn_to(np.roll(states, shift, axis=0), curve.states, turns)
-        state = state.reshape(len(state), -1) / np.sqrt(curve.period)
+        cycle = turn_to(np.roll(states, shift, axis=0), curve.states, turns)
+        state = np.broadcast_to(cycle, curve.states.shape).reshape(flat.shape)
+        state = state / np.sqrt(curve.period)
         target = np.concatenate([values, state], axis=1)
         offset = (target - points)[:-1]
         share = np.sum(offset * step, axis=1) / np.maximum(np.sum(step**2, axis=1), 1e-300)

@@ -42,6 +42,10 @@ class Bifurcation(NamedTuple):
         return criticality(self.kind, self.coefficient)
 
 
+SAME = 1e-10
+"""Largest difference of states that are the same but for errors, relative to the largest state."""
+
+
 def crosses_half_period(
     one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "period section"]
 ) -> bool:
@@ -49,13 +53,14 @@ def crosses_half_period(
 
     Beyond that gait the branch retraces itself, shifted by half a period: the difference between
     states half a period apart changes its sign. The difference vanishes where the corrector
-    converges to that gait.
+    converges to that gait. A branch that begins at that gait, but for rounding, has not reached it.
     """
     period = len(one)
     if period % 2:
         return False
     before, after = (cycle - np.roll(cycle, period // 2, axis=0) for cycle in (one, other))
-    return bool(np.sum(before * after) < 0.01 * np.sum(before**2))
+    begins_there = np.abs(before).max() < SAME * np.abs(one).max()
+    return not begins_there and bool(np.sum(before * after) < 0.01 * np.sum(before**2))
 
 
 def find_bifurcations(

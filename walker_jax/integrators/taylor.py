@@ -214,7 +214,7 @@ def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> l
     return series_of_switches(function, series)[1]
 
 
-@eqx.filter_jit
+@traced_once
 def series_of_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> tuple[list[list[Array]], list[list[Array]]]:

@@ -1,8 +1,13 @@
 """Modes of a stride on ground higher or lower than the standing foot."""
 
-import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from typing import Any
 
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.hybrid.modes import Guard, Mode
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Scalar, Walker
@@ -43,3 +48,12 @@ def onto_step(
         holds, sinks = foregone.holds, ~to_step | (step > 0)
         foregone = foregone._replace(holds=lambda state: sinks & holds(state))
     return swing._replace(guards=(*others, onto), foregone=foregone)
+
+
+def height_of_step(step: Any, dtype) -> Float[Array, ""]:
+    """Return a step's height, checked."""
+    if not isinstance(step, Tracer):
+        check_number("step", step)
+        if not abs(step) <= np.finfo(float).max:
+            raise WrongUse(f"step must be one finite number, not {short(step)}")
+    return jnp.asarray(step, dtype)

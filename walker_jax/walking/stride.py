@@ -32,7 +32,7 @@ from walker_jax.systems.hybrid_system import HybridSystem, check_outcomes
 from walker_jax.systems.outcomes import Outcome, Stride, make_stride
 from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, check_planar
-from walker_jax.walking.raised_ground import onto_step, raise_ground
+from walker_jax.walking.raised_ground import height_of_step, onto_step, raise_ground
 from walker_jax.walking.starts import (
     during_stride,
     full_state,
@@ -331,15 +331,6 @@ def step_down(
             raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
     step = -drop if isinstance(drop, Tracer) else -float(drop)
     return stride(walker, x, step=step, tolerance=tolerance)
-
-
-def height_of_step(step: Any, dtype) -> Float[Array, ""]:
-    """Return a step's height, checked."""
-    if not isinstance(step, Tracer):
-        check_number("step", step)
-        if not abs(step) <= np.finfo(float).max:
-            raise WrongUse(f"step must be one finite number, not {short(step)}")
-    return jnp.asarray(step, dtype)
 
 
 @kernel
