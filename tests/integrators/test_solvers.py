@@ -131,6 +131,7 @@ class Damper(wj.HybridSystem):
         return (wj.Mode(field, (wj.Guard(lambda s: s[1] - 1),)),)
 
 
+@pytest.mark.filterwarnings("ignore::walker_jax.checks.NoKernelWarning")  # its Jacobians have none
 def test_stiff_equations_by_an_implicit_solver():
     """Their solution and its derivatives have a closed form, where the start is forgotten."""
     by: Any = {"solver": diffrax.Kvaerno5(), "tolerance": 1e-9}
