@@ -19,7 +19,8 @@ COMMAND = "import sys; from walker_jax.cli.main import main; sys.argv[0] = 'walk
 def run(*arguments, before="", without=(), cwd=None, **settings):
     """Run a command after some lines of Python; returns exit code, standard output and error."""
     kept = {name: value for name, value in os.environ.items() if name not in without}
-    program = f"{before}\n{COMMAND}"
+    # An installed command does not look for modules in the working folder, as `python -c` does.
+    program = f"import sys\nsys.path = [one for one in sys.path if one]\n{before}\n{COMMAND}"
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments],
         capture_output=True,

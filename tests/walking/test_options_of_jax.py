@@ -57,6 +57,9 @@ class Sprung(wj.SimplestWalker):
         return free._replace(phidot=free.phidot - self.stiffness * state.phi)
 
 
+@pytest.mark.skipif(
+    jax.__version_info__ >= (0, 11), reason="there JAX's own custom_jvp calls keep their tracers"
+)
 def test_no_tracer_is_left_behind_by_derivatives():
     end = lambda stiffness: wj.stride(Sprung(0.009, stiffness), START).state[0]
     with jax.checking_leaks():
