@@ -4,6 +4,8 @@ import os
 import pwd
 import subprocess
 import sys
+import sysconfig
+from pathlib import Path
 
 import jax
 import pytest
@@ -19,8 +21,7 @@ COMMAND = "import sys; from walker_jax.cli.main import main; sys.argv[0] = 'walk
 def run(*arguments, before="", without=(), cwd=None, **settings):
     """Run a command after some lines of Python; returns exit code, standard output and error."""
     kept = {name: value for name, value in os.environ.items() if name not in without}
-    # An installed command does not look for modules in the working folder, as `python -c` does.
-    program = f"import sys\nsys.path = [one for one in sys.path if one]\n{before}\n{COMMAND}"
+    program = f"{before}\n{COMMAND}"
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments],
         capture_output=True,
@@ -73,14 +74,16 @@ def test_one_line_says_that_jax_has_no_device(command, platform):
     )
 
 
-GONE = "import os\nos.mkdir('gone')\nos.chdir('gone')\nos.rmdir('../gone')"
+GONE = 'mkdir gone && cd gone && rmdir ../gone && exec "$0" "$@"'
 WHERE = "the working folder is gone: change to another, or give a whole path"
 
 
 def test_one_line_says_that_the_working_folder_is_gone(tmp_path):
-    code, out, err = run("basin", *SMALL, before=GONE, cwd=tmp_path)
-    assert (code, out) == (2, "")
-    assert err == f"walker-jax: basin.png cannot be found: {WHERE}\n"
+    script = Path(sysconfig.get_path("scripts")) / "walker-jax"
+    command = ["sh", "-c", GONE, str(script), "basin", *SMALL]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"walker-jax: basin.png cannot be found: {WHERE}\n"
 
 
 def test_a_folder_that_is_gone_matters_only_to_relative_paths(tmp_path, monkeypatch):
