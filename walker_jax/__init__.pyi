@@ -47,6 +47,7 @@ from walker_jax.gaits.search import descend as descend
 from walker_jax.gaits.search import find_gait as find_gait
 from walker_jax.gaits.search import find_gaits as find_gaits
 from walker_jax.grids import Grid as Grid
+from walker_jax.hybrid.modes import SECTION as SECTION
 from walker_jax.hybrid.modes import Condition as Condition
 from walker_jax.hybrid.modes import Guard as Guard
 from walker_jax.hybrid.modes import Mode as Mode

@@ -9,7 +9,7 @@ from jaxtyping import Int
 from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.schema import artefacts
 from walker_jax.basins.volumes import runs_of
-from walker_jax.systems.outcomes import Outcome, failures_of, names_of_outcomes
+from walker_jax.systems.outcomes import OUTCOMES, Outcome, failures_of, names_of_outcomes
 
 CELLS_AT_ONCE = 2**22
 """Cells that are counted together, some 40 MB: a large data set exceeds the memory."""
@@ -30,10 +30,10 @@ def tally(data: xr.Dataset) -> Tally:
     """Count the cells of a basin's data set by their fate."""
     if "run_fate" in data:
         fate, lengths = data["run_fate"].values, runs_of(data).lengths
-        fates = np.bincount(fate, lengths, minlength=len(Outcome)).astype(int)
+        fates = np.bincount(fate, lengths, minlength=OUTCOMES).astype(int)
         lost = unmatched_cells(fate, data["run_attractor"].values)
         return Tally(fates, int(lengths[lost].sum()), int(data["strides_made"]))
-    fates, unmatched, made = np.zeros(len(Outcome), int), 0, 0
+    fates, unmatched, made = np.zeros(OUTCOMES, int), 0, 0
     row = data["fate"].dims[0]
     rows = max(1, CELLS_AT_ONCE * data.sizes[row] // data["fate"].size)
     for first in range(0, data.sizes[row], rows):

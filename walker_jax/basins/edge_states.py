@@ -33,7 +33,7 @@ from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.systems.angles import turn_to, turns_of
-from walker_jax.systems.outcomes import Outcome, name_of_outcome
+from walker_jax.systems.outcomes import OUTCOMES, Outcome, name_of_outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walking.failure_margins import Margins, follow_margins
 from walker_jax.walking.iteration import for_each_start
@@ -164,7 +164,7 @@ def edge_state(
 
 def fate_of(label: int) -> Outcome:
     """Return the fate of walkers with a label."""
-    return Outcome(label) if label < len(Outcome) else Outcome.STRIDE
+    return Outcome(label) if label < OUTCOMES else Outcome.STRIDE
 
 
 def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
@@ -172,7 +172,7 @@ def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
     name = name_of_outcome(fate_of(label), failures)
     if label == Outcome.UNDECIDED:
         return f"{name}: the integration gave no answer; try another tolerance, or other starts"
-    where = ", to the same gait" if label >= len(Outcome) else ""
+    where = ", to the same gait" if label >= OUTCOMES else ""
     return f"{name}{where}: try a start on the other side of the boundary"
 
 

@@ -37,7 +37,7 @@ from walker_jax.execution.tiles import map_cells, order_of_cells
 from walker_jax.execution.workers import missing_pieces, open_workers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OUTCOMES, Outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.stride import stride
 
@@ -67,7 +67,7 @@ class CellMapping(NamedTuple):
     def at_once(self, progress: bool = False) -> Basins:
         """Compute all cells in memory."""
         image = cell_map(self.walker, self.grid, self.integrator, progress=progress)
-        ends = resolve(image, sinks=len(Outcome))
+        ends = resolve(image, sinks=OUTCOMES)
         attractors, number = attractors_of_cycles(self.walker, self.grid, ends, self.integrator)
         return Basins(*labels_of_cells(ends, number), attractors)
 
@@ -87,7 +87,7 @@ class CellMapping(NamedTuple):
         self, place: storage.Pieces
     ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
         """Return the attractors, and the remaining values of each piece."""
-        ends = resolve(self.image(place), sinks=len(Outcome))
+        ends = resolve(self.image(place), sinks=OUTCOMES)
         attractors, number = attractors_of_cycles(self.walker, self.grid, ends, self.integrator)
 
         def piece(cells: slice) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OUTCOMES, Outcome
 
 
 class Runs(NamedTuple):
@@ -46,12 +46,12 @@ class Runs(NamedTuple):
     @property
     def fate(self) -> Int[np.ndarray, " runs"]:
         """Fates of the cells of each run."""
-        return np.where(self.label < len(Outcome), self.label, Outcome.STRIDE).astype(np.int8)
+        return np.where(self.label < OUTCOMES, self.label, Outcome.STRIDE).astype(np.int8)
 
     @property
     def attractor(self) -> Int[np.ndarray, " runs"]:
         """Attractors of the cells of each run; -1 for none."""
-        return np.where(self.label < len(Outcome), -1, self.label - len(Outcome)).astype(np.int32)
+        return np.where(self.label < OUTCOMES, -1, self.label - OUTCOMES).astype(np.int32)
 
     def of_cells(self, cells: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
         """Return the numbers of the runs that cells are in."""
@@ -135,7 +135,7 @@ def label_of(
     fate: Int[np.ndarray, "*n"], attractor: Int[np.ndarray, "*n"]
 ) -> Int[np.ndarray, "*n"]:
     """Return one number for the fate and the attractor of each cell; attractor -1 means none."""
-    return np.where(attractor >= 0, len(Outcome) + attractor, fate)
+    return np.where(attractor >= 0, OUTCOMES + attractor, fate)
 
 
 def neighbours(

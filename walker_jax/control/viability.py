@@ -63,7 +63,7 @@ from walker_jax.execution.workers import (
 )
 from walker_jax.grids import MAX_SIZE, Grid
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
+from walker_jax.systems.outcomes import OUTCOMES, failures_of, name_of_outcome
 from walker_jax.systems.system import System
 
 
@@ -237,7 +237,7 @@ def settle(
 ) -> dict[str, np.ndarray]:
     """Compute the results for each cell from the images of all cells."""
     if target is None:  # cells that converge to an attractor without a choice of actions
-        passive = resolve(points.image[:, task.actions.own], sinks=len(Outcome))
+        passive = resolve(points.image[:, task.actions.own], sinks=OUTCOMES)
         target = passive.attractor >= 0
     lasting = find_viable(points)
     kernel = lasting < 0

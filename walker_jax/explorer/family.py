@@ -39,7 +39,7 @@ def describe_family(offers: Offers) -> dict:
     """Describe all that the page shows without computing: walkers, fates and the lattice."""
     return {
         "walkers": {name: describe_offer(one) for name, one in offers.items()},
-        "fates": {int(one): describe_failure(one) for one in FAILURES if one not in OWN},
+        "fates": {int(one): describe_failure(one) for one in FAILURES if one < OWN},
         "basins": list(BASINS),
         "others": OTHERS,
         "unmatched": UNMATCHED_COLOUR,
@@ -82,7 +82,8 @@ def describe_offer(offered: Offer) -> dict:
         },
         "parameters": list(map(describe_parameter, offered.parameters)),
         "spans": offered.spans,
-        "fates": fates | {int(one): describe_failure(one, own) for one in OWN[: len(own)]},
+        "fates": fates
+        | {OWN + i: describe_failure(Outcome(OWN + i), own) for i in range(len(own))},
     }
 
 

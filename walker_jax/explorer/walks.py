@@ -24,10 +24,10 @@ from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
 from walker_jax.walkers.masses import MultibodyWalker
 from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.phase import legs
 from walker_jax.walking.iteration import strides
 from walker_jax.walking.movement import FALL_TIME, find_ends, frames_shown, leg_shape, swings_at
-from walker_jax.walking.starts import full_state
-from walker_jax.walking.trajectories import legs, state_after
+from walker_jax.walking.trajectories import state_after
 
 MAX_STRIDES = 60
 """Most strides in one answer."""
@@ -175,7 +175,7 @@ def after_push(
     leg: then thetadot changes by P . (d hip / d theta) / l^2, and phidot by (1 - cos phi) times as
     much.
     """
-    state = full_state(walker, start)
+    state = walker.launch(start)
     count = len(state) // 2
     angles, rates = state[:count], state[count:]
     theta, phi, length, radius = state.theta, state.phi, leg[0], leg[1]

@@ -10,7 +10,13 @@ from typing import Any
 from matplotlib import rcParams
 from matplotlib.font_manager import FontProperties
 
-from walker_jax.systems.outcomes import WORDS, Outcome, name_of_outcome, outcome_in_words
+from walker_jax.systems.outcomes import (
+    OUTCOMES,
+    OWN,
+    Outcome,
+    name_of_outcome,
+    outcome_in_words,
+)
 
 INK = "#1a1a1a"
 SIGNS = {
@@ -25,14 +31,13 @@ SIGNS = {
     Outcome.BUCKLED: ("#604d3e", ""),
     Outcome.SCUFFED: ("#184646", ""),
     Outcome.SIDEWAYS: ("#d3841b", "S"),
-    Outcome.OWN_1: ("#a782ef", ""),
-    Outcome.OWN_2: ("#9a0344", ""),
-    Outcome.OWN_3: ("#755967", ""),
-    Outcome.OWN_4: ("#164537", ""),
 }
+OWN_COLOURS = "#a782ef", "#9a0344", "#755967", "#164537"
+"""Colours of the failures that a system names itself, in turn."""
+SIGNS |= {Outcome(OWN + i): (OWN_COLOURS[i % 4], "") for i in range(OUTCOMES - OWN)}
 """Colour and letter of each failure (Schwab and Wisse 2001, Figure 2), from light to dark; last
 come a system's own failures."""
-FAILURES = {outcome: (*signs, WORDS[outcome.name]) for outcome, signs in SIGNS.items()}
+FAILURES = {one: (*signs, outcome_in_words(one.name)) for one, signs in SIGNS.items()}
 """Colour, letter and words of each failure."""
 
 

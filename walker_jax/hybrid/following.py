@@ -40,8 +40,8 @@ FIRST_ORDER = 6
 one, they are expanded in full."""
 NO_GUARD, NOT_FOLLOWED = -1, -2
 """In place of a guard's number: none has ended the mode, or it was not followed."""
-Violated = dict[int, Bool[Array, ""]]
-"""Whether each condition was violated, by its outcome, lower numbers first."""
+Violated = dict[str, Bool[Array, ""]]
+"""Whether each condition was violated, by the failure to which it leads."""
 
 
 class End(NamedTuple):
@@ -126,9 +126,9 @@ def follow_mode(
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
     misses = no_misses(mode, start) if measured else None
     first, values = before_first_step(mode, method, start)
-    violated = {one.outcome: jnp.asarray(False) for one in mode.conditions}
+    violated = {one.leads_to: jnp.asarray(False) for one in mode.conditions}
     for condition, value in zip(mode.conditions, values, strict=True):
-        violated[condition.outcome] |= going & (value < 0)
+        violated[condition.leads_to] |= going & (value < 0)
     begun = Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
     last = lax.while_loop(unfinished, follow, begun)
 
@@ -140,7 +140,7 @@ def follow_mode(
     violated = dict(last.violated)
     for condition in mode.conditions:
         if condition.least_at_ends:  # others were evaluated as the arrival was found
-            violated[condition.outcome] |= going & condition.is_negative(arrival)
+            violated[condition.leads_to] |= going & condition.is_negative(arrival)
     return End(arrival, last.time + keep(delay, zero), last.guard, violated, last.misses)
 
 
@@ -179,7 +179,7 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
     rates = []
     for condition, (_, before) in zip(watched(mode), step.rates, strict=True):
         value, rate = condition.and_rate(end)
-        may |= ((value < 0) | ((before < 0) & (rate > 0))) & ~violated[condition.outcome]
+        may |= ((value < 0) | ((before < 0) & (rate > 0))) & ~violated[condition.leads_to]
         rates.append((before, rate))
     if mode.foregone is not None:
         may |= value_at(mode.foregone.holds, end)
@@ -226,7 +226,7 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
         number = jnp.where(jnp.isnan(until), NO_GUARD, number)
         last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))
     for condition, (rate, _) in zip(watched(mode), last.rates, strict=True):
-        key = condition.outcome
+        key = condition.leads_to
         if misses is not None:
             below = (misses.least[key] < 0) | condition.is_negative(arrival)
         else:
@@ -253,16 +253,17 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
     return pairs
 
 
-def is_due(mode: Mode, method: Method, start: Any) -> Bool[Array, ""]:
-    """Return whether a mode that begins in a state is over at once, by its last guard.
+def is_due(mode: Mode, guard: Guard, method: Method, start: Any) -> Bool[Array, ""]:
+    """Return whether a mode that begins in a state is over at once, by one of its guards.
 
     The state may be where the mode before ended, on the same guard but for errors. If the guard
     then falls, the mode is not over.
     """
-    value = mode.guards[-1].value
+    value = guard.value
     known = lax.stop_gradient((start, mode.rates(start)))
     rounding = rounding_of(value, *known, method.tolerance)
-    return ~begins_below(method.series(value, start, 2), rounding)
+    due = ~begins_below(method.series(value, start, 2), rounding)
+    return due & guard.admitted(start) if guard.admits or guard.admits_at_rise else due
 
 
 def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:

@@ -51,9 +51,9 @@ class Misses(NamedTuple):
     height: Scalar
     """How far the last guard rose, if it fell again within the step in which it ended the mode;
     infinite otherwise."""
-    least: dict[int, Scalar]
-    """The least value of each condition where it turned, by its outcome; infinite if it did not."""
-    before: dict[int, Scalar]
+    least: dict[str, Scalar]
+    """The least value of each condition where it turned, by its failure; infinite if it did not."""
+    before: dict[str, Scalar]
     """The greatest miss of the last guard up to the step in which each condition was violated."""
 
 
@@ -68,14 +68,14 @@ class Seen(NamedTuple):
     """Time of the arrival since the start of the step."""
     crossings: list[Crossing]
     """The guards in the whole step."""
-    violated: dict[int, Bool[Array, ""]]
+    violated: dict[str, Bool[Array, ""]]
     """Whether each condition was violated before the step."""
 
 
 def no_misses(mode: Mode, start: Any) -> Misses:
     infinite = zero_at(start) + jnp.inf
-    least = {one.outcome: infinite for one in mode.conditions}
-    before = {one.outcome: -infinite for one in mode.conditions}
+    least = {one.leads_to: infinite for one in mode.conditions}
+    before = {one.leads_to: -infinite for one in mode.conditions}
     return Misses([-infinite for _ in mode.guards], -infinite, infinite, least, before)
 
 
@@ -85,7 +85,7 @@ def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
     nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
     least, before = dict(known.least), {}
     for one in mode.conditions:
-        key = one.outcome
+        key = one.leads_to
         if not one.least_at_ends:
             least[key] = jnp.minimum(least[key], least_in_step(one, step))
         before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])

@@ -1,8 +1,9 @@
 """Hybrid systems: modes of motion with guards that end them, and conditions that must hold.
 
 A mode has a vector field. Each of its guards is a function of the state; the mode ends at the
-earliest admitted rise of a guard through zero. Conditions do not end a mode: it is recorded whether
-they were violated on the way. Then the state is reset for the next mode.
+earliest admitted rise of a guard through zero. A guard is an edge in a graph of modes: it names
+the mode to which it leads, the section, or a failure. It resets the state on the way. Conditions do
+not end a mode: it is recorded whether they were violated.
 """
 
 from collections.abc import Callable
@@ -18,6 +19,8 @@ from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 
 Function = Callable[[Any], Scalar]
+SECTION = "section"
+"""The name of the section, to which guards lead that complete a stride."""
 SOON = 1024
 """A time over the dtype's epsilon. A value changes by more than rounding errors in it."""
 
@@ -27,35 +30,14 @@ def value_at(function: Callable[[Any], Array], state: Any) -> Any:
     return without_derivatives(function, state)(state)
 
 
-class Guard(NamedTuple):
-    """An end of a mode."""
-
-    value: Function
-    """The mode ends where this function rises through zero, from below or, if it falls first, from
-    zero."""
-    leads_to: int = 0
-    """Meaning of the end to the caller, such as an outcome; 0 where the motion goes on."""
-    admits: tuple[Function, ...] = ()
-    """The rise counts where all of these are positive. Their polynomials exclude whole steps."""
-    admits_at_rise: tuple[Function, ...] = ()
-    """Further such functions, evaluated only at a rise because they are costly to expand."""
-    persists: bool = False
-    """Whether a proof about the field shows two things. A value that has risen where it is admitted
-    stays above zero to the end of any step; and it turns from falling to rising at most once in a
-    step. The two ends of a step then tell whether it has risen within."""
-    at_once: bool = False
-    """Whether a mode that begins where the value is not negative ends there; one that follows
-    another mode does not if the value is zero, to rounding, and falls."""
-    measure: Callable[[Scalar], Scalar] = jnp.negative
-    """The margin of a value below zero; by default its size."""
-
-
 class Condition(NamedTuple):
     """A function of the state that must not be negative, from the start of a mode to its end."""
 
     value: Function
-    outcome: int
-    """Meaning of its violation to the caller."""
+    leads_to: str
+    """The name of the failure where it is violated."""
+    at_start: bool = False
+    """Whether a stride that begins where it is negative is over at once."""
     least_at_ends: bool = False
     """Whether a proof shows that it is least at the start or at the end of a mode."""
     zero_at_ends: tuple[bool, bool] = (False, False)
@@ -70,12 +52,50 @@ class Condition(NamedTuple):
         return value_at(self.value, state) < 0
 
 
+class Guard(NamedTuple):
+    """An end of a mode, and an edge to where it leads."""
+
+    value: Function
+    """The mode ends where this function rises through zero, from below or, if it falls first, from
+    zero."""
+    leads_to: str = ""
+    """The name of a mode, `SECTION`, or the name of a failure. A guard that leads to a mode and is
+    due as its own mode begins ends that at once."""
+    admits: tuple[Function, ...] = ()
+    """The rise counts where all of these are positive. Their polynomials exclude whole steps."""
+    admits_at_rise: tuple[Function, ...] = ()
+    """Further such functions, evaluated only at a rise because they are costly to expand."""
+    reset: Callable[[Any], Any] = lambda state: state
+    """Function from the state in which the guard has risen to the state in which the next mode
+    begins, or to the state on the section."""
+    must_hold: tuple[Condition, ...] = ()
+    """Functions that must be positive in the state in which the guard has risen, before the reset,
+    for the motion to go on: for example the speed at which a foot lifts in an impact."""
+    persists: bool = False
+    """Whether a proof about the field shows two things. A value that has risen where it is admitted
+    stays above zero to the end of any step; and it turns from falling to rising at most once in a
+    step. The two ends of a step then tell whether it has risen within."""
+    at_once: bool = False
+    """Whether a mode that begins where the value is not negative ends there, by a failure; one that
+    follows another mode does not if the value is zero, to rounding, and falls."""
+    measure: Callable[[Scalar], Scalar] = jnp.negative
+    """The margin of a value below zero; by default its size."""
+
+    def admitted(self, state: Any) -> Bool[Array, ""]:
+        """Return whether a rise in a state counts."""
+        counts = jnp.asarray(True)
+        for one in (*self.admits, *self.admits_at_rise):
+            counts &= value_at(one, state) > 0
+        return counts
+
+
 class Foregone(NamedTuple):
     """A proof that a mode can end in one way only, so that it need not be followed any further."""
 
     holds: Callable[[Any], Bool[Array, ""]]
     """Whether that is certain in a state; evaluated at the end of each step."""
-    leads_to: int
+    leads_to: str
+    """The name of a failure."""
 
 
 class Mode(NamedTuple):
@@ -84,14 +104,8 @@ class Mode(NamedTuple):
     field: VectorField
     """The time derivative of the state, or a `PowerBalance`."""
     guards: tuple[Guard, ...]
-    """The last guard is the intended end of the mode."""
+    """The earliest rise ends the mode; of rises at the same time, the first guard's counts."""
     conditions: tuple[Condition, ...] = ()
-    reset: Callable[[Any], Any] = lambda state: state
-    """Function from the state in which this mode ends to the state in which the next one begins."""
-    at_end: tuple[Condition, ...] = ()
-    """Functions that must be positive in the state in which the last guard has ended the mode,
-    before the reset, for the motion to go on: for example the speed at which a foot lifts in an
-    impact."""
     foregone: Foregone | None = None
     rates_at: Callable[[Any], Any] | None = None
     """The time derivative of a single state, where `field` is no function."""
@@ -116,11 +130,6 @@ class Mode(NamedTuple):
         """The time derivative of the state, evaluated at a single state."""
         return self.field if self.rates_at is None else self.rates_at  # pyright: ignore
 
-    def outcomes(self) -> list[int]:
-        """Return all outcomes of its guards and conditions."""
-        conditions = (*self.conditions, *self.at_end)
-        return [*(one.leads_to for one in self.guards), *(one.outcome for one in conditions)]
-
     def functions(self, whole: bool = True) -> list[list[Function]]:
         """Return the value of each guard and the functions that admit it; all if `whole`."""
         return [
@@ -128,15 +137,18 @@ class Mode(NamedTuple):
         ]
 
 
-def ends_at_once(mode: Mode, guard: Guard, state: Any, switched: bool) -> Bool[Array, ""]:
+def ends_at_once(
+    mode: Mode, guard: Guard, state: Any, switched: bool | Bool[Array, ""]
+) -> Bool[Array, ""]:
     """Return whether a guard that acts at once ends a mode that begins in a state.
 
     A motion that has `switched` to the mode may begin where the value is zero, but for rounding.
     The guard does not end it there if the value falls.
     """
     value = guard.value(state)
-    if not switched:
+    if switched is False:
         return value >= 0
     along = lambda y: jnp.stack(jax.jvp(guard.value, (y,), (mode.rates(y),)))
     start, rate = value_at(along, state)
-    return (value >= 0) & ~(start + SOON * float(jnp.finfo(rate.dtype).eps) * rate < 0)
+    falls = start + SOON * float(jnp.finfo(rate.dtype).eps) * rate < 0
+    return (value >= 0) & ~(falls & switched)

@@ -57,7 +57,7 @@ class Measures(NamedTuple):
 
 def measure(walker, state) -> Measures:
     """Evaluate guards, functions that admit the strike, and conditions of the last mode."""
-    mode = walker.modes()[-1]
+    mode = walker.modes()["swing"]
     *falls, strike = mode.guards
     rates = mode.rates(state)
     value, rate = jax.jvp(strike.value, (state,), (rates,))
@@ -134,7 +134,7 @@ def watch_piece(found: Measures, watch: Watch) -> Watch:
 @cache
 def strike_series():
     """Return a function that expands the strike's value along a motion in a Taylor series."""
-    return lambda walker, series: function_series(walker.modes()[-1].guards[-1].value, series)
+    return lambda walker, series: function_series(walker.modes()["swing"].guards[-1].value, series)
 
 
 class Strike(NamedTuple):

@@ -46,7 +46,7 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
 def check_derivatives(walker: Any) -> None:
     """Refuse equations that set their own derivatives, or drop them: proofs would trust these."""
     state = walker.lift((0.1, -0.1))
-    *_, mode = walker.modes()
+    mode = walker.modes()["swing"]
     values = lambda state: [one.value(state) for one in (*mode.guards, *mode.conditions)]
     after = lambda state: walker.exchange_legs(walker.impact(state)[1])
     for function in (walker.vector_field, values, after):

@@ -94,7 +94,7 @@ def land(walker, flow: Flow) -> tuple:
     **Returns** the speed at which the trailing foot lifts, the next point of the section, and its
     derivatives along the tangents.
     """
-    value = walker.modes()[-1].guards[-1].value
+    value = walker.modes()["swing"].guards[-1].value
     rates = walker.vector_field(flow.state)
     rate = jax.jvp(value, (flow.state,), (rates,))[1]
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import wrap
 from walker_jax.systems.hybrid_system import HybridSystem
@@ -59,13 +59,13 @@ class BouncingBall(HybridSystem):
 
     def modes(self):
         field = lambda y: Flight(y.velocity, -jnp.ones_like(y.phase), jnp.ones_like(y.phase))
-        lands = Guard(lambda y: self.table(y.phase)[0] - y.height)
 
         def bounce(y: Flight) -> Flight:
             _, moving = self.table(y.phase)
             return y._replace(velocity=moving - self.restitution * (y.velocity - moving))
 
-        return (Mode(field, (lands,), reset=bounce),)
+        lands = Guard(lambda y: self.table(y.phase)[0] - y.height, SECTION, reset=bounce)
+        return {"flight": Mode(field, (lands,))}
 
     def gait_region(self):
         return Grid.plain(angle=(-np.pi, np.pi, 30), velocity=(0, 6, 30))

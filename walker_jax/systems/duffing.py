@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.parameter import Parameter
@@ -43,8 +43,8 @@ class DuffingOscillator(HybridSystem):
             push = self.force * jnp.cos(self.frequency * y.time)
             return Forced(y.v, y.x - y.x**3 - self.damping * y.v + push, jnp.ones_like(y.time))
 
-        period = Guard(lambda y: self.frequency * y.time - 2 * np.pi)
-        return (Mode(field, (period,)),)
+        period = Guard(lambda y: self.frequency * y.time - 2 * np.pi, SECTION)
+        return {"period": Mode(field, (period,))}
 
     def gait_region(self):
         return Grid.plain(x=(-2, 2, 40), v=(-2, 2, 40))

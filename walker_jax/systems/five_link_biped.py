@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.roots import Real
 from walker_jax.multibody.single_support import (
     SingleSupport,
@@ -13,7 +13,6 @@ from walker_jax.multibody.single_support import (
     normal_force,
 )
 from walker_jax.systems.five_links import LINKS, AbstractFiveLinkRobot
-from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 
 LEAST_SCUFF = 1e-6
@@ -84,17 +83,17 @@ class FiveLinkBiped(AbstractFiveLinkRobot):
         ahead = lambda state: hip_and_foot(state)[0, 1]
         sunk = lambda state: -hip_and_foot(state)[1, 1]
         guards = (
-            Guard(lambda state: -hip_and_foot(state)[1, 0], Outcome.FORWARD),
-            Guard(lambda state: -state.rates[0] - state.rates[1], Outcome.BACKWARD, at_once=True),
-            Guard(sunk, Outcome.OUTSIDE, (ahead, lambda state: -state.angles[0])),
-            Guard(sunk, admits=(ahead, lambda state: state.angles[0])),
+            Guard(lambda state: -hip_and_foot(state)[1, 0], "FORWARD"),
+            Guard(lambda state: -state.rates[0] - state.rates[1], "BACKWARD", at_once=True),
+            Guard(sunk, "OUTSIDE", (ahead, lambda state: -state.angles[0])),
+            Guard(sunk, SECTION, (ahead, lambda state: state.angles[0]), reset=self.strike),
         )
         above = lambda state: LEAST_SCUFF - sunk(state)
         conditions = (
-            Condition(lambda state: normal_force(self, state), Outcome.RUNNING),
-            Condition(above, Outcome.SCUFFED, zero_at_ends=(True, True)),
+            Condition(lambda state: normal_force(self, state), "RUNNING", at_start=True),
+            Condition(above, "SCUFFED", zero_at_ends=(True, True)),
         )
-        return (Mode(SingleSupport(self), guards, conditions, self.strike, as_smooth=True),)
+        return {"stance": Mode(SingleSupport(self), guards, conditions, as_smooth=True)}
 
     def gait_region(self):
         """Legs near their constraints, at several speeds; all rates follow from the speed."""

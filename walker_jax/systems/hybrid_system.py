@@ -3,10 +3,9 @@
 import abc
 from typing import Any
 
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from walker_jax.checks import WrongUse, short
+from walker_jax.hybrid.graphs import check_graph
 from walker_jax.hybrid.modes import Mode
 from walker_jax.systems.outcomes import Outcome, names_of_outcomes
 from walker_jax.systems.system import System
@@ -16,18 +15,18 @@ class HybridSystem(System):
     """A system of modes of motion, such as flights and stances, or one period of a flow.
 
     A stride begins in the state of the first mode that `lift` returns. Each mode is followed to the
-    guard that ends it, and its `reset` returns the state in which the next mode begins. The reset
-    of the last mode leads back to the section, where `project` reads the coordinates. A guard leads
-    to `Outcome.STRIDE` if the stride continues, and otherwise to a failure. `self.failure` returns
-    the failures that the system names in `failures`.
+    guard that ends it. The guard names where it leads: to another mode, to `SECTION`, or to a
+    failure. Its `reset` returns the state in which the next mode begins. The reset of a guard that
+    leads to the section returns a state like that of `lift`, of which `project` reads the
+    coordinates. Failures are those that the system names in `failures`, or an `Outcome`'s.
 
-    States may have any structure: trees of scalars or arrays, such as a `NamedTuple` of numbers.
-    `systems.bouncing_ball` is a short example.
+    States may have any structure, another one in each mode: trees of scalars or arrays, such as a
+    `NamedTuple` of numbers. `systems.bouncing_ball` is a short example.
     """
 
     @abc.abstractmethod
-    def modes(self) -> tuple[Mode, ...]:
-        """Return the modes of a stride, in order."""
+    def modes(self) -> dict[str, Mode]:
+        """Return the modes of a stride by name; the first one is where it begins."""
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> Any:
@@ -37,20 +36,51 @@ class HybridSystem(System):
     def project(self, state: Any) -> Float[Array, " section"]:
         """Return the point of the section that belongs to a state on it."""
 
+    def begin(self, state: Any) -> Any:
+        """Return the state of the first mode, from a state on the section; by default the same."""
+        return state
 
-def check_outcomes(system: HybridSystem, *modes: Mode) -> None:
-    """Refuse guards and conditions that lead to no `Outcome`, or to an unnamed failure."""
-    known = names_of_outcomes(system.failures).keys()
-    failures = known - {Outcome.STRIDE}
-    for mode in modes:
-        ends = [("guards", getattr(one, "leads_to", one), known) for one in mode.guards]
-        for part in ("conditions", "at_end"):
-            ends += [(part, getattr(one, "outcome", one), failures) for one in getattr(mode, part)]
-        for part, outcome, allowed in ends:
-            number = isinstance(outcome, int | np.integer) and not isinstance(outcome, bool)
-            if not number or outcome not in allowed:
-                raise WrongUse(
-                    f"{part} of a mode of {system.label()} must lead to "
-                    f"{'an Outcome' if part == 'guards' else 'a failure'}, not to "
-                    f"{short(outcome)}: failure gives one by its name"
-                )
+    def full_states(self) -> tuple[type, ...]:
+        """Return kinds of states, `NamedTuple`s of numbers, in which a stride may begin too.
+
+        By default a stride begins on the section alone.
+        """
+        return ()
+
+    def launch(self, x: Float[Array, " coordinates"]) -> Any:
+        """Return the state of the first mode in which the stride from x begins.
+
+        x is on the section, or one of the `full_states`, which have another size.
+        """
+        return self.begin(self.lift(x))
+
+    def may_launch(self, x: Float[Array, " coordinates"], start: Any) -> Bool[Array, ""]:
+        """Return whether a stride can begin at x, in the state `start` of the first mode."""
+        return self.feasible(x)
+
+    def shown(self, state: Any) -> Any:
+        """Return a state of any mode as one of the first mode's kind, for `trajectory`.
+
+        By default the states of all modes are of one kind.
+        """
+        return state
+
+    def unit_of_time(self) -> Any:
+        """Return a typical time, by which rates are compared with values; by default 1."""
+        return 1.0
+
+
+def failures_by_name(system: System) -> dict[str, int]:
+    """Return the numbers of all failures to which guards and conditions may lead, by name."""
+    return {
+        name: int(outcome)
+        for outcome, name in names_of_outcomes(system.failures).items()
+        if outcome != Outcome.STRIDE
+    }
+
+
+def modes_of(system: HybridSystem) -> dict[str, Mode]:
+    """Return the modes of a system, checked."""
+    modes = system.modes()
+    check_graph(system.label(), modes, {*failures_by_name(system)})
+    return modes

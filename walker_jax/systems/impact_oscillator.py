@@ -6,11 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import wrap
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 
 LONGEST = 100.0
@@ -61,10 +60,10 @@ class ImpactOscillator(HybridSystem):
             pull = jnp.cos(y.phase) - 2 * self.damping * y.v - y.x
             return Motion(y.v, pull, self.frequency * one, one)
 
-        hits = Guard(lambda y: y.x - self.stop)
-        waits = Guard(lambda y: y.time - LONGEST, Outcome.STOPPED)
         back = lambda y: y._replace(v=-self.restitution * y.v)
-        return (Mode(field, (waits, hits), reset=back),)
+        hits = Guard(lambda y: y.x - self.stop, SECTION, reset=back)
+        waits = Guard(lambda y: y.time - LONGEST, "STOPPED")
+        return {"free": Mode(field, (waits, hits))}
 
     def gait_region(self):
         return Grid.plain(angle=(-np.pi, np.pi, 40), v=(-2, 0, 40))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact, Int
 
 from walker_jax.integrators.roots import Scalar
@@ -39,14 +40,21 @@ class Outcome(enum.IntEnum):
     stride that reaches heel strike. For the bent leg, only if that is checked."""
     SIDEWAYS = 11
     """A walker in space has fallen to a side."""
-    OWN_1 = 12
-    """The first failure that a system names in `System.failures`."""
-    OWN_2 = 13
-    """The second of these failures."""
-    OWN_3 = 14
-    """The third of these failures."""
-    OWN_4 = 15
-    """The fourth of these failures."""
+
+    @classmethod
+    def _missing_(cls, value):
+        """Make the outcome of a failure that a system names itself, such as OWN_1."""
+        if not isinstance(value, int | np.integer) or not OWN <= value < OUTCOMES:
+            return None
+        own = int.__new__(cls, value)
+        own._name_, own._value_ = f"OWN_{value - OWN + 1}", int(value)
+        return own
+
+
+OWN = 12
+"""Number of the first failure that a system names itself in `System.failures`; others follow."""
+OUTCOMES = 32
+"""The numbers of outcomes are below this one, so a system may name 20 failures."""
 
 
 WORDS = {
@@ -62,14 +70,8 @@ WORDS = {
     "BUCKLED": "buckles",
     "SCUFFED": "scuffs",
     "SIDEWAYS": "falls sideways",
-    "OWN_1": "first failure of its own",
-    "OWN_2": "second failure of its own",
-    "OWN_3": "third failure of its own",
-    "OWN_4": "fourth failure of its own",
 }
 """Outcomes in words, by their names."""
-OWN = Outcome.OWN_1, Outcome.OWN_2, Outcome.OWN_3, Outcome.OWN_4
-"""Failures that a system names itself."""
 
 
 def failures_of(data: Any) -> tuple[str, ...]:
@@ -85,14 +87,14 @@ def names_in(data: Any, attribute: str) -> tuple[str, ...]:
 
 def name_of_outcome(outcome: int, failures: Sequence[str] = ()) -> str:
     """Return the name of an outcome, for a system with these failures of its own."""
-    own = int(outcome) - OWN[0]
+    own = int(outcome) - OWN
     return failures[own] if 0 <= own < len(failures) else Outcome(int(outcome)).name
 
 
 def names_of_outcomes(failures: Sequence[str] = ()) -> dict[Outcome, str]:
     """Return the names of all outcomes, for a system with these failures of its own."""
-    known = [one for one in Outcome if one not in OWN[len(failures) :]]
-    return {one: name_of_outcome(one, failures) for one in known}
+    own = [Outcome(OWN + i) for i in range(len(failures))]
+    return {one: name_of_outcome(one, failures) for one in (*Outcome, *own)}
 
 
 def outcome_in_words(name: str) -> str:

@@ -7,12 +7,11 @@ import numpy as np
 
 from walker_jax import multibody
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import SingleSupport, leg, normal_force
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 
 
@@ -113,13 +112,13 @@ class TorsoWheel(HybridSystem):
 
     def modes(self):
         guards = (
-            Guard(lambda state: state.thetadot, Outcome.BACKWARD, at_once=True),
-            Guard(lambda state: -np.pi / 2 - state.psi, Outcome.BACKWARD),
-            Guard(lambda state: state.psi - np.pi / 2, Outcome.FORWARD),
-            Guard(lambda state: -self.alpha - state.theta),
+            Guard(lambda state: state.thetadot, "BACKWARD", at_once=True),
+            Guard(lambda state: -np.pi / 2 - state.psi, "BACKWARD"),
+            Guard(lambda state: state.psi - np.pi / 2, "FORWARD"),
+            Guard(lambda state: -self.alpha - state.theta, SECTION, reset=self.strike),
         )
-        pushes = Condition(lambda state: normal_force(self, state), Outcome.RUNNING)
-        return (Mode(SingleSupport(self), guards, (pushes,), self.strike),)
+        pushes = Condition(lambda state: normal_force(self, state), "RUNNING", at_start=True)
+        return {"stance": Mode(SingleSupport(self), guards, (pushes,))}
 
     def lift(self, x):
         return WheelState(jnp.asarray(self.alpha, x.dtype), x[1], x[0], x[2])

@@ -6,10 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 
 STIFFNESS = Parameter("stiffness", "of the leg", "weight/length", 25.4841997961264)
@@ -81,16 +80,16 @@ class SpringMassRunner(HybridSystem):
             return energy(y) + self.stiffness * straight(y) ** 2 / 2
 
         touch = lambda y: y._replace(x=-jnp.cos(direction(y)))
-        lands = Guard(lambda y: jnp.sin(direction(y)) - y.y)
-        crashes = Guard(lambda y: -y.y, Outcome.FORWARD)
-        backward = Guard(straight, Outcome.BACKWARD, (lambda y: -y.vx, lambda y: y.vy))
-        downward = Guard(straight, Outcome.STOPPED, (lambda y: -y.vy,))
-        leaves = Guard(straight, admits=(lambda y: y.vx, lambda y: y.vy))
-        return (
-            Mode(fly, (lands,), reset=touch, energy=energy),
-            Mode(bounce, (crashes, backward, downward, leaves), energy=with_spring),
-            Mode(fly, (Guard(lambda y: -y.vy),), energy=energy),
-        )
+        lands = Guard(lambda y: jnp.sin(direction(y)) - y.y, "stance", reset=touch)
+        crashes = Guard(lambda y: -y.y, "FORWARD")
+        backward = Guard(straight, "BACKWARD", (lambda y: -y.vx, lambda y: y.vy))
+        downward = Guard(straight, "STOPPED", (lambda y: -y.vy,))
+        leaves = Guard(straight, "rise", (lambda y: y.vx, lambda y: y.vy))
+        return {
+            "fall": Mode(fly, (lands,), energy=energy),
+            "stance": Mode(bounce, (crashes, backward, downward, leaves), energy=with_spring),
+            "rise": Mode(fly, (Guard(lambda y: -y.vy, SECTION),), energy=energy),
+        }
 
     def gait_region(self):
         return Grid.plain(apex=(0, 2.3, 200))

@@ -9,7 +9,7 @@ import numpy as np
 
 from walker_jax import multibody
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import (
@@ -19,7 +19,6 @@ from walker_jax.multibody.single_support import (
     normal_force,
 )
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 
 
@@ -87,20 +86,20 @@ class SwitchedCompass(HybridSystem):
         return multibody.System(transfer, masses, masses * jnp.concatenate([down] * 3), torque)
 
     def modes(self):
-        stops = Guard(lambda state: state.thetadot, Outcome.BACKWARD, at_once=True)
-        falls = Guard(lambda state: -np.pi / 2 - state.theta, Outcome.FORWARD)
-        passes = Guard(lambda state: self.switch_angle - state.theta)
-        strikes = Guard(lambda state: state.phi - 2 * state.theta, admits=(lambda s: -s.phi,))
+        stops = Guard(lambda state: state.thetadot, "BACKWARD", at_once=True)
+        falls = Guard(lambda state: -np.pi / 2 - state.theta, "FORWARD")
+        passes = Guard(lambda state: self.switch_angle - state.theta, "free")
         free = replace(self, torque=jnp.zeros_like(self.torque))
         after = lambda state: after_strike(free, state)
-        lifts = Condition(lambda state: foot_speed(after(state)), Outcome.STOPPED)
-        swing = free.swing(stops, falls, strikes, reset=after, at_end=(lifts,))
-        return self.swing(stops, passes), swing
+        lifts = Condition(lambda state: foot_speed(after(state)), "STOPPED")
+        contact, ahead = lambda state: state.phi - 2 * state.theta, lambda state: -state.phi
+        strikes = Guard(contact, SECTION, (ahead,), reset=after, must_hold=(lifts,))
+        return {"driven": self.swing(stops, passes), "free": free.swing(stops, falls, strikes)}
 
-    def swing(self, *guards: Guard, **end) -> Mode:
+    def swing(self, *guards: Guard) -> Mode:
         """Return a mode of the swing."""
-        force = Condition(lambda state: normal_force(self, state), Outcome.RUNNING)
-        return Mode(SingleSupport(self), guards, (force,), **end)
+        force = Condition(lambda state: normal_force(self, state), "RUNNING", at_start=True)
+        return Mode(SingleSupport(self), guards, (force,))
 
     def lift(self, x):
         return CompassState(x[0], 2 * x[0], x[1], x[2])

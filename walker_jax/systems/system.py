@@ -7,7 +7,7 @@ a periodic point. A system fails where there is no next point.
 """
 
 import dataclasses
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import FLOAT64_HINT, WrongUse, short, warn_once
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
-from walker_jax.systems.outcomes import OWN, Outcome, Stride, make_stride
+from walker_jax.systems.outcomes import OUTCOMES, OWN, Outcome, Stride, make_stride
 
 AnySystem = TypeVar("AnySystem", bound="System")
 
@@ -26,7 +26,7 @@ AnySystem = TypeVar("AnySystem", bound="System")
 SHARED_FAILURES = tuple(
     one.name
     for one in Outcome
-    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID, *OWN)
+    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 )
 """Names of failures during a stride that any system may have."""
 
@@ -50,7 +50,7 @@ class System(eqx.Module):
     section: ClassVar[tuple[str, ...]]
     """Names of the coordinates."""
     failures: ClassVar[tuple[str, ...]] = ()
-    """Names of up to four failures of its own, such as "misses" or "hits_the_wall"."""
+    """Names of failures of its own, such as "misses" or "hits_the_wall"."""
     angles: ClassVar[tuple[str, ...]] = ()
     """Names of those coordinates that are angles (rad): a full turn more is the same point."""
 
@@ -62,9 +62,9 @@ class System(eqx.Module):
                 f"failures of {self.label()} must be a tuple of words that name no Outcome, "
                 f"not {names!r}"
             )
-        if len(set(names)) < len(names) or len(names) > len(OWN):
+        if len(set(names)) < len(names) or len(names) > OUTCOMES - OWN:
             raise WrongUse(
-                f"failures of {self.label()} must be {len(OWN)} different words at most, "
+                f"failures of {self.label()} must be {OUTCOMES - OWN} different words at most, "
                 f"not {names!r}"
             )
         angles = self.angles
@@ -99,13 +99,21 @@ class System(eqx.Module):
     def failure(self, name: str) -> Outcome:
         """Return the `Outcome` of a failure: one of the system's `failures`, or a shared one."""
         if name in self.failures:
-            return OWN[self.failures.index(name)]
+            return Outcome(OWN + self.failures.index(name))
         if name not in SHARED_FAILURES:
             raise WrongUse(
                 f"failure of {self.label()} must be one of "
                 f"{', '.join([*self.failures, *SHARED_FAILURES])}, not {name!r}"
             )
         return Outcome[name]
+
+    def during_stride(self, x: Float[Array, " section"]) -> Self:
+        """Return the system during the stride from x: its parameters may depend on the start.
+
+        That is feedback from stride to stride. By default a system stays as it is. From a full
+        state, x has the section's coordinates (`project`).
+        """
+        return self
 
     def label(self) -> str:
         """Return the system's name in data sets, answers and errors."""
@@ -153,7 +161,7 @@ def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
             f"{state.dtype} of shape {state.shape}"
         )
     finite = jnp.all(jnp.isfinite(state))
-    known = jnp.asarray((outcome >= 0) & (outcome < OWN[0] + len(walker.failures)))
+    known = jnp.asarray((outcome >= 0) & (outcome < OWN + len(walker.failures)))
     decided = known & ((outcome != Outcome.STRIDE) | finite)
     outcome = jnp.where(decided, outcome, Outcome.UNDECIDED)
     outcome = jnp.where(walker.feasible(x), outcome, Outcome.OUTSIDE).astype(jnp.int8)

@@ -2,7 +2,12 @@
 
 from typing import Any
 
+import equinox as eqx
+import jax
+import numpy as np
+
 from walker_jax.checks import WrongUse
+from walker_jax.walkers.phase import check_real, is_of_package
 
 
 def named(state: Any) -> str:
@@ -32,3 +37,18 @@ def check_full_state(kind: Any, start: Any) -> None:
                 f"{name} of {kind.__name__} must be its own, for its state {expected}: that of "
                 f"{owner.__name__} takes a {taken.__name__}"
             )
+
+
+def check_motion(walker: Any, state: Any) -> None:
+    """Raise `WrongUse` for a user's own methods that return no rates, or no real number."""
+    kind = type(walker)
+    if not is_of_package(kind, "vector_field"):
+        rates = jax.eval_shape(walker.vector_field, state)
+        if not isinstance(rates, walker.state) or any(np.shape(rate) for rate in rates):
+            found = " ".join(eqx.tree_pformat(rates, struct_as_array=True).split())
+            raise WrongUse(
+                f"vector_field of {kind.__name__} must return the rates of its state, "
+                f"{named(walker.state)}, not {found}"
+            )
+    if not is_of_package(kind, "is_ahead"):
+        check_real(f"is_ahead of {kind.__name__}", jax.eval_shape(walker.is_ahead, state))

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Foregone, Guard, Mode
 from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
@@ -31,7 +31,7 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.full_states import check_full_state
+from walker_jax.walkers.full_states import check_full_state, check_motion
 from walker_jax.walkers.phase import (
     Conditions,
     Phase,
@@ -41,6 +41,8 @@ from walker_jax.walkers.phase import (
     fall_guards,
     is_of_package,
     is_planar,
+    legs,
+    some_state,
 )
 
 LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
@@ -118,31 +120,74 @@ class Walker(HybridSystem):
         """Return the phases of a stride before its last, the swing; by default there are none."""
         return ()
 
-    def modes(self) -> tuple[Mode, ...]:
+    def begin(self, state: State) -> Any:
+        """Return the state of the first phase, from one on the section."""
+        phases = self.phases()
+        return phases[0].begin(state) if phases else state
+
+    def full_states(self) -> tuple[type, ...]:
+        """Return the kinds of full states: that of the swing, and that of the first phase."""
+        if not (phases := self.phases()):
+            return (self.state,)
+        first = jax.eval_shape(phases[0].begin, some_state(self))
+        return self.state, type(first)
+
+    def launch(self, x):
+        if x.shape == (len(self.section),):
+            start = self.lift(x)
+        else:
+            start = next(kind for kind in self.full_states() if len(kind._fields) == len(x))(*x)
+        if not isinstance(start, self.state):
+            return start
+        check_motion(self, start)
+        return self.begin(start)
+
+    def may_launch(self, x, start):
+        """A launched walker stands, and its first phase is not over."""
+        if x.shape == (len(self.section),):
+            return self.feasible(x)
+        feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
+        if phases := self.phases():
+            feasible &= phases[0].event(start) <= 0
+        return feasible
+
+    def shown(self, state):
+        phases = self.phases()
+        of_first = not phases or type(state) is self.full_states()[1]
+        return state if of_first else phases[0].begin(legs(state))
+
+    def unit_of_time(self):
+        """Return the time in which the walker topples, to first order."""
+        return 1 / toppling_rate(self)
+
+    def modes(self) -> dict[str, Mode]:
         """Return the modes of a stride, its phases and the swing, built from the other methods.
 
         The swing ends at heel strike, where the contact coordinate rises through zero with the foot
-        ahead, or in a fall. Functions that follow a stride use only these modes, the impact and the
-        section. Your own walker may change them, for example give the swing another guard before
-        its last.
+        ahead, or in a fall. Heel strike leads to the section by the impact and the exchange of
+        legs, if the trailing foot lifts. Your own walker may change the modes, for example give the
+        swing another guard before its last.
         """
         # An inverted pendulum that stops goes back, and its leg moves one way until then.
         persist = self.inverted_pendulum and type(self).falls is Walker.falls
         falls = fall_guards(self, persist=persist)
+        lifts = Condition(lambda state: self.impact(state)[0][1], Outcome.STOPPED.name)
         strike = Guard(
-            self.contact, Outcome.STRIDE, (self.is_ahead,), persists=self.foot_stays_down
+            self.contact,
+            SECTION,
+            (self.is_ahead,),
+            reset=lambda state: self.exchange_legs(self.impact(state)[1]),
+            must_hold=(lifts,),
+            persists=self.foot_stays_down,
         )
-        conditions = [
-            Condition(one, of, of == Outcome.RUNNING and self.force_least_at_ends)
-            for of, one in conditions_of(self).items()
-        ]
+        conditions = conditions_of(self, self.force_least_at_ends)
         over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
         known = type(self).past_contact is not Walker.past_contact
-        foregone = Foregone(over, Outcome.FORWARD) if known else None
+        foregone = Foregone(over, Outcome.FORWARD.name) if known else None
         swing = Mode(
             self.equations(),
             (*falls, strike),
-            tuple(conditions),
+            conditions,
             foregone=foregone,
             rates_at=self.vector_field,
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
@@ -150,7 +195,12 @@ class Walker(HybridSystem):
             energy=energy_of(self),
             most_steps=self.most_steps,
         )
-        return *(phase.mode() for phase in self.phases()), swing
+        phases = self.phases()
+        names = [*(phase.name() for phase in phases), "swing"]
+        if len(set(names)) < len(names):
+            raise WrongUse(f"phases of {self.label()} must have different names, not {names}")
+        onto = zip(names, phases, names[1:], strict=False)
+        return {name: one.mode(next) for name, one, next in onto} | {"swing": swing}
 
     def equations(self) -> VectorField:
         """Return the equations of motion to integrate: the vector field, or a `PowerBalance`."""
@@ -167,14 +217,6 @@ class Walker(HybridSystem):
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
         """Return the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
-
-    def during_stride(self, x: Float[Array, " section"]) -> "Walker":
-        """Return the walker during the stride from x: its parameters may depend on the start.
-
-        That is feedback from stride to stride. By default a walker stays as it is. From a full
-        state, x has the section's coordinates (`project`).
-        """
-        return self
 
     def driven_by_gravity(self) -> bool:
         """Return whether gravity alone does work: a step loses the energy that the slope gives.

@@ -29,6 +29,11 @@ class State(NamedTuple):
     phidot: Scalar
 
 
+def legs(states: Any) -> State:
+    """Return the angles and rates of the legs, from states of any phase."""
+    return State(*(getattr(states, name) for name in State._fields))
+
+
 Conditions = dict[str, Callable[[Any], Scalar]]
 """Functions of the state, by the name of the failure when one is negative: an `Outcome`, or one of
 the walker's own failures."""
@@ -86,8 +91,12 @@ class Phase(eqx.Module):
         """Return the equations of motion to integrate, as for the walker."""
         return self.vector_field
 
-    def mode(self) -> Mode:
-        """Return the phase as a mode of a stride, to its event.
+    def name(self) -> str:
+        """Return the name of its mode; by default that of the class."""
+        return type(self).__name__
+
+    def mode(self, onto: str) -> Mode:
+        """Return the phase as a mode of a stride, which its event leads `onto` another one.
 
         It also ends in a fall, and where the swing foot comes down in front, if it must not.
         """
@@ -97,17 +106,15 @@ class Phase(eqx.Module):
         )
         if may_land is not None:
             below = lambda state: -cast("Scalar", self.clearance(state))
-            guards.append(Guard(below, Outcome.BENT_KNEE, (walker.is_ahead,), (self.reach,)))
-        guards.append(Guard(self.event, Outcome.STRIDE))
-        conditions = [Condition(one, of) for of, one in conditions_of(self).items()]
+            guards.append(Guard(below, Outcome.BENT_KNEE.name, (walker.is_ahead,), (self.reach,)))
+        guards.append(Guard(self.event, onto, reset=self.end))
         hooks = *((self, name) for name in ("event", "clearance", "reach")), (walker, "falls")
         hooks = *hooks, (walker, "is_ahead")
         as_smooth = all(is_of_package(type(of), hook) for of, hook in hooks)
         return Mode(
             self.equations(),
             tuple(guards),
-            tuple(conditions),
-            self.end,
+            conditions_of(self),
             rates_at=self.vector_field,
             as_smooth=as_smooth,
             longest_step=walker.longest_step,
@@ -129,11 +136,11 @@ def is_of_package(kind: type, method: str) -> bool:
     return home is None or home.__module__.startswith("walker_jax.")
 
 
-def conditions_of(part: Any) -> dict[int, Function]:
-    """Return its conditions, Q_v among them, by the outcome if one is violated."""
-    walker = getattr(part, "walker", part)
-    others = {int(walker.failure(name)): one for name, one in part.conditions().items()}
-    return {int(Outcome.RUNNING): lambda state: part.contact_force(state)[1]} | others
+def conditions_of(part: Any, least_at_ends: bool = False) -> tuple[Condition, ...]:
+    """Return its conditions; the first is Q_v, which may be known to be `least_at_ends`."""
+    force = lambda state: part.contact_force(state)[1]
+    pulls = Condition(force, Outcome.RUNNING.name, at_start=True, least_at_ends=least_at_ends)
+    return pulls, *(Condition(one, name) for name, one in part.conditions().items())
 
 
 def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
@@ -147,7 +154,7 @@ def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
                 f"not {name!r}"
             )
         check_real(f"falls of {kind}: {name}", shape)
-        guard = Guard(value(name), walker.failure(name), persists=persist, at_once=True)
+        guard = Guard(value(name), name, persists=persist, at_once=True)
         if name == "BACKWARD" and is_planar(walker):
             guard = guard._replace(measure=lambda speed: speed**2 / 2)  # smooth at a dead point
         guards.append(guard)

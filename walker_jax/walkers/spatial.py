@@ -240,11 +240,16 @@ class SpatialWalker(Walker):
 
     def modes(self):
         """One mode, the swing; the disc touches the slope as it begins and ends."""
-        (swing,) = super().modes()
+        modes = super().modes()
         if type(self).conditions is not SpatialWalker.conditions:
-            return (swing,)
-        touches = lambda one: one._replace(zero_at_ends=(one.outcome == Outcome.SCUFFED,) * 2)
-        return (swing._replace(conditions=tuple(map(touches, swing.conditions))),)
+            return modes
+        scuffs = Outcome.SCUFFED.name
+        touches = lambda one: one._replace(zero_at_ends=(one.leads_to == scuffs,) * 2)
+        swing = modes["swing"]
+        return {"swing": swing._replace(conditions=tuple(map(touches, swing.conditions)))}
+
+    def unit_of_time(self):
+        return jnp.sqrt(self.leg_length)
 
     def contact_force(self, state: Any):
         """Forces of the general method, dual to x and z, that hold the stance foot."""

@@ -11,8 +11,8 @@ from walker_jax.systems.angles import unnamed_angles
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.starts import full_state, is_feasible, on_section
-from walker_jax.walking.stride import modes_from
+from walker_jax.walking.starts import on_section
+from walker_jax.walking.stride import first_of, modes_from
 from walker_jax.walking.undecided import not_finite
 
 
@@ -28,12 +28,12 @@ def check_point(system: System, x: Any) -> list[str]:
         return ["the start is not feasible"]
     if not isinstance(system, HybridSystem):
         return []
-    first = full_state(system, x)
+    first = system.launch(x)
     if names := not_finite(first):
         return [f"the state that lift returns is not finite: {names}"]
-    if names := not_finite(modes_from(system, x)[0].rates(first)):
+    if names := not_finite(first_of(modes_from(system, x)).rates(first)):
         return [f"the vector field at the start is not finite: the rate of {names}"]
-    if not bool(is_feasible(system, x, first)):
+    if not bool(system.may_launch(x, first)):
         return ["the start is not feasible"]
     return []
 

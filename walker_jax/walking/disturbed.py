@@ -12,12 +12,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from walker_jax.hybrid.modes import SECTION
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
-from walker_jax.systems.outcomes import Outcome, Stride, make_stride
+from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.courses import Course, Part
 from walker_jax.walking.failure_margins import (
     Margins,
     guards_of,
@@ -27,7 +29,7 @@ from walker_jax.walking.failure_margins import (
 )
 from walker_jax.walking.raised_ground import onto_step
 from walker_jax.walking.starts import during_stride, on_section
-from walker_jax.walking.stride import Arrival, Part, end_stride, follow_step, follow_to_contact
+from walker_jax.walking.stride import end_step, first_of, follow_step, follow_to_contact
 
 
 class Disturbance(NamedTuple):
@@ -107,23 +109,31 @@ def follow_disturbed_margins(
     """
     walker, x, step = disturbed_start(walker, x, disturbance)
     walker = during_stride(walker, x)
-    swing, last = follow_to_contact(walker, x, step, integrator, measured=True)
-    onto = onto_step(walker, swing, step)
-    *before, level, lower = last.parts
-    modes = [*(part.mode for part in before), level.mode._replace(at_end=()), onto]
-    went_lower = lower.verdict == Outcome.UNDECIDED
-    choose = partial(jnp.where, went_lower)
+    modes, course = follow_to_contact(walker, x, step, integrator, measured=True)
+    *before, level, lower = course.parts
+    swing = modes[[*modes][-1]]
+    choose = partial(jnp.where, lower.followed)
     ways = [part[1:] for part in (*before, level)]
-    ways.append(jax.tree.map(choose, lower[1:], level[1:]))
+    last = Part(swing, *jax.tree.map(choose, lower[1:], level[1:]))
+    state = course.entries[SECTION].state  # with its derivative by the step
+    ways.append(last._replace(end=last.end._replace(state=state))[1:])
+    course, stride = end_step(walker, modes, course)
+    to_contact = onto_step(walker, swing, step)
+    *others, contact = to_contact.guards
+    contact = contact._replace(must_hold=swing.guards[-1].must_hold)
+    *falls, passes = level.mode.guards
+    to_level = level.mode._replace(guards=(*falls, passes._replace(leads_to="below")))
+    course_modes = [part.mode for part in before]
+    course_modes += [to_level, to_contact._replace(guards=(*others, contact))]
 
-    def measure(walker, arrival: Arrival, ways: list[Any]):
-        following, stride = end_stride(walker, [swing], arrival)
-        stride = make_stride(jnp.stack(following), stride.outcome, stride.time)
-        parts = tuple(Part(mode, *way) for mode, way in zip(modes, ways, strict=True))
-        known = measure_stride(walker, arrival._replace(parts=parts), stride.outcome)
-        passed = strike_margin(parts[-2], guards_of(parts[-2]), went_lower)
+    def measure(walker, stride: Stride, course: Course, ways: list[Any]):
+        pairs = zip(course_modes, ways, strict=True)
+        parts = tuple(Part(mode, *way) for mode, way in pairs)
+        course = course._replace(parts=parts)
+        known = measure_stride(walker, first_of(modes), course, stride.outcome)
+        passed = jnp.where(lower.followed, strike_margin(parts[-2], guards_of(parts[-2])), jnp.inf)
         forward = jnp.where(stride.outcome == Outcome.STRIDE, passed, jnp.nan)
         known["forward"] = lesser_known(known["forward"], forward)
         return Margins(stride, **known)
 
-    return with_fast_sincos(measure)(walker, last._replace(parts=()), ways)
+    return with_fast_sincos(measure)(walker, stride, course._replace(parts=()), ways)

@@ -16,12 +16,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.following import along, is_due
-from walker_jax.hybrid.modes import Condition, Mode
+from walker_jax.hybrid.following import along
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
-from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
@@ -31,8 +31,9 @@ from walker_jax.walking.consistency import (
     check_projection,
     format_point,
 )
-from walker_jax.walking.starts import during_stride, full_state, prepare
-from walker_jax.walking.stride import begin_next, fall_of, method_of, modes_from, stride
+from walker_jax.walking.courses import Numbers, fall_of, guard_due, method_of
+from walker_jax.walking.starts import during_stride, prepare
+from walker_jax.walking.stride import modes_from, stride
 from walker_jax.walking.undecided import (
     doubts,
     not_finite,
@@ -44,6 +45,8 @@ MOST_RISES = 20
 """Most rises of a mode that are reported: the last ones."""
 ENERGY_DRIFT = 1e-6
 """Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
+MOST_MODES = 100
+"""Most modes of a stride that are recorded."""
 PARTS = 0.25, 0.5, 0.75, 1.0
 """Fractions of a step at which conditions are checked."""
 
@@ -54,10 +57,10 @@ MOST_STUCK = 100
 class Rise(NamedTuple):
     """A guard that rose through zero."""
 
-    mode: int
+    mode: str
     guard: int
     leads_to: str
-    """The `Outcome`; `STRIDE` for a guard with which the stride goes on."""
+    """The name of a mode, the section, or a failure."""
     time: float
     """Time since the start of the mode."""
     admitted: bool
@@ -67,19 +70,19 @@ class Rise(NamedTuple):
 class ModeRecord(NamedTuple):
     """A mode that was followed."""
 
+    name: str
     time: float
     """Duration; infinite if nothing ended it."""
     steps: int
-    ended_by: str
-    """The outcome of the guard that ended it; empty for none."""
+    led_to: str
+    """The name to which the guard that ended it leads; empty if nothing ended it."""
     rises: list[Rise]
     least: dict[str, float]
-    """About the least value of each condition, at `PARTS` of steps, by its outcome when
-    negative."""
-    at_end: dict[str, float]
-    """The value of each condition of its end, by its outcome when not positive."""
+    """About the least value of each condition, at `PARTS` of steps, by its failure."""
+    held: dict[str, float]
+    """Values that must be positive where its guard has risen, by their failures."""
     greatest: dict[str, float]
-    """The greatest value of each guard at the ends of steps, by its number and outcome."""
+    """The greatest value of each guard at the ends of steps, by its number and where it leads."""
     energy: tuple[float, float]
     """Energy at its start and at its end; NaN where the mode does not define it."""
     reason: str = ""
@@ -105,9 +108,9 @@ class Explanation(NamedTuple):
 
     def __str__(self) -> str:
         lines = [f"{self.system} from {format_point(self.start)}: {self.name}"]
-        for i, mode in enumerate(self.modes):
-            end = f"ended by {mode.ended_by}" if mode.ended_by else "ended by nothing"
-            lines.append(f"mode {i}: {mode.time:.6g} in {mode.steps} steps, {end}")
+        for mode in self.modes:
+            end = f"leads to {mode.led_to}" if mode.led_to else "ended by nothing"
+            lines.append(f"mode {mode.name}: {mode.time:.6g} in {mode.steps} steps, {end}")
             for rise in mode.rises:
                 counted = "" if rise.admitted else ", not admitted"
                 lines.append(
@@ -118,7 +121,7 @@ class Explanation(NamedTuple):
                 if name not in risen:
                     lines.append(f"  guard {name} did not rise: {value:.6g} at most")
             asked = [(name, value, value >= 0) for name, value in mode.least.items()]
-            asked += [(name, value, value > 0) for name, value in mode.at_end.items()]
+            asked += [(name, value, value > 0) for name, value in mode.held.items()]
             for name, value, holds in asked:
                 broken = "" if holds else ", violated"
                 lines.append(f"  condition {name}: {value:.6g} at least{broken}")
@@ -181,6 +184,8 @@ def explain(
             complaints += check_energy(records)
         if outcome == Outcome.STRIDE and landed is not None:
             complaints += check_landing(walker, landed)
+        if len(records) == MOST_MODES:
+            complaints.append(f"the stride chatters: it has passed {MOST_MODES} modes")
         if landed is not None and (names := not_finite(landed)):
             complaints.append(f"the state after the last reset is not finite: {names}")
     if outcome == Outcome.UNDECIDED and not complaints:
@@ -202,25 +207,25 @@ def explain(
 def check_records(records: list[ModeRecord]) -> list[str]:
     """Return complaints about guards."""
     found = []
-    for i, mode in enumerate(records):
-        if not mode.ended_by:
-            found.append(f"mode {i} is not ended by any of its guards: {mode.reason}")
+    for mode in records:
+        if not mode.led_to:
+            found.append(f"mode {mode.name!r} is not ended by any of its guards: {mode.reason}")
         refused = {rise.guard for rise in mode.rises if not rise.admitted}
         admitted = {rise.guard for rise in mode.rises if rise.admitted}
         for guard in sorted(refused - admitted):
-            found.append(f"guard {guard} of mode {i} rose, but was never admitted")
-    return found if records and not records[-1].ended_by else []
+            found.append(f"guard {guard} of mode {mode.name!r} rose, but was never admitted")
+    return found if records and not records[-1].led_to else []
 
 
 def check_energy(records: list[ModeRecord]) -> list[str]:
     """Return complaints about a walker whose energy should stay constant in each mode."""
     found = []
-    for i, mode in enumerate(records):
+    for mode in records:
         start, end = mode.energy
         if abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
             found.append(
-                f"in mode {i} the energy changes by {end - start:.3g}, but gravity alone drives "
-                "the walker: vector_field and energy do not belong together"
+                f"in mode {mode.name!r} the energy changes by {end - start:.3g}, but gravity alone "
+                "drives the walker: vector_field and energy do not belong together"
             )
     return found
 
@@ -229,51 +234,55 @@ def record_modes(
     system: HybridSystem, x: Any, integrator: Integrator
 ) -> tuple[list[ModeRecord], Any]:
     """Record each mode up to its end, and the state of the next stride's start, or None."""
-    state, records = full_state(system, x), []
-    modes = modes_from(system, x)
-    for number, mode in enumerate(modes):
-        last = number == len(modes) - 1
-        record, state, leads_on = record_mode(
-            mode, number, state, integrator, system.failures, not last
+    modes, state, records = modes_from(system, x), system.launch(x), []
+    numbers, (name, *_) = failures_by_name(system), modes
+    while len(records) < MOST_MODES:
+        record, state, guard = record_mode(
+            name, modes[name], numbers, state, integrator, bool(records)
         )
         records.append(record)
-        if not leads_on:
+        if guard is None or not all(value > 0 for value in record.held.values()):
             return records, None
-        if not last:
-            state = mode.reset(state)
-    return records, begin_next(system, modes[-1], state)[1]
+        state = guard.reset(state)
+        if guard.leads_to == SECTION:
+            return records, state
+        name = guard.leads_to
+    return records, None
 
 
 def record_mode(
+    name: str,
     mode: Mode,
-    number: int,
+    numbers: Numbers,
     state: Any,
     integrator: Integrator,
-    failures: tuple[str, ...],
-    may_be_due: bool,
-) -> tuple[ModeRecord, Any, bool]:
-    """Follow a mode from a state: its record, its last state, and whether the stride goes on.
+    switched: bool,
+) -> tuple[ModeRecord, Any, Guard | None]:
+    """Follow a mode from a state: its record, its last state, and the guard that leads on.
 
-    A mode that `may_be_due` is over at once where its last guard is not below zero.
+    There is none if the mode ends in a failure, or by no guard.
     """
-    names = [name_of_outcome(guard.leads_to, failures) for guard in mode.guards]
+    names = [str(guard.leads_to) for guard in mode.guards]
     energy_of = mode.energy or (lambda state: np.nan)
     energy = float(energy_of(state))
-    conditions = {name: one.value for name, one in named(mode.conditions, failures).items()}
-    least = {name: float(value(state)) for name, value in conditions.items()}
+    conditions = {of: one.value for of, one in named(mode.conditions).items()}
+    least = {of: float(value(state)) for of, value in conditions.items()}
     values = [float(guard.value(state)) for guard in mode.guards]
-    greatest = {f"{i} ({name})": values[i] for i, name in enumerate(names)}
+    greatest = {f"{i} ({to})": values[i] for i, to in enumerate(names)}
 
-    def over_at_once(name, at_end):
-        return ModeRecord(0.0, 0, f"{name} at once", [], least, at_end, greatest, (energy, energy))
+    def over_at_once(to, held):
+        led = f"{to} at once"
+        return ModeRecord(name, 0.0, 0, led, [], least, held, greatest, (energy, energy))
 
-    fallen = int(fall_of(mode, state, number > 0))
-    if fallen != Outcome.UNDECIDED:
-        return over_at_once(name_of_outcome(fallen, failures), {}), state, False
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
-    if may_be_due and is_due(mode, method, state):
-        at_end = values_at_end(mode, state, failures)
-        return over_at_once(names[-1], at_end), state, all(one > 0 for one in at_end.values())
+    fallen = int(fall_of(mode, numbers, state, switched))
+    if fallen != Outcome.UNDECIDED:
+        failure = next(of for of, number in numbers.items() if number == fallen)
+        return over_at_once(failure, {}), state, None
+    due = guard_due(mode, numbers, method, state, switched)
+    if due is not None and due >= 0:
+        guard = mode.guards[int(due)]
+        return over_at_once(guard.leads_to, values_held(guard, state)), state, guard
 
     step, end_at = steps_of(mode, method, [*conditions.values()])
     rises: list[Rise] = []
@@ -288,7 +297,7 @@ def record_mode(
             reason = why_it_stops(mode, method, state, time)
             break
         found = [
-            Rise(number, i, names[i], time + when, admitted)
+            Rise(name, i, names[i], time + when, admitted)
             for i, (value, admits) in enumerate(polynomials)
             for when, admitted in rises_in(value, admits, float(length), below[i])
         ]
@@ -300,10 +309,10 @@ def record_mode(
             found = [rise for rise in found if rise.time <= ending.time]
         rises += found
         below = [bool(value < 0) for value in values]
-        for name, along_step in zip(conditions, seen, strict=True):
-            least[name] = min(least[name], *map(float, along_step))
-        for name, value in zip(greatest, values, strict=True):
-            greatest[name] = max(greatest[name], float(value))
+        for of, along_step in zip(conditions, seen, strict=True):
+            least[of] = min(least[of], *map(float, along_step))
+        for of, value in zip(greatest, values, strict=True):
+            greatest[of] = max(greatest[of], float(value))
         state, time = end, time + float(length)
         way.append((time, state))
     if ending is None and not reason:
@@ -311,12 +320,13 @@ def record_mode(
     rises = rises[-MOST_RISES:]
     there = state if ending is None else there
     change = energy, float(energy_of(there))
-    leads_on = ending is not None and ending.leads_to == Outcome.STRIDE.name
-    at_end = values_at_end(mode, there, failures) if leads_on else {}
+    guard = None if ending is None else mode.guards[ending.guard]
+    guard = None if guard is None or guard.leads_to in numbers else guard
+    held = values_held(guard, there) if guard else {}
     ended = (np.inf, count, "") if ending is None else (ending.time, count, ending.leads_to)
-    doubted = tuple(doubts(number, mode, way))
-    record = ModeRecord(*ended, rises, least, at_end, greatest, change, reason, doubted)
-    return record, there, leads_on and all(value > 0 for value in at_end.values())
+    doubted = tuple(doubts(name, mode, way))
+    record = ModeRecord(name, *ended, rises, least, held, greatest, change, reason, doubted)
+    return record, there, guard
 
 
 def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Callable, Callable]:
@@ -346,18 +356,18 @@ def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[
     return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
 
 
-def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: str = "") -> dict:
-    """Return conditions by the names of their outcomes; a repeated name has a number."""
+def named(conditions: tuple[Condition, ...], where: str = "") -> dict[str, Condition]:
+    """Return conditions by the names of their failures; a repeated name has a number."""
     found: dict[str, Condition] = {}
     for i, one in enumerate(conditions):
-        name = name_of_outcome(one.outcome, failures) + where
+        name = one.leads_to + where
         found[f"{name} ({i})" if name in found else name] = one
     return found
 
 
-def values_at_end(mode: Mode, state: Any, failures: tuple[str, ...]) -> dict[str, float]:
-    """Return the values of the conditions of a state in which a mode has ended."""
-    asked = named(mode.at_end, failures, " at the end")
+def values_held(guard: Guard, state: Any) -> dict[str, float]:
+    """Return the values of what must hold in a state in which a guard has risen."""
+    asked = named(guard.must_hold, " at the end")
     return {name: float(one.value(state)) for name, one in asked.items()}
 
 

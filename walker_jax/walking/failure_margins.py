@@ -23,28 +23,18 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.modes import Guard
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator, zero_at
-from walker_jax.integrators.roots import Real
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
-from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import OWN, Outcome, Stride
 from walker_jax.systems.system import System, apply_map
-from walker_jax.walkers.model import Scalar, Walker, toppling_rate
-from walker_jax.walkers.spatial import SpatialWalker
+from walker_jax.walking.courses import Course, Numbers, Part, end_course, follow_modes
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import during_stride, on_section, prepare
-from walker_jax.walking.stride import (
-    Arrival,
-    Part,
-    begin_next,
-    begin_stride,
-    end_stride,
-    follow_modes,
-    judging_mode,
-    modes_from,
-)
+from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
 
 WAYS = {
     Outcome.BACKWARD: "backward",
@@ -56,9 +46,8 @@ WAYS = {
     Outcome.SCUFFED: "scuffing",
     Outcome.SIDEWAYS: "sideways",
     Outcome.OUTSIDE: "outside",
-    **dict.fromkeys(OWN, "own"),
 }
-"""The margin of each way to fail."""
+"""The margin of each way to fail; that of a system's own failures is `own`."""
 
 
 class Margins(NamedTuple):
@@ -129,9 +118,10 @@ def margins_of_many(
 def failure_margin(found: Margins) -> Scalar:
     """Return the margin of the failure that ended a stride, NaN for none; no batch axis."""
     by = jnp.full_like(found.backward, jnp.nan)
-    for outcome, name in WAYS.items():
-        by = jnp.where(found.stride.outcome == outcome, getattr(found, name), by)
-    return by
+    outcome = found.stride.outcome
+    for way, name in WAYS.items():
+        by = jnp.where(outcome == way, getattr(found, name), by)
+    return jnp.where(outcome >= OWN, found.own, by)
 
 
 @kernel
@@ -142,29 +132,31 @@ def follow_margins(
         return measure_map(walker, x)
     walker = during_stride(walker, x)
     modes = modes_from(walker, x, to_the_end=True)
-    arrival = follow_modes(modes, begin_stride(walker, x), integrator, measured=True)
-    ways = [part[1:] for part in arrival.parts]
+    check_entered_once(walker, modes, "margins")
+    course = follow_modes(walker, modes, start_course(walker, modes, x), integrator, measured=True)
+    stride = end_course(walker, first_of(modes), course)
+    ways = [part[1:] for part in course.parts]
 
-    def measure(walker, arrival, ways):
-        _, stride = end_stride(walker, modes, arrival)
-        parts = tuple(Part(mode, *way) for mode, way in zip(modes, ways, strict=True))
-        known = measure_stride(walker, arrival._replace(parts=parts), stride.outcome)
+    def measure(walker, stride, course, ways):
+        pairs = zip(course_modes, ways, strict=True)
+        course = course._replace(parts=tuple(Part(mode, *way) for mode, way in pairs))
+        known = measure_stride(walker, first_of(modes), course, stride.outcome)
         if walker.margin(x[: len(walker.section)]) is not None:
             led_outside = (stride.outcome == Outcome.OUTSIDE) & walker.feasible(x)
             start = margin_of_start(walker, x)
             known["outside"] = jnp.where(led_outside, known["outside"], start)
         return Margins(stride, **known)
 
-    return with_fast_sincos(measure)(walker, arrival._replace(parts=()), ways)
+    course_modes = [part.mode for part in course.parts]
+    return with_fast_sincos(measure)(walker, stride, course._replace(parts=()), ways)
 
 
 def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
     """Measure a map: the margin that the system defines is that of the failure that happens."""
     stride, margin = apply_map(walker, x), margin_of_start(walker, x)
-    ways = dict.fromkeys(WAYS.values(), jnp.full_like(margin, jnp.nan))
-    for way, name in WAYS.items():
-        ways[name] = jnp.where(stride.outcome == way, margin, ways[name])
-    return Margins(stride, **ways | {"outside": margin})
+    ways = {name: jnp.where(stride.outcome == way, margin, jnp.nan) for way, name in WAYS.items()}
+    own = jnp.where(stride.outcome >= OWN, margin, jnp.nan)
+    return Margins(stride, **ways | {"outside": margin, "own": own})
 
 
 def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
@@ -173,81 +165,89 @@ def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
     return jnp.sum(x) * jnp.nan if known is None else known
 
 
-def judged_ends(
-    walker: HybridSystem, parts: tuple[Part, ...], struck: Bool[Array, ""], lift: Scalar
-) -> list[tuple[int, Array, Scalar]]:
-    """Return each condition of a mode's end: its outcome, whether it was reached, its value."""
-    judged: list[tuple[int, Array, Scalar]] = []
-    for i, part in enumerate(parts):
-        ended = part.end.guard == len(part.mode.guards) - 1
-        ended = struck if i == len(parts) - 1 else ended | (part.verdict == Outcome.STRIDE)
-        for one in part.mode.at_end:
-            judged.append((one.outcome, ended, one.value(part.end.state)))
-    if isinstance(walker, Walker):
-        judged.append((int(Outcome.STOPPED), struck, lift))
-    return judged
+def judged_ends(parts: tuple[Part, ...]) -> list[tuple[str, Bool[Array, ""], Scalar]]:
+    """Return what must hold after guards: its failure, whether that is asked, and its value."""
+    return [
+        (one.leads_to, part.taken == i, one.value(part.end.state))
+        for part in parts
+        for i, guard in enumerate(part.mode.guards)
+        for one in guard.must_hold
+    ]
 
 
-def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:
-    """Return the margins of a measured stride of known outcome, by name."""
-    parts = arrival.parts
-    struck = arrival.verdict == Outcome.STRIDE
-    lift, following = begin_next(walker, parts[-1].mode, arrival.state)
-    infinite = jnp.full_like(lift, jnp.inf)
+def measure_stride(
+    walker: HybridSystem, first: Mode, course: Course, outcome: Array
+) -> dict[str, Scalar]:
+    """Return the margins of a measured stride of known outcome, by name.
+
+    The next stride begins in the `first` mode.
+    """
+    parts, numbers = course.parts, failures_by_name(walker)
+    struck = course.verdict == Outcome.STRIDE
+    infinite = jnp.full_like(course.time, jnp.inf)
 
     # falls
     known = [guards_of(part) for part in parts]
-    failed = fall_margin(parts, known, time_scale(walker, arrival.state))
-    greatest: dict[int, tuple[Scalar, Guard]] = {}
-    following_mode = judging_mode(walker, [part.mode for part in parts])
-    for guard in reversed([one for one in following_mode.guards if one.at_once]):
+    failed = fall_margin(parts, numbers, known, zero_at(parts[0].start) + walker.unit_of_time())
+    greatest: dict[str, tuple[Scalar, Guard]] = {}
+    following = walker.begin(course.entries[SECTION].state)
+    for guard in reversed([one for one in failing(first, numbers) if one.at_once]):
         value = guard.value(following)
-        ends = struck & (outcome == guard.leads_to) & (value >= 0)
+        ends = struck & (outcome == numbers[guard.leads_to]) & (value >= 0)
         failed = jnp.where(ends, -guard.measure(-value), failed)
         value = jnp.where(outcome == Outcome.STRIDE, value, -infinite)
-        before, _ = greatest.get(int(guard.leads_to), (-infinite, guard))
-        greatest[int(guard.leads_to)] = jnp.maximum(before, value), guard
+        before, _ = greatest.get(guard.leads_to, (-infinite, guard))
+        greatest[guard.leads_to] = jnp.maximum(before, value), guard
     for part, each in zip(parts, known, strict=True):
-        followed = part.verdict == Outcome.UNDECIDED
-        for i, guard in enumerate(part.mode.guards[:-1]):
-            value, _ = greatest.get(int(guard.leads_to), (-infinite, guard))
-            at_end = jnp.where(part.end.guard == i, -jnp.inf, each.end[i])
-            here = jnp.where(followed, jnp.maximum(each.before[i], at_end), -jnp.inf)
-            greatest[int(guard.leads_to)] = jnp.maximum(value, here), guard
+        for i, guard in enumerate(part.mode.guards):
+            if guard.leads_to not in numbers:
+                continue
+            value, _ = greatest.get(guard.leads_to, (-infinite, guard))
+            at_end = jnp.where(part.taken == i, -jnp.inf, each.end[i])
+            here = jnp.where(part.followed, jnp.maximum(each.before[i], at_end), -jnp.inf)
+            greatest[guard.leads_to] = jnp.maximum(value, here), guard
     passed = {of: margin_of(guard, value) for of, (value, guard) in greatest.items()}
-    forward = int(Outcome.FORWARD)
-    passed[forward] = jnp.minimum(
-        passed.get(forward, infinite), strike_margin(parts[-1], known[-1], struck)
-    )
+    for part, each in zip(parts, known, strict=True):
+        if part.mode.guards[-1].leads_to == SECTION:
+            lesser(passed, Outcome.FORWARD.name, strike_margin(part, each))
 
     # conditions
     violated = jnp.asarray(False)
-    for of, broken in reversed(arrival.violated.items()):
+    for of in sorted(course.violated, key=numbers.__getitem__, reverse=True):
+        broken = course.violated[of]
         least, before = least_value(parts, of)
-        value = jnp.where(struck, least, infinite)
-        passed[of] = jnp.minimum(passed.get(of, infinite), value)
-        ends = struck & broken & (outcome == of)
+        lesser(passed, of, jnp.where(struck, least, infinite))
+        ends = struck & broken & (outcome == numbers[of])
         failed = jnp.where(ends, jnp.maximum(least, before), failed)
         violated |= broken
-    pulled = jnp.any(jnp.stack([part.verdict == Outcome.RUNNING for part in parts]))
-    failed = jnp.where(pulled, force_at_start(parts), failed)
+    pulled, force = conditions_at_start(parts, numbers)
+    failed = jnp.where(pulled, force, failed)
 
-    # the end of a mode
+    # after guards
     least = infinite
-    for of, ended, value in judged_ends(walker, parts, struck, lift):
-        last = jnp.where(ended & ~violated & (value > 0), value, infinite)
-        passed[of] = jnp.minimum(passed.get(of, infinite), last)
-        ends = ended & (outcome == of) & (value <= 0)
+    for of, asked, value in judged_ends(parts):
+        lesser(passed, of, jnp.where(asked & ~violated & (value > 0), value, infinite))
+        ends = asked & (outcome == numbers[of]) & (value <= 0)
         least = jnp.minimum(least, jnp.where(ends, value, infinite))
     failed = jnp.where(jnp.isfinite(least), least, failed)
 
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
-    return margins_by_name(parts, passed, failed, began, outcome)
+    return margins_by_name(walker, passed, failed, began, outcome)
+
+
+def failing(mode: Mode, numbers: Numbers) -> list[Guard]:
+    """Return the guards of a mode that lead to failures."""
+    return [guard for guard in mode.guards if guard.leads_to in numbers]
+
+
+def lesser(margins: dict[str, Scalar], of: str, value: Scalar) -> None:
+    """Lower the margin of a failure to a value, if that is smaller."""
+    margins[of] = jnp.minimum(margins[of], value) if of in margins else value
 
 
 def margins_by_name(
-    parts: tuple[Part, ...],
-    passed: dict[int, Scalar],
+    walker: HybridSystem,
+    passed: dict[str, Scalar],
     failed: Scalar,
     began: Bool[Array, ""],
     outcome: Int[Array, ""],
@@ -257,15 +257,16 @@ def margins_by_name(
     They are NaN for failures that the stride cannot have had. If it never `began`, only the margin
     of the failure that happened is known.
     """
-    margins: dict[str, Scalar] = {}
-    led_to = {end for part in parts for end in part.mode.outcomes()}
-    for way, name in WAYS.items():
-        if way in OWN and way not in led_to:
-            margins.setdefault(name, jnp.full_like(failed, jnp.nan))
+    margins = {"own": jnp.full_like(failed, jnp.nan)}
+    for of, number in failures_by_name(walker).items():
+        if number >= OWN and of not in passed:
             continue
-        value = passed.get(int(way), jnp.full_like(failed, jnp.inf))
+        name = WAYS.get(Outcome(number), "own" if number >= OWN else None)
+        if name is None:
+            continue
+        value = passed.get(of, jnp.full_like(failed, jnp.inf))
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
-        value = jnp.where(outcome == way, not_above_zero(failed), value)
+        value = jnp.where(outcome == number, not_above_zero(failed), value)
         margins[name] = lesser_known(margins[name], value) if name in margins else value
     return margins
 
@@ -273,14 +274,6 @@ def margins_by_name(
 def lesser_known(one: Scalar, other: Scalar) -> Scalar:
     """Return the smaller of two margins; either may be NaN."""
     return jnp.where(jnp.isnan(one) | (other < one), other, one)
-
-
-def time_scale(walker: HybridSystem, state: Any) -> Scalar:
-    """Return the time in which a walker topples, to first order; 1 for other systems."""
-    if not isinstance(walker, Walker):
-        return zero_at(state) + 1
-    in_space = isinstance(walker, SpatialWalker)
-    return jnp.sqrt(walker.leg_length) if in_space else 1 / toppling_rate(walker)
 
 
 class Guards(NamedTuple):
@@ -322,25 +315,29 @@ def guards_of(part: Part) -> Guards:
     return Guards(start, before, below(end, admits), rates, admits)
 
 
-def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> Scalar:
+def fall_margin(
+    parts: tuple[Part, ...], numbers: Numbers, guards: list[Guards], unit: Scalar
+) -> Scalar:
     """Return the margin of the fall that ended a stride before heel strike; NaN if none did.
 
     It is the least change that would have prevented the fall. The guard of the fall would not have
     risen if its rate were zero: -(rate unit)^2 / 2; nor if the rise were not admitted. The mode
-    would have ended before if its last guard had risen at its nearest miss, or rose now. A stride
-    that starts with a fall, or has one after an impact, has minus the guard's value.
+    would have ended before if a guard that leads on had risen at its nearest miss, or rose now. A
+    stride that starts with a fall, or has one after an impact, has minus the guard's value.
     """
     margin = jnp.full_like(unit, jnp.nan)
-    ended = jnp.asarray(True)
     for part, known in zip(parts, guards, strict=True):
-        late = jnp.maximum(part.end.misses.nearest[-1], known.end[-1])
-        for i, guard in enumerate(part.mode.guards[:-1]):
-            begins = ended & (part.verdict == guard.leads_to)
+        late = jnp.full_like(unit, -jnp.inf)
+        for i, guard in enumerate(part.mode.guards):
+            if guard.leads_to not in numbers:
+                late = jnp.maximum(late, jnp.maximum(part.end.misses.nearest[i], known.end[i]))
+        for i, guard in enumerate(part.mode.guards):
+            if guard.leads_to not in numbers:
+                continue
+            begins = part.reached & (part.begun == numbers[guard.leads_to])
             margin = jnp.where(begins, -guard.measure(-known.start[i]), margin)
             over = jnp.maximum(-((known.rates[i] * unit) ** 2) / 2, -known.admits[i])
-            margin = jnp.where(part.end.guard == i, jnp.maximum(over, late), margin)
-        met = part.end.guard == len(part.mode.guards) - 1
-        ended = met | (part.verdict == Outcome.STRIDE)
+            margin = jnp.where(part.taken == i, jnp.maximum(over, late), margin)
     return margin
 
 
@@ -350,8 +347,8 @@ def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
     return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
-def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar:
-    """Return the margin by which a heel strike happened; infinite if there was none.
+def strike_margin(swing: Part, known: Guards) -> Scalar:
+    """Return the margin by which the last guard of a mode has ended it; infinite if it has not.
 
     It would not have happened if the foot had not passed the contact before, or had not been ahead;
     or if the foot came up again at once and had not come down as deep.
@@ -359,10 +356,10 @@ def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar
     depth, height = swing.end.misses.depth, swing.end.misses.height
     passed = jnp.where(depth > 0, depth, jnp.inf)
     margin = jnp.minimum(jnp.minimum(passed, height), known.admits[-1])
-    return jnp.where(struck, margin, jnp.inf)
+    return jnp.where(swing.taken == len(swing.mode.guards) - 1, margin, jnp.inf)
 
 
-def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
+def least_value(parts: tuple[Part, ...], of: str) -> tuple[Scalar, Scalar]:
     """Return the least value of a condition up to heel strike, and the miss nearest to zero.
 
     The miss is one of the last guard of a mode before the condition was violated.
@@ -370,29 +367,30 @@ def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
     infinite = zero_at(parts[0].start) + jnp.inf
     least, before, broken = infinite, -infinite, jnp.asarray(False)
     for part in parts:
-        followed = part.verdict == Outcome.UNDECIDED
         for condition in part.mode.conditions:
-            if condition.outcome != of:
+            if condition.leads_to != of:
                 continue
             value, ends = part.end.misses.least[of], (part.start, part.end.state)
             for state, is_zero in zip(ends, condition.zero_at_ends, strict=True):
                 value = value if is_zero else jnp.minimum(value, condition.value(state))
-            least = jnp.where(followed, jnp.minimum(least, value), least)
+            least = jnp.where(part.followed, jnp.minimum(least, value), least)
             before = jnp.where(broken, before, jnp.maximum(before, part.end.misses.before[of]))
             broken |= part.end.violated[of]
     return least, before
 
 
-def force_at_start(parts: tuple[Part, ...]) -> Scalar:
-    """Return the contact force in the state in which a stride begins to move."""
-    force, later = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
+def conditions_at_start(
+    parts: tuple[Part, ...], numbers: Numbers
+) -> tuple[Bool[Array, ""], Scalar]:
+    """Return whether a stride is over at once since a condition is negative, and its value then."""
+    value, pulled = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
     for part in parts:
-        here = ~later & (part.verdict == Outcome.RUNNING)
         for one in part.mode.conditions:
-            if one.outcome == Outcome.RUNNING:
-                force = jnp.where(here, one.value(part.start), force)
-        later |= here
-    return force
+            if one.at_start:
+                here = ~pulled & part.reached & (part.begun == numbers[one.leads_to])
+                value = jnp.where(here, one.value(part.start), value)
+                pulled |= here
+    return pulled, value
 
 
 def not_above_zero(margin: Scalar) -> Scalar:

@@ -24,22 +24,19 @@ from walker_jax.checks import WrongUse, check_number, check_whole, refuses_trace
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
+from walker_jax.systems.hybrid_system import failures_by_name
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
+from walker_jax.walkers.phase import legs
 from walker_jax.walkers.rolling_stance import SpatialState
 from walker_jax.walkers.spatial import SpatialWalker, on_ground
+from walker_jax.walking.courses import follow_modes, follow_one
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.raised_ground import raise_ground
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import (
-    begin_stride,
-    follow_phases,
-    follow_swing,
-    follow_to_step,
-    modes_from,
-)
-from walker_jax.walking.trajectories import legs, trajectory
+from walker_jax.walking.stride import follow_to_step, modes_from, start_course
+from walker_jax.walking.trajectories import trajectory
 
 FALL_TIME = 40.0
 """Time after which a failing walker is on the ground, for legs of length 1."""
@@ -197,16 +194,23 @@ def ends_of_modes(
     The picture ends where the swing foot comes down, or the walker is on the ground.
     """
     walker = during_stride(walker, x)
-    *phases, swing = map(to_the_ground, modes_from(walker, x, to_the_end=True))
-    begun = begin_stride(walker, x)
-    if step is None:
-        ends = follow_phases(phases, begun, integrator)
-        last = follow_swing(swing, ends[-1], integrator)
+    modes = {
+        name: to_the_ground(one) for name, one in modes_from(walker, x, to_the_end=True).items()
+    }
+    *phases, last = modes
+    course = start_course(walker, modes, x)
+    before = {name: modes[name] for name in phases}
+    if step is not None:
+        before = {name: raise_ground(one, step) for name, one in before.items()}
+    if before:
+        course = follow_modes(walker, before, course, integrator)
+    times = [jnp.where(one.passed, one.time + one.end.time, jnp.inf) for one in course.parts]
+    if step is not None:
+        course = follow_to_step(walker, last, modes[last], course, step, integrator)
     else:
-        ends = follow_phases([raise_ground(one, step) for one in phases], begun, integrator)
-        last = follow_to_step(walker, swing, ends[-1], step, integrator)
-    times = [jnp.where(one.verdict == Outcome.UNDECIDED, one.time, jnp.inf) for one in ends[1:]]
-    end = jnp.where(last.verdict == Outcome.UNDECIDED, jnp.inf, last.time)
+        swing, numbers = {last: modes[last]}, failures_by_name(walker)
+        course = follow_one(last, swing, numbers, course, integrator, False, bool(phases))
+    end = jnp.where(course.verdict == Outcome.UNDECIDED, jnp.inf, course.time)
     return jnp.stack([*times, end])
 
 
@@ -214,7 +218,7 @@ def to_the_ground(mode: Mode) -> Mode:
     """Return the same motion, in which a leg that stops goes on until it is down."""
     down = lambda state: state.theta - np.pi / 2
     guards = [
-        one._replace(value=down, persists=False) if one.leads_to == Outcome.BACKWARD else one
+        one._replace(value=down, persists=False) if one.leads_to == Outcome.BACKWARD.name else one
         for one in mode.guards
     ]
     return mode._replace(guards=tuple(guards), conditions=())
@@ -234,12 +238,13 @@ def frames_shown(
 
     The count is at least one. Before the swing, states are those of the first phase.
     """
-    violated, modes = np.zeros(len(swings), bool), walker.modes()
+    violated, modes = np.zeros(len(swings), bool), [*walker.modes().values()]
+    numbers = failures_by_name(walker)
     parts = [(modes[-1], legs(states) if len(modes) > 1 else states, swings)]
     parts += [(modes[0], states, ~swings)] if len(modes) > 1 else []
     for mode, at, here in parts:
         for one in mode.conditions:
-            if one.outcome == outcome:
+            if numbers[one.leads_to] == outcome:
                 value = jax.vmap(one.value)(jax.tree.map(jnp.asarray, at))
                 violated |= here & (np.asarray(value) < 0)
     return max(1, int(violated.argmax())) if violated.any() else len(swings)

@@ -8,17 +8,17 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Scalar, Walker
-from walker_jax.walking.starts import overrides_is_ahead
+from walker_jax.walkers.phase import is_of_package
 
 
 def raise_ground(mode: Mode, step: Scalar) -> Mode:
     """Return a phase whose swing foot must not come down on ground that is higher by `step`."""
     above = lambda guard: lambda state: step + guard.value(state)
     raised = [
-        guard._replace(value=above(guard)) if guard.leads_to == Outcome.BENT_KNEE else guard
+        guard._replace(value=above(guard)) if guard.leads_to == Outcome.BENT_KNEE.name else guard
         for guard in mode.guards
     ]
     return mode._replace(guards=tuple(raised))
@@ -31,18 +31,19 @@ def onto_step(
 
     If not `to_step`, it is the swing as it is. Both cases share one loop, which keeps the lanes of
     a kernel together. On a step the foot is ahead once it has passed the other leg; a walker's own
-    rule holds too.
+    rule holds too. The guard of the contact has neither reset nor what must hold after it.
     """
     *others, strike = swing.guards
     above = lambda state: step - walker.clearance(state)
     passed = lambda state: -state.phi
-    admits = (passed, walker.is_ahead) if overrides_is_ahead(walker) else (passed,)
+    own = not is_of_package(type(walker), "is_ahead")
+    admits = (passed, walker.is_ahead) if own else (passed,)
     if to_step is None:
-        onto = Guard(above, Outcome.STRIDE, admits)
+        onto = Guard(above, SECTION, admits)
         return swing._replace(guards=(*others, onto), foregone=None)
     choose = lambda one, other: lambda state: jnp.where(to_step, one(state), other(state))
     admits = tuple(choose(one, walker.is_ahead) for one in admits)
-    onto = Guard(choose(above, strike.value), Outcome.STRIDE, admits)
+    onto = Guard(choose(above, strike.value), SECTION, admits)
     foregone = swing.foregone
     if foregone is not None:  # a foot does not come up again to a higher step either
         holds, sinks = foregone.holds, ~to_step | (step > 0)

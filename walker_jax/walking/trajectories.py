@@ -15,21 +15,22 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.hybrid.modes import Mode
+from walker_jax.hybrid.graphs import in_order
+from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
-from walker_jax.integrators.roots import Real
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
-from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome, nan_unless
-from walker_jax.walkers.model import Scalar, State, Walker
-from walker_jax.walking.starts import as_floating, during_stride, full_state, prepare
-from walker_jax.walking.stride import (
-    Arrival,
-    begin_stride,
-    follow_phases,
-    follow_stride,
-    modes_from,
+from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
+from walker_jax.systems.outcomes import nan_unless
+from walker_jax.walking.courses import (
+    begin_course,
+    end_course,
+    follow_modes,
+    follow_one,
+    leads_on,
 )
+from walker_jax.walking.starts import as_floating, during_stride, prepare
+from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
 
 
 def trajectory(
@@ -45,7 +46,8 @@ def trajectory(
     Times are in the unit of time, sqrt(leg length / gravity), angles in rad.
 
     The motion follows the equations alone: it does not end at heel strike, whose time `stride`
-    gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
+    gives. A mode ends where a guard leads to another one, at `phase_times`; a walker that falls
+    before goes on.
 
     ```python
     walker = wj.SimplestWalker(0.004)
@@ -79,20 +81,26 @@ def state_after(
 ) -> Any:
     """Compute the state a time after the start of a stride; of the first phase, if any."""
     walker = during_stride(walker, x)
-    start, now = full_state(walker, x), jnp.zeros_like(time)
-    *phases, swing = walker.modes()
-    # A phase ends at its event only.
-    alone = [mode._replace(guards=mode.guards[-1:], conditions=()) for mode in phases]
-    going = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
-    ends = follow_phases(alone, Arrival(start, now, going, {}), integrator)
-    result = start
-    for mode, begun in zip([*phases, swing], ends, strict=True):
-        begins = jnp.where(begun.verdict == Outcome.UNDECIDED, begun.time, jnp.inf)
-        left = time - begins
-        later = state_of_motion(mode, begun.state, jnp.maximum(left, 0), integrator)
-        if isinstance(walker, Walker) and type(later) is not type(start):
-            later = walker.phases()[0].begin(legs(later))
+    modes, numbers = modes_from(walker, x), failures_by_name(walker)
+    check_entered_once(walker, modes, "the trajectory")
+    order = in_order(modes)
+    result = start = walker.launch(x)
+    course = begin_course(order[0], start, jnp.asarray(True))
+    for name in order:
+        entry, mode = course.entries[name], modes[name]
+        left = time - jnp.where(entry.reached, course.time, jnp.inf)
+        later = walker.shown(state_of_motion(mode, entry.state, jnp.maximum(left, 0), integrator))
+        if jax.tree.structure(later) != jax.tree.structure(start):
+            raise WrongUse(
+                f"the trajectory of {walker.label()} cannot be had: mode {name!r} has a state "
+                "of another kind than the first one, unless shown makes it one"
+            )
         result = jax.tree.map(partial(jnp.where, left >= 0), later, result)
+        onward = tuple(one for one in mode.guards if leads_on(one, numbers))
+        if onward:  # a mode ends by these alone
+            alone = {name: mode._replace(guards=onward, conditions=(), foregone=None)}
+            switched = name != order[0]
+            course = follow_one(name, alone, numbers, course, integrator, False, switched)
     return result
 
 
@@ -104,23 +112,19 @@ def state_of_motion(mode: Mode, start: Any, time: Scalar, integrator: Integrator
     return jax.tree.map(lambda values: nan_unless(arrived, values[-1]), solution.ys)
 
 
-def legs(states: Any) -> State:
-    """Return the angles and rates of the legs, from states of any phase."""
-    return State(*(getattr(states, name) for name in State._fields))
-
-
 def phase_times(
     walker: HybridSystem,
     x: Float[ArrayLike, " coordinates"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
-) -> Float[Array, " phases"]:
-    """Compute the time at which each phase of a stride ends; the last is the time of `stride`.
+) -> Float[Array, " modes"]:
+    """Compute the time at which each mode of a stride ends; the last is the time of `stride`.
 
-    Times are in the unit of time. For a kneed walker they are the times of knee strike, 0 where the
-    knee locks at once, and of heel strike. They are NaN for phases that do not end with their
-    event. Arguments and errors are those of `stride`.
+    Times are in the unit of time, one for each mode, in the order of `modes`. For a kneed walker
+    they are the times of knee strike, 0 where the knee locks at once, and of heel strike. They are
+    NaN for modes that lead neither to another one nor to the section. Arguments and errors are
+    those of `stride`.
 
     ```python
     walker = wj.KneedWalker(0.05)
@@ -134,11 +138,17 @@ def phase_times(
 @kernel
 def follow_phase_times(
     walker: HybridSystem, x: Float[Array, " coordinates"], integrator: Integrator
-) -> Float[Array, " phases"]:
-    ends = follow_stride(walker, x, integrator).time
+) -> Float[Array, " modes"]:
     walker = during_stride(walker, x)
-    *phases, _ = modes_from(walker, x)
-    _, *parts = follow_phases(phases, begin_stride(walker, x), integrator)
-    ended = [(one.verdict == Outcome.UNDECIDED) & jnp.isfinite(one.time) for one in parts]
-    times = [nan_unless(good, one.time) for good, one in zip(ended, parts, strict=True)]
-    return jnp.stack([*times, ends])
+    modes = modes_from(walker, x)
+    check_entered_once(walker, modes, "phase times")
+    course = follow_modes(walker, modes, start_course(walker, modes, x), integrator)
+    made = end_course(walker, first_of(modes), course)
+    times = []
+    for part in course.parts:
+        end = part.time + part.end.time
+        for i, guard in enumerate(part.mode.guards):
+            if guard.leads_to == SECTION:  # or a later stride's failure, known at its end
+                end = jnp.where(part.taken == i, made.time, end)
+        times.append(nan_unless(part.passed, end))
+    return jnp.stack(times)

@@ -108,7 +108,7 @@ def steps_ran_out(mode: Mode, time: float, state: Any) -> str:
     )
 
 
-def doubts(number: int, mode: Mode, way: Sequence[tuple[float, Any]]) -> list[str]:
+def doubts(name: str, mode: Mode, way: Sequence[tuple[float, Any]]) -> list[str]:
     """Return doubts about a mode that was followed, and their remedies.
 
     `way` has the time and the state at the start and at the end of each step.
@@ -119,12 +119,12 @@ def doubts(number: int, mode: Mode, way: Sequence[tuple[float, Any]]) -> list[st
         states = np.array([numbers_of(state) for _, state in way])
         for i, least, other in faint_variables(times, states):
             found.append(
-                f"in mode {number} {names_of(start)[i]} falls to {least:.3g}, beside variables of "
+                f"in mode {name!r} {names_of(start)[i]} falls to {least:.3g}, beside variables of "
                 f"{other:.3g}: its digits are noise, unless Mode has scales for the variables"
             )
     if getattr(mode, "longest_step", None) is None and has_sharp_features(mode.field, start):
         found.append(
-            f"the longest step of mode {number} takes {np.diff(times, prepend=0).max():.3g}: "
+            f"the longest step of mode {name!r} takes {np.diff(times, prepend=0).max():.3g}: "
             "features of its exponential functions that are shorter may be missed, unless Mode has "
             "a longest_step"
         )

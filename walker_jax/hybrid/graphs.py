@@ -1,0 +1,105 @@
+"""The graph of a system's modes: the order in which they are followed, and the errors it may have.
+
+The modes are the nodes, and their guards the edges. Most edges point ahead in the order of
+`in_order`, so that one pass follows all modes, each from where one before has led.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+
+from walker_jax.checks import WrongUse, short
+from walker_jax.hybrid.modes import SECTION, Mode
+
+Modes = Mapping[str, Mode]
+
+
+def in_order(modes: Modes) -> list[str]:
+    """Return the names of modes in an order in which edges point ahead, where that can be.
+
+    It is the reverse of the order in which a search in depth, from the first mode, leaves them.
+    """
+    left: list[str] = []
+    seen: set[str] = set()
+
+    def visit(name: str) -> None:
+        seen.add(name)
+        for guard in reversed(modes[name].guards):
+            if guard.leads_to in modes and guard.leads_to not in seen:
+                visit(guard.leads_to)
+        left.append(name)
+
+    visit(next(iter(modes)))
+    return left[::-1]
+
+
+def entered_again(modes: Modes) -> list[str]:
+    """Return the modes to which an edge leads back, in the order of `in_order`."""
+    order = in_order(modes)
+    places = {name: i for i, name in enumerate(order)}
+    back = {
+        guard.leads_to
+        for name in order
+        for guard in modes[name].guards
+        if guard.leads_to in places and places[guard.leads_to] <= places[name]
+    }
+    return [name for name in order if name in back]
+
+
+def check_graph(label: str, modes: Any, failures: set[str]) -> None:
+    """Raise `WrongUse` for modes that are no graph; `label` names their system.
+
+    Every guard must lead to a mode, to the section or to one of the `failures`, and every mode must
+    be reached from the first one. The section must be reached too.
+    """
+    if not isinstance(modes, dict) or not modes:
+        raise WrongUse(f"modes of {label} must be a dictionary of modes, not {short(modes)}")
+    for name, mode in modes.items():
+        if not isinstance(name, str) or not isinstance(mode, Mode):
+            raise WrongUse(f"modes of {label} must be modes by name, not {name!r}: {short(mode)}")
+        if name == SECTION or name in failures:
+            raise WrongUse(f"modes of {label} must have names that name no failure, not {name!r}")
+        known = {*modes, SECTION} | failures
+        held = [one for guard in mode.guards for one in guard.must_hold]
+        for part, ends, allowed in (
+            ("guards", mode.guards, known),
+            ("conditions", mode.conditions, failures),
+            ("must_hold", held, failures),
+        ):
+            for end in ends:
+                to = getattr(end, "leads_to", end)
+                if not isinstance(to, str) or to not in allowed:
+                    where = "a mode, to SECTION or " if part == "guards" else ""
+                    raise WrongUse(
+                        f"{part} of mode {name!r} of {label} must lead to {where}a failure, "
+                        f"not to {short(to) if to else 'nothing'}"
+                    )
+    reached = in_order(modes)
+    if lost := [name for name in modes if name not in reached]:
+        raise WrongUse(f"modes of {label} must be reached from the first, unlike {lost[0]!r}")
+    if not any(guard.leads_to == SECTION for mode in modes.values() for guard in mode.guards):
+        raise WrongUse(f"modes of {label} must lead to SECTION, but no guard does")
+
+
+def kinds_of_states(label: str, modes: Modes, start: Any) -> dict[str, Any]:
+    """Return the shapes of the states in which modes begin, and of the section's, by name.
+
+    Raise `WrongUse` where resets into one mode return states of different kinds.
+    """
+    shape = lambda value: jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), value)
+    order = in_order(modes)
+    kinds: dict[str, Any] = {order[0]: shape(jax.eval_shape(lambda: start))}
+    for name in order:
+        for guard in modes[name].guards:
+            to = guard.leads_to
+            if to != SECTION and to not in modes:
+                continue
+            kind = shape(jax.eval_shape(guard.reset, kinds[name]))
+            if kinds.setdefault(to, kind) != kind:
+                described = " and ".join(map(str, (kinds[to], kind)))
+                raise WrongUse(
+                    f"resets into mode {to!r} of {label} must return states of one kind, "
+                    f"not {described}"
+                )
+    return kinds
