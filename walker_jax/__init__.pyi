@@ -92,7 +92,9 @@ from walker_jax.systems.outcomes import Outcome as Outcome
 from walker_jax.systems.outcomes import Stride as Stride
 from walker_jax.systems.outcomes import Walk as Walk
 from walker_jax.systems.rimless_wheel import TorsoWheel as TorsoWheel
+from walker_jax.systems.spring_mass_biped import SpringMassBiped as SpringMassBiped
 from walker_jax.systems.spring_mass_runner import SpringMassRunner as SpringMassRunner
+from walker_jax.systems.stick_slip import StickSlip as StickSlip
 from walker_jax.systems.switched_compass import SwitchedCompass as SwitchedCompass
 from walker_jax.systems.system import System as System
 from walker_jax.wada import Wada as Wada

@@ -6,7 +6,9 @@ from walker_jax.systems.five_link_biped import FiveLinkBiped
 from walker_jax.systems.henon import HenonMap
 from walker_jax.systems.impact_oscillator import ImpactOscillator
 from walker_jax.systems.rimless_wheel import TorsoWheel
+from walker_jax.systems.spring_mass_biped import SpringMassBiped
 from walker_jax.systems.spring_mass_runner import SpringMassRunner
+from walker_jax.systems.stick_slip import StickSlip
 from walker_jax.systems.switched_compass import SwitchedCompass
 from walker_jax.systems.system import System
 
@@ -16,6 +18,8 @@ SYSTEMS: dict[str, type[System]] = {
     "bouncing-ball": BouncingBall,
     "impact-oscillator": ImpactOscillator,
     "runner": SpringMassRunner,
+    "spring-mass-biped": SpringMassBiped,
+    "stick-slip": StickSlip,
     "torso-wheel": TorsoWheel,
     "switched-compass": SwitchedCompass,
     "five-link-biped": FiveLinkBiped,

@@ -1,0 +1,126 @@
+"""The biped on spring legs, against an integration with SciPy and the runner of one leg."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import walker_jax as wj
+
+WALKER = wj.SpringMassBiped()
+FASTER = wj.SpringMassBiped(energy=1.25)
+WALKED, FLOWN = (0.94, 0.01), (0.9, 0.03)
+"""Starts of the faster one: the other leg lands before the first one leaves, or after a flight."""
+RUNS_AT = {"stiffness": 25.4841997961264, "angle": 1.1868238913561442, "energy": 2.27420998980632}
+
+
+def event(function, direction):
+    function.terminal, function.direction = True, direction
+    return function
+
+
+def stride_by_scipy(walker, height, climb):
+    """The next mid-stance and its time, in world coordinates, as in Geyer and others (2006)."""
+    k, angle, energy = (float(getattr(walker, name)) for name in ("stiffness", "angle", "energy"))
+    forward = np.sqrt(2 * (energy - height) - k * (1 - height) ** 2 - climb**2)
+    y, time, feet = np.array([0.0, height, forward, climb]), 0.0, [0.0]
+
+    def rates(_, y):
+        ahead, up = 0.0, -1.0
+        for foot in feet:
+            length = np.hypot(y[0] - foot, y[1])
+            ahead += k * (1 / length - 1) * (y[0] - foot)
+            up += k * (1 / length - 1) * y[1]
+        return [y[2], y[3], ahead, up]
+
+    landed = False
+    while True:
+        stretched = [
+            event(lambda _, y, foot=foot: np.hypot(y[0] - foot, y[1]) - 1, 1) for foot in feet
+        ]
+        ends = list(stretched)
+        if not landed:
+            ends.append(event(lambda _, y: y[1] - np.sin(angle), -1))
+        if landed and len(feet) == 1:
+            ends.append(event(lambda _, y, foot=feet[0]: y[0] - foot, 1))
+        made = solve_ivp(
+            rates, (0, 20), y, "DOP853", events=ends, rtol=1e-13, atol=1e-13, first_step=1e-3
+        )
+        which = next(i for i, one in enumerate(made.t_events) if one.size)
+        y, time = made.y_events[which][0], time + made.t_events[which][0]
+        if which < len(feet):
+            del feet[which]
+        elif not landed:
+            landed, feet = True, [*feet, y[0] + np.cos(angle)]
+        else:
+            return np.array([y[1], y[3]]), time
+
+
+@pytest.mark.parametrize(
+    ("walker", "start"),
+    [
+        (WALKER, (0.97, 0.0)),
+        (WALKER, (0.98, 0.02)),
+        (FASTER, WALKED),
+        (FASTER, FLOWN),
+        (wj.SpringMassBiped(**RUNS_AT), (0.9, 0.01)),
+    ],
+)
+def test_a_stride_is_that_of_another_integration(walker, start):
+    made = wj.stride(walker, start)
+    state, time = stride_by_scipy(walker, *start)
+    assert made.outcome == wj.Outcome.STRIDE
+    np.testing.assert_allclose(made.state, state, atol=2e-11)
+    np.testing.assert_allclose(made.time, time, atol=2e-11)
+
+
+def test_modes_are_skipped_as_the_legs_land_and_leave():
+    walked, flown = ([one.name for one in wj.explain(FASTER, x).modes] for x in (WALKED, FLOWN))
+    assert walked == ["past mid-stance", "double support", "before mid-stance"]
+    assert flown == ["past mid-stance", "flight", "before mid-stance"]
+    times = np.asarray(wj.phase_times(FASTER, FLOWN))
+    assert np.isfinite(times).sum() == 3
+    assert np.nanmax(times) == wj.stride(FASTER, FLOWN).time
+
+
+def test_walking_is_stable_and_symmetric():
+    """A stable symmetric gait is published at these values of energy, stiffness and angle."""
+    gaits = wj.find_gaits(WALKER)
+    (gait,) = (one for one in gaits if one.stable)
+    assert gait.states[0, 1] == pytest.approx(0, abs=1e-12)
+    assert abs(np.prod(gait.multipliers)) == pytest.approx(0.978001**2, abs=1e-5)
+    (other,) = (one for one in gaits if not one.stable)
+    assert np.sort(other.multipliers.real)[-1] > 1
+
+
+def test_running_is_that_of_one_leg():
+    runs = wj.find_gaits(wj.SpringMassBiped(**RUNS_AT))
+    apexes = wj.find_gaits(wj.SpringMassRunner(**RUNS_AT))
+    assert len(runs) == len(apexes) == 2
+    for run, apex in zip(runs, sorted(apexes, key=lambda one: -one.step_times[0]), strict=True):
+        np.testing.assert_allclose(run.step_times, apex.step_times, atol=1e-12)
+        one, other = sorted(run.multipliers.real, key=abs)
+        assert abs(one) < 1e-9
+        assert other == pytest.approx(apex.multipliers[0].real, abs=1e-10)
+
+
+def test_derivatives_and_margins_pass_all_ways_through_the_modes():
+    starts, step = jnp.array([WALKED, FLOWN]), 1e-5
+    stride = jax.jit(lambda x: wj.stride(FASTER, x).state)
+    jacobians = jax.vmap(jax.jacfwd(stride))(starts)
+    for start, jacobian in zip(starts, jacobians, strict=True):
+        ends = [[stride(start + s * step * e) for s in (-2, -1, 1, 2)] for e in np.eye(2)]
+        slopes = [(a - 8 * b + 8 * c - d) / (12 * step) for a, b, c, d in ends]
+        np.testing.assert_allclose(jacobian, np.stack(slopes, axis=1), rtol=1e-7, atol=1e-7)
+    margins = wj.margins_of_many(FASTER, np.array([WALKED, FLOWN, (0.84, -0.3)]))
+    made = np.asarray(margins.stride.outcome) == wj.Outcome.STRIDE
+    assert made.tolist() == [True, True, False]
+    assert (np.asarray(margins.backward)[:2] > 0).all()
+
+
+def test_a_trajectory_passes_the_modes():
+    stride = wj.stride(FASTER, WALKED)
+    states = wj.trajectory(FASTER, WALKED, [0.0, 0.5, float(stride.time)])
+    np.testing.assert_allclose(states.y[-1], stride.state[0], atol=1e-12)
+    assert states.foot[1] > 0 and states.foot[-1] == 0
