@@ -1,7 +1,7 @@
 """Outcomes of strides, and the results of strides and walks."""
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -77,10 +77,18 @@ def failures_of(data: Any) -> tuple[str, ...]:
     return names_in(data, "failures")
 
 
+def join_names(names: Iterable[str]) -> str:
+    """Return names as one attribute of a data set; NetCDF 3 holds no list of words."""
+    return ", ".join(names)
+
+
 def names_in(data: Any, attribute: str) -> tuple[str, ...]:
-    """Return the names listed by an attribute of a data set; none if it has no such attribute."""
+    """Return the names in an attribute of a data set; none if it has no such attribute.
+
+    Older data sets have a list of names instead of one string.
+    """
     names = data.attrs.get(attribute, ())
-    return (names,) if isinstance(names, str) else tuple(names)  # NetCDF has no list of one
+    return tuple(names.split(", ") if isinstance(names, str) else names)
 
 
 def name_of_outcome(outcome: int, failures: Sequence[str] = ()) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.identity import code_fingerprint
+from walker_jax.systems.outcomes import join_names
 from walker_jax.systems.parameter import Parameter as Parameter
 from walker_jax.systems.system import AnySystem, System, code_of, numbers_of, statics_of
 
@@ -110,7 +111,7 @@ def attributes_of(walker: System, *, without: Container[str] = ()) -> dict[str, 
     values |= dict.fromkeys(chosen_options(walker), 1) | other_statics(walker)
     code = code_fingerprint(type(walker), code_of(walker))
     about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
-    about |= {"failures": list(walker.failures)} if walker.failures else {}
+    about |= {"failures": join_names(walker.failures)} if walker.failures else {}
     return about | ({"code": code} if code else {})
 
 
@@ -122,7 +123,7 @@ def describe_source(walker: System, *, without: Container[str] = ()) -> dict[str
     return {
         "walker": walker.label(),
         **attributes_of(walker, without=without),
-        "section": list(walker.section),
+        "section": join_names(walker.section),
         "version": f"walker-jax {version('walker-jax')}",
     }
 
