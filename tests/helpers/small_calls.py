@@ -137,7 +137,9 @@ CALLS: dict[str, Callable[[], Any]] = {
     "Policy": lambda: wj.stride(
         wj.Policy(MAP, wj.viable(MAP, PLANE, {"a": [0.1, 0.3]}, **QUIET)), [0.6, 0.2]
     ),
-    "Feedback": lambda: wj.stride(wj.Feedback(WALKER, gait(), {"slope": [0.01, 0.0]}, {"slope": (0.005, 0.02)}), X),
+    "Feedback": lambda: wj.stride(
+        wj.Feedback(WALKER, gait(), {"slope": [0.01, 0.0]}, {"slope": (0.005, 0.02)}), X
+    ),
     "least_step_down": lambda: wj.least_step_down(WALKER, gait(), strides=50),
     "steps_to_fall": lambda: wj.steps_to_fall(WALKER, 0.01, 8, gait=gait(), limit=9),
     "metastability": lambda: wj.metastability(

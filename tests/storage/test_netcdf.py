@@ -37,7 +37,7 @@ def test_every_data_set_goes_to_netcdf_by_scipy_alone(tmp_path, name):
             np.testing.assert_array_equal(there.attrs[key], value)
 
 
-def test_names_are_read_from_one_string_and_from_the_lists_of_before():
+def test_names_are_read_from_one_string_or_a_list():
     attributes = {"section": "x, y", "older": ["x", "y"], "one": "x", "array": np.array(["x", "y"])}
     data = xr.Dataset(attrs=attributes)
     assert names_in(data, "section") == names_in(data, "older") == ("x", "y")

@@ -1,13 +1,17 @@
 """Outcomes of strides, and the results of strides and walks."""
 
 import enum
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact, Int
 
+from walker_jax.checks import is_traced
 from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.html_tables import html_table, list_numbers
 
 
 class Outcome(enum.IntEnum):
@@ -108,6 +112,34 @@ def outcome_in_words(name: str) -> str:
     return WORDS.get(name) or name.replace("_", " ")
 
 
+def stride_table(stride: "Stride") -> str | None:
+    """Return how a stride ended, and where; of many, how many ended in which way."""
+    if is_traced(stride):
+        return None
+    outcomes, words = np.asarray(stride.outcome), lambda code: outcome_in_words(Outcome(code).name)
+    if outcomes.ndim:
+        found = Counter(outcomes.ravel().tolist()).most_common()
+        rows = [(words(code), count) for code, count in found]
+        return html_table(f"{outcomes.size} strides", ("outcome", "strides"), rows)
+    rows = [("outcome", words(outcomes.item()))]
+    if outcomes == Outcome.STRIDE:
+        rows += [("state", list_numbers(stride.state)), ("time", list_numbers(stride.time))]
+    return html_table("Stride", ("", ""), rows)
+
+
+def walk_table(walk: "Walk") -> str | None:
+    """Return the strides of a walk, up to its failure; None for several walks."""
+    if is_traced(walk) or np.ndim(walk.outcomes) != 1:
+        return None
+    rows, strides = [], zip(walk.states, walk.times, np.asarray(walk.outcomes), strict=False)
+    for k, (start, time, outcome) in enumerate(strides):
+        word = outcome_in_words(Outcome(outcome).name)
+        rows += [(k, list_numbers(start), list_numbers(time), word)]
+        if outcome != Outcome.STRIDE:
+            break
+    return html_table("Walk", ("stride", "start", "time", "outcome"), rows)
+
+
 class Stride(NamedTuple):
     """The result of a stride."""
 
@@ -117,6 +149,7 @@ class Stride(NamedTuple):
     """`Outcome` as int8."""
     time: Float[Array, "*cells"]
     """Duration, in the unit of time; NaN unless the outcome is `STRIDE`."""
+    _repr_html_ = stride_table
 
 
 class Walk(NamedTuple):
@@ -128,6 +161,7 @@ class Walk(NamedTuple):
     """`Outcome` of each stride; that of the failure from there on."""
     times: Float[Array, " strides"]
     """Duration of each stride, in the unit of time."""
+    _repr_html_ = walk_table
 
 
 def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
