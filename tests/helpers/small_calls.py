@@ -87,7 +87,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     ),
     "attractors": lambda: wj.attractors(MAP, "a", [0.2], [[[0.6, 0.2]]], strides=5),
     "loss_of_walking": lambda: wj.loss_of_walking(
-        MAP, "a", (0.2, 0.3), [], strides=5, resolution=1e-2, **QUIET
+        MAP, "a", (0.2, 0.3), [], strides=5, resolution=1e-2
     ),
     "lyapunov": lambda: wj.lyapunov(wj.HenonMap(), [0.1, 0.1], 20, walks=2, settling=5),
     "transients": lambda: wj.transients(wj.HenonMap(1.6), np.zeros((9, 2)), settle=1),

@@ -91,5 +91,5 @@ def test_several_walkers_and_traced_values_have_the_repr_alone():
         shown.append(gait._replace(found=made.outcome == 0)._repr_html_())
         return made.time
 
-    traced(jnp.array(0.009))
+    traced(jnp.asarray(np.float64(0.009)))
     assert shown == ["f64[]", None, None, None]
