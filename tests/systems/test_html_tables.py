@@ -14,7 +14,7 @@ WALKER, X, FALL = wj.SimplestWalker(0.009), [0.2003, -0.1998], [0.3, -0.1]
 def cells(value) -> tuple[str, list[list[str]]]:
     """Caption and rows, without the head, of a table; HTML this plain is XML too."""
     caption, _, *rows = ElementTree.fromstring(value._repr_html_())
-    return caption.text, [[cell.text or "" for cell in row] for row in rows]
+    return caption.text or "", [[cell.text or "" for cell in row] for row in rows]
 
 
 def test_parameters_are_listed_with_units_and_meanings():
