@@ -43,6 +43,7 @@ from scipy.optimize import differential_evolution
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.systems.outcomes import names_in
 
 jax.config.update("jax_enable_x64", True)  # before the walkers are made
 
@@ -196,7 +197,8 @@ def with_springs(walker):
 
 
 def with_action(walker, data, number: int):
-    return change(walker, **{name: float(data[name][number]) for name in data.attrs["actions"]})
+    names = names_in(data, "actions")
+    return change(walker, **{name: float(data[name][number]) for name in names})
 
 
 def change(walker, **values):
@@ -205,7 +207,7 @@ def change(walker, **values):
 
 def linear_feedback(walker, data, grid, coarse):
     """The system with the linear feedback of the largest basin that is found."""
-    names = list(data.attrs["actions"])
+    names = names_in(data, "actions")
     limits = {name: (float(data[name].min()), float(data[name].max())) for name in names}
     actions = [with_action(walker, data, k) for k in range(data.sizes["action_number"])]
     best = max(actions, key=lambda one: area(one, coarse))

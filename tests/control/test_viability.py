@@ -190,7 +190,7 @@ def test_a_policy_has_what_its_system_has(tmp_path):
     gait = wj.find_gait(steered)
     np.testing.assert_allclose(gait.states, wj.find_gait(wheel).states, atol=1e-12)
     followed = wj.basin(steered, grid, "direct")
-    assert followed.attrs["failures"] == ["stalls"]
+    assert followed.attrs["failures"] == "stalls"
     assert np.array_equal(followed["attractor"] >= 0, data["viable"])
 
 
@@ -310,7 +310,7 @@ def test_two_parameters_at_once_and_a_target_of_ones_own(pushed):
         {"hip_angle": (-0.4, 0.0, 3), "push_off": [0.0, 0.02]},
         target=target,
     )
-    assert data.sizes["action_number"] == 6 and data.attrs["actions"] == ["hip_angle", "push_off"]
+    assert data.sizes["action_number"] == 6 and data.attrs["actions"] == "hip_angle, push_off"
     assert np.array_equal(data["hip_angle"], [-0.4, -0.4, -0.2, -0.2, 0, 0])
     assert np.array_equal(data["capture"].values == 0, target)
     assert data.attrs["target_area"] == pytest.approx(target.sum() * grid.cell_area)

@@ -451,3 +451,17 @@ def test_eight_clients_drag_for_a_minute_in_flat_memory(running):
     before = resident()
     drag(running, 60)
     assert resident() - before < 60e6
+
+
+def test_a_process_that_still_starts_is_not_interrupted(monkeypatch):
+    sent = []
+    monkeypatch.setattr(os, "kill", lambda *given: sent.append(given))
+
+    async def give_up() -> None:
+        worker, job = workers.Worker(), asyncio.get_running_loop().create_future()
+        worker.process = Mock(pid=1234)
+        asyncio.get_running_loop().call_later(0.05, job.set_result, None)
+        await worker.give_up(job)
+
+    asyncio.run(give_up())
+    assert sent == []

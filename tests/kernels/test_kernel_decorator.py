@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import diffrax
@@ -150,13 +151,43 @@ class SortingWalker(wj.SimplestWalker):
         return super().impact(jax.tree.map(lambda value: value + nothing, state))
 
 
+class SortingEquations(wj.SimplestWalker):
+    """Another, whose equations of motion have none: lines are known of their series too."""
+
+    def vector_field(self, state):
+        first = jnp.sort(jnp.stack([self.slope, 2 * self.slope]))[0]
+        return jax.tree.map(lambda rate: rate + 0 * first, super().vector_field(state))
+
+
+class SortingBall(wj.BouncingBall):
+    """A system of modes that is no walker."""
+
+    def table(self, phase):
+        return tuple(jnp.sort(jnp.stack([self.amplitude, 2.0]))[0] * one for one in (phase, 1.0))
+
+
+def sorting_map(x, a):
+    return a * jnp.sort(x)
+
+
 def test_a_users_own_system_without_a_kernel_says_so_once(monkeypatch):
     systems = {
         "SortingWalker": (SortingWalker(0.009), [0.2, -0.2]),
+        "SortingEquations": (SortingEquations(0.009), [0.2, -0.2]),
+        "SortingBall": (SortingBall(), [0.1, 2.0]),
+        "sorting_map": (wj.Map(sorting_map, ("x", "y"), parameters={"a": 0.5}), [0.2, -0.2]),
     }
     warn_once.cache_clear()
+    lines = Path(__file__).read_text().split("\n")
     for name, (system, x) in systems.items():
-        said = f"^{name} has no kernel, so XLA computes it, .*: kernels do not support sort"
+        begin = next(
+            i for i, one in enumerate(lines) if one.startswith((f"class {name}(", f"def {name}("))
+        )
+        line = 1 + next(i for i in range(begin, len(lines)) if "jnp.sort" in lines[i])
+        said = (
+            f"^{name} has no kernel, so XLA computes it, .*: kernels do not support sort, "
+            f"in line {line} of test_kernel_decorator.py$"
+        )
         with pytest.warns(NoKernelWarning, match=said) as warned:
             first = wj.stride(system, x)
             again = wj.strides(system, [x])

@@ -176,7 +176,7 @@ def test_the_basin_names_them(tmp_path):
     words = {one.get_text() for one in figures.basin(BASIN).figure.findobj(Text)}
     assert {"hits the ceiling", "sticks"} <= words
     # NetCDF has no list of one name
-    BASIN.assign_attrs(failures=["sticks"]).to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
+    BASIN.assign_attrs(failures="sticks").to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
     with xr.open_dataset(tmp_path / "b.nc", engine="h5netcdf") as kept:
         assert failures_of(kept) == ("sticks",)
     mapped = wj.basin(Juggler(), GRID)

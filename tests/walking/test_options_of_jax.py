@@ -1,31 +1,41 @@
 """Options of JAX that users set to find faults of their own: none of them finds one here."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.experimental.jet import jet
+from small_calls import CALLS
 
 import walker_jax as wj
 
 WALKER, START, FALL = wj.SimplestWalker(0.009), jnp.array([0.2003, -0.1998]), jnp.array([0.3, -0.1])
 GRID = wj.Grid.sheared(theta=(0.1, 0.3, 6), sum=(-0.02, 0.01, 6))
-CALLS = {
-    "walk": lambda: wj.walk(WALKER, START, 2),
-    "find_gait": lambda: wj.find_gait(WALKER),
-    "gait_derivatives": lambda: wj.gait_derivatives(WALKER, wj.find_gait(WALKER), "slope"),
-    "trajectory": lambda: wj.trajectory(WALKER, START, jnp.array([0.0, 1.0])),
-    "direct basin": lambda: wj.basin(WALKER, GRID, "direct"),
-    "cell map": lambda: wj.basin(WALKER, GRID),
-    "refine": lambda: wj.refine(WALKER, GRID, 1),
-    "transients": lambda: wj.transients(WALKER, np.array([START, FALL])),
-    "lyapunov": lambda: wj.lyapunov(wj.HenonMap(), jnp.array([0.1, 0.1]), strides=100),
-}
+SLOW = {"boundary", "metastability", "most_probable_fall", "robustness_table", "steps_to_fall"}
+SLOW |= {"gait_sensitivity", "sensitivity_gradient", "prove_basin", "prove_doubling", "prove_gait"}
+"""Functions that take seconds to compile."""
+EACH = pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=[pytest.mark.slow] if one in SLOW else []) for one in CALLS]
+)
 
 
-@pytest.mark.parametrize("name", CALLS)
+def test_every_function_is_tried():
+    """But for the explorer's page, which is not computed here."""
+    functions = {one for one in wj.__all__ if inspect.isfunction(getattr(wj, one))}
+    assert functions - {"explore"} == {*CALLS}
+
+
+@EACH
 def test_no_function_relies_on_the_promotion_of_ranks(name):
     with jax.numpy_rank_promotion("raise"):
+        CALLS[name]()
+
+
+@EACH
+def test_no_function_makes_nan_that_jax_could_see(name):
+    with jax.debug_nans(True):
         CALLS[name]()
 
 

@@ -8,7 +8,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.schema import artefacts
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, names_in
 
 LARGE = 0.1
 """Share of the walking cells from which on a basin is large. Of smaller basins, such as those of a
@@ -42,7 +42,7 @@ class WalkingCells(NamedTuple):
 
 def has_known_units(data: xr.Dataset) -> bool:
     """Return whether the section begins as walkers' do, which gives areas known units."""
-    return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
+    return names_in(data, "section")[:2] == ("theta", "thetadot")
 
 
 def fixed_coordinates(data: xr.Dataset) -> dict[str, float]:
@@ -51,7 +51,7 @@ def fixed_coordinates(data: xr.Dataset) -> dict[str, float]:
     Fixed coordinates after the axes are coordinates of the data set; those before an axis are in
     its origin.
     """
-    section, origin = [*data.attrs["section"]], data.attrs.get("origin")
+    section, origin = names_in(data, "section"), data.attrs.get("origin")
     fixed = {name: float(data[name]) for name in section if name in data and not data[name].ndim}
     axes = data["fate"].dims if "fate" in data else data["axis"].values.tolist()
     if origin is not None and {*axes} <= {*section}:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Int
 
 from walker_jax.basins.attractor import Attractor, sorted_numbers
 from walker_jax.grids import Grid, cell_slices
-from walker_jax.systems.outcomes import names_of_outcomes
+from walker_jax.systems.outcomes import names_in, names_of_outcomes
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_source
 
@@ -125,6 +125,7 @@ def request_of(about: xr.Dataset, grid: Grid) -> dict:
     """Return all that a basin depends on, by which a stored one is recognised."""
     return {
         **{str(name): value for name, value in about.attrs.items()},
+        **{name: names_in(about, name) for name in ("section", "failures") if name in about.attrs},
         "axes": grid.box,
         "shear": grid.shear.tolist(),
         "origin": grid.origin.tolist(),

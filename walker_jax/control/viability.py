@@ -63,7 +63,7 @@ from walker_jax.execution.workers import (
 )
 from walker_jax.grids import MAX_SIZE, Grid
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.systems.outcomes import OUTCOMES, failures_of, name_of_outcome
+from walker_jax.systems.outcomes import OUTCOMES, failures_of, join_names, name_of_outcome
 from walker_jax.systems.system import System
 
 
@@ -194,7 +194,7 @@ class Plan(NamedTuple):
     def about(self) -> xr.Dataset:
         """Return the axes of the finest grid, and the settings."""
         walker, choice, integrator, _, grid, _ = self.task
-        settings = {"actions": list(choice.names), "tolerance": float(integrator.tolerance)}
+        settings = {"actions": join_names(choice.names), "tolerance": float(integrator.tolerance)}
         columns = zip(choice.names, choice.values.T, strict=True)
         rows = {name: ("action_number", row) for name, row in columns}
         return describe(walker, grid, settings).assign(frame_of(grid) | rows)

@@ -8,6 +8,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from walker_jax.design.evaluation import ENDS_STAGE, HURRIED_ENDS_STAGE
+from walker_jax.systems.outcomes import names_in
 
 if TYPE_CHECKING:
     import pandas
@@ -67,7 +68,7 @@ def limits(data: xr.Dataset) -> dict[str, tuple[float | None, float | None]]:
 def slice_coordinates(data: xr.Dataset) -> dict[str, float]:
     """Return the fixed coordinates of the slice in which areas are measured or basins shown."""
     region = json.loads(data.attrs["region"])
-    shown = {name: data[name] for name in data.attrs["section"] if name in data}
+    shown = {name: data[name] for name in names_in(data, "section") if name in data}
     return {name: float(at) for name, at in region.items() if not isinstance(at, list)} | {
         name: float(at) for name, at in shown.items() if at.ndim == 0
     }

@@ -21,6 +21,7 @@ from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.systems.angles import turns_of
+from walker_jax.systems.outcomes import join_names
 from walker_jax.systems.system import System, has_gait_region
 
 KEPT_AREAS = 4
@@ -253,5 +254,7 @@ def check_known(problem: Problem, known: xr.Dataset) -> None:
     for name in dict.fromkeys([*whole, "density"]):
         own = name.startswith("walker_") and name.removeprefix("walker_") in problem.names
         value, other = about.get(name), known.attrs.get(name)
+        if isinstance(other, list):  # names in an older data set
+            other = join_names(other)
         if not own and name != "version" and other != value:
             raise WrongUse(f"known must be of the same {name}, {value!r}, not {other!r}")

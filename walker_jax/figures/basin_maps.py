@@ -46,6 +46,7 @@ from walker_jax.figures.text import (
     walker_title,
 )
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import names_in
 
 PANELS = 6
 """Most slices in a picture of a basin of three dimensions."""
@@ -97,7 +98,7 @@ def basin(
         cycle = cycle_of(data, number)
         dots = place_states(data, cycle, (x, y))
         inside = (dots >= extent[::2]) & (dots <= extent[1::2])
-        name = attractor_name(int(data["period"].sel(number=number)), data.attrs["section"], cycle)
+        name = attractor_name(data, int(data["period"].sel(number=number)), cycle)
         where = "" if inside.all(axis=1).any() else " (outside the picture)"
         marks.append(attractor_mark(ax, dots, marker, name + where))
         keep_clear(free, dots, extent)
@@ -182,7 +183,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
     marks: dict[str, Line2D] = {}
     for number, marker in zip(large, MARKERS, strict=False):
         cycle = cycle_of(data, number)
-        name = attractor_name(int(data["period"].sel(number=number)), data.attrs["section"], cycle)
+        name = attractor_name(data, int(data["period"].sel(number=number)), cycle)
         for place in place_states(data, cycle, (x, y, z)):
             ax = grid.flat[int(np.abs(depths[chosen] - place[2]).argmin())]
             marks[name] = attractor_mark(ax, place[None, :2], marker, name)
@@ -261,7 +262,7 @@ def middle_of(data: xr.Dataset, axis: str) -> float:
     if "origin" not in data.attrs:
         return 0.0
     origin = np.asarray(data.attrs["origin"])[None]
-    return float(along_axis(origin, data.attrs["section"], axis).item())
+    return float(along_axis(origin, names_in(data, "section"), axis).item())
 
 
 def share_drawn(data: xr.Dataset) -> int:

@@ -44,6 +44,7 @@ from walker_jax.gaits.curves import (
     read_curves,
 )
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import names_in
 
 FOLD: dict[str, Any] = {"marker": "<", "ms": 6, "mfc": "white", "mew": 1, "ls": ""}
 TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mfc": "white", "mew": 1.2, "ls": ""}
@@ -384,7 +385,7 @@ def set_range(ax: Axes, data: xr.Dataset) -> None:
 
 def first_name(data: xr.Dataset) -> str:
     """Return the name of the first coordinate of the section."""
-    return str(data.attrs["section"][0])
+    return names_in(data, "section")[0]
 
 
 def period_lines(drawn: list[Curve]) -> list[Line2D]:

@@ -16,7 +16,7 @@ from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.gaits.charts import NO_GAIT, words_in
 from walker_jax.gaits.normal_forms import SUBCRITICAL, criticality
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, names_in
 
 TINTS = 0.05, 0.85, 0.825, 0.7, 0.65, 0.775, 0.55, 0.6
 """Share of each period's colour in the tint of its cells; the rest is white."""
@@ -119,7 +119,7 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
             handles.append(Patch(fc=tinted(number), ec=INK, lw=0.3, label=f"period {number}"))
     others = walks & ((period == 0) | (period > len(PERIODS)))
     image[others] = to_rgb(NO_PERIOD)
-    fails = "falls" if "theta" in data.attrs["section"] else "fails"
+    fails = "falls" if "theta" in names_in(data, "section") else "fails"
     further = (
         ("no period, or a longer one", others, NO_PERIOD),
         (fails, ~walks & ~undecided & (fate != NO_GAIT), FALLS),

@@ -15,6 +15,7 @@ from walker_jax.figures.layout import figure_legend, figure_title, name_axes, ne
 from walker_jax.figures.style import LONGER, OTHERS, PERIODS, TITLE, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import names_in
 
 EVENT: dict[str, Any] = {"color": OTHERS, "lw": 0.8, "ls": ":"}
 """Line style of a bifurcation."""
@@ -45,7 +46,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     inside = (events >= value[0]) & (events <= value[-1])
     for at in events[inside].tolist():
         above.axvline(at, **EVENT)
-    name_axes(above, y=str(data.attrs["section"][0]))
+    name_axes(above, y=names_in(data, "section")[0])
     above.set_title("Attractors", **TITLE)
     fractions = np.nan_to_num(data["fraction"].values)
     draw_steps(below, value, fractions, colours)

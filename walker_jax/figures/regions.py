@@ -23,7 +23,7 @@ from walker_jax.figures.style import (
     failure_words,
 )
 from walker_jax.figures.text import SYMBOLS
-from walker_jax.systems.outcomes import Outcome, failures_of
+from walker_jax.systems.outcomes import Outcome, failures_of, names_in
 
 Extent = tuple[float, float, float, float]
 BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor"
@@ -125,7 +125,7 @@ def place_states(
     data: xr.Dataset, states: Float[np.ndarray, "n section"], axes: tuple[str, ...]
 ) -> Float[np.ndarray, "n axes"]:
     """Return the places of states on a picture with these axes."""
-    section = data.attrs["section"]
+    section = names_in(data, "section")
     offsets = states - np.asarray(data.attrs.get("origin", 0.0))
     return np.stack([along_axis(offsets, section, axis) for axis in axes], axis=-1)
 
@@ -139,16 +139,16 @@ WRITTEN_COORDINATES = 3
 """Most coordinates of a state that a legend has room for."""
 
 
-def attractor_name(period: int, section: list[str], cycle: Float[np.ndarray, "n section"]) -> str:
+def attractor_name(data: xr.Dataset, period: int, cycle: Float[np.ndarray, "n section"]) -> str:
     """Name an attractor in the legend: its period, and up to two of its states."""
-    names = [SYMBOLS.get(name, name) for name in section]
+    names = [SYMBOLS.get(name, name) for name in names_in(data, "section")]
     states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.tolist()]
     shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
     more = ", …" if len(states) > 2 else ""
     kind = {0: "a state of the attractor", 1: "attractor"}.get(
         period, f"attractor of period {period}"
     )
-    if len(section) > WRITTEN_COORDINATES:
+    if len(names) > WRITTEN_COORDINATES:
         return kind
     return f"{kind}: ({', '.join(names)}) = {shown}{more}"
 

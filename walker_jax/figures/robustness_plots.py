@@ -94,7 +94,7 @@ def disturbance(
     for curve, style in zip(curves, ("-", "--"), strict=False):
         ax.plot(*curve.T, style, color="white", lw=1.6)
     gait = data["gait_state"].values
-    name = attractor_name(int(data["gait_period"]), data.attrs["section"], gait[None])
+    name = attractor_name(data, int(data["gait_period"]), gait[None])
     signs = [(gait, "o", name)]
     signs += [
         (one.state, sign, start_phrase(one, data)) for one, sign in zip(starts, "XP", strict=False)

@@ -87,9 +87,7 @@ def volume(data: xr.Dataset) -> Figure:
                 ax,
                 place_states(data, cycle_of(data, number), (x, y)),
                 marker,
-                attractor_name(
-                    int(data["period"][number]), data.attrs["section"], cycle_of(data, number)
-                ),
+                attractor_name(data, int(data["period"][number]), cycle_of(data, number)),
             )
             for number, marker in zip(large, MARKERS, strict=False)
         ]

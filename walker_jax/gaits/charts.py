@@ -30,7 +30,7 @@ from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
-from walker_jax.systems.outcomes import Outcome, names_in
+from walker_jax.systems.outcomes import Outcome, join_names, names_in
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_source
 from walker_jax.walking.iteration import select_walkers, with_parameters
@@ -379,7 +379,9 @@ def assemble_chart(
         },
         attrs={
             **describe_source(system, without=names),
-            **{"line_kinds": [*KINDS], "line_ends": reasons, "special_kinds": [*SPECIAL]},
+            "line_kinds": join_names(KINDS),
+            "line_ends": join_names(reasons),
+            "special_kinds": join_names(SPECIAL),
         },
     )
 

@@ -19,6 +19,7 @@ from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.kernels.primitive import vary_together
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
+from walker_jax.systems.html_tables import gait_table
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import parameter_directions
@@ -32,8 +33,7 @@ SAME_STATE_DISTANCE = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
 """States closer than this in every coordinate count as one: a hundred times the largest residual
 in float64, ten times in float32."""
 MAX_SEARCH_STEPS = 40
-"""Newton steps of a search. Near a gait the iteration converges quadratically, in a few steps; a
-search that takes more than this is far from any gait."""
+"""Newton steps of a search: a few do near a gait, where it converges quadratically."""
 
 FEW_STRIDES = 128
 """Most strides for which all columns are computed at once: a second call would cost more."""
@@ -58,6 +58,7 @@ class Gait(NamedTuple):
     It is false if the residual exceeds rounding, or if rounding errors could move the states
     noticeably, as they do within about 1e-9 of a bifurcation with a multiplier of 1.
     """
+    _repr_html_ = gait_table
 
     @property
     def return_strides(self) -> Float[Array, ""]:

@@ -15,7 +15,7 @@ from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cyc
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import difference, turns_of
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
@@ -93,7 +93,7 @@ def attractors(
             "orbit": ((*over, "recent", "coordinate"), orbit.reshape(n, m, RECORDED_STATES, size)),
         },
         coords={"value": values},
-        attrs={"parameter": parameter, "section": list(walker.section), "strides": strides},
+        attrs={"parameter": parameter, "section": join_names(walker.section), "strides": strides},
     )
 
 

@@ -55,6 +55,7 @@ from walker_jax.kernels.jaxprs import (
     Interpreter,
     binding,
     changes_entries,
+    line_of,
 )
 from walker_jax.kernels.products import add_one_by_one
 
@@ -118,9 +119,22 @@ class Expansion(Interpreter):
     def __init__(self):
         self.pairs: dict = {}
         """By argument: its sine and cosine, circular or hyperbolic, computed together."""
+        self.source: Any = None
+        """Where the equation is from that is being expanded."""
 
     def constant(self, value) -> Series:
         return constant(value)
+
+    def apply(self, equation, operands: list[Series]) -> list[Series]:
+        """Return the results; an equation without a line of user code has its caller's."""
+        caller = self.source
+        if caller is not None and line_of(equation) is None:
+            equation = equation.replace(source_info=caller)
+        self.source = equation.source_info
+        try:
+            return super().apply(equation, operands)
+        finally:
+            self.source = caller
 
     def keep(self, equation, operands: list[Series]) -> list[Series]:
         """Evaluate a primitive without a rule; raise if an operand varies with time."""

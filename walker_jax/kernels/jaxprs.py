@@ -6,12 +6,13 @@ Each interpreter has its own kind of values: entries of an array, instructions, 
 import abc
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, no_type_check
 
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxprs_in_params
+from jax.extend.source_info_util import user_context
 
 from walker_jax.identity import FOLDER
 
@@ -77,12 +78,17 @@ def line_of(equation: JaxprEqn) -> str | None:
     """Return the line of user code that an equation comes from, if known."""
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback else ():
-        file = Path(frame.file_name)
-        if file.exists() and not any(map(file.is_relative_to, INSTALLED)):
-            if file.is_relative_to(FOLDER):  # the series of an equation, whose line is not known
-                return None
-            return f"line {frame.line_num} of {file.name}"
+        if is_code(frame.file_name):
+            file = Path(frame.file_name)
+            known = not file.is_relative_to(FOLDER)  # a user's own, rather than this package's
+            return f"line {frame.line_num} of {file.name}" if known else None
     return None
+
+
+@cache
+def is_code(file: str) -> bool:
+    """Return whether a file is code of a user, or of this package."""
+    return Path(file).exists() and not any(map(Path(file).is_relative_to, INSTALLED))
 
 
 def equations_in(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
@@ -112,9 +118,18 @@ def called_function(equation: JaxprEqn) -> ClosedJaxpr:
 
 
 def binding(equation: JaxprEqn) -> Callable:
-    """Return the primitive of an equation, with its parameters, as a function of operands."""
+    """Return the primitive of an equation, with its parameters, as a function of operands.
+
+    Each equation that it makes is of the same line of code.
+    """
     primitive = equation.primitive
-    return partial(primitive.bind, **primitive.get_bind_params(equation.params))
+    bound = partial(primitive.bind, **primitive.get_bind_params(equation.params))
+
+    def bind(*operands, **changed):
+        with user_context(equation.source_info.traceback):
+            return bound(*operands, **changed)
+
+    return bind
 
 
 def scan_counts(params: dict) -> tuple[int, int]:

@@ -133,10 +133,15 @@ def user_code_states(function: Callable, structure: Any) -> tuple[Hashable, ...]
 
 @functools.lru_cache(MOST)
 def user_system_in(structure: Any) -> str | None:
-    """Return the name of the first of a tree's classes that is a user's own system, if any."""
+    """Return the name of the first system in a tree that has code of a user's own, if any.
+
+    It is that of the system's class, or of a function that the system holds, such as a map's.
+    """
     opens = Describer().opens
-    systems = (one for one in classes_of(structure) if hasattr(one, "section") and opens(one))
-    return next((one.__qualname__ for one in systems), None)
+    systems = [one for one in classes_of(structure) if hasattr(one, "advance")]
+    held = static_functions(structure) if systems else ()
+    own = (one for one in (*systems, *held) if opens(one))
+    return next((getattr(one, "__qualname__", type(one).__qualname__) for one in own), None)
 
 
 @functools.lru_cache(MOST)

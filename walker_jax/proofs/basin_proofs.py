@@ -21,6 +21,7 @@ from walker_jax.proofs.stores import prove_in_batches
 from walker_jax.proofs.subdivision import BATCH, KeepFates, LevelCells, prove_cells
 from walker_jax.proofs.traps import find_trap
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import join_names
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of
 
@@ -157,7 +158,7 @@ def dataset_of(
         "area_lower": float(low * (1 - ROUNDING_OF_AREA)),
         "area_upper": float(high * (1 + ROUNDING_OF_AREA)),
         "verified_strides": sum(int(one.strides.sum()) for one in found),
-        "section": list(walker.section),
+        "section": join_names(walker.section),
         "walker": type(walker).__name__,
         **attributes_of(walker),
     }

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from walker_jax.kernels import kernel
+from walker_jax.kernels.primitive import nan_allowed
 from walker_jax.kernels.program_cache import user_code_states
 from walker_jax.proofs.enclosures import (
     ROUNDING,
@@ -116,7 +117,9 @@ def call_in_chunks(call: Callable[[Boxes], tuple], boxes: Boxes) -> Carried:
         places = np.arange(first, min(first + CHUNK, boxes.count))
         size = CHUNK if boxes.count > CHUNK // 8 else CHUNK // 8
         padded = np.concatenate([places, np.repeat(places[-1:], size - len(places))])
-        found.append([np.asarray(one)[: len(places)] for one in call(boxes.at(padded))])
+        with nan_allowed():  # in enclosures of boxes that make no stride
+            results = call(boxes.at(padded))
+        found.append([np.asarray(one)[: len(places)] for one in results])
     terms, radii, verdicts = (np.concatenate(part) for part in zip(*found, strict=True))
     return Carried(Boxes(terms, radii), verdicts)
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, names_in
 
 
 class NearestStart(NamedTuple):
@@ -27,7 +27,7 @@ def has_plane_disturbance(data: xr.Dataset) -> bool:
     known = {"fate", "least_disturbance", "failing_state", "gait_state"} <= set(data)
     if not known or data["fate"].ndim != 2 or data["least_disturbance"].ndim:
         return False
-    return len(data.attrs["section"]) == 2 and bool(np.isfinite(data["least_disturbance"]))
+    return len(names_in(data, "section")) == 2 and bool(np.isfinite(data["least_disturbance"]))
 
 
 def nearest_starts(data: xr.Dataset) -> list[NearestStart]:

@@ -41,7 +41,7 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import describe_source
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed
@@ -139,7 +139,7 @@ def metastability(
             "side": rough.side,
             "walkers": walkers,
             "repetitions": repetitions,
-            "key": np.asarray(jax.random.key_data(key)).tolist(),
+            "key": join_names(map(str, np.asarray(jax.random.key_data(key)))),
         },
     )
 

@@ -52,7 +52,7 @@ def unnamed_angles(system: HybridSystem, x: Float[Array, " section"]) -> list[st
     It would be a mistake not to name them as `angles`.
     """
     again = jax.vmap(lambda x: system.project(system.lift(x)))
-    turned = again(x + 2 * np.pi * jnp.eye(len(x), dtype=x.dtype))
+    turned = again(x[None] + 2 * np.pi * jnp.eye(len(x), dtype=x.dtype))
     same = jnp.all(jnp.abs(turned - again(x[None])) < NEAR, axis=1)
     found = zip(system.section, same.tolist(), strict=True)
     return [name for name, one in found if one and name not in system.angles]

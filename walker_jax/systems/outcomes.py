@@ -1,14 +1,17 @@
 """Outcomes of strides, and the results of strides and walks."""
 
 import enum
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact, Int
 
+from walker_jax.checks import is_traced
 from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.html_tables import html_table, list_numbers
 
 
 class Outcome(enum.IntEnum):
@@ -79,10 +82,18 @@ def failures_of(data: Any) -> tuple[str, ...]:
     return names_in(data, "failures")
 
 
+def join_names(names: Iterable[str]) -> str:
+    """Return names as one attribute of a data set; NetCDF 3 holds no list of words."""
+    return ", ".join(names)
+
+
 def names_in(data: Any, attribute: str) -> tuple[str, ...]:
-    """Return the names listed by an attribute of a data set; none if it has no such attribute."""
+    """Return the names in an attribute of a data set; none if it has no such attribute.
+
+    Older data sets have a list of names instead of one string.
+    """
     names = data.attrs.get(attribute, ())
-    return (names,) if isinstance(names, str) else tuple(names)  # NetCDF has no list of one
+    return tuple(names.split(", ") if isinstance(names, str) else names)
 
 
 def name_of_outcome(outcome: int, failures: Sequence[str] = ()) -> str:
@@ -102,6 +113,34 @@ def outcome_in_words(name: str) -> str:
     return WORDS.get(name) or name.replace("_", " ")
 
 
+def stride_table(stride: "Stride") -> str | None:
+    """Return how a stride ended, and where; of many, how many ended in which way."""
+    if is_traced(stride):
+        return None
+    outcomes, words = np.asarray(stride.outcome), lambda code: outcome_in_words(Outcome(code).name)
+    if outcomes.ndim:
+        found = Counter(outcomes.ravel().tolist()).most_common()
+        rows = [(words(code), count) for code, count in found]
+        return html_table(f"{outcomes.size} strides", ("outcome", "strides"), rows)
+    rows = [("outcome", words(outcomes.item()))]
+    if outcomes == Outcome.STRIDE:
+        rows += [("state", list_numbers(stride.state)), ("time", list_numbers(stride.time))]
+    return html_table("Stride", ("", ""), rows)
+
+
+def walk_table(walk: "Walk") -> str | None:
+    """Return the strides of a walk, up to its failure; None for several walks."""
+    if is_traced(walk) or np.ndim(walk.outcomes) != 1:
+        return None
+    rows, strides = [], zip(walk.states, walk.times, np.asarray(walk.outcomes), strict=False)
+    for k, (start, time, outcome) in enumerate(strides):
+        word = outcome_in_words(Outcome(outcome).name)
+        rows += [(k, list_numbers(start), list_numbers(time), word)]
+        if outcome != Outcome.STRIDE:
+            break
+    return html_table("Walk", ("stride", "start", "time", "outcome"), rows)
+
+
 class Stride(NamedTuple):
     """The result of a stride."""
 
@@ -111,6 +150,7 @@ class Stride(NamedTuple):
     """`Outcome` as int8."""
     time: Float[Array, "*cells"]
     """Duration, in the unit of time; NaN unless the outcome is `STRIDE`."""
+    _repr_html_ = stride_table
 
 
 class Walk(NamedTuple):
@@ -122,6 +162,7 @@ class Walk(NamedTuple):
     """`Outcome` of each stride; that of the failure from there on."""
     times: Float[Array, " strides"]
     """Duration of each stride, in the unit of time."""
+    _repr_html_ = walk_table
 
 
 def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:

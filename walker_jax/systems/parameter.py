@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import dataclasses
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,6 +13,8 @@ from jax.typing import ArrayLike
 
 from walker_jax.checks import WrongUse, short
 from walker_jax.integrators.roots import Scalar
+
+Described = TypeVar("Described")
 
 
 class Parameter(NamedTuple):
@@ -63,3 +66,9 @@ class Parameter(NamedTuple):
         if np.isnan(self.default):
             return eqx.field(converter=self.convert)
         return eqx.field(converter=self.convert, default=self.default)
+
+
+def description(field: dataclasses.Field, kind: type[Described]) -> Described | None:
+    """Return the description of a field, if it is of the kind: the owner of its converter."""
+    one = getattr(field.metadata.get("converter"), "__self__", None)
+    return one if isinstance(one, kind) else None

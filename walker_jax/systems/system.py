@@ -18,7 +18,9 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import FLOAT64_HINT, WrongUse, short, warn_once
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.html_tables import html_table
 from walker_jax.systems.outcomes import OUTCOMES, OWN, Outcome, Stride, make_stride
+from walker_jax.systems.parameter import Parameter, description
 
 AnySystem = TypeVar("AnySystem", bound="System")
 
@@ -87,6 +89,17 @@ class System(eqx.Module):
         values = {name: value for name, value in every_value(self).items() if name not in code}
         shown = (f"{name}={format_parameter(value)}" for name, value in values.items())
         return f"{self.label()}({', '.join(shown)})"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the parameters, with units and meanings, for notebooks."""
+        fields = {one.name: one for one in dataclasses.fields(self)}
+        rows = []
+        for name, value in every_value(self).items():
+            one = description(fields[name], Parameter) if name in fields else None
+            about = (one.unit, one.meaning) if one else ("", "")
+            if name not in fields or not is_code(fields[name]):
+                rows += [(name, format_parameter(value), *about)]
+        return html_table(self.label(), ("parameter", "value", "unit", "meaning"), rows)
 
     def advance(self, x: Float[Array, " section"]) -> tuple[Any, Any, Any]:
         """Return the next point, of shape (section,), the `Outcome`, and the duration.

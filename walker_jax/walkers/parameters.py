@@ -4,7 +4,7 @@ import dataclasses
 import inspect
 from collections.abc import Container, Iterable, Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,10 +13,10 @@ import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.identity import code_fingerprint
+from walker_jax.systems.outcomes import join_names
+from walker_jax.systems.parameter import Described, description
 from walker_jax.systems.parameter import Parameter as Parameter
 from walker_jax.systems.system import AnySystem, System, code_of, numbers_of, statics_of
-
-Described = TypeVar("Described")
 
 
 def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
@@ -50,12 +50,6 @@ def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[
     """Return the descriptions of one kind among a walker's fields."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
-
-
-def description(field: dataclasses.Field, kind: type[Described]) -> Described | None:
-    """Return the description of a field, if it is of the kind: the owner of its converter."""
-    one = getattr(field.metadata.get("converter"), "__self__", None)
-    return one if isinstance(one, kind) else None
 
 
 class Option(NamedTuple):
@@ -110,7 +104,7 @@ def attributes_of(walker: System, *, without: Container[str] = ()) -> dict[str, 
     values |= dict.fromkeys(chosen_options(walker), 1) | other_statics(walker)
     code = code_fingerprint(type(walker), code_of(walker))
     about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
-    about |= {"failures": list(walker.failures)} if walker.failures else {}
+    about |= {"failures": join_names(walker.failures)} if walker.failures else {}
     return about | ({"code": code} if code else {})
 
 
@@ -122,7 +116,7 @@ def describe_source(walker: System, *, without: Container[str] = ()) -> dict[str
     return {
         "walker": walker.label(),
         **attributes_of(walker, without=without),
-        "section": list(walker.section),
+        "section": join_names(walker.section),
         "version": f"walker-jax {version('walker-jax')}",
     }
 

@@ -25,7 +25,7 @@ from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import failures_by_name
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.phase import legs
@@ -138,7 +138,8 @@ def motion(
     variables["states"] = ("start", "coordinate"), starts
     variables |= {"outcome": ("made", outcomes), "duration": ("made", durations)}
     about = {"walker": type(walker).__name__, **attributes_of(walker)}
-    about |= {"section": list(walker.section), "version": f"walker-jax {version('walker-jax')}"}
+    about |= {"section": join_names(walker.section)}
+    about |= {"version": f"walker-jax {version('walker-jax')}"}
     if not in_space:
         about |= dict(zip(("leg_length", "foot_radius"), leg, strict=True))
     return xr.Dataset(variables, attrs=about)
