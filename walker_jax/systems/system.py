@@ -7,7 +7,7 @@ a periodic point. A system fails where there is no next point.
 """
 
 import dataclasses
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -107,7 +107,7 @@ class System(eqx.Module):
             )
         return Outcome[name]
 
-    def during_stride(self, x: Float[Array, " section"]) -> Self:
+    def during_stride(self: AnySystem, x: Float[Array, " section"]) -> AnySystem:
         """Return the system during the stride from x: its parameters may depend on the start.
 
         That is feedback from stride to stride. By default a system stays as it is. From a full
