@@ -61,7 +61,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax.execution.tiles import CALL_SHAPES, COMPILER_OPTIONS, compact_order, map_cells
 from walker_jax.hybrid.following import follow_mode
-from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Method
 from walker_jax.integrators.taylor_steps import SERIES_ORDER, Taylor
@@ -175,7 +175,7 @@ def of_one_swing(repeats: int):
         def field(state):  # with a clock too slow to count in the error
             return walker.vector_field(state[0]), jnp.full((), 1 / 64)
 
-        mode = Mode(field, (Guard(lambda state: state[1] - SWING / 64, 0),))
+        mode = Mode(field, (Guard(lambda state: state[1] - SWING / 64, SECTION),))
         method = Method(field, Taylor(SERIES_ORDER[DTYPE]), tolerance)
         start = walker.lift(x), jnp.zeros(())
         return jnp.stack(follow_mode(mode, start, jnp.asarray(True), method).state[0])

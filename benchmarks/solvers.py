@@ -75,6 +75,7 @@ missed: the largest errors of all its strides at 1e-6 are 3e-6 by Dopri5 and 4e-
 """
 
 import sys
+from functools import partial
 from typing import Any
 
 import diffrax
@@ -93,8 +94,11 @@ from small_steps import (
 
 import walker_jax as wj
 from walker_jax.execution.tiles import map_cells
+from walker_jax.hybrid.graphs import in_order
+from walker_jax.hybrid.modes import SECTION
 from walker_jax.kernels import kernel
 from walker_jax.systems.family import SYSTEMS
+from walker_jax.systems.hybrid_system import failures_by_name
 from walker_jax.systems.outcomes import Outcome
 
 jax.config.update("jax_enable_x64", True)
@@ -112,9 +116,11 @@ ACCURACY, BESIDE, OFF = 100, 16, 5
 an end, over the largest difference of the ends of these."""
 STEPS = {"five-link-biped": 5e-4, "torso-wheel": 2e-3}
 """Small steps of systems whose unit of time is long."""
+GUARDS, NONE = 200, -1
+"""Code of a mode's first guard, in place of an outcome; others follow; and that of none."""
 
 
-def look_at(mode: Any) -> Any:
+def look_at(mode: Any, numbers: Any) -> Any:
     """The functions that end a mode, those that admit each end, and its conditions."""
 
     def look(y):
@@ -123,54 +129,81 @@ def look_at(mode: Any) -> Any:
         admits = [
             jnp.min(jnp.stack([jnp.ones_like(values[0]), *least(guard)])) for guard in mode.guards
         ]
-        holds = {int(one.outcome): one.value(y) for one in mode.conditions}
-        return values, admits, holds, [int(guard.leads_to) for guard in mode.guards]
+        holds = {numbers[one.leads_to]: one.value(y) for one in mode.conditions}
+        return values, admits, holds, [GUARDS + i for i in range(len(mode.guards))]
 
     return look
 
 
-def fallen_in(mode: Any, y: Any) -> Any:
+def fallen_in(mode: Any, numbers: Any, y: Any) -> Any:
     outcome = jnp.asarray(int(Outcome.UNDECIDED))
     for guard in reversed(mode.guards):
-        if guard.at_once:
-            outcome = jnp.where(guard.value(y) >= 0, int(guard.leads_to), outcome)
+        if guard.at_once and guard.leads_to in numbers:
+            outcome = jnp.where(guard.value(y) >= 0, numbers[guard.leads_to], outcome)
     return outcome
+
+
+def guard_due(mode: Any, modes: Any, y: Any, step: Any) -> Any:
+    """The first guard that leads to a mode and has risen as its own mode begins."""
+    due, soon = jnp.asarray(NONE), runge_kutta(mode.rates, y, step)
+    for i, guard in reversed([*enumerate(mode.guards)]):
+        if guard.leads_to in modes:
+            risen = (guard.value(y) >= 0) & (guard.value(soon) >= 0) & guard.admitted(y)
+            due = jnp.where(risen, GUARDS + i, due)
+    return due
+
+
+def take(guard: Any, numbers: Any, y: Any) -> tuple[Any, Any]:
+    """The failure of what does not hold as a guard has risen, or none, and the next state."""
+    outcome = jnp.asarray(int(Outcome.STRIDE))
+    for one in reversed(guard.must_hold):
+        outcome = jnp.where(one.value(y) > 0, outcome, numbers[one.leads_to])
+    return outcome, guard.reset(y)
 
 
 @kernel
 def system_by_small_steps(system: Any, x: Any, step: Any) -> Any:
     """The next point of the section of a system, the outcome, and the time."""
-    y, time = system.lift(x), jnp.zeros_like(step)
-    modes, broken = system.modes(), {}
-    feasible = jnp.all(jnp.isfinite(x)) & system.feasible(x)
+    modes, numbers, time, broken = system.modes(), failures_by_name(system), 0 * step, {}
+    first, start = next(iter(modes)), system.launch(x)
+    feasible = jnp.all(jnp.isfinite(x)) & system.may_launch(x, start)
     outcome = jnp.where(feasible, int(Outcome.UNDECIDED), int(Outcome.OUTSIDE))
-    at_rest = jnp.asarray(True)
-    for mode in modes:
-        look, begun = look_at(mode), outcome == Outcome.UNDECIDED
-        outcome = jnp.where(begun, fallen_in(mode, y), outcome)
-        due = jnp.asarray(False)
-        if mode is not modes[-1]:
-            last = mode.guards[-1].value
-            due = (last(y) >= 0) & (last(runge_kutta(mode.rates, y, step)) >= 0)
-        pull = look(y)[2].get(int(Outcome.RUNNING), jnp.ones_like(step))
-        outcome = jnp.where(begun & at_rest & ~due & (pull < 0), int(Outcome.RUNNING), outcome)
-        on = (outcome == Outcome.UNDECIDED) & ~due
-        y, passed, end, violated = follow(mode.rates, look, y, on, step)
+    entries = {first: (jnp.asarray(True), start)}
+    struck = jnp.asarray(int(Outcome.STRIDE))
+    for name in in_order(modes):
+        mode, (reached, y) = modes[name], entries.pop(name)
+        on = reached & (outcome == Outcome.UNDECIDED)
+        begun, due = fallen_in(mode, numbers, y), guard_due(mode, modes, y, step)
+        for one in mode.conditions:
+            if one.at_start:
+                pulled = (time == 0) & (due == NONE) & (one.value(y) < 0)
+                begun = jnp.where(pulled, numbers[one.leads_to], begun)
+        outcome = jnp.where(on, begun, outcome)
+        on &= begun == Outcome.UNDECIDED
+        going = on & (due == NONE)
+        y, passed, end, violated = follow(mode.rates, look_at(mode, numbers), y, going, step)
         time += passed
-        broken = {key: broken.get(key, False) | flag for key, flag in violated.items()} | {
-            key: flag for key, flag in broken.items() if key not in violated
-        }
-        at_rest &= due
-        through = (due & (outcome == Outcome.UNDECIDED)) | (on & (end == Outcome.STRIDE))
-        outcome = jnp.where(on, end, outcome)
-        for one in reversed(mode.at_end):
-            outcome = jnp.where(through & ~(one.value(y) > 0), int(one.outcome), outcome)
-        through &= (outcome == Outcome.STRIDE) | (outcome == Outcome.UNDECIDED)
-        done = Outcome.STRIDE if mode is modes[-1] else Outcome.UNDECIDED
-        outcome = jnp.where(through, int(done), outcome)
-        y = mode.reset(y)
-    struck = fallen_in(modes[0], y)
-    struck = jnp.where(struck == Outcome.UNDECIDED, int(Outcome.STRIDE), struck)
+        broken |= {key: broken.get(key, False) | flag for key, flag in violated.items()}
+        end = jnp.where(due == NONE, end, due)
+        outcome = jnp.where(on & (end == UNCLEAR), UNCLEAR, outcome)
+        for i, guard in enumerate(mode.guards):
+            took, to = on & (end == GUARDS + i), guard.leads_to
+            if to in numbers:
+                outcome = jnp.where(took, numbers[to], outcome)
+                continue
+            held, after = take(guard, numbers, y)
+            if to != SECTION:
+                outcome = jnp.where(took & (held != Outcome.STRIDE), held, outcome)
+            else:  # conditions count before what does not hold at the end of a stride
+                outcome = jnp.where(took, int(Outcome.STRIDE), outcome)
+                struck = jnp.where(took, held, struck)
+            known, other = entries.get(to, (jnp.asarray(False), after))
+            after = jax.tree.map(partial(jnp.where, took), after, other)
+            entries[to] = known | took, after
+    y = entries[SECTION][1]
+    fallen = fallen_in(modes[first], numbers, system.begin(y))
+    back = (struck == Outcome.STRIDE) & (fallen != Outcome.UNDECIDED)
+    struck = jnp.where(back, fallen, struck)
     for key in sorted(broken, reverse=True):
         struck = jnp.where(broken[key], key, struck)
     outcome = jnp.where(outcome == Outcome.STRIDE, struck, outcome)

@@ -16,7 +16,7 @@ from walker_jax.basins.cell_classes import (
 from walker_jax.basins.schema import describe
 from walker_jax.figures.text import SYMBOLS, basin_note
 from walker_jax.stability.nearest_starts import circle
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OUTCOMES, Outcome
 
 WALKER = wj.SimplestWalker(0.0125)  # with attractors of period one and three
 GRID = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 30))
@@ -45,6 +45,15 @@ def test_every_cell_is_in_one_class(data):
     np.testing.assert_array_equal(sum(one.cells.astype(int) for one in classes), 1)
     assert [walking.large[number].count for number in large] == data["cells"].values[large].tolist()
     assert total_area(data) == pytest.approx((data["attractor"].values >= 0).sum() * GRID.cell_area)
+
+
+def test_every_failure_has_its_cells():
+    """A system's own failures too; of -1, which is not computed yet, there is no class."""
+    fate = np.random.default_rng(0).integers(-1, OUTCOMES, (30, 40)).astype(np.int8)
+    found = failing_cells(fate)
+    assert sorted(found) == [*range(1, OUTCOMES)]
+    for outcome, one in found.items():
+        np.testing.assert_array_equal(one.cells, fate == outcome)
 
 
 def test_large_basins_have_a_tenth_of_the_cells_that_never_fall():

@@ -16,6 +16,7 @@ from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.stable_manifolds import Image, follow_manifold
 from walker_jax.basins.zooms import bisect_to_last_digit
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.outcomes import OUTCOMES
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
@@ -156,7 +157,7 @@ def test_starts_of_one_fate_are_told_what_it_hides():
     told = {Outcome.UNDECIDED: "no answer; try another tolerance", Outcome.FORWARD: "other side"}
     for fate, words in told.items():
         assert re.match(rf"{fate.name}: .*{words}", edge_states.explain_fate(fate))
-    to_gait = edge_states.explain_fate(len(Outcome))
+    to_gait = edge_states.explain_fate(OUTCOMES)
     assert to_gait == "STRIDE, to the same gait: try a start on the other side of the boundary"
 
 

@@ -18,7 +18,7 @@ from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import Bucket, Guard, in_link
 from walker_jax.explorer.lattice import TILE
 from walker_jax.explorer.subjects import FAMILY
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OUTCOMES, Outcome
 
 TILES = {"walker": "simplest", "parameters": {"slope": 0.004}, "tiles": [[0, 0, 0]]}
 
@@ -157,7 +157,7 @@ def test_every_host_has_a_link_that_is_answered(host, monkeypatch, capsys):
 
 
 def test_labels_of_attractors_are_none_of_outcomes():
-    assert max(Outcome) < pictures.UNMATCHED < pictures.FIRST_ATTRACTOR
+    assert OUTCOMES <= pictures.UNMATCHED < pictures.FIRST_ATTRACTOR
     assert pictures.FIRST_ATTRACTOR + pictures.MAX_ATTRACTORS <= 256
     lost = {code for code, one in describe_family(FAMILY)["fates"].items() if one["lost"]}
     assert {Outcome.FORWARD, Outcome.BACKWARD, Outcome.SCUFFED} < lost

@@ -31,6 +31,7 @@ from zarr.storage import ZipStore
 
 import walker_jax as wj
 from walker_jax.explorer import pictures
+from walker_jax.systems.outcomes import OWN
 
 LEAST_CONTRAST = 6.0
 """In lightness between the colours of two fates, as in the figures."""
@@ -348,7 +349,7 @@ def test_every_width_and_theme(opened, theme, tmp_path):
             assert np.abs(around.astype(int) - colour).max(axis=1).min() <= 2, at
         fates = "[explorer.palette.basins[0], ...Object.values(explorer.palette.fates)]"
         shades = [lightness(colour) for colour in page.value(fates)]
-        assert len(shades) == wj.Outcome.OWN_1
+        assert len(shades) == OWN
         for one, other in combinations(shades, 2):
             assert abs(one - other) > LEAST_CONTRAST
 

@@ -19,6 +19,7 @@ from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.lattice import TILE, Rectangle, home_of
 from walker_jax.explorer.offers import FAMILY, OTHERS, Offer, beside, offer, window_of
 from walker_jax.explorer.subjects import read_subject
+from walker_jax.systems.outcomes import OWN
 from walker_jax.walkers.references import find_system, reference_of
 
 HENON = '''
@@ -120,7 +121,7 @@ def test_the_page_knows_every_system_of_two_coordinates():
 def test_each_has_its_own_words_for_its_own_failures():
     drift, thrown = offer(Drift()), offer(Thrown(jnp.array(0.004)))
     told = describe_family({"Drift": drift, "Thrown": thrown, "simplest": FAMILY["simplest"]})
-    assert {*told["fates"]} == {*range(1, wj.Outcome.OWN_1)}
+    assert {*told["fates"]} == {*range(1, OWN)}
     own = {name: shown["fates"] for name, shown in told["walkers"].items()}
     assert own["Drift"][12]["words"] == "dies out" and own["Drift"][12]["lost"]
     assert own["Drift"][wj.Outcome.OUTSIDE]["words"] == "infeasible"
@@ -167,7 +168,7 @@ def test_a_picture_is_the_basin(client):
 
 def test_a_slice_is_of_any_two_coordinates(client):
     asked = {"walker": "Drift", "section": "here-rest", "tiles": [[-2, 0, 0]]}
-    for at, fate in (({}, pictures.FIRST_ATTRACTOR), ({"there": 1.5}, wj.Outcome.OWN_1)):
+    for at, fate in (({}, pictures.FIRST_ATTRACTOR), ({"there": 1.5}, OWN)):
         frames = client.frames(asked | {"at": at})
         told = json.loads(frames[0].content)
         assert told["at"] == pytest.approx([at.get("there", 0.0)], abs=1e-9)

@@ -7,7 +7,7 @@ from colour_vision import VISIONS, ciede2000, lab
 
 from walker_jax import Outcome
 from walker_jax.figures import chart_plots, style
-from walker_jax.systems.outcomes import OWN
+from walker_jax.systems.outcomes import OUTCOMES, OWN
 
 APART = 12
 OF_SOME_WALKERS = {Outcome.BENT_KNEE, Outcome.BUCKLED, Outcome.SCUFFED, Outcome.SIDEWAYS}
@@ -30,11 +30,14 @@ def test_differences_of_colours_are_as_published(one, other, difference):
 
 @pytest.mark.parametrize("vision", VISIONS)
 def test_classes_that_can_touch_are_told_apart(vision):
-    """A system's own failures have the colours of four that are of some walkers only."""
+    """A system's own failures, four of them, stand in for four that are of some walkers only."""
     fates = {outcome: colour for outcome, (colour, _) in style.SIGNS.items()}
+    own = [fates.pop(Outcome(one)) for one in range(OWN, OUTCOMES)]
+    assert own == [*style.OWN_COLOURS * 5] and len({*own}) == 4
     basins = [*style.BASINS, style.OTHERS, style.UNMATCHED, style.ARTEFACTS]
-    of_package = [*basins, *(fates[one] for one in fates if one not in OWN)]
-    of_others = [*basins, *(fates[one] for one in fates if one not in OF_SOME_WALKERS)]
+    of_package = [*basins, *fates.values()]
+    of_all = [fates[one] for one in fates if one not in OF_SOME_WALKERS]
+    of_others = [*basins, *of_all, *style.OWN_COLOURS]
     pairs = chain(combinations(of_package, 2), combinations(of_others, 2))
     near = [pair for pair in pairs if ciede2000(*(lab(one, vision) for one in pair)) < APART]
     assert near == []

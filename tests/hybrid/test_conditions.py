@@ -8,7 +8,7 @@ from jax import lax
 
 from walker_jax.hybrid.following import follow_mode
 from walker_jax.hybrid.misses import Least, Seen, find_least, with_rates
-from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.integrator import integrator_of
 
@@ -49,8 +49,8 @@ def seen_step(value, start: float = 0.0) -> tuple[Condition, Seen]:
     """Return a condition of time alone, and a step in which time goes on at the rate one."""
     mode = Mode(
         field=lambda state: (jnp.ones_like(state[0]),),
-        guards=(Guard(lambda state: state[0] - 5),),
-        conditions=(Condition(lambda state: value(state[0]), 7),),
+        guards=(Guard(lambda state: state[0] - 5, SECTION),),
+        conditions=(Condition(lambda state: value(state[0]), "low"),),
     )
     begin, until = (jnp.float64(start),), jnp.float64(LENGTH)
     series = ([begin[0], jnp.float64(1), jnp.float64(0)],)
@@ -127,18 +127,18 @@ def test_least_values_are_constant_to_derivatives():
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_conditions_that_share_an_outcome(order):
+def test_conditions_that_share_a_failure(order):
     """Each counts: at the start, where it turns, and if several turn in the same step."""
-    both = Condition(lambda s: 0.99 - s[0], 7), Condition(lambda s: s[1] + 10, 7)
-    mode = Mode(lambda s: (-s[0], s[0]), (Guard(lambda s: s[1] - 0.5),), both[::order])
+    both = Condition(lambda s: 0.99 - s[0], "low"), Condition(lambda s: s[1] + 10, "low")
+    mode = Mode(lambda s: (-s[0], s[0]), (Guard(lambda s: s[1] - 0.5, SECTION),), both[::order])
     start = jnp.float64(1.0), jnp.float64(0.0)
 
     def follow(measured):
         method = integrator_of(np.float64).method(mode.field, start)
         return follow_mode(mode, start, jnp.asarray(True), method, measured=measured)
 
-    assert bool(jax.jit(lambda: follow(False).violated[7])())
-    deep, shallow = (Condition(lambda s, c=c: (s[1] - 0.3) ** 2 + c, 7) for c in (0.25, 4.0))
+    assert bool(jax.jit(lambda: follow(False).violated["low"])())
+    deep, shallow = (Condition(lambda s, c=c: (s[1] - 0.3) ** 2 + c, "low") for c in (0.25, 4.0))
     mode = mode._replace(conditions=(deep, shallow)[::order])
-    least = jax.jit(lambda: follow(True).misses.least[7])()
+    least = jax.jit(lambda: follow(True).misses.least["low"])()
     assert float(least) == pytest.approx(0.25, abs=1e-12)

@@ -17,7 +17,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.hybrid.crossings import HOP, Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.following import NO_GUARD, follow_mode
-from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Foregone, Guard, Mode
 from walker_jax.integrators.integrator import Method
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor_steps import SERIES_ORDER, Taylor
@@ -178,7 +178,7 @@ def taylor(field=oscillator, tolerance=TOLERANCE, dtype="float64", others=()):
 
 
 PHASES = np.concatenate([np.linspace(0.05, 6.2, 40), [np.nan]])
-DOWN = Guard(lambda state: -state[0], 5)
+DOWN = Guard(lambda state: -state[0], "OUTSIDE")
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +259,7 @@ def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch, measured):
 
 def test_the_earliest_admitted_guard_counts_in_any_order():
     """q falls through levels at known times; one only counts while p > 0, that is, never here."""
-    level = lambda c, *admits: Guard(lambda state: c - state[0], 0, admits)
+    level = lambda c, *admits: Guard(lambda state: c - state[0], SECTION, admits)
     orders = [(0.5, 0.1, -0.3), (-0.3, 0.1, 0.5)]
     for levels in orders:
         mode = mode_of(level(0.8, lambda state: state[1]), *map(level, levels))
@@ -271,7 +271,7 @@ def test_the_earliest_admitted_guard_counts_in_any_order():
 
 def test_a_guard_that_rises_and_falls_within_one_step_is_seen():
     """q reaches 1 at t = pi / 2; the guard is above zero for 2e-4 around that."""
-    mode = mode_of(Guard(lambda state: state[0] - np.cos(1e-4), 0))
+    mode = mode_of(Guard(lambda state: state[0] - np.cos(1e-4), SECTION))
     run = kernel(lambda start: follow_mode(mode, start, jnp.asarray(True), taylor()))
     found = run((jnp.array(0.0), jnp.array(1.0)))
     assert found.guard == 0 and found.time == pytest.approx(np.pi / 2 - 1e-4, abs=1e-9)
@@ -279,23 +279,26 @@ def test_a_guard_that_rises_and_falls_within_one_step_is_seen():
 
 def test_violated_conditions_are_noted_and_do_not_end_a_mode():
     """On the way from q = 0, p = 1 to q = 0 again, q is zero at both ends and one in between."""
-    least = {0: 0.999, 1: 1.001, 2: 0.0, 3: -1e-9}
-    conditions = [Condition(lambda s: least[0] - s[0], 0), Condition(lambda s: least[1] - s[0], 1)]
-    conditions += [Condition(lambda s: s[0] - 1e-9, 2), Condition(lambda s: 2 - s[1] ** 2, 3)]
+    conditions = [
+        Condition(lambda s: 0.999 - s[0], "high"),
+        Condition(lambda s: 1.001 - s[0], "higher"),
+        Condition(lambda s: s[0] - 1e-9, "low"),
+        Condition(lambda s: 2 - s[1] ** 2, "fast"),
+    ]
     mode = mode_of(DOWN, conditions=tuple(conditions))
     run = kernel(lambda start: follow_mode(mode, start, jnp.asarray(True), taylor()))
     found = run((jnp.array(0.0), jnp.array(1.0)))
     assert found.guard == 0 and found.time == pytest.approx(np.pi, abs=1e-11)
     assert {key: bool(flag) for key, flag in found.violated.items()} == {
-        0: True,
-        1: False,
-        2: True,
-        3: False,
+        "high": True,
+        "higher": False,
+        "low": True,
+        "fast": False,
     }
 
 
 def test_what_is_foregone_or_not_going_is_not_followed():
-    mode = mode_of(DOWN, foregone=Foregone(lambda state: state[1] < -0.2, 7))
+    mode = mode_of(DOWN, foregone=Foregone(lambda state: state[1] < -0.2, "BACKWARD"))
 
     @kernel
     def run(q, going):
@@ -309,7 +312,7 @@ def test_what_is_foregone_or_not_going_is_not_followed():
 
 def test_what_never_ends_is_given_up_after_so_many_steps():
     square = lambda state: (state[0] ** 2,)
-    mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),), most_steps=30)
+    mode = Mode(square, (Guard(lambda state: -2 - state[0], SECTION),), most_steps=30)
     run = jax.vmap(
         kernel(lambda y: follow_mode(mode, (y,), jnp.asarray(True), taylor(square, 1e-9)))
     )
@@ -334,8 +337,8 @@ class Rikitake(wj.HybridSystem):
         return state[:2]
 
     def modes(self):
-        guard = wj.Guard(lambda s: s[2])
-        return (wj.Mode(lambda s: jnp.stack(dynamo(s)), (guard,), most_steps=self.most_steps),)
+        field, guard = lambda s: jnp.stack(dynamo(s)), wj.Guard(lambda s: s[2], wj.SECTION)
+        return {"flow": wj.Mode(field, (guard,), most_steps=self.most_steps)}
 
 
 def dynamo(s):

@@ -14,7 +14,7 @@ import pytest
 from walker_jax.hybrid.crossings import Crossing
 from walker_jax.hybrid.following import Step, measured_step
 from walker_jax.hybrid.misses import Misses, Seen, add_misses, turns_in_step
-from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 
 INF = np.inf
 ALWAYS, NEVER = (lambda state: 1.0 + 0.0 * state[0]), (lambda state: -0.2 + 0.0 * state[0])
@@ -41,7 +41,7 @@ def seen(*guards: Guard, until: float = 1.0, violated: dict | None = None) -> Se
 
 def test_a_step_that_its_method_rejects_changes_no_side():
     """It has no length; a guard at zero, as a mode begins, still has neither side."""
-    guards = [Guard(RISES), Guard(lambda state: state[0]), Guard(ALWAYS)]
+    guards = [Guard(value, SECTION) for value in (RISES, lambda state: state[0], ALWAYS)]
     mode = Mode(lambda state: (jnp.ones(()),), tuple(guards))
     method: Any = SimpleNamespace(
         step=lambda state, memory: ((), state, 0 * state[0], memory),
@@ -71,7 +71,7 @@ MISSES = [  # value, what admits it, its greatest miss
 
 def test_a_guard_misses_where_it_is_admitted():
     values, admits, expected = zip(*MISSES, strict=True)
-    guards = [Guard(value, admits=(one,)) for value, one in zip(values, admits, strict=True)]
+    guards = [Guard(value, SECTION, (one,)) for value, one in zip(values, admits, strict=True)]
     step = seen(*guards)
     find = jax.jit(
         lambda: [turns_in_step(*one, step).miss for one in zip(guards, step.crossings, strict=True)]
@@ -79,14 +79,14 @@ def test_a_guard_misses_where_it_is_admitted():
     np.testing.assert_allclose(find(), expected, rtol=1e-12)
 
 
-LAST = Guard(lambda state: (state[0] - 0.3) * (state[0] - 0.8), admits=(NEVER,))
+LAST = Guard(lambda state: (state[0] - 0.3) * (state[0] - 0.8), SECTION, (NEVER,))
 """It is least at 0.55, at -1/16, and rises at 0.8, where it is not admitted."""
 KNOWN = Misses(
     [jnp.float64(-0.5)],
     depth=jnp.float64(0.01),
     height=jnp.float64(INF),
-    least={7: jnp.float64(INF), 8: jnp.float64(INF)},
-    before={7: jnp.float64(-0.9), 8: jnp.float64(-0.9)},
+    least={"low": jnp.float64(INF), "deep": jnp.float64(INF)},
+    before={"low": jnp.float64(-0.9), "deep": jnp.float64(-0.9)},
 )
 
 
@@ -103,9 +103,12 @@ def test_depth_is_counted_since_the_last_rise(until, depth):
 
 
 def test_misses_before_a_violation_are_those_up_to_its_step():
-    conditions = tuple(Condition(lambda state: state[0], of, least_at_ends=True) for of in (7, 8))
+    conditions = tuple(
+        Condition(lambda state: state[0], of, least_at_ends=True) for of in ("low", "deep")
+    )
     mode = Mode(lambda state: (jnp.ones(()),), (LAST,), conditions)
-    violated = {7: jnp.asarray(True), 8: jnp.asarray(False)}
+    violated = {"low": jnp.asarray(True), "deep": jnp.asarray(False)}
     found = jax.jit(lambda: add_misses(mode, KNOWN, seen(LAST, violated=violated)))()
     assert float(found.nearest[-1]) == pytest.approx(-0.2)
-    assert float(found.before[7]) == -0.9 and float(found.before[8]) == pytest.approx(-0.2)
+    assert float(found.before["low"]) == -0.9
+    assert float(found.before["deep"]) == pytest.approx(-0.2)

@@ -45,7 +45,7 @@ class Hertz(wj.HybridSystem):
             forces = [force(d) for force, d in zip(CONTACTS.values(), depth, strict=True)]
             return rate, -self.stiffness * jnp.stack(forces)
 
-        return (wj.Mode(field, (wj.Guard(lambda state: -state[0][0]),)),)
+        return {"contact": wj.Mode(field, (wj.Guard(lambda state: -state[0][0], wj.SECTION),))}
 
 
 def contact_time(speed, stiffness=1000.0):
@@ -101,7 +101,7 @@ class Bouncer(wj.HybridSystem):
     def modes(self):
         force = lambda y: self.stiffness * jnp.maximum(1 - y, 0) ** 1.5
         field = lambda s: jnp.stack([s[1], force(s[0]) - 1])
-        return (wj.Mode(field, (wj.Guard(lambda s: -s[1]),)),)
+        return {"flow": wj.Mode(field, (wj.Guard(lambda s: -s[1], wj.SECTION),))}
 
 
 def test_a_ball_through_a_contact_within_a_mode():
@@ -146,7 +146,7 @@ class Oscillator(wj.HybridSystem):
             springs = [spring(one) for spring, one in zip(SPRINGS.values(), q, strict=True)]
             return rate, -q - 2 * jnp.stack(springs)
 
-        return (wj.Mode(field, (wj.Guard(lambda state: state[1][0]),)),)
+        return {"flow": wj.Mode(field, (wj.Guard(lambda state: state[1][0], wj.SECTION),))}
 
 
 def half_period(amplitude):
@@ -251,7 +251,7 @@ def test_fast_motions_have_steps():
 
         def modes(self):
             field = lambda s: jnp.stack([-1e6 * (s[0] - 2), 1e6 * s[1] ** 0])
-            return (wj.Mode(field, (wj.Guard(lambda s: s[1] - 1),)),)
+            return {"decay": wj.Mode(field, (wj.Guard(lambda s: s[1] - 1, wj.SECTION),))}
 
     made = wj.stride(Decay(), jnp.array([3.0]))
     assert float(made.state[0]) == pytest.approx(2 + np.exp(-1), abs=1e-12 * 1e6)  # of the rate
@@ -271,7 +271,7 @@ class KinkAtTheStart(wj.HybridSystem):
     def modes(self):
         rate = lambda t: jnp.where(t > 0, t, 0) + jnp.sqrt(1 + t)
         field = lambda s: jnp.stack([1 + 0 * s[0], rate(s[0])])
-        return (wj.Mode(field, (wj.Guard(lambda s: s[0] - 1),)),)
+        return {"ramp": wj.Mode(field, (wj.Guard(lambda s: s[0] - 1, wj.SECTION),))}
 
 
 def test_a_kink_at_the_start_beside_a_root_far_from_zero():

@@ -437,7 +437,7 @@ class Marked(wj.HybridSystem):
             sum = lax.fori_loop(0, 2, lambda _, s: s + self.slope * tent, table)
             return {"a": jnp.stack([sum]), "time": jnp.ones_like(time)}
 
-        return (wj.Mode(field, (wj.Guard(lambda state: state["time"] - 3.0),)),)
+        return {"flow": wj.Mode(field, (wj.Guard(lambda state: state["time"] - 3.0, wj.SECTION),))}
 
 
 def test_a_motion_by_branches_loops_tables_and_remainders():

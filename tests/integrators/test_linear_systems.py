@@ -151,7 +151,7 @@ class DoublePendulum(wj.HybridSystem):
             right = jnp.stack(forces(q, u, self.mass, jnp.sin))
             return {"q": u, "u": jnp.linalg.solve(matrix, right), "time": 1 + 0 * state["time"]}
 
-        return (wj.Mode(field, (wj.Guard(lambda state: state["time"] - 2.0),)),)
+        return {"flow": wj.Mode(field, (wj.Guard(lambda state: state["time"] - 2.0, wj.SECTION),))}
 
 
 def by_scipy(start, mass):

@@ -12,7 +12,6 @@ from scipy.optimize import root_scalar
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.hybrid.modes import Condition
 from walker_jax.integrators.integrator import Method
 from walker_jax.systems.system import code_field
 
@@ -48,11 +47,13 @@ class Thrown(wj.HybridSystem):
         return jnp.stack([state.v, state.t])
 
     def modes(self):
-        guards = (wj.Guard(lambda s: -s.y),)
+        guards = (wj.Guard(lambda s: -s.y, wj.SECTION),)
         if self.guard is not None:
-            guards = (wj.Guard(self.guard), *guards)
-        watched = () if self.condition is None else (Condition(self.condition, Outcome.RUNNING),)
-        return (wj.Mode(throw, guards, watched),)
+            guards = (wj.Guard(self.guard, wj.SECTION), *guards)
+        watched = ()
+        if self.condition is not None:
+            watched = (wj.Condition(self.condition, "RUNNING", at_start=True),)
+        return {"flight": wj.Mode(throw, guards, watched)}
 
 
 class StiffTable(wj.HybridSystem):
@@ -75,8 +76,13 @@ class StiffTable(wj.HybridSystem):
             sinking = 0.3 * jnp.cos(s.t) - s.v
             return Ball(s.v, self.stiffness * depth(s) * (1 + 0.3 * sinking) - 1, 1 + 0 * s.t)
 
-        contact = wj.Mode(press, (wj.Guard(lambda s: -depth(s)),))
-        return (contact, wj.Mode(throw, (wj.Guard(depth),))) * self.turns
+        modes = {}
+        for i in range(self.turns):
+            to = wj.SECTION if i == self.turns - 1 else f"contact {i + 1}"
+            lifts = wj.Guard(lambda s: -depth(s), f"flight {i}")
+            modes[f"contact {i}"] = wj.Mode(press, (lifts,))
+            modes[f"flight {i}"] = wj.Mode(throw, (wj.Guard(depth, to),))
+        return modes
 
 
 def first_landing(start: np.ndarray) -> float:
@@ -219,8 +225,8 @@ def test_steps_keep_the_longest_step_and_the_scales_of_a_mode():
                 return Ball(state[0].v, push - 1, 1 + 0 * push), state[1] * jnp.cos(state[0].t)
 
             scales = (Ball(1.0, 1.0, 1.0), 1e-9)
-            guard = wj.Guard(lambda state: -state[0].y)
-            return (wj.Mode(field, (guard,), scales=scales, longest_step=5e-3),)
+            guard = wj.Guard(lambda state: -state[0].y, wj.SECTION)
+            return {"flight": wj.Mode(field, (guard,), scales=scales, longest_step=5e-3)}
 
     found = wj.stride(Pushed(), jnp.array([2.5, 1e-9]), solver=SOLVERS[1], tolerance=1e-8)
     # y = 2.5 t - t^2 / 2 + 2 (t - 3) after the push, which is symmetric

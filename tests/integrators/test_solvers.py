@@ -128,7 +128,7 @@ class Damper(wj.HybridSystem):
 
     def modes(self):
         field = lambda s: jnp.stack([-self.rate * (s[0] - jnp.cos(s[1])), 1 + 0 * s[1]])
-        return (wj.Mode(field, (wj.Guard(lambda s: s[1] - 1),)),)
+        return {"flow": wj.Mode(field, (wj.Guard(lambda s: s[1] - 1, wj.SECTION),))}
 
 
 @pytest.mark.filterwarnings("ignore::walker_jax.checks.NoKernelWarning")  # its Jacobians have none

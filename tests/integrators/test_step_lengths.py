@@ -34,7 +34,9 @@ def time_map(rates, size: int, span: float, **options) -> wj.HybridSystem:
 
         def modes(self):
             field = lambda s: Flow(tuple(rates(jnp.stack(s.y), s.t)), 1 + 0 * s.t)
-            return (wj.Mode(field, (wj.Guard(lambda s: s.t - span),), **options),)
+            return {
+                "flow": wj.Mode(field, (wj.Guard(lambda s: s.t - span, wj.SECTION),), **options)
+            }
 
     return TimeMap()
 
@@ -158,7 +160,7 @@ def test_derivatives_by_a_gain_that_is_zero_before_its_switch():
         def modes(self):
             switch = lambda t: (1 + jnp.tanh((t - 5) / 1e-2)) / 2
             field = lambda s: Flow(self.gain * switch(s.t), 1 + 0 * s.t)
-            return (wj.Mode(field, (wj.Guard(lambda s: s.t - 10),)),)
+            return {"flow": wj.Mode(field, (wj.Guard(lambda s: s.t - 10, wj.SECTION),))}
 
     end = lambda gain: wj.stride(Switched(gain), jnp.asarray([1.0])).state[0]
     np.testing.assert_allclose(jax.jacfwd(end)(0.0), 5, rtol=1e-9)
@@ -179,7 +181,7 @@ def test_derivatives_by_parameters_and_of_second_order_at_rest():
 
         def modes(self):
             field = lambda s: Flow(-60 * (s.y - self.a**2), 1 + 0 * s.t)
-            return (wj.Mode(field, (wj.Guard(lambda s: s.t - 1),)),)
+            return {"flow": wj.Mode(field, (wj.Guard(lambda s: s.t - 1, wj.SECTION),))}
 
     end = lambda a: wj.stride(Relaxation(a), jnp.asarray([9.0])).state[0]
     np.testing.assert_allclose(jax.jacfwd(end)(3.0), 6 * (1 - np.exp(-60)), rtol=1e-9)
@@ -237,9 +239,10 @@ class SoftBall(wj.HybridSystem):
 
     def modes(self):
         field = lambda s: Height(s.v, jnp.exp(-s.y / 0.01) - 1)
-        return wj.Mode(field, (wj.Guard(lambda s: s.v),)), wj.Mode(
-            field, (wj.Guard(lambda s: -s.v),)
-        )
+        return {
+            "fall": wj.Mode(field, (wj.Guard(lambda s: s.v, "rise"),)),
+            "rise": wj.Mode(field, (wj.Guard(lambda s: -s.v, wj.SECTION),)),
+        }
 
 
 def test_a_ball_on_soft_ground_returns_to_its_height():
@@ -309,8 +312,8 @@ def test_a_guard_with_a_sharp_feature():
 
         def modes(self):
             field = lambda s: Flow(-jnp.sin(s.y), 1 + 0 * s.t)
-            guard = wj.Guard(lambda s: jnp.tanh((s.t - 3) / 1e-3) + 0.5)
-            return (wj.Mode(field, (guard,)),)
+            guard = wj.Guard(lambda s: jnp.tanh((s.t - 3) / 1e-3) + 0.5, wj.SECTION)
+            return {"flow": wj.Mode(field, (guard,))}
 
     found = wj.stride(Alarm(), jnp.asarray([1.0]))
     np.testing.assert_allclose(found.time, 3 - 1e-3 * np.arctanh(0.5), rtol=1e-12)
@@ -386,7 +389,9 @@ class Grazing(wj.HybridSystem):
             return Animals(growth - eaten, 0.5 * eaten - 0.4 * s.predators, 1 + 0 * s.t)
 
         scales = Animals(1e-20, 1e-20, 1.0)
-        return (wj.Mode(field, (wj.Guard(lambda s: 5 - s.prey),), scales=scales),)
+        return {
+            "flow": wj.Mode(field, (wj.Guard(lambda s: 5 - s.prey, wj.SECTION),), scales=scales)
+        }
 
 
 def test_variables_of_very_different_size():

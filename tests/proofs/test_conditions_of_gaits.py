@@ -250,6 +250,7 @@ def test_a_doubling_is_not_proved(monkeypatch, given):
     [
         *("phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"),
         *("section", "lift", "contact", "is_ahead", "falls", "margin"),
+        *("begin", "launch", "may_launch"),
     ],
 )
 def test_a_method_that_proofs_assume_more_of_is_fixed(method):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.proofs import landings
 from walker_jax.proofs.enclosures import BALLS, Enclosure, Space, ball
 from walker_jax.proofs.evaluation import evaluate
@@ -103,9 +103,10 @@ class Clock(eqx.Module):
 
     def modes(self):
         line = lambda c: lambda state: c[0] + c[1] * state[0]
-        strike = Guard(line(self.strike), admits=(line(self.admits),))
-        conditions = (Condition(line(self.condition), 3),)
-        return (Mode(self.vector_field, (Guard(line(self.fall)), strike), conditions),)
+        fall = Guard(line(self.fall), "FORWARD")
+        strike = Guard(line(self.strike), SECTION, (line(self.admits),))
+        conditions = (Condition(line(self.condition), "RUNNING"),)
+        return {"swing": Mode(self.vector_field, (fall, strike), conditions)}
 
 
 def clock(*lines, of=np.float64) -> Clock:

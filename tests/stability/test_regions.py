@@ -10,9 +10,16 @@ from matplotlib.legend import Legend
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.basins.runs import label_of
 from walker_jax.cli.boundary_command import boundary_in_words
-from walker_jax.stability.boundaries import label_regions, summarise_boundary
+from walker_jax.stability.boundaries import (
+    attractors_of,
+    fates_of,
+    label_regions,
+    summarise_boundary,
+)
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import OUTCOMES
 
 
 def turn(x, a, b, j):
@@ -32,6 +39,16 @@ def data():
         short = partial(wj.edge_state, rounds=10)
         patch.setattr("walker_jax.stability.boundaries.edge_state", short)
         return wj.boundary(TURN, GRID, side=6)
+
+
+def test_a_label_tells_a_fate_or_an_attractor():
+    """Of all failures, a system's own ones too, and of a few attractors."""
+    fate = np.concatenate([np.arange(1, OUTCOMES), np.zeros(3, int)])
+    attractor = np.concatenate([np.full(OUTCOMES - 1, -1), np.arange(3)])
+    labels = label_of(fate, attractor)
+    assert len({*labels.tolist()}) == len(labels)
+    np.testing.assert_array_equal(fates_of(labels), fate)
+    np.testing.assert_array_equal(attractors_of(labels), attractor)
 
 
 def test_two_attractors_without_a_failure_have_a_boundary(data):

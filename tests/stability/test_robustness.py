@@ -30,6 +30,7 @@ from walker_jax.stability.sampling import (
     wilson_interval,
 )
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
+from walker_jax.systems.outcomes import OUTCOMES
 from walker_jax.walking.stride import follow_step
 
 WALKER = wj.SimplestWalker(0.004)
@@ -132,13 +133,13 @@ def test_strides_to_come_back_are_those_that_are_counted(gait):
     assert 300 < len(back) < 1900 and found.value == len(back) / 2001
     assert found.median == back[-(-50 * len(back) // 100) - 1]
     assert found.slowest == back[-(-95 * len(back) // 100) - 1] > found.median
-    np.testing.assert_array_equal(found.fates, np.bincount(fate, minlength=len(Outcome)))
+    np.testing.assert_array_equal(found.fates, np.bincount(fate, minlength=OUTCOMES))
 
 
 def test_basin_stability_of_several_walkers(gait):
     slopes = np.array([0.004, 0.009, 0.018])
     found = basin_stability(jax.vmap(wj.SimplestWalker)(slopes), 0.01, samples=2000)
-    assert found.value.shape == (3,) and found.fates.shape == (3, len(Outcome))
+    assert found.value.shape == (3,) and found.fates.shape == (3, OUTCOMES)
     single = basin_stability(WALKER, 0.01, gait, samples=2000)
     assert found.value[0] == single.value and found.median[0] == single.median
     assert np.isnan(found.value[2]) and np.isnan(found.median[2])  # no stable gait

@@ -97,8 +97,8 @@ def unmatched_cells(
 
 
 def failing_cells(fate: Int[np.ndarray, "*shape"]) -> dict[Outcome, CellClass]:
-    """Return the cells of each failure."""
-    return {outcome: CellClass(fate == outcome) for outcome in Outcome if outcome != Outcome.STRIDE}
+    """Return the cells of each failure that there is."""
+    return {Outcome(one): CellClass(fate == one) for one in np.unique(fate[fate > Outcome.STRIDE])}
 
 
 def along_axis(

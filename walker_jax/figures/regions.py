@@ -92,6 +92,7 @@ def with_failures(
     failing = [
         Region(cells[one], colour, letter, failure_words(one, failures), one == Outcome.UNDECIDED)
         for one, (colour, letter, _) in FAILURES.items()
+        if one in cells
     ]
     return [region for region in (*regions, *failing) if region.cells.any()]
 

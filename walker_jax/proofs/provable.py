@@ -16,6 +16,7 @@ from walker_jax.walkers.model import Walker
 FIXED_METHODS = (
     *("phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"),
     *("section", "lift", "contact", "is_ahead", "falls", "margin"),
+    *("begin", "launch", "may_launch"),
 )
 """Methods that a walker must not override, because proofs assume more of them than their values:
 another form of the same, that the swing foot is on the ground at the start, that no start has

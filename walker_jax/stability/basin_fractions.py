@@ -38,7 +38,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.slices import default_region
 from walker_jax.systems.angles import turns_of
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OUTCOMES
 from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.parameters import check_parameter, describe_source, with_parameter
 from walker_jax.walking.iteration import orbits
@@ -255,10 +255,10 @@ def assemble(
     period = np.zeros(count, int)
     states = np.full((len(values), count, longest, size), np.nan)
     shares = np.full((3, len(values), count), np.nan)
-    failed = np.zeros((len(values), len(Outcome)))
+    failed = np.zeros((len(values), OUTCOMES))
     for i, (names, attractors, labels) in enumerate(found):
         lost = labels.fate[~labels.converged]
-        failed[i] = np.bincount(lost, minlength=len(Outcome)) / samples
+        failed[i] = np.bincount(lost, minlength=OUTCOMES) / samples
         for name in dict.fromkeys(names):  # a branch that turns back may have two stable gaits
             numbers = [number for number, other in enumerate(names) if other == name]
             reached = int(np.isin(labels.attractor, numbers).sum())

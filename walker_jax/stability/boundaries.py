@@ -18,7 +18,7 @@ from walker_jax.entropies import BOX, basin_entropy
 from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
-from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
+from walker_jax.systems.outcomes import OUTCOMES, Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 
@@ -108,7 +108,7 @@ def boundary(
         )
     label = label_regions(walker, grid, data)
     regions = np.unique(label[label >= 0])
-    regions = np.roll(regions, np.count_nonzero(regions >= len(Outcome)))  # attractors first
+    regions = np.roll(regions, np.count_nonzero(regions >= OUTCOMES))  # attractors first
     number = np.full(label.shape, -1)
     for i, region in enumerate(regions):
         number[label == region] = i
@@ -161,12 +161,12 @@ def label_regions(walker: System, grid: Grid, data: xr.Dataset) -> Int[np.ndarra
 
 def fates_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
     """Return the fates of regions."""
-    return np.where(labels < len(Outcome), labels, int(Outcome.STRIDE))
+    return np.where(labels < OUTCOMES, labels, int(Outcome.STRIDE))
 
 
 def attractors_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
     """Return the attractors of regions; -1 for failures."""
-    return np.where(labels < len(Outcome), -1, labels - len(Outcome))
+    return np.where(labels < OUTCOMES, -1, labels - OUTCOMES)
 
 
 def region_name(data: xr.Dataset, fate: int, attractor: int) -> str:

@@ -36,7 +36,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.metric import CurvedMetric, DistanceFunction, LinearMetric, metric_of
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OUTCOMES
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import check_parameter_arrays
 
@@ -147,7 +147,7 @@ def basin_stability(
         if gait.found and gait.stable:
             rows.append(measure_returns(single, gait, trial))
         else:
-            rows.append((*3 * (np.nan,), np.zeros(len(Outcome), int), 0, *8 * (np.nan,)))
+            rows.append((*3 * (np.nan,), np.zeros(OUTCOMES, int), 0, *8 * (np.nan,)))
     return BasinStability(*map(np.array, zip(*rows, strict=True)))
 
 
@@ -216,7 +216,7 @@ def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
     (own,) = mapper.attractors
     starts = trial.about(own.states[0]).astype(own.states.dtype)
     labels, samples = mapper(starts), len(starts)
-    fates = np.bincount(labels.fate, minlength=len(Outcome))
+    fates = np.bincount(labels.fate, minlength=OUTCOMES)
     returned = int(labels.converged.sum())
     interval = wilson_interval(returned, samples, trial.confidence)
     counts = returned / samples, *interval, fates, len(labels.remaining)

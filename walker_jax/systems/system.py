@@ -120,7 +120,7 @@ class System(eqx.Module):
             )
         return Outcome[name]
 
-    def during_stride(self, x: Float[Array, " section"]) -> Any:
+    def during_stride(self: AnySystem, x: Float[Array, " section"]) -> AnySystem:
         """Return the system during the stride from x: its parameters may depend on the start.
 
         That is feedback from stride to stride. By default a system stays as it is. From a full
