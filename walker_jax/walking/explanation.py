@@ -1,12 +1,11 @@
 """Explanations of a stride, mode by mode and guard by guard, with checks of the model.
 
-The rises of guards are found anew here, as the real roots of the polynomials of all steps. This is
-a second opinion on the search that decides a stride.
+Each mode is measured step by step, by the search that decides a stride.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +15,17 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.following import along, is_due
-from walker_jax.hybrid.modes import Condition, Mode
-from walker_jax.integrators.integrator import AnySolver, Integrator
-from walker_jax.integrators.roots import Real
+from walker_jax.hybrid.following import (
+    NO_GUARD,
+    Unfinished,
+    begin_following,
+    follow_measured,
+    is_due,
+)
+from walker_jax.hybrid.misses import turns_in_step
+from walker_jax.hybrid.modes import Mode
+from walker_jax.integrators.integrator import AnySolver, Integrator, Method
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
@@ -44,11 +50,12 @@ MOST_RISES = 20
 """Most rises of a mode that are reported: the last ones."""
 ENERGY_DRIFT = 1e-6
 """Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
-PARTS = 0.25, 0.5, 0.75, 1.0
-"""Fractions of a step at which conditions are checked."""
-
 MOST_STUCK = 100
 """A mode is given up after so many steps without length, which are those that a solver rejects."""
+
+
+ROUNDING = 1e-9
+"""Part of a step within which two guards rise at once."""
 
 
 class Rise(NamedTuple):
@@ -74,8 +81,7 @@ class ModeRecord(NamedTuple):
     """The outcome of the guard that ended it; empty for none."""
     rises: list[Rise]
     least: dict[str, float]
-    """About the least value of each condition, at `PARTS` of steps, by its outcome when
-    negative."""
+    """The least value of the conditions, by their outcome when negative."""
     at_end: dict[str, float]
     """The value of each condition of its end, by its outcome when not positive."""
     greatest: dict[str, float]
@@ -147,7 +153,7 @@ def explain(
     """Explain why the stride from x ends as it does, and check that a model fits together.
 
     For each mode it reports each guard that rose through zero, with its time and whether it was
-    admitted, and how near the others came. It reports about the least values of conditions, and the
+    admitted, and how near the others came. It reports the least values of conditions, and the
     change of the energy where that is known (`Mode.energy`, an `energy` of a walker). Complaints
     are: a start that is not feasible; a point of the section that `lift` and `project` change; a
     field that is not finite; a mode that no guard ends, as none rose or was admitted, and why:
@@ -257,123 +263,104 @@ def record_mode(
     A mode that `may_be_due` is over at once where its last guard is not below zero.
     """
     names = [name_of_outcome(guard.leads_to, failures) for guard in mode.guards]
-    energy_of = mode.energy or (lambda state: np.nan)
-    energy = float(energy_of(state))
-    conditions = {name: one.value for name, one in named(mode.conditions, failures).items()}
-    least = {name: float(value(state)) for name, value in conditions.items()}
-    values = [float(guard.value(state)) for guard in mode.guards]
-    greatest = {f"{i} ({name})": values[i] for i, name in enumerate(names)}
-
-    def over_at_once(name, at_end):
-        return ModeRecord(0.0, 0, f"{name} at once", [], least, at_end, greatest, (energy, energy))
-
-    fallen = int(fall_of(mode, state, number > 0))
-    if fallen != Outcome.UNDECIDED:
-        return over_at_once(name_of_outcome(fallen, failures), {}), state, False
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
-    if may_be_due and is_due(mode, method, state):
-        at_end = values_at_end(mode, state, failures)
-        return over_at_once(names[-1], at_end), state, all(one > 0 for one in at_end.values())
-
-    step, end_at = steps_of(mode, method, [*conditions.values()])
-    rises: list[Rise] = []
-    time, count, memory, ending = 0.0, 0, method.first_memory(state), None
-    reason, stuck, way = "", 0, [(0.0, state)]
-    below = [value <= 0 for value in values]
-    while ending is None and count < mode.most_steps:
-        series, end, length, memory, polynomials, (there, values, seen) = step(state, memory)
-        count += 1
-        stuck = 0 if length > 0 else stuck + 1
-        if not np.isfinite(length) or stuck > MOST_STUCK:
-            reason = why_it_stops(mode, method, state, time)
-            break
-        found = [
-            Rise(number, i, names[i], time + when, admitted)
-            for i, (value, admits) in enumerate(polynomials)
-            for when, admitted in rises_in(value, admits, float(length), below[i])
-        ]
-        counted = (rise for rise in found if rise.admitted)
-        ending = min(counted, key=lambda rise: rise.time, default=None)
-        if ending is not None:
-            until = jnp.asarray(ending.time - time, length.dtype)
-            there, values, seen = end_at(state, series, until)
-            found = [rise for rise in found if rise.time <= ending.time]
-        rises += found
-        below = [bool(value < 0) for value in values]
-        for name, along_step in zip(conditions, seen, strict=True):
-            least[name] = min(least[name], *map(float, along_step))
-        for name, value in zip(greatest, values, strict=True):
-            greatest[name] = max(greatest[name], float(value))
-        state, time = end, time + float(length)
-        way.append((time, state))
-    if ending is None and not reason:
-        reason = steps_ran_out(mode, time, state)
-    rises = rises[-MOST_RISES:]
-    there = state if ending is None else there
-    change = energy, float(energy_of(there))
-    leads_on = ending is not None and ending.leads_to == Outcome.STRIDE.name
+    mode = mode._replace(foregone=None)
+    mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
+    greatest = [float(guard.value(state)) for guard in mode.guards]
+    made = Followed(begun, [], greatest, [(0.0, state)], "")
+    fallen = int(fall_of(mode, state, number > 0))
+    leads_on = fallen == Outcome.UNDECIDED
+    if not leads_on:
+        ended_by = f"{name_of_outcome(fallen, failures)} at once"
+    elif may_be_due and is_due(mode, method, state):
+        ended_by = f"{names[-1]} at once"
+    else:
+        made = follow_steps(mode, method, number, names, made)
+        guard = int(made.end.guard)
+        ended_by = "" if guard == NO_GUARD else names[guard]
+        leads_on = ended_by == Outcome.STRIDE.name
+    there, count = made.end.arrival, int(made.end.count)
     at_end = values_at_end(mode, there, failures) if leads_on else {}
-    ended = (np.inf, count, "") if ending is None else (ending.time, count, ending.leads_to)
-    doubted = tuple(doubts(number, mode, way))
-    record = ModeRecord(*ended, rises, least, at_end, greatest, change, reason, doubted)
+    energy = mode.energy or (lambda state: np.nan)
+    record = ModeRecord(
+        time=float(made.end.time) if ended_by else np.inf,
+        steps=count,
+        ended_by=ended_by,
+        rises=made.rises[-MOST_RISES:],
+        least=least_values(mode, (state, there), made.end.misses, failures),
+        at_end=at_end,
+        greatest={f"{i} ({name})": made.greatest[i] for i, name in enumerate(names)},
+        energy=(float(energy(state)), float(energy(there))),
+        reason=made.reason,
+        doubts=tuple(doubts(number, mode, made.way)) if count else (),
+    )
     return record, there, leads_on and all(value > 0 for value in at_end.values())
 
 
-def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Callable, Callable]:
-    """Make two functions: a recorded step of a mode, and its part up to a time."""
+class Followed(NamedTuple):
+    """A mode that was followed step by step."""
 
-    def look(state, series, time):
-        """Return a step's end at a time, the guards there, and the conditions on the way."""
-        ways = [method.state_at(state, series, part * time) for part in PARTS]
-        values = [guard.value(ways[-1]) for guard in mode.guards]
-        return ways[-1], values, [[value(y) for y in ways] for value in conditions]
+    end: Unfinished
+    rises: list[Rise]
+    greatest: list[float]
+    """The greatest value of each guard at the ends of steps."""
+    way: list[tuple[float, Any]]
+    """The time and the state at the start and at the end of each step."""
+    reason: str
+    """Why nothing ended it."""
+
+
+def follow_steps(
+    mode: Mode, method: Method, number: int, names: list[str], begun: Followed
+) -> Followed:
+    """Follow a mode to its end, or to where the integration gives up."""
+    now, rises, greatest, way, _ = begun
+    stuck = 0
 
     @kernel
-    def step(state, memory):
-        series, end, length, memory = method.step(state, memory)
-        polynomials = along(mode, series, whole=True)
-        return series, end, length, memory, polynomials, look(state, series, length)
+    def step(now: Unfinished) -> tuple[Unfinished, list[Scalar], list[Scalar]]:
+        """Make a step; return the values of guards at its end, and when rises were refused."""
+        now, seen = follow_measured(mode, method, now)
+        whole = seen._replace(until=seen.length)  # a rise may be refused just at the end
+        pairs = zip(mode.guards, seen.crossings, strict=True)
+        refused = [turns_in_step(*pair, whole).refused for pair in pairs]
+        return now, [guard.value(now.arrival) for guard in mode.guards], refused
 
-    return step, kernel(look)
+    while int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
+        before, (now, values, refused) = now, step(now)
+        time, length = float(now.last.time), float(now.last.length)
+        stuck = 0 if length > 0 else stuck + 1
+        if not np.isfinite(length) or stuck > MOST_STUCK:
+            reason = why_it_stops(mode, method, before.last.end, time)
+            return Followed(before, rises, greatest, way, reason)
+        found = [Rise(number, i, names[i], time + float(t), False) for i, t in enumerate(refused)]
+        end = float(now.time) + ROUNDING * length
+        rises += sorted((one for one in found if one.time <= end), key=lambda one: one.time)
+        greatest = [max(known, float(value)) for known, value in zip(greatest, values, strict=True)]
+        way.append((time + length, now.last.end))
+    guard = int(now.guard)
+    if guard == NO_GUARD:
+        return Followed(now, rises, greatest, way, steps_ran_out(mode, *way[-1]))
+    rises.append(Rise(number, guard, names[guard], float(now.time), True))
+    return Followed(now, rises, greatest, way, "")
 
 
-def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[float, bool]]:
-    """Return when a guard rises in a step, and whether each rise is admitted."""
-    holds = lambda one, when: np.polyval(np.array(one)[::-1], when) > 0
-    if not length > 0 or not np.isfinite(value).all():
-        return []
-    times = rises_of(np.array(value), length, below)
-    return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
-
-
-def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: str = "") -> dict:
-    """Return conditions by the names of their outcomes; a repeated name has a number."""
-    found: dict[str, Condition] = {}
-    for i, one in enumerate(conditions):
-        name = name_of_outcome(one.outcome, failures) + where
-        found[f"{name} ({i})" if name in found else name] = one
-    return found
+def least_values(
+    mode: Mode, ends: tuple[Any, Any], misses: Any, failures: tuple[str, ...]
+) -> dict[str, float]:
+    """Return the least value of conditions between two ends of a mode, by outcome."""
+    least: dict[str, float] = {}
+    for one in mode.conditions:
+        name = name_of_outcome(one.outcome, failures)
+        values = [float(one.value(state)) for state in ends]
+        least[name] = min(*values, float(misses.least[one.outcome]), least.get(name, np.inf))
+    return least
 
 
 def values_at_end(mode: Mode, state: Any, failures: tuple[str, ...]) -> dict[str, float]:
     """Return the values of the conditions of a state in which a mode has ended."""
-    asked = named(mode.at_end, failures, " at the end")
-    return {name: float(one.value(state)) for name, one in asked.items()}
-
-
-def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:
-    """Return the times at which a polynomial rises through zero in a step, from all real roots."""
-    scaled = coefficients * length ** np.arange(len(coefficients))
-    roots = np.roots(np.trim_zeros(scaled[::-1], "f"))
-    real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
-    real = real[(real > 1e-12) & (real <= 1)]
-    found, side = [], -1.0 if below else 1.0
-    after = [*(real[1:] + real[:-1]) / 2, 1.0][: len(real)]
-    for root, later in zip(real, after, strict=True):
-        now = np.sign(np.polyval(scaled[::-1], later)) or side
-        if root == real[-1] and root > 1 - 1e-12:
-            now = 1.0 if side < 0 else side
-        if side < 0 < now:
-            found.append(float(root) * length)
-        side = now
+    found: dict[str, float] = {}
+    for i, one in enumerate(mode.at_end):
+        name = f"{name_of_outcome(one.outcome, failures)} at the end"
+        found[f"{name} ({i})" if name in found else name] = float(one.value(state))
     return found
