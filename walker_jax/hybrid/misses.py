@@ -106,8 +106,10 @@ class Turns(NamedTuple):
     """How far it rises beyond the end of the mode, before it falls; infinite if it does not fall.
     Guards that are always admitted have neither depth nor height."""
     rises: Bool[Array, ""]
-    refused: Scalar
-    """When it rises and is not admitted, since the start of the step; infinite if it does not."""
+    refused: Bool[Array, ""]
+    """Whether it rises and is not admitted."""
+    time: Scalar
+    """When it rises, since the start of the step."""
 
 
 def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
@@ -132,7 +134,7 @@ def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
     miss = jnp.where(misses, high, -jnp.inf)
     if not admits:
         infinite = jnp.full_like(miss, jnp.inf)
-        return Turns(miss, -infinite, infinite, jnp.asarray(False), infinite)
+        return Turns(miss, -infinite, infinite, jnp.asarray(False), jnp.asarray(False), until)
     low = turn_between(jet, 1, start, middle, end)
     least = evaluate_polynomial(value, low.time)
     misses = low.exists & (least >= 0) & (admitted(low.time) > 0)
@@ -159,7 +161,7 @@ def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
     length = lax.stop_gradient(step.length)
     beyond = turn_between(jet, -1, end, end, Place(length, *jet(length)))
     height = jnp.where(beyond.exists, evaluate_polynomial(value, beyond.time), jnp.inf)
-    return Turns(miss, depth, height, rises, jnp.where(refused, time, jnp.inf))
+    return Turns(miss, depth, height, rises, refused, time)
 
 
 class Place(NamedTuple):

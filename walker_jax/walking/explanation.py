@@ -323,7 +323,8 @@ def follow_steps(
         now, seen = follow_measured(mode, method, now)
         whole = seen._replace(until=seen.length)  # a rise may be refused just at the end
         pairs = zip(mode.guards, seen.crossings, strict=True)
-        refused = [turns_in_step(*pair, whole).refused for pair in pairs]
+        turns = [turns_in_step(*pair, whole) for pair in pairs]
+        refused = [jnp.where(one.refused, one.time, jnp.inf) for one in turns]
         return now, [guard.value(now.arrival) for guard in mode.guards], refused
 
     while int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:

@@ -45,26 +45,25 @@ def scan_strides(
     **Returns** the walk and, along a first axis, the values of `record`.
     """
 
-    def after(walk: Walked, state: Any, outcome: Int[Array, ""]) -> Walked:
-        more = (outcome == Outcome.STRIDE).astype(jnp.int32)
-        return Walked(state, outcome, walk.strides + more)
-
     def going(walk: Walked) -> Bool[Array, ""]:
         more = (walk.outcome == Outcome.STRIDE) & (walk.strides < most)
         return more if stop is None else more & ~stop(walk)
 
     def advance(walk: Walked) -> Walked:
         made = step(walk.state, walk.strides)
-        return after(walk, made.state, made.outcome)
+        return Walked(made.state, made.outcome, walk.strides + 1)
 
     none = jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32)
     begun = vary_together(Walked(start, *none))
     if record is None:
-        return lax.while_loop(going, advance, begun), None
+        end = lax.while_loop(going, advance, begun)
+        failed = (end.outcome != Outcome.STRIDE).astype(jnp.int32)
+        return end._replace(strides=end.strides - failed), None
 
     def advance_and_record(walk: Walked, number: Int[Array, ""]) -> tuple[Walked, Any]:
         made = step(walk.state, number)
         fate = jnp.where(walk.outcome == Outcome.STRIDE, made.outcome, walk.outcome)
-        return after(walk, made.state, fate), record(made._replace(outcome=fate))
+        count = walk.strides + (fate == Outcome.STRIDE).astype(jnp.int32)
+        return Walked(made.state, fate, count), record(made._replace(outcome=fate))
 
     return lax.scan(advance_and_record, begun, jnp.arange(most, dtype=jnp.int32))
