@@ -34,7 +34,7 @@ def test_a_walk_ends_with_its_first_failure(record):
     np.testing.assert_array_equal(made.time[1], [0, 1, 2, np.nan, np.nan])
 
 
-def test_a_walk_stops_where_it_is_told_or_after_the_most_strides():
+def test_a_walk_stops_where_told_or_after_the_most_strides():
     def follow(x, most):
         return scan_strides(double, x, most, stop=lambda walk: walk.state[0] > 0.35)[0]
 
