@@ -32,7 +32,7 @@ from walker_jax.integrators import integrator
 from walker_jax.stability import gait_robustness, stochastic_map
 from walker_jax.storage.schema import TYPES, attributes_of_kind, check_dataset, variables_of_kind
 from walker_jax.walkers import references
-from walker_jax.walking.disturbed import DisturbedWalk
+from walker_jax.walking.scan import Walked
 
 MODULES: tuple[ModuleType, ...] = (
     *(cellmaps, figures, integrator, kernels, lattice, multibody, references, stochastic_map),
@@ -208,10 +208,10 @@ def viability() -> xr.Dataset:
     return data.assign(frame).assign_coords(centres).assign_attrs(about)
 
 
-def walks_to(state: list, outcome: int = 0) -> DisturbedWalk:
+def walks_to(state: list, outcome: int = 0) -> Walked:
     """As many walks as the stochastic map begins with, which all end in one state."""
     count = stochastic_map.PILOT_WALKS
-    return DisturbedWalk(np.tile(state, (count, 1)), np.full(count, outcome), np.full(count, 8))
+    return Walked(np.tile(state, (count, 1)), np.full(count, outcome), np.full(count, 8))
 
 
 def without(module: str, call: Callable[[], object]) -> object:

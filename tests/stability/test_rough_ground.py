@@ -37,7 +37,8 @@ from walker_jax.stability.stochastic_map import (
     transition_matrix,
     widening,
 )
-from walker_jax.walking.disturbed import DisturbedWalk, follow_disturbed
+from walker_jax.walking.disturbed import follow_disturbed
+from walker_jax.walking.scan import Walked
 
 SLOPE = 0.009
 WALKER = SimplestWalker(SLOPE)
@@ -239,7 +240,7 @@ def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit)
 def test_a_walk_without_an_answer_is_no_fall(gait, monkeypatch):
     """It counts with the strides that it made, as one that is left off."""
     outcomes = np.array([Outcome.FORWARD, Outcome.UNDECIDED, Outcome.STRIDE], np.int8)
-    walks = DisturbedWalk(np.zeros((3, 4)), outcomes, np.array([5, 7, 10]))
+    walks = Walked(np.zeros((3, 4)), outcomes, np.array([5, 7, 10]))
     module = "walker_jax.stability.rough_ground.walk_disturbed"
     monkeypatch.setattr(module, lambda *_: walks)
     found = wj.steps_to_fall(WALKER, 1e-3, 3, gait=gait, limit=10)
@@ -287,7 +288,7 @@ def test_a_stochastic_map_that_cannot_be_says_why(gait, monkeypatch):
             transition_matrix(*drawn, jax.random.key(0))
     outcome = Outcome.STRIDE
     scattered = np.random.default_rng(0).normal(size=(500, 4))
-    pilot = DisturbedWalk(scattered, np.full(500, Outcome.STRIDE), np.full(500, 8))
+    pilot = Walked(scattered, np.full(500, Outcome.STRIDE), np.full(500, 8))
     monkeypatch.setattr(stochastic_map, "walk_disturbed", lambda *_: pilot)
     with pytest.raises(ComputationFailed, match=r"no walker fell from any of \d+ cells: ground is"):
         wj.metastability(WALKER, 1e-3, gait=gait, side=100.0, walkers=64)
@@ -360,7 +361,7 @@ def test_the_error_of_a_mean_life_is_widened_too(gait, monkeypatch):
     def walk(walker, states, *_):
         n = len(states)
         made = np.full(n, stochastic_map.PILOT_STRIDES)
-        return DisturbedWalk(rng.normal(size=states.shape), np.zeros(n, np.int8), made)
+        return Walked(rng.normal(size=states.shape), np.zeros(n, np.int8), made)
 
     def one_cell(rough, chart, states, key):
         return csr_array(np.ones((1, 1))), chart.cell_of(states[:1], rough.side), 0

@@ -28,6 +28,7 @@ from walker_jax.gaits.cycles import Gait, check_cycle, linearise, multiply_jacob
 from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.system import System
+from walker_jax.walking.iteration import orbits
 
 FIRST = 1e-5
 """Distance from the saddle up to which the manifold counts as straight: it bends by 1e-10."""
@@ -114,11 +115,9 @@ class Image(NamedTuple):
         self, x: Float[np.ndarray, " section"]
     ) -> tuple[Float[np.ndarray, " section"], Float[np.ndarray, "section section"]]:
         """Return the end of the strides from x, and its derivatives by x; NaN after a failure."""
-        jacobian = np.eye(len(x))
-        for _ in range(self.strides):
-            local = linearise(self.walker, x[None, None], self.integrator)
-            x, jacobian = local.state[0, 0], local.jacobian[0, 0] @ jacobian
-        return x, jacobian
+        states, _ = orbits(self.walker, x[None], self.strides - 1, self.integrator)
+        local = linearise(self.walker, states, self.integrator)
+        return local.state[0, -1], multiply_jacobians(local.jacobian)[0]
 
 
 ImageOf = Callable[

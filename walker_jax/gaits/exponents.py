@@ -34,9 +34,10 @@ from walker_jax.gaits.long_runs import RECORDED_STATES, SETTLED_DISTANCE, START_
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import difference, turns_of
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import as_arrays, orbits, select_walkers
+from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.stride import follow_stride
 
 LEAST_MULTIPLIER = 1e-4
@@ -203,30 +204,27 @@ def follow_frames(
     """
     first, last = count
 
-    def unfinished(walk):
-        made, _, _, _, _, outcome = walk
-        return (outcome == Outcome.STRIDE) & (made < last)
-
-    def advance(walk):
-        made, x, frame, logs, determinant, _ = walk
+    def step(state: tuple, number: Int[Array, ""]) -> Stride:
+        x, frame, logs, determinant = state
 
         def along(column):
-            step = lambda x: follow_stride(system, x, integrator)
-            result, change = jax.jvp(step, (x,), (column,))
-            return result.state, result.outcome, change.state
+            stride = lambda x: follow_stride(system, x, integrator)
+            result, change = jax.jvp(stride, (x,), (column,))
+            return result, change.state
 
-        states, outcomes, changes = lax.map(along, frame.T)
+        all_made, changes = lax.map(along, frame.T)
+        made = jax.tree.map(lambda values: values[0], all_made)
         frame, factor = jnp.linalg.qr(changes.T)
         # no product with zero, as a logarithm may be infinite
-        counts = lambda values: jnp.where(made >= first, values, 0)
+        counts = lambda values: jnp.where(number >= first, values, 0)
         logs = logs + counts(jnp.log(jnp.abs(jnp.diagonal(factor))))
         determinant = determinant + counts(jnp.linalg.slogdet(changes)[1])
-        return made + 1, states[0], frame, logs, determinant, outcomes[0]
+        return made._replace(state=(made.state, frame, logs, determinant))
 
-    begun = jnp.zeros((), jnp.int32), x, jnp.eye(len(x), dtype=x.dtype), jnp.zeros_like(x)
-    sums = jnp.zeros_like(x[0]), jnp.asarray(Outcome.STRIDE, jnp.int8)
-    _, x, _, logs, determinant, outcome = lax.while_loop(unfinished, advance, (*begun, *sums))
-    return x, logs, determinant, outcome
+    begun = x, jnp.eye(len(x), dtype=x.dtype), jnp.zeros_like(x), jnp.zeros_like(x[0])
+    end, _ = scan_strides(step, begun, last)
+    x, _, logs, determinant = end.state
+    return x, logs, determinant, end.outcome
 
 
 def summarise(

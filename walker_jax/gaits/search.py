@@ -50,7 +50,7 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, warn_if_rounded
 from walker_jax.walkers.model import moves_like
 from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walking.iteration import follow_walk, orbits, strides
+from walker_jax.walking.iteration import follow_walk, orbits
 from walker_jax.walking.starts import as_floating, prepare
 
 FEW_STARTS = 2000
@@ -344,12 +344,10 @@ def confirm_gaits(walker: System, gaits: Gait, integrator: Integrator) -> Gait:
     """Mark gaits that a walk over the period does not repeat as not found."""
     states, found = np.asarray(gaits.states), np.asarray(gaits.found)
     period = states.shape[1]
-    last = states[:, 0]
-    for i in range(period if period > 1 else 0):  # of one stride, the residual is that of the walk
-        last = strides(walker, last, tolerance=integrator.tolerance, solver=integrator.solver).state
-        mismatch = difference(last, states[:, (i + 1) % period], turns_of(walker))
-        mismatch = np.abs(mismatch).max(axis=1)
-        found = found & (mismatch < MAX_RESIDUAL[states.dtype])
+    if period > 1:  # of one stride, the residual is that of the walk
+        walks, _ = orbits(walker, states[:, 0], period, integrator)
+        mismatch = difference(walks[:, 1:], np.roll(states, -1, axis=1), turns_of(walker))
+        found = found & (np.abs(mismatch).max(axis=(1, 2)) < MAX_RESIDUAL[states.dtype])
     return gaits._replace(found=found, stable=gaits.stable & found)
 
 

@@ -104,9 +104,7 @@ def follow_mode(
     If `measured`, every step is searched, and its misses are recorded.
     """
 
-    if not method.is_series:  # whose steps alone are short enough for the proofs about guards
-        mode = mode._replace(guards=tuple(one._replace(persists=False) for one in mode.guards))
-    mode, zero = with_rates(mode, start), zero_at(start)
+    mode, begun = begin_following(mode, start, going, method, measured)
 
     def unfinished(now: Unfinished):
         finite = jnp.isfinite(now.last.time + now.last.length)
@@ -114,22 +112,14 @@ def follow_mode(
 
     def follow(now: Unfinished) -> Unfinished:
         if measured:
-            last = measured_step(mode, method, now.last)
-            return search_step(mode, method, now._replace(last=last, count=now.count + 1))
+            return follow_measured(mode, method, now)[0]
         quiet = lambda carry: carry[0].quiet & (carry[1] < mode.most_steps)
         take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
         # In a batch, lanes that have ended wait here for the others.
         begun = now.last._replace(quiet=now.guard == NO_GUARD), now.count
         last, count = lax.while_loop(quiet, take, begun)
-        return search_step(mode, method, now._replace(last=last, count=count))
+        return search_step(mode, method, now._replace(last=last, count=count))[0]
 
-    guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
-    misses = no_misses(mode, start) if measured else None
-    first, values = before_first_step(mode, method, start)
-    violated = {one.leads_to: jnp.asarray(False) for one in mode.conditions}
-    for condition, value in zip(mode.conditions, values, strict=True):
-        violated[condition.leads_to] |= going & (value < 0)
-    begun = Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
     last = lax.while_loop(unfinished, follow, begun)
 
     event = partial(value_of_guard, mode, last.guard)
@@ -141,7 +131,29 @@ def follow_mode(
     for condition in mode.conditions:
         if condition.least_at_ends:  # others were evaluated as the arrival was found
             violated[condition.leads_to] |= going & condition.is_negative(arrival)
-    return End(arrival, last.time + keep(delay, zero), last.guard, violated, last.misses)
+    return End(arrival, last.time + keep(delay, begun.time), last.guard, violated, last.misses)
+
+
+def begin_following(
+    mode: Mode, start: Any, going: Bool[Array, ""], method: Method, measured: bool
+) -> tuple[Mode, Unfinished]:
+    """Return the mode with the rates of its conditions, and its start."""
+    if not method.is_series:  # whose steps alone are short enough for the proofs about guards
+        mode = mode._replace(guards=tuple(one._replace(persists=False) for one in mode.guards))
+    mode, zero = with_rates(mode, start), zero_at(start)
+    guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
+    misses = no_misses(mode, start) if measured else None
+    first, values = before_first_step(mode, method, start)
+    violated = {one.leads_to: jnp.asarray(False) for one in mode.conditions}
+    for condition, value in zip(mode.conditions, values, strict=True):
+        violated[condition.leads_to] |= going & (value < 0)
+    return mode, Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
+
+
+def follow_measured(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
+    """Make a step of a measured mode, and search all of it."""
+    last = measured_step(mode, method, now.last)
+    return search_step(mode, method, now._replace(last=last, count=now.count + 1))
 
 
 def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, list[Scalar]]:
@@ -200,7 +212,7 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
     return Step(step.end, end, time, length, step.ends, ends, step.rates, step.quiet, memory, kept)
 
 
-def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
+def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
     """Find the first event in the last step, if there is one, and earlier violations."""
     last = now.last
     series = last.series if method.carries_series(last.end) else method.series_of(last.start)
@@ -233,7 +245,8 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
             least = find_least(condition, seen, below=rate, sign_alone=True)
             below = (least.value < 0) | (least.at_end < 0)
         violated[key] |= below
-    return Unfinished(last, arrival, last.time + until, number, now.count, violated, misses)
+    time = last.time + until
+    return Unfinished(last, arrival, time, number, now.count, violated, misses), seen
 
 
 def watched(mode: Mode) -> list[Condition]:

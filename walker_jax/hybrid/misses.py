@@ -106,6 +106,10 @@ class Turns(NamedTuple):
     """How far it rises beyond the end of the mode, before it falls; infinite if it does not fall.
     Guards that are always admitted have neither depth nor height."""
     rises: Bool[Array, ""]
+    refused: Bool[Array, ""]
+    """Whether it rises and is not admitted."""
+    time: Scalar
+    """When it rises, since the start of the step."""
 
 
 def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
@@ -130,7 +134,7 @@ def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
     miss = jnp.where(misses, high, -jnp.inf)
     if not admits:
         infinite = jnp.full_like(miss, jnp.inf)
-        return Turns(miss, -infinite, infinite, jnp.asarray(False))
+        return Turns(miss, -infinite, infinite, jnp.asarray(False), jnp.asarray(False), until)
     low = turn_between(jet, 1, start, middle, end)
     least = evaluate_polynomial(value, low.time)
     misses = low.exists & (least >= 0) & (admitted(low.time) > 0)
@@ -151,12 +155,13 @@ def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
     rises = (turned | crossing.below) & jnp.where(whole, ~crossing.ends_below, above_zero)
     time = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, first, last), last)
     lacks = admitted(differentiable_zero(value, time))
-    miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)
+    refused = rises & (lacks <= 0)
+    miss = jnp.where(refused, jnp.maximum(miss, lacks), miss)
     depth = jnp.where(low.exists, -least, -jnp.inf)
     length = lax.stop_gradient(step.length)
     beyond = turn_between(jet, -1, end, end, Place(length, *jet(length)))
     height = jnp.where(beyond.exists, evaluate_polynomial(value, beyond.time), jnp.inf)
-    return Turns(miss, depth, height, rises)
+    return Turns(miss, depth, height, rises, refused, time)
 
 
 class Place(NamedTuple):

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.basins.mapper import Mapper, targets_of
@@ -13,7 +12,7 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.angles import turns_of
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import (
     Disturbance,
@@ -22,7 +21,8 @@ from walker_jax.walking.disturbed import (
     follow_disturbed_walk,
 )
 from walker_jax.walking.failure_margins import failure_margin
-from walker_jax.walking.iteration import Targets, WalkEnd, distances
+from walker_jax.walking.iteration import Targets, distances
+from walker_jax.walking.scan import Walked, scan_strides
 
 PULLED_BACK = 64
 """Number of walks whose derivatives are computed in one call."""
@@ -58,7 +58,7 @@ class DisturbedWalks(NamedTuple):
         walker = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), self.mapper.walker)
         return walker, self.mapper.integrator.in_dtype(dtype)
 
-    def follow(self, w: Float[np.ndarray, "n size"]) -> WalkEnd:
+    def follow(self, w: Float[np.ndarray, "n size"]) -> Walked:
         """Follow walks until they fall, or return to the gait after the disturbances."""
         (walker, integrator), rows = self.arrays(), self.rows(w)
         targets, _ = targets_of(self.mapper.attractors, len(self.mapper.walker.section))
@@ -66,7 +66,7 @@ class DisturbedWalks(NamedTuple):
         given = walker, self.start, rows, targets, limit, integrator
         return map_cells(walk_disturbed_on, given, (False, False, True, False, False, False))
 
-    def falls(self, end: WalkEnd) -> Bool[np.ndarray, " n"]:
+    def falls(self, end: Walked) -> Bool[np.ndarray, " n"]:
         """Mark the walks that end in a fall that counts."""
         if self.outcome is not None:
             return end.outcome == self.outcome
@@ -116,25 +116,20 @@ def walk_disturbed_on(
     targets: Targets,
     limit: Int[Array, ""],
     integrator: Integrator,
-) -> WalkEnd:
+) -> Walked:
     """Follow disturbed strides and then even ones, until a failure, a target or the limit."""
 
-    def unfinished(walk):
-        return (walk.outcome == Outcome.STRIDE) & (walk.strides < limit) & (walk.target < 0)
-
-    def advance(walk):
-        even = walk.strides >= len(rows)
-        row = rows[jnp.minimum(walk.strides, len(rows) - 1)]
+    def step(state: Float[Array, " full"], number: Int[Array, ""]) -> Stride:
+        row, even = rows[jnp.minimum(number, len(rows) - 1)], number >= len(rows)
         disturbance = Disturbance(*[jnp.where(even, 0, one) for one in row])
-        result = follow_disturbed(walker, walk.state, disturbance, integrator)
-        x = walker.project(walker.state(*result.state))
-        near = even & jnp.any(distances(x, targets, turns_of(walker)) < 1)
-        made = walk.strides + (result.outcome == Outcome.STRIDE).astype(jnp.int32)
-        return WalkEnd(result.state, result.outcome, made, jnp.where(near, 0, -1).astype(jnp.int32))
+        return follow_disturbed(walker, state, disturbance, integrator)
 
-    zero = jnp.zeros((), jnp.int32)
-    begun = WalkEnd(start, jnp.asarray(Outcome.STRIDE, jnp.int8), zero, zero - 1)
-    return lax.while_loop(unfinished, advance, begun)
+    def stop(walk: Walked) -> Bool[Array, ""]:
+        x = walker.project(walker.state(*walk.state))
+        near = jnp.any(distances(x, targets, turns_of(walker)) < 1)
+        return (walk.strides > len(rows)) & near
+
+    return scan_strides(step, start, limit, stop)[0]
 
 
 @jax.jit
@@ -152,19 +147,17 @@ def pull_back(
     """
 
     def margin(rows: Float[Array, "strides 3"], change: Float[Array, " section"]) -> Scalar:
-        def advance(walk, row):
-            state, outcome, margin = walk
-            found = follow_disturbed_margins(walker, state, Disturbance(*row), integrator)
-            going, now = outcome == Outcome.STRIDE, found.stride.outcome
-            falls = going & (now != Outcome.STRIDE)
-            margin = jnp.where(falls, failure_margin(found), margin)
+        def step(now: tuple, number: Int[Array, ""]) -> Stride:
+            state, disturbance = now[0], Disturbance(*rows[number])
+            found = follow_disturbed_margins(walker, state, disturbance, integrator)
+            outcome = found.stride.outcome
             # After a fall walks start again: derivatives of unused values must be finite too.
-            state = jnp.where(now == Outcome.STRIDE, found.stride.state, start)
-            return (state, jnp.where(going, now, outcome), margin), None
+            state = jnp.where(outcome == Outcome.STRIDE, found.stride.state, start)
+            return found.stride._replace(state=(state, failure_margin(found)))
 
-        begun = start, jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), start.dtype)
-        (state, outcome, margin), _ = lax.scan(advance, begun, rows)
-        later = walker.project(walker.state(*state)) @ change
-        return jnp.where(outcome == Outcome.STRIDE, later, margin)
+        begun = start, jnp.zeros((), start.dtype)
+        end, margins = scan_strides(step, begun, len(rows), record=lambda made: made.state[1])
+        later = walker.project(walker.state(*end.state[0])) @ change
+        return jnp.where(end.outcome == Outcome.STRIDE, later, margins[end.strides])
 
     return jax.vmap(jax.grad(margin))(rows, change)

@@ -14,7 +14,8 @@ from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import with_values
 from walker_jax.walking.failure_margins import failure_margin, follow_margins
-from walker_jax.walking.iteration import walk_on
+from walker_jax.walking.scan import scan_strides
+from walker_jax.walking.stride import follow_stride
 
 
 def differentiate_margins(
@@ -62,7 +63,7 @@ def margin_after(shared: tuple, cell: tuple) -> Scalar:
     """Return the margin of the failure that ends a walk after `count` strides."""
     walker, integrator = shared
     x, count = cell
-    end = walk_on(walker, x, None, count, integrator)
+    end, _ = scan_strides(lambda x, _: follow_stride(walker, x, integrator), x, count)
     return failure_margin(follow_margins(walker, end.state, integrator))
 
 

@@ -14,7 +14,6 @@ same chance, the chance to be beyond this boundary. This gives the prefactor too
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -38,6 +37,7 @@ from walker_jax.stability.rough_ground import STRIDES_PER_CALL
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
+from walker_jax.walking.scan import scan_strides
 
 SEARCHED = 3
 """Most disturbed strides for which random directions are searched. Longer sequences follow from
@@ -200,15 +200,14 @@ def describe(walks: DisturbedWalks, found: list[NearestPoint], unit: float) -> P
     first = int(walks.falls(ends).argmax())
     (walker, integrator), made = walks.arrays(), int(ends.strides[first])
     rows = walks.rows(tried[first : first + 1])[0]
-    rows = np.concatenate([rows, np.zeros((max(0, made - len(rows)), 3))])
-    states = [walks.start]
-    for row in rows[:made]:
-        step = jax.jit(follow_disturbed)(walker, states[-1], Disturbance(*row), integrator)
-        states.append(np.asarray(step.state))
+    rows = np.concatenate([rows, np.zeros((made, 3))])
+    given = jnp.asarray(rows, walks.start.dtype)
+    step = lambda x, i: follow_disturbed(walker, x, Disturbance(*given[i]), integrator)
+    _, states = scan_strides(step, walks.start, made, record=lambda stride: stride.state)
     return ProbableFall(
         (best.length / unit) ** 2 / 2,
         walks.rows(w[None])[0],
-        np.stack(states),
+        np.concatenate([walks.start[None], states]),
         Outcome(int(ends.outcome[first])),
         made,
         np.minimum.accumulate([(one.length / unit) ** 2 / 2 for one in found]),

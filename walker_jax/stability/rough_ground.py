@@ -31,7 +31,8 @@ from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import check_single
 from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
+from walker_jax.walking.disturbed import Disturbance, follow_disturbed_walk
+from walker_jax.walking.scan import Walked
 
 RandomDisturbance = Callable[[Any], Any]
 """A JAX function of a random key: the height of one step, or a `Disturbance`."""
@@ -125,12 +126,12 @@ def walk_disturbed(
     keys: Array,
     limit: int,
     tolerance: float | None,
-) -> DisturbedWalk:
+) -> Walked:
     """Follow disturbed walks from n full states, each with a random key, until they fail."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
     integrator = integrator_of(states.dtype, tolerance).in_dtype(states.dtype)
     n = len(states)
-    end = DisturbedWalk(states.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32))
+    end = Walked(states.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32))
     active, done = np.arange(n), 0
     while len(active) and done < limit:
         count = min(STRIDES_PER_CALL, limit - done)

@@ -44,7 +44,8 @@ from walker_jax.stability.rough_ground import (
 from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import describe_source
-from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed
+from walker_jax.walking.disturbed import Disturbance, follow_disturbed
+from walker_jax.walking.scan import Walked
 
 PILOT_WALKS, PILOT_STRIDES = 20_000, 8
 """Walks that show where states are, and their strides: enough to forget a disturbance."""
@@ -232,7 +233,7 @@ def section_and_gap(states: Float[np.ndarray, "n full"], size: int) -> Float[np.
     return np.stack([theta, thetadot, phi - 2 * theta], axis=1)[:, :size]
 
 
-def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n full"]]:
+def chart_of(walks: Walked) -> tuple[Chart, Float[np.ndarray, "n full"]]:
     """Make the chart of the states of walks that last; return these states too."""
     lasting = walks.state[walks.outcome == Outcome.STRIDE]
     if len(lasting) < FEWEST_SURVIVORS:

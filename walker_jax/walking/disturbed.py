@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from walker_jax.hybrid.modes import SECTION
 from walker_jax.integrators.expansion import with_fast_sincos
@@ -28,6 +27,7 @@ from walker_jax.walking.failure_margins import (
     strike_margin,
 )
 from walker_jax.walking.raised_ground import onto_step
+from walker_jax.walking.scan import Walked, scan_strides
 from walker_jax.walking.starts import during_stride, on_section
 from walker_jax.walking.stride import end_step, first_of, follow_step, follow_to_contact
 
@@ -41,17 +41,6 @@ class Disturbance(NamedTuple):
     """Change of the ground's slope, for this stride (rad)."""
     push: Scalar | float = 0.0
     """Change of thetadot at the stride's start (`Walker.push`)."""
-
-
-class DisturbedWalk(NamedTuple):
-    """The end of a number of disturbed strides: arrays of JAX or of NumPy."""
-
-    state: Float[Any, "*walks full"]
-    """The full state after the last stride; NaN after a failure."""
-    outcome: Int[Any, "*walks"]
-    """`Outcome` of the last stride."""
-    strides: Int[Any, "*walks"]
-    """Number of completed strides."""
 
 
 @kernel
@@ -81,18 +70,10 @@ def follow_disturbed_walk(
     x: Float[Array, " full"],
     disturbances: Float[Array, "strides 3"],
     integrator: Integrator,
-) -> DisturbedWalk:
+) -> Walked:
     """Follow strides, each with its disturbance, to a failure or the last one."""
-
-    def advance(walk, disturbance):
-        result = follow_disturbed(walker, walk.state, Disturbance(*disturbance), integrator)
-        going = walk.outcome == Outcome.STRIDE
-        outcome = jnp.where(going, result.outcome, walk.outcome)
-        made = (outcome == Outcome.STRIDE).astype(jnp.int32)
-        return DisturbedWalk(result.state, outcome, walk.strides + made), None
-
-    first = DisturbedWalk(x, jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32))
-    return lax.scan(advance, first, disturbances)[0]
+    step = lambda x, i: follow_disturbed(walker, x, Disturbance(*disturbances[i]), integrator)
+    return scan_strides(step, x, len(disturbances))[0]
 
 
 @kernel

@@ -1,12 +1,11 @@
 """Explanations of a stride, mode by mode and guard by guard, with checks of the model.
 
-The rises of guards are found anew here, as the real roots of the polynomials of all steps. This is
-a second opinion on the search that decides a stride.
+Each mode is measured step by step, by the search that decides a stride.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +15,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.following import along
-from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
-from walker_jax.integrators.integrator import AnySolver, Integrator
-from walker_jax.integrators.roots import Real
+from walker_jax.hybrid.following import NO_GUARD, Unfinished, begin_following, follow_measured
+from walker_jax.hybrid.misses import turns_in_step
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
+from walker_jax.integrators.integrator import AnySolver, Integrator, Method
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
@@ -47,11 +47,12 @@ ENERGY_DRIFT = 1e-6
 """Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
 MOST_MODES = 100
 """Most modes of a stride that are recorded."""
-PARTS = 0.25, 0.5, 0.75, 1.0
-"""Fractions of a step at which conditions are checked."""
-
 MOST_STUCK = 100
 """A mode is given up after so many steps without length, which are those that a solver rejects."""
+
+
+ROUNDING = 1e-9
+"""Part of a step within which two guards rise at once."""
 
 
 class Rise(NamedTuple):
@@ -78,11 +79,11 @@ class ModeRecord(NamedTuple):
     """The name to which the guard that ended it leads; empty if nothing ended it."""
     rises: list[Rise]
     least: dict[str, float]
-    """About the least value of each condition, at `PARTS` of steps, by its failure."""
+    """The least value of the conditions, by their outcome when negative."""
     held: dict[str, float]
     """Values that must be positive where its guard has risen, by their failures."""
     greatest: dict[str, float]
-    """The greatest value of each guard at the ends of steps, by its number and where it leads."""
+    """The greatest value of each guard at the ends of steps, by its number and outcome."""
     energy: tuple[float, float]
     """Energy at its start and at its end; NaN where the mode does not define it."""
     reason: str = ""
@@ -150,7 +151,7 @@ def explain(
     """Explain why the stride from x ends as it does, and check that a model fits together.
 
     For each mode it reports each guard that rose through zero, with its time and whether it was
-    admitted, and how near the others came. It reports about the least values of conditions, and the
+    admitted, and how near the others came. It reports the least values of conditions, and the
     change of the energy where that is known (`Mode.energy`, an `energy` of a walker). Complaints
     are: a start that is not feasible; a point of the section that `lift` and `project` change; a
     field that is not finite; a mode that no guard ends, as none rose or was admitted, and why:
@@ -262,128 +263,106 @@ def record_mode(
 
     There is none if the mode ends in a failure, or by no guard.
     """
-    names = [str(guard.leads_to) for guard in mode.guards]
-    energy_of = mode.energy or (lambda state: np.nan)
-    energy = float(energy_of(state))
-    conditions = {of: one.value for of, one in named(mode.conditions).items()}
-    least = {of: float(value(state)) for of, value in conditions.items()}
-    values = [float(guard.value(state)) for guard in mode.guards]
-    greatest = {f"{i} ({to})": values[i] for i, to in enumerate(names)}
-
-    def over_at_once(to, held):
-        led = f"{to} at once"
-        return ModeRecord(name, 0.0, 0, led, [], least, held, greatest, (energy, energy))
-
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
+    mode = mode._replace(foregone=None)
+    mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
+    made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
     fallen = int(fall_of(mode, numbers, state, switched))
-    if fallen != Outcome.UNDECIDED:
-        failure = next(of for of, number in numbers.items() if number == fallen)
-        return over_at_once(failure, {}), state, None
     due = guard_due(mode, numbers, method, state, switched)
-    if due is not None and due >= 0:
+    if fallen != Outcome.UNDECIDED:
+        led_to = next(of for of, number in numbers.items() if number == fallen) + " at once"
+        guard = None
+    elif due is not None and due >= 0:
         guard = mode.guards[int(due)]
-        return over_at_once(guard.leads_to, values_held(guard, state)), state, guard
-
-    step, end_at = steps_of(mode, method, [*conditions.values()])
-    rises: list[Rise] = []
-    time, count, memory, ending = 0.0, 0, method.first_memory(state), None
-    reason, stuck, way = "", 0, [(0.0, state)]
-    below = [value <= 0 for value in values]
-    while ending is None and count < mode.most_steps:
-        series, end, length, memory, polynomials, (there, values, seen) = step(state, memory)
-        count += 1
-        stuck = 0 if length > 0 else stuck + 1
-        if not np.isfinite(length) or stuck > MOST_STUCK:
-            reason = why_it_stops(mode, method, state, time)
-            break
-        found = [
-            Rise(name, i, names[i], time + when, admitted)
-            for i, (value, admits) in enumerate(polynomials)
-            for when, admitted in rises_in(value, admits, float(length), below[i])
-        ]
-        counted = (rise for rise in found if rise.admitted)
-        ending = min(counted, key=lambda rise: rise.time, default=None)
-        if ending is not None:
-            until = jnp.asarray(ending.time - time, length.dtype)
-            there, values, seen = end_at(state, series, until)
-            found = [rise for rise in found if rise.time <= ending.time]
-        rises += found
-        below = [bool(value < 0) for value in values]
-        for of, along_step in zip(conditions, seen, strict=True):
-            least[of] = min(least[of], *map(float, along_step))
-        for of, value in zip(greatest, values, strict=True):
-            greatest[of] = max(greatest[of], float(value))
-        state, time = end, time + float(length)
-        way.append((time, state))
-    if ending is None and not reason:
-        reason = steps_ran_out(mode, time, state)
-    rises = rises[-MOST_RISES:]
-    there = state if ending is None else there
-    change = energy, float(energy_of(there))
-    guard = None if ending is None else mode.guards[ending.guard]
-    guard = None if guard is None or guard.leads_to in numbers else guard
+        led_to = f"{guard.leads_to} at once"
+    else:
+        made = follow_steps(name, mode, method, made)
+        number = int(made.end.guard)
+        guard = None if number == NO_GUARD else mode.guards[number]
+        led_to = guard.leads_to if guard else ""
+        guard = None if led_to in numbers else guard
+    there, count = made.end.arrival, int(made.end.count)
     held = values_held(guard, there) if guard else {}
-    ended = (np.inf, count, "") if ending is None else (ending.time, count, ending.leads_to)
-    doubted = tuple(doubts(name, mode, way))
-    record = ModeRecord(name, *ended, rises, least, held, greatest, change, reason, doubted)
+    energy = mode.energy or (lambda state: np.nan)
+    of_guards = zip(mode.guards, made.greatest, strict=True)
+    record = ModeRecord(
+        name=name,
+        time=float(made.end.time) if led_to else np.inf,
+        steps=count,
+        led_to=led_to,
+        rises=made.rises[-MOST_RISES:],
+        least=least_values(mode, (state, there), made.end.misses),
+        held=held,
+        greatest={f"{i} ({one.leads_to})": high for i, (one, high) in enumerate(of_guards)},
+        energy=(float(energy(state)), float(energy(there))),
+        reason=made.reason,
+        doubts=tuple(doubts(name, mode, made.way)) if count else (),
+    )
     return record, there, guard
 
 
-def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Callable, Callable]:
-    """Make two functions: a recorded step of a mode, and its part up to a time."""
+class Followed(NamedTuple):
+    """A mode that was followed step by step."""
 
-    def look(state, series, time):
-        """Return a step's end at a time, the guards there, and the conditions on the way."""
-        ways = [method.state_at(state, series, part * time) for part in PARTS]
-        values = [guard.value(ways[-1]) for guard in mode.guards]
-        return ways[-1], values, [[value(y) for y in ways] for value in conditions]
+    end: Unfinished
+    rises: list[Rise]
+    greatest: list[float]
+    """The greatest value of each guard at the ends of steps."""
+    way: list[tuple[float, Any]]
+    """The time and the state at the start and at the end of each step."""
+    reason: str
+    """Why nothing ended it."""
+
+
+def follow_steps(name: str, mode: Mode, method: Method, begun: Followed) -> Followed:
+    """Follow a mode to its end, or to where the integration gives up."""
+    names = [guard.leads_to for guard in mode.guards]
+    now, rises, greatest, way, _ = begun
+    stuck = 0
 
     @kernel
-    def step(state, memory):
-        series, end, length, memory = method.step(state, memory)
-        polynomials = along(mode, series, whole=True)
-        return series, end, length, memory, polynomials, look(state, series, length)
+    def step(now: Unfinished) -> tuple[Unfinished, list[Scalar], list[Scalar]]:
+        """Make a step; return the values of guards at its end, and when rises were refused."""
+        now, seen = follow_measured(mode, method, now)
+        whole = seen._replace(until=seen.length)  # a rise may be refused just at the end
+        pairs = zip(mode.guards, seen.crossings, strict=True)
+        turns = [turns_in_step(*pair, whole) for pair in pairs]
+        refused = [jnp.where(one.refused, one.time, jnp.inf) for one in turns]
+        return now, [guard.value(now.arrival) for guard in mode.guards], refused
 
-    return step, kernel(look)
+    while int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
+        before, (now, values, refused) = now, step(now)
+        time, length = float(now.last.time), float(now.last.length)
+        stuck = 0 if length > 0 else stuck + 1
+        if not np.isfinite(length) or stuck > MOST_STUCK:
+            reason = why_it_stops(mode, method, before.last.end, time)
+            return Followed(before, rises, greatest, way, reason)
+        found = [Rise(name, i, names[i], time + float(t), False) for i, t in enumerate(refused)]
+        end = float(now.time) + ROUNDING * length
+        rises += sorted((one for one in found if one.time <= end), key=lambda one: one.time)
+        greatest = [max(known, float(value)) for known, value in zip(greatest, values, strict=True)]
+        way.append((time + length, now.last.end))
+    guard = int(now.guard)
+    if guard == NO_GUARD:
+        return Followed(now, rises, greatest, way, steps_ran_out(mode, *way[-1]))
+    rises.append(Rise(name, guard, names[guard], float(now.time), True))
+    return Followed(now, rises, greatest, way, "")
 
 
-def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[float, bool]]:
-    """Return when a guard rises in a step, and whether each rise is admitted."""
-    holds = lambda one, when: np.polyval(np.array(one)[::-1], when) > 0
-    if not length > 0 or not np.isfinite(value).all():
-        return []
-    times = rises_of(np.array(value), length, below)
-    return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
-
-
-def named(conditions: tuple[Condition, ...], where: str = "") -> dict[str, Condition]:
-    """Return conditions by the names of their failures; a repeated name has a number."""
-    found: dict[str, Condition] = {}
-    for i, one in enumerate(conditions):
-        name = one.leads_to + where
-        found[f"{name} ({i})" if name in found else name] = one
-    return found
+def least_values(mode: Mode, ends: tuple[Any, Any], misses: Any) -> dict[str, float]:
+    """Return the least value of conditions between two ends of a mode, by failure."""
+    least: dict[str, float] = {}
+    for one in mode.conditions:
+        name = one.leads_to
+        values = [float(one.value(state)) for state in ends]
+        least[name] = min(*values, float(misses.least[name]), least.get(name, np.inf))
+    return least
 
 
 def values_held(guard: Guard, state: Any) -> dict[str, float]:
     """Return the values of what must hold in a state in which a guard has risen."""
-    asked = named(guard.must_hold, " at the end")
-    return {name: float(one.value(state)) for name, one in asked.items()}
-
-
-def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:
-    """Return the times at which a polynomial rises through zero in a step, from all real roots."""
-    scaled = coefficients * length ** np.arange(len(coefficients))
-    roots = np.roots(np.trim_zeros(scaled[::-1], "f"))
-    real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
-    real = real[(real > 1e-12) & (real <= 1)]
-    found, side = [], -1.0 if below else 1.0
-    after = [*(real[1:] + real[:-1]) / 2, 1.0][: len(real)]
-    for root, later in zip(real, after, strict=True):
-        now = np.sign(np.polyval(scaled[::-1], later)) or side
-        if root == real[-1] and root > 1 - 1e-12:
-            now = 1.0 if side < 0 else side
-        if side < 0 < now:
-            found.append(float(root) * length)
-        side = now
+    found: dict[str, float] = {}
+    for i, one in enumerate(guard.must_hold):
+        name = f"{one.leads_to} at the end"
+        found[f"{name} ({i})" if name in found else name] = float(one.value(state))
     return found

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
@@ -32,6 +31,7 @@ from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.systems.system import AnySystem, System, numbers_of
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import Parameter, described_by, with_values
+from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
 from walker_jax.walking.stride import follow_step, follow_stride
 
@@ -213,75 +213,42 @@ def walk(
     if not isinstance(steps, Tracer) and not np.isfinite(np.asarray(steps)).all():
         raise WrongUse("ground must be finite heights")
     with nan_allowed():
-        return follow_rough_walk(walker, x, steps, integrator)
+        return follow_walk(walker, x, n, integrator, steps)
 
 
 @partial(jax.jit, static_argnums=2)
 def follow_walk(
-    walker: System, x: Float[Array, " section"], n: int, integrator: Integrator
-) -> Walk:
-    def follow(carry, _):
-        x, fate = carry
-        result = follow_stride(walker, x, integrator)
-        fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
-        return (result.state, fate), (result.state, fate, result.time)
-
-    walker, first = vary_together((walker, (x, jnp.asarray(Outcome.STRIDE, jnp.int8))))
-    _, (states, outcomes, times) = lax.scan(follow, first, length=n)
-    return Walk(jnp.concatenate([x[None], states]), outcomes, times)
-
-
-@jax.jit
-def follow_rough_walk(
-    walker: Walker,
+    walker: System,
     x: Float[Array, " section"],
-    ground: Float[Array, " n"],
+    n: int,
     integrator: Integrator,
+    ground: Float[Array, " n"] | None = None,
 ) -> Walk:
-    """Follow strides, each onto its own height above the last."""
-
-    def follow(carry, step):
-        x, fate = carry
-        result = follow_step(walker, x, step, integrator)
-        fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
-        return (result.state, fate), (result.state, fate, result.time)
-
-    start = jnp.stack(walker.lift(x))
-    feasible = jnp.where(walker.feasible(x), Outcome.STRIDE, Outcome.OUTSIDE).astype(jnp.int8)
-    begun = nan_unless(feasible == Outcome.STRIDE, start)
-    _, (states, outcomes, times) = lax.scan(follow, (begun, feasible), ground)
-    return Walk(jnp.concatenate([start[None], states]), outcomes, times)
+    """Follow n strides; on rough ground, each onto its own height above the last."""
+    walker, start = vary_together((walker, x))
+    step = lambda x, _: follow_stride(walker, x, integrator)
+    if isinstance(walker, Walker) and ground is not None:
+        x = jnp.stack(walker.lift(start))
+        start = nan_unless(walker.feasible(start), x)
+        step = lambda x, i: follow_step(walker, x, ground[i], integrator)
+    _, made = scan_strides(step, start, n, record=lambda stride: stride)
+    return Walk(jnp.concatenate([x[None], made.state]), made.outcome, made.time)
 
 
 def walk_on(
     walker: System,
     x: Float[Array, " section"],
-    targets: Targets | None,
+    targets: Targets,
     limit: Int[Array, ""],
     integrator: Integrator,
 ) -> WalkEnd:
     """Walk on until a failure, until a target is reached, or for a number of strides."""
-    turns = turns_of(walker)
-
-    def is_near(x):
-        return jnp.asarray(False) if targets is None else jnp.any(distances(x, targets, turns) < 1)
-
-    def unfinished(carry):
-        _, outcome, made, near = carry
-        return (outcome == Outcome.STRIDE) & (made < limit) & ~near
-
-    def advance(carry):
-        x, _, made, _ = carry
-        result = follow_stride(walker, x, integrator)
-        made = made + (result.outcome == Outcome.STRIDE).astype(jnp.int32)
-        return result.state, result.outcome, made, is_near(result.state)
-
-    begun = jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32)
-    x, outcome, made, near = lax.while_loop(unfinished, advance, (x, *begun, is_near(x)))
-    target = jnp.asarray(-1, jnp.int32)
-    if targets is not None:
-        target = jnp.where(near, jnp.argmin(distances(x, targets, turns)).astype(jnp.int32), target)
-    return WalkEnd(x, outcome, made, target)
+    apart = lambda walk: distances(walk.state, targets, turns_of(walker))
+    step = lambda x, _: follow_stride(walker, x, integrator)
+    end, _ = scan_strides(step, x, limit, stop=lambda walk: jnp.any(apart(walk) < 1))
+    away = apart(end)
+    nearest = jnp.argmin(away).astype(jnp.int32)
+    return WalkEnd(*end, jnp.where(jnp.any(away < 1), nearest, -1))
 
 
 def iterate(
@@ -385,16 +352,11 @@ def record_walk(
 ) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
     """Return the states of `RECORDED` strides, NaN from the end on, and the last outcome."""
 
-    def unfinished(walk):
-        made, _, outcome, _ = walk
-        return (outcome == Outcome.STRIDE) & (made < limit)
-
-    def advance(walk):
-        made, x, _, states = walk
-        result = follow_stride(walker, x, integrator)
-        return made + 1, result.state, result.outcome, states.at[made].set(result.state)
+    def step(state: tuple, number: Int[Array, ""]) -> Stride:
+        x, states = state
+        made = follow_stride(walker, x, integrator)
+        return made._replace(state=(made.state, states.at[number].set(made.state)))
 
     states = jnp.full((RECORDED, *x.shape), jnp.nan, x.dtype)
-    begun = jnp.zeros((), jnp.int32), x, jnp.asarray(Outcome.STRIDE, jnp.int8), states
-    _, _, outcome, states = lax.while_loop(unfinished, advance, begun)
-    return states, outcome
+    end, _ = scan_strides(step, (x, states), limit)
+    return end.state[1], end.outcome
