@@ -113,7 +113,7 @@ def test_derivatives_and_margins_pass_all_ways_through_the_modes():
         ends = [[stride(start + s * step * e) for s in (-2, -1, 1, 2)] for e in np.eye(2)]
         slopes = [(a - 8 * b + 8 * c - d) / (12 * step) for a, b, c, d in ends]
         np.testing.assert_allclose(jacobian, np.stack(slopes, axis=1), rtol=1e-7, atol=1e-7)
-    margins = wj.margins_of_many(FASTER, np.array([WALKED, FLOWN, (0.84, -0.3)]))
+    margins = wj.margins_of_many(FASTER, np.array([WALKED, FLOWN, (0.79, 0.38)]))
     made = np.asarray(margins.stride.outcome) == wj.Outcome.STRIDE
     assert made.tolist() == [True, True, False]
     assert (np.asarray(margins.backward)[:2] > 0).all()
