@@ -33,6 +33,7 @@ from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
 from walker_jax.integrators.integrator import Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.step_loop import make_steps
 from walker_jax.integrators.taylor import function_series, is_list
 
 FIRST_ORDER = 6
@@ -113,14 +114,18 @@ def follow_mode(
         return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
     def follow(now: Unfinished) -> Unfinished:
+        step = partial(next_step, mode, method, now.violated)
         if measured:
-            last = measured_step(mode, method, now.last)
-            return search_step(mode, method, now._replace(last=last, count=now.count + 1))
-        quiet = lambda carry: carry[0].quiet & (carry[1] < mode.most_steps)
-        take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
+            step = partial(measured_step, mode, method)
         # In a batch, lanes that have ended wait here for the others.
-        begun = now.last._replace(quiet=now.guard == NO_GUARD), now.count
-        last, count = lax.while_loop(quiet, take, begun)
+        last, count = make_steps(
+            step,
+            now.last,
+            lambda step: step.quiet,
+            now.guard == NO_GUARD,
+            now.count,
+            mode.most_steps,
+        )
         return search_step(mode, method, now._replace(last=last, count=count))
 
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
@@ -197,7 +202,8 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
         ends.append(jnp.where(length == 0, side, jnp.where(below, -1, 1).astype(length.dtype)))
     kept = series if method.carries_series(step.end) else ()
     time = step.time + step.length
-    return Step(step.end, end, time, length, step.ends, ends, step.rates, step.quiet, memory, kept)
+    quiet = jnp.asarray(False)
+    return Step(step.end, end, time, length, step.ends, ends, step.rates, quiet, memory, kept)
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
