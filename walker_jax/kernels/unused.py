@@ -34,7 +34,9 @@ def prune_loop(used: list[bool], equation: JaxprEqn) -> tuple[list[bool], JaxprE
         used = [*map(or_, used, needed[more:])]
     others = needed[:more]
     changed = {
-        "cond_jaxpr": ClosedJaxpr(prune(condition.jaxpr, [True], fixed + used)[0], condition.consts),
+        "cond_jaxpr": ClosedJaxpr(
+            prune(condition.jaxpr, [True], fixed + used)[0], condition.consts
+        ),
         "body_jaxpr": ClosedJaxpr(prune(body.jaxpr, used, [False] * more + used)[0], body.consts),
         "body_nconsts": sum(others),
     }

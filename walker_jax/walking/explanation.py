@@ -277,7 +277,7 @@ def record_mode(
 
     step, end_at = steps_of(mode, method, [*conditions.values()])
     rises: list[Rise] = []
-    time, count, memory, ending = 0.0, 0, method.first_memory(state), None
+    time, count, memory, ending = 0.0, 0, method.begin(state), None
     reason, stuck, way = "", 0, [(0.0, state)]
     below = [value <= 0 for value in values]
     while ending is None and count < mode.most_steps:
