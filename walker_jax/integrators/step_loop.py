@@ -31,7 +31,7 @@ def make_steps(
     """
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
-        # Diffrax evaluates a step several times, but it is traced once.
+        # diffrax asks for the types of a step's results several times; so it is traced once.
         OneByOne(jax.jit(step), goes_on),
         made.astype(float),
         float(most),
@@ -42,7 +42,7 @@ def make_steps(
         saveat=diffrax.SaveAt(solver_state=True),
         adjoint=diffrax.ForwardMode(),
         solver_state=last,
-        max_steps=None,
+        max_steps=int(most),  # single precision counts to 2^24 only
         throw=False,
     )
     return solution.solver_state, made + solution.stats["num_steps"]
