@@ -1,4 +1,4 @@
-"""What no result depends on is left out of a kernel's program."""
+"""A kernel's program leaves out equations that no result depends on."""
 
 import jax
 import jax.numpy as jnp

@@ -77,7 +77,7 @@ class Step(NamedTuple):
     quiet: Bool[Array, ""]
     """Whether the step certainly ends nothing."""
     memory: Memory
-    """What the method passes to the next step."""
+    """The method's memory, passed from step to step."""
 
 
 class Unfinished(NamedTuple):

@@ -154,7 +154,7 @@ def stop_gradients(tree: PyTree) -> PyTree:
 
 
 class Memory(NamedTuple):
-    """What a method passes from step to step."""
+    """The memory of a method between one step and the next."""
 
     control: PyTree
     """The length of the next step, and what the controller and the solver keep; of a Taylor method,
