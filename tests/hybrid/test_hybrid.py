@@ -243,13 +243,14 @@ def test_runge_kutta_steps_land_too(solver):
 @pytest.mark.parametrize("measured", [False, True])
 def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch, measured):
     """From q = 0, p = 1 the guard -q begins at zero and falls; it rises at t = pi."""
-    cautious = Method.first_memory
+    cautious = Method.begin
 
     def bold(self, state):
-        length, *others = cautious(self, state)
-        return 0 * length + 3.0, *others
+        memory = cautious(self, state)
+        length, *others = memory.control
+        return memory._replace(control=(0 * length + 3.0, *others))
 
-    monkeypatch.setattr(Method, "first_memory", bold)
+    monkeypatch.setattr(Method, "begin", bold)
     method = Method(oscillator, diffrax.Bosh3(), 1e-8)
     start = jnp.array(0.0), jnp.array(1.0)
     follow = lambda s: follow_mode(mode_of(DOWN), s, jnp.asarray(True), method, measured=measured)

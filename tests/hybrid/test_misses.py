@@ -15,6 +15,7 @@ from walker_jax.hybrid.crossings import Crossing
 from walker_jax.hybrid.following import Step, measured_step
 from walker_jax.hybrid.misses import Misses, Seen, add_misses, turns_in_step
 from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
+from walker_jax.integrators.integrator import Memory
 
 INF = np.inf
 ALWAYS, NEVER = (lambda state: 1.0 + 0.0 * state[0]), (lambda state: -0.2 + 0.0 * state[0])
@@ -45,11 +46,10 @@ def test_a_step_that_its_method_rejects_changes_no_side():
     mode = Mode(lambda state: (jnp.ones(()),), tuple(guards))
     method: Any = SimpleNamespace(
         step=lambda state, memory: ((), state, 0 * state[0], memory),
-        carries_series=lambda state: False,
     )
     sides = [jnp.float64(side) for side in (-1, 0, 1)]
     zero, yes = jnp.float64(0), jnp.asarray(True)
-    step = Step((zero,), (zero,), zero, zero, sides, sides, [], yes, (), ())
+    step = Step((zero,), (zero,), zero, zero, sides, sides, [], yes, Memory((), None))
     assert measured_step(mode, method, step).ends == sides
 
 

@@ -177,11 +177,9 @@ def test_a_time_that_does_not_converge_is_no_number():
     """From q = 0, p = 1 the place is sin t; it reaches 0.5 at pi / 6 and never 1.5."""
     method = Method(lambda state: (state[1], -state[0]), diffrax.Tsit5(), 1e-6)
     start, length = (jnp.array(0.0), jnp.array(1.0)), jnp.array(0.8)
-    reach = lambda level: lambda state: state[0] - level
-    refine = lambda level: method.refine_time(
-        reach(level), start, method.no_series(start), jnp.array(0.52), length
-    )
-    state = method.state_at(start, method.no_series(start), refine(0.5))
+    reach, series = lambda level: lambda state: state[0] - level, method.begin(start).series
+    refine = lambda level: method.refine_time(reach(level), start, series, jnp.array(0.52), length)
+    state = method.state_at(start, series, refine(0.5))
     assert refine(0.5) == pytest.approx(np.pi / 6, abs=1e-5)
     assert abs(state[0] - 0.5) < 1e-15
     assert np.isnan(refine(1.5)) and np.isnan(refine(0.9))

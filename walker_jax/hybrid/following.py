@@ -1,9 +1,8 @@
 """A mode of a hybrid system, followed to the guard that ends it.
 
-One loop makes steps as long as their method chooses, until a step may end the mode, by cheap
-bounds. Such a step is searched for the first admitted rise of a guard; if there is none, the loop
-goes on. diffrax makes the steps of Runge-Kutta methods and chooses their lengths; a step by Taylor
-series knows its own length.
+`diffrax.diffeqsolve` makes steps as long as their method chooses (`step_loop`), until a step may
+end the mode, by cheap bounds: that is its `Event`. Such a step is searched for the first admitted
+rise of a guard; if there is none, diffrax goes on from there.
 """
 
 from functools import partial
@@ -30,9 +29,10 @@ from walker_jax.hybrid.misses import (
     with_rates,
 )
 from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
-from walker_jax.integrators.integrator import Method, zero_at
+from walker_jax.integrators.integrator import Memory, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.step_loop import make_steps
 from walker_jax.integrators.taylor import function_series, is_list
 
 FIRST_ORDER = 6
@@ -76,10 +76,8 @@ class Step(NamedTuple):
     """The rates of watched conditions at both ends, unless the mode is measured."""
     quiet: Bool[Array, ""]
     """Whether the step certainly ends nothing."""
-    memory: PyTree
-    """The method's own memory, passed from step to step."""
-    series: PyTree
-    """Its polynomial, where expanding it again costs more than carrying it; empty otherwise."""
+    memory: Memory
+    """The method's memory, passed from step to step."""
 
 
 class Unfinished(NamedTuple):
@@ -111,13 +109,12 @@ def follow_mode(
         return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
     def follow(now: Unfinished) -> Unfinished:
-        if measured:
-            return follow_measured(mode, method, now)[0]
-        quiet = lambda carry: carry[0].quiet & (carry[1] < mode.most_steps)
-        take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
+        take = measured_step if measured else partial(next_step, violated=now.violated)
+        quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
         # In a batch, lanes that have ended wait here for the others.
-        begun = now.last._replace(quiet=now.guard == NO_GUARD), now.count
-        last, count = lax.while_loop(quiet, take, begun)
+        last, count = make_steps(
+            partial(take, mode, method), now.last, quiet, going, now.count, mode.most_steps
+        )
         return search_step(mode, method, now._replace(last=last, count=count))[0]
 
     last = lax.while_loop(unfinished, follow, begun)
@@ -171,14 +168,12 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, lis
     # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
     nothing = sum(0 * jnp.sum(x) for x in jax.tree.leaves(start))
     start = jax.tree.map(lambda x: x + nothing, start)
-    series = method.no_series(start) if method.carries_series(start) else ()
-    memory = method.first_memory(start)
-    going = jnp.asarray(True)
-    step = Step(start, start, zero, zero, sides, sides, rates, going, memory, series)
+    memory = method.begin(start)
+    step = Step(start, start, zero, zero, sides, sides, rates, jnp.asarray(True), memory)
     return step, values
 
 
-def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Step:
+def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> Step:
     """Make the next step, and say whether it certainly ends nothing."""
     begins, sides = step.end, step.ends
     series, end, length, memory = method.step(begins, step.memory)
@@ -195,27 +190,24 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
         rates.append((before, rate))
     if mode.foregone is not None:
         may |= value_at(mode.foregone.holds, end)
-    kept = series if method.carries_series(begins) else ()
-    time = step.time + step.length
-    return Step(begins, end, time, length, sides, ends, rates, ~may, memory, kept)
+    return Step(begins, end, step.time + step.length, length, sides, ends, rates, ~may, memory)
 
 
 def measured_step(mode: Mode, method: Method, step: Step) -> Step:
     """Make the next step, all of which is searched and recorded."""
-    series, end, length, memory = method.step(step.end, step.memory)
+    _, end, length, memory = method.step(step.end, step.memory)
     ends = []
     for guard, side in zip(mode.guards, step.ends, strict=True):
         below = value_at(guard.value, end) < 0
         ends.append(jnp.where(length == 0, side, jnp.where(below, -1, 1).astype(length.dtype)))
-    kept = series if method.carries_series(step.end) else ()
-    time = step.time + step.length
-    return Step(step.end, end, time, length, step.ends, ends, step.rates, step.quiet, memory, kept)
+    time, quiet = step.time + step.length, jnp.asarray(False)
+    return Step(step.end, end, time, length, step.ends, ends, step.rates, quiet, memory)
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
     """Find the first event in the last step, if there is one, and earlier violations."""
     last = now.last
-    series = last.series if method.carries_series(last.end) else method.series_of(last.start)
+    series = method.series_of(last.start, last.memory)
     crossings = []
     ends = zip(last.sides, last.ends, along(mode, series, whole=True), strict=True)
     for side, end, (value, admits) in ends:

@@ -7,7 +7,7 @@ is in `hybrid.following`.
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -153,6 +153,17 @@ def stop_gradients(tree: PyTree) -> PyTree:
     return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
+class Memory(NamedTuple):
+    """The memory of a method between one step and the next."""
+
+    control: PyTree
+    """The length of the next step, and what the controller and the solver keep; of a Taylor method,
+    nothing."""
+    series: PyTree
+    """The polynomial of the step, where expanding it again costs more than carrying it; else
+    None."""
+
+
 class Method(eqx.Module):
     """Equations y' = f(y), with the diffrax solver and the tolerance of their solution."""
 
@@ -216,25 +227,25 @@ class Method(eqx.Module):
             throw=False,
         )
 
-    def carries_series(self, state: PyTree) -> bool:
-        """Return whether a loop should carry a step's polynomial instead of computing it again."""
-        if not isinstance(self.solver, Taylor) or isinstance(self.field, PowerBalance):
-            return True
-        return len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
+    def begin(self, state: PyTree) -> Memory:
+        """Return the memory for the first step, of the same types as those after steps."""
+        solver, control, series = self.solver, (), None
+        carries = len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
+        if isinstance(solver, Taylor):
+            order = solver.taylor_order
+            carries |= isinstance(self.field, PowerBalance)
+        else:
+            carries, order = True, SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
+            zero, terms, controller = zero_at(state), self.terms, self.controller()
+            first = self.forward_solver.init(terms, zero, zero + 1, state, None)
+            about = state, None, None, solver.func, solver.error_order(terms)
+            length, kept = controller.init(terms, zero, jnp.full_like(zero, jnp.inf), *about)
+            control = length, kept, first
+        if carries:
+            series = jax.tree.map(lambda x: [x, *[0 * x] * order], state)
+        return Memory(control, series)
 
-    def first_memory(self, state: PyTree) -> PyTree:
-        """Return the method's memory for the first step."""
-        if isinstance(self.solver, Taylor):
-            return ()
-        zero, terms, controller = zero_at(state), self.terms, self.controller()
-        order = self.solver.error_order(terms)
-        first = self.forward_solver.init(terms, zero, zero + 1, state, None)
-        length, kept = controller.init(
-            terms, zero, jnp.full_like(zero, jnp.inf), state, None, None, self.solver.func, order
-        )
-        return length, kept, first
-
-    def step(self, state: PyTree, memory: PyTree) -> tuple[PyTree[list], PyTree, Scalar, PyTree]:
+    def step(self, state: PyTree, memory: Memory) -> tuple[PyTree[list], PyTree, Scalar, Memory]:
         """Make one step of the method from a state.
 
         Returns the polynomial of the step, from its start (the series of the solution, or the
@@ -252,8 +263,9 @@ class Method(eqx.Module):
                 watched=self.watched,
                 limits=self.limits,
             )
-            return series, evaluate_series(series, length), length, ()
-        length, kept, first = memory
+            kept = None if memory.series is None else series
+            return series, evaluate_series(series, length), length, Memory((), kept)
+        length, kept, first = memory.control
         zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
         end, error, dense, last, _ = self.forward_solver.step(
             terms, zero, length, state, None, first, False
@@ -265,8 +277,8 @@ class Method(eqx.Module):
             zero, length, *both, None, errors, order, kept
         )
         keep = lambda new, old: jax.tree.map(partial(jnp.where, good), new, old)
-        memory = ends - begins, kept, keep(last, first)
-        return series, keep(end, state), jnp.where(good, length, 0), memory
+        control = ends - begins, kept, keep(last, first)
+        return series, keep(end, state), jnp.where(good, length, 0), Memory(control, series)
 
     def with_errors_within(
         self, state, end, error, series, length
@@ -290,20 +302,15 @@ class Method(eqx.Module):
         both = (scaled(state), none), (scaled(end), none)
         return both, jax.tree.map(finite, (scaled(error), others))
 
-    def series_of(self, state: PyTree) -> PyTree[list]:
+    def series_of(self, state: PyTree, memory: Memory) -> PyTree[list]:
+        """Return the polynomial of the step from a state, given the memory that the step left."""
+        return self.expand(state) if memory.series is None else memory.series
+
+    def expand(self, state: PyTree) -> PyTree[list]:
         """Return the series of the solution from a state, for a Taylor method."""
         assert isinstance(self.solver, Taylor)
         series = solution_series(self.field, state, self.solver.taylor_order)
         return usable_series(self.field, series)
-
-    def no_series(self, state: PyTree) -> PyTree[list]:
-        """Return a constant polynomial with as many coefficients as those of steps."""
-        solver = self.solver
-        if isinstance(solver, Taylor):
-            order = solver.taylor_order
-        else:
-            order = SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
-        return jax.tree.map(lambda x: [x, *[0 * x] * order], state)
 
     def state_at(self, state: PyTree, series: PyTree[list], time: Scalar) -> PyTree:
         """Return the state at a time after the start of a step, by its series or a shorter step."""

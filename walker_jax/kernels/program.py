@@ -35,6 +35,7 @@ from walker_jax.kernels.program_cache import (
     user_system_in,
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
+from walker_jax.kernels.unused import without_unused
 
 MAX_PROGRAMS = 256
 """Most functions kept compiled; the least recently used are dropped."""
@@ -87,7 +88,7 @@ class Program:
         """The jaxpr."""
         settings = apply_settings(self.settings)
         with settings, tracing_for_kernel(True), without_garbage_collection():
-            closed = self.trace()
+            closed = without_unused(self.trace())
         if is_traced(closed.consts):
             raise WrongUse(
                 "a kernel must depend on its arguments alone: make the traced value that its "

@@ -59,7 +59,7 @@ def why_it_stops(mode: Mode, method: Method, state: Any, time: float) -> str:
         return f"the vector field is not finite {where}: the rate of {names}"
     if not isinstance(method.solver, Taylor):
         return f"the solver rejects all steps {where}"
-    series = method.series_of(state)
+    series = method.expand(state)
     if found := find_jump(mode, method, series):
         return describe_jump(mode, series, *found, time)
     last = jax.tree.map(lambda c: c[-1], series, is_leaf=lambda x: isinstance(x, list))
