@@ -285,7 +285,7 @@ def test_without_a_margin_the_least_changes_by_a_bands_average(monkeypatch):
         assert found.averaged and found.gradient == pytest.approx([expected], rel=1e-9)
 
 
-def test_where_the_margin_jumps_the_least_disturbance_changes_by_a_bands_average():
+def test_where_a_margin_jumps_the_gradient_is_a_bands_average():
     """From the nearest point of the first a strike is missed; its margin would give -0.0245."""
     names = ("hip_angle",)
     jumps = wj.PoweredWalker(0.01, 8.0, 1.0, -0.5, 0.05)

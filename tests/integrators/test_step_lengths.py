@@ -407,9 +407,7 @@ def test_variables_of_very_different_size():
     x = 5.342859213670063
     away = solve_ivp(rates, [0, 1e-3], [np.log(5), np.log(x)], **options).y[:, -1]
     back = solve_ivp(rates, [1e-3, 500], away, events=event, **options)
-    ways = {"scaled": True}, {}, {"solver": diffrax.Dopri8()}
-    for way in ways:
-        scaled, solver = way.get("scaled", False), way.get("solver")
+    for scaled, solver in ((True, None), (False, None), (False, diffrax.Dopri8())):
         found = wj.stride(Grazing(scaled), jnp.asarray([x]), solver=solver)
         np.testing.assert_allclose(found.time, back.t[-1], rtol=1e-10)
         np.testing.assert_allclose(found.state[0], np.exp(back.y[1, -1]), rtol=1e-10)
@@ -425,7 +423,8 @@ def test_variables_whose_errors_are_relative_to_themselves():
         return growth, jnp.sin(forced) * numbers[1] + forced / (1 + numbers[0]) ** 2, 0 * still
 
     state = jnp.ones(3), jnp.ones(()), jnp.ones(())
-    numbers, forced, _ = proportional_variables(field, state)
+    known: Any = proportional_variables(field, state)
+    numbers, forced, _ = known
     assert numbers.tolist() == [True, True, False] and bool(forced)
     swings = lambda y: (y[1], -jnp.sin(y[0]) - 0.1 * y[1])
     assert proportional_variables(swings, (1.0, 0.5)) is None
