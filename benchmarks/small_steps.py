@@ -47,6 +47,9 @@ jax.config.update("jax_enable_x64", True)
 STEP, LONGEST, NEAR, AT_ONCE = 0.004, 60.0, 1e-7, 20_000
 UNCLEAR = 100
 """An outcome that small steps do not decide."""
+SOON = 0.01
+"""Part of a step after which an event that is zero at first has risen or fallen. A knee that is
+pressed against its lock for a part of a step, and would then bend, is locked."""
 
 
 def along(y: Any, rates: Any, h: Any) -> Any:
@@ -177,7 +180,7 @@ def stride_by_small_steps(walker: Any, x: Any, step: Any) -> Any:
     for part in (*phases, walker):
         due = jnp.asarray(False)
         if part is not walker:
-            soon = part.event(runge_kutta(part.vector_field, y, step))
+            soon = part.event(runge_kutta(part.vector_field, y, SOON * step))
             due = (part.event(y) >= 0) & (soon >= 0)
         pulled = at_rest & ~due & (part.contact_force(y)[1] < 0)
         begun = (outcome == Outcome.UNDECIDED) | (at_rest & (outcome != Outcome.OUTSIDE))

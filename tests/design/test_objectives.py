@@ -258,6 +258,8 @@ def test_the_least_disturbance_changes_with_boundary_and_gait(monkeypatch, direc
         return np.stack([np.full(3, np.nan), *[row] * (len(x) - 1)])  # the first is not known
 
     monkeypatch.setattr("walker_jax.design.disturbance_gradients.differentiate_margins", changes)
+    margins = lambda walker, x, *_: 7 * (SIZE(0.004) - (x - np.asarray(gait.states[0])) @ u)
+    monkeypatch.setattr("walker_jax.design.disturbance_gradients.margins_after", margins)
     gradient = disturbance_gradient(walker, ("slope",), gait)
     assert gradient.size == SIZE(0.004) and not gradient.averaged
     assert gradient.gradient == pytest.approx([3.0], rel=1e-9)
@@ -281,6 +283,20 @@ def test_without_a_margin_the_least_changes_by_a_bands_average(monkeypatch):
         found = disturbance_gradient(walker, bands=(width,))
         expected = (SIZE(high) - SIZE(low)) / (high - low)
         assert found.averaged and found.gradient == pytest.approx([expected], rel=1e-9)
+
+
+def test_where_a_margin_jumps_the_gradient_is_a_bands_average():
+    """From the nearest point of the first a strike is missed; its margin would give -0.0245."""
+    names = ("hip_angle",)
+    jumps = wj.PoweredWalker(0.01, 8.0, 1.0, -0.5, 0.05)
+    assert np.isnan(disturbance_gradient(jumps, names, directions=720).gradient).all()
+    found = disturbance_gradient(jumps, names, bands=(1e-4,), directions=720)
+    assert found.averaged and found.gradient == pytest.approx([0.10858], abs=1e-4)
+    # central differences of least disturbances, over 2e-4
+    smooth = wj.PoweredWalker(0.03, 3.0, 0.3, -0.2, 0.1)
+    for tolerance in (None, 1e-6):
+        found = disturbance_gradient(smooth, names, directions=720, tolerance=tolerance)
+        assert not found.averaged and found.gradient == pytest.approx([-0.163026], abs=2e-5)
 
 
 @pytest.mark.slow

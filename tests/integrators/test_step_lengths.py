@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
+from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.step_lengths import has_sharp_features, may_have_clocks
 from walker_jax.walking.starts import prepare
 from walker_jax.walking.stride import follow_stride
@@ -374,6 +376,8 @@ class Animals(NamedTuple):
 class Grazing(wj.HybridSystem):
     """Predators and prey, whose numbers fall to 3e-16 between outbreaks."""
 
+    scaled: bool = eqx.field(static=True, default=False)
+
     section = ("predators",)
 
     def lift(self, x):
@@ -388,7 +392,7 @@ class Grazing(wj.HybridSystem):
             growth = 0.8 * s.prey * (1 - s.prey / 15)
             return Animals(growth - eaten, 0.5 * eaten - 0.4 * s.predators, 1 + 0 * s.t)
 
-        scales = Animals(1e-20, 1e-20, 1.0)
+        scales = Animals(1e-20, 1e-20, 1.0) if self.scaled else None
         return {
             "flow": wj.Mode(field, (wj.Guard(lambda s: 5 - s.prey, wj.SECTION),), scales=scales)
         }
@@ -408,6 +412,26 @@ def test_variables_of_very_different_size():
     x = 5.342859213670063
     away = solve_ivp(rates, [0, 1e-3], [np.log(5), np.log(x)], **options).y[:, -1]
     back = solve_ivp(rates, [1e-3, 500], away, events=event, **options)
-    found = wj.stride(Grazing(), jnp.asarray([x]))
-    np.testing.assert_allclose(found.time, back.t[-1], rtol=1e-10)
-    np.testing.assert_allclose(found.state[0], np.exp(back.y[1, -1]), rtol=1e-10)
+    for scaled, solver in ((True, None), (False, None), (False, diffrax.Dopri8())):
+        found = wj.stride(Grazing(scaled), jnp.asarray([x]), solver=solver)
+        np.testing.assert_allclose(found.time, back.t[-1], rtol=1e-10)
+        np.testing.assert_allclose(found.state[0], np.exp(back.y[1, -1]), rtol=1e-10)
+
+
+def test_variables_whose_errors_are_relative_to_themselves():
+    """Those whose rate is zero where they are, in scalars and arrays; constant ones are none."""
+    rates = jnp.array([[0.0, 1.0, 2.0], [1.0, 0.0, -1.0], [0.5, 1.0, 0.0]])
+
+    def field(y):
+        numbers, forced, still = y
+        growth = numbers * (1 - rates @ numbers) + jnp.array([0.0, 0.0, 1e-3])
+        return growth, jnp.sin(forced) * numbers[1] + forced / (1 + numbers[0]) ** 2, 0 * still
+
+    state = jnp.ones(3), jnp.ones(()), jnp.ones(())
+    known: Any = proportional_variables(field, state)
+    numbers, forced, _ = known
+    assert numbers.tolist() == [True, True, False] and bool(forced)
+    swings = lambda y: (y[1], -jnp.sin(y[0]) - 0.1 * y[1])
+    assert proportional_variables(swings, (1.0, 0.5)) is None
+    flies = lambda y: (y[1], 0.0 * jnp.ones_like(y[0]))
+    assert proportional_variables(flies, (1.0, 0.5)) is None

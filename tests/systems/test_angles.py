@@ -164,3 +164,17 @@ def test_an_angle_that_is_not_named_is_a_complaint():
     assert check_projection(wj.BouncingBall(), jnp.array([0.8, 3.1])) == []
     (complaint,) = check_projection(Unnamed(), jnp.array([0.8, 3.1]))
     assert complaint == "project takes full turns off angle, which angles does not name"
+
+
+def test_newtons_method_does_not_see_the_seam():
+    """Starts at both ends of the angle's range, and beside them, lead to one gait.
+
+    The two gaits of velocity pi are at cos(angle) = pi (1 - e) / (a (1 + e)), as far from the seam
+    on either side of it.
+    """
+    ball = wj.BouncingBall(amplitude=0.5, restitution=0.8)
+    angle = np.arccos(np.pi * 0.2 / (0.5 * 1.8))
+    for start in (np.pi, -np.pi, np.pi - 1e-9, 1e-9 - np.pi, 3 * np.pi):
+        found = wj.find_gait(ball, [start, 3.0])
+        assert found.found
+        np.testing.assert_allclose(found.states, [[-angle, np.pi]], rtol=1e-11)

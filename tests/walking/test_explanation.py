@@ -4,6 +4,7 @@ import json
 import re
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -177,10 +178,14 @@ def test_a_solver_that_rejects_all_steps_is_told():
 class Decaying(Switched):
     """A clock, beside a variable that becomes small, and a step that is smooth."""
 
+    drive: float = eqx.field(static=True, default=1e-30)
+
     def modes(self):
         (mode,) = super().modes()
         smooth = lambda y: 1e-9 * jnp.tanh(y["clock"] - 3)
-        field = lambda y: {"angle": -9 * y["angle"], "clock": 1 + smooth(y)}
+        driven = lambda y: self.drive * y["clock"] if self.drive else 0.0
+        rate = lambda y: -9 * y["angle"] + driven(y)
+        field = lambda y: {"angle": rate(y), "clock": 1 + smooth(y)}
         return (mode._replace(field=field, most_steps=1000),)
 
 
@@ -192,6 +197,10 @@ def test_noise_and_features_that_may_be_missed_are_told():
     assert re.match(r"in mode 0 angle falls to \S+, beside variables of \S+: .* scales", noise)
     assert re.match(r"the longest step of mode 0 takes 0\.\d+: .* longest_step", sharp)
     assert f"? {noise}" in str(found).splitlines()
+    alone = wj.explain(Decaying(drive=0), jnp.array([0.2]))  # its error is relative to itself
+    assert ["longest step" in doubt for doubt in alone.modes[0].doubts] == [True]
+    expected = 0.2 * np.exp(-9 * alone.modes[0].time)
+    np.testing.assert_allclose(alone.state, expected, rtol=1e-11)
     assert wj.explain(Lost(), jnp.array([0.2])).modes[0].doubts == ()
 
 

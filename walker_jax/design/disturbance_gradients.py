@@ -21,9 +21,14 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
-from walker_jax.stability.margin_changes import differentiate_margins
+from walker_jax.stability.margin_changes import differentiate_margins, margins_after
 from walker_jax.stability.rays import DENSE
 from walker_jax.systems.system import System
+
+JUMP = 1e-6
+"""Distance to a failure just beyond the nearest point, by its margin and the margin's slope along
+the disturbance, over the size, above which the margin jumps there. Otherwise it is at most 1e-8,
+which is how far beyond that is, but for errors of the integration."""
 
 
 class DisturbanceGradient(NamedTuple):
@@ -64,9 +69,10 @@ def disturbance_gradient(
     second order. Where two points are equally near, the size has a kink, and the derivative is the
     one on the side of the point found.
 
-    If the nearest point leads to another motion instead of a failure, it has no margin. The
-    derivatives are then averages over `bands`, as in `area_gradient`, as far as the gait is stable
-    there, or NaN without bands.
+    If the nearest point leads to another motion instead of a failure, it has no margin; and the
+    margin of the failure may jump there, as where a strike is missed that would have led to another
+    stride. The derivatives are then averages over `bands`, as in `area_gradient`, as far as the
+    gait is stable there, or NaN without bands.
 
     Other arguments and errors are those of `least_disturbance`, in its plain metric.
     """
@@ -85,14 +91,18 @@ def disturbance_gradient(
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
     changes = differentiate_margins(walker, beyond, made, axes, parameters, checked_tolerance)
+    margins = margins_after(walker, beyond, made, checked_tolerance)
+    slopes_along = changes[:, : len(axes)] @ found.direction
+    known = np.isfinite(changes).all(axis=1)
+    known &= np.abs(margins) <= JUMP * found.size * np.abs(slopes_along)
     changes_of_gait = [
         gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters
     ]
     moves = [change.states[found.phase] for change in changes_of_gait]
     moves = np.array(moves).reshape(len(parameters), len(axes))
-    for change in changes[np.isfinite(changes).all(axis=1)]:
+    for change, slope in zip(changes[known], slopes_along[known], strict=True):
         slopes, by_parameter = change[: len(axes)], change[len(axes) :]
-        gradient = -(by_parameter + moves @ slopes) / (slopes @ found.direction)
+        gradient = -(by_parameter + moves @ slopes) / slope
         return DisturbanceGradient(found.size, gradient, False)
     if bands is None:
         return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)

@@ -22,6 +22,7 @@ from jaxtyping import PyTree
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.arrivals import flow, time_to
 from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
+from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.integrators.runge_kutta_steps import (
@@ -32,6 +33,7 @@ from walker_jax.integrators.runge_kutta_steps import (
     in_units_of,
     interpolate,
     twist_of,
+    units_of,
 )
 from walker_jax.integrators.step_lengths import NO_LIMITS, StepLimits
 from walker_jax.integrators.taylor import (
@@ -114,6 +116,8 @@ class Integrator(eqx.Module):
     ) -> "Method":
         """Return the method that integrates y' = f(y) from a state."""
         solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
+        if limits.scales is None:
+            limits = limits._replace(proportional=proportional_variables(field, state))
         return Method(field, solver, self.tolerance, others, watched, conditions, limits)
 
 
@@ -291,7 +295,7 @@ class Method(eqx.Module):
         """
         of_derivatives = derivative_error((error, state, end))
         method, state, end, error, series = stop_gradients((self, state, end, error, series))
-        scaled = partial(in_units_of, method.limits.scales)
+        scaled = partial(in_units_of, units_of(method.limits))
         defect = defect_of(method.field, series, length)
         error = jax.tree.map(lambda a, b: jnp.maximum(jnp.abs(a), b), error, defect)
         others = expansion_errors(method.others, series, length)

@@ -21,7 +21,7 @@ from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.step_lengths import DERIVATIVE_TOLERANCE
+from walker_jax.integrators.step_lengths import DERIVATIVE_TOLERANCE, StepLimits
 from walker_jax.integrators.taylor import (
     VectorField,
     evaluate_series,
@@ -49,6 +49,13 @@ def controller_of(tolerance: Real, longest: Real | None) -> diffrax.PIDControlle
     return diffrax.PIDController(
         rtol=tolerance, atol=tolerance, norm=optimistix.max_norm, dtmax=longest
     )
+
+
+def units_of(limits: StepLimits) -> PyTree | None:
+    """Return units of the variables: their scales; zero for those of relative errors, else one."""
+    if limits.scales is not None or limits.proportional is None:
+        return limits.scales
+    return jax.tree.map(lambda own: jnp.where(own, 0.0, 1.0), limits.proportional)
 
 
 def in_units_of(scales: PyTree | None, state: PyTree) -> PyTree:

@@ -75,6 +75,9 @@ class StepLimits(NamedTuple):
     them errors are relative to the largest variable."""
     longest: Real | None = None
     """Longest step, for features of time that lie wholly within a step."""
+    proportional: PyTree | None = None
+    """Variables whose errors are relative to their own size where there are no scales
+    (`own_sizes`)."""
 
 
 NO_LIMITS = StepLimits()
@@ -86,6 +89,8 @@ def longest_step(
     """Return the length of a step of y' = f(y), given its series from a state."""
     counted = count_variables(series) if may_have_clocks(field, state) else None
     sizes = sizes_of(series, counted, limits.scales)
+    if limits.scales is None and limits.proportional is not None:
+        sizes = with_own_sizes(series, sizes, limits.proportional)
     length = step_size(series, tolerance, sizes, counted)
     if limits.longest is not None:
         length = jnp.minimum(length, lax.stop_gradient(limits.longest))
@@ -167,10 +172,25 @@ def sizes_of(
         return jnp.maximum(scale_of(series, counted), smallest)
 
     def size(coefficients, scale):
-        now, rate = (jnp.abs(lax.stop_gradient(c)) for c in coefficients[:2])
-        return jnp.maximum(jnp.maximum(now, rate), jnp.maximum(lax.stop_gradient(scale), smallest))
+        return jnp.maximum(own_size(coefficients), jnp.maximum(lax.stop_gradient(scale), smallest))
 
     return jax.tree.map(size, series, scales, is_leaf=is_list)
+
+
+def with_own_sizes(series: PyTree, size: Scalar, proportional: PyTree) -> PyTree[Array]:
+    """Return a size for each variable: its own for those that are proportional, else the given."""
+    smallest = float(jnp.finfo(series_dtype(series)).tiny) ** 0.5
+
+    def choose(coefficients, own):
+        return jnp.where(own, jnp.maximum(own_size(coefficients), smallest), size)
+
+    return jax.tree.map(choose, series, proportional, is_leaf=is_list)
+
+
+def own_size(coefficients: list[Array]) -> Array:
+    """Return the larger of |y| and |y'| of a variable, constant to derivatives."""
+    now, rate = (jnp.abs(lax.stop_gradient(c)) for c in coefficients[:2])
+    return jnp.maximum(now, rate)
 
 
 def scale_of(series: PyTree, counted: PyTree | None = None) -> Scalar:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Method
+from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.step_lengths import has_sharp_features
 from walker_jax.integrators.taylor import evaluate_series, located_switches
@@ -117,7 +118,10 @@ def doubts(name: str, mode: Mode, way: Sequence[tuple[float, Any]]) -> list[str]
     times = np.array([time for time, _ in way])
     if getattr(mode, "scales", None) is None:
         states = np.array([numbers_of(state) for _, state in way])
+        own = proportional_variables(mode.field, start)
         for i, least, other in faint_variables(times, states):
+            if own is not None and numbers_of(own)[i]:
+                continue
             found.append(
                 f"in mode {name!r} {names_of(start)[i]} falls to {least:.3g}, beside variables of "
                 f"{other:.3g}: its digits are noise, unless Mode has scales for the variables"
