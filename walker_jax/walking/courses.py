@@ -105,13 +105,14 @@ def follow_graph(
     kinds = kinds_of_states(modes, begun.entries[first].state)
     never = jnp.asarray(False)
     empty = lambda name: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), kinds[name])
-    waiting = {name: Entry(never, empty(name)) for name in {first, *again, SECTION}}
+    begun_in = [*dict.fromkeys((first, *again))]
+    waiting = {name: Entry(never, empty(name)) for name in (*begun_in, SECTION)}
     violated = dict.fromkeys((one.leads_to for m in modes.values() for one in m.conditions), never)
     course = begun._replace(entries=waiting | begun.entries, violated=violated)
 
     def goes_on(carry):
         course, passes = carry
-        reached = [course.entries[name].reached for name in {first, *again}]
+        reached = [course.entries[name].reached for name in begun_in]
         going = course.verdict == Outcome.UNDECIDED
         return going & reduce(jnp.logical_or, reached) & (passes < MOST_PASSES)
 
@@ -211,7 +212,7 @@ def join(name: str, known: Entry | None, other: Entry) -> Entry:
 
 def either(known: Violated, found: Violated) -> Violated:
     """Return whether conditions were violated in either of two parts."""
-    both = {name: known[name] | found[name] for name in known.keys() & found.keys()}
+    both = {name: known[name] | found[name] for name in known if name in found}
     return dict(known) | found | both
 
 
