@@ -18,7 +18,7 @@ from walker_jax import figures
 from walker_jax.basins.basin_summary import summarise_basin, tally
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.offers import Offer
-from walker_jax.systems.outcomes import failures_of
+from walker_jax.systems.outcomes import OUTCOMES, OWN, failures_of
 
 GRID = wj.Grid.plain(speed=(0, 3, 60), place=(-1, 1, 4))
 
@@ -47,13 +47,14 @@ class Juggler(wj.HybridSystem):
     def modes(self):
         field = lambda y: {"y": y["speed"], "speed": -1 + 0 * y["y"], "place": 0 * y["y"]}
         again = lambda y: y | {"speed": 0.2 - 0.8 * y["speed"], "place": y["place"] / 2}
+        fast = wj.Condition(lambda y: -y["speed"] - self.slowest, "sticks")
+        falls = (lambda y: -y["speed"],)
         guards = (
-            wj.Guard(lambda y: y["y"] - self.ceiling, self.failure("hits_the_ceiling")),
-            wj.Guard(lambda y: -y["y"], admits=(lambda y: -y["speed"],)),
+            wj.Guard(lambda y: y["y"] - self.ceiling, "hits_the_ceiling"),
+            wj.Guard(lambda y: -y["y"], wj.SECTION, falls, reset=again, must_hold=(fast,)),
         )
-        fast = wj.Condition(lambda y: -y["speed"] - self.slowest, self.failure("sticks"))
         energy = lambda y: y["y"] + y["speed"] ** 2 / 2
-        return (wj.Mode(field, guards, reset=again, at_end=(fast,), energy=energy),)
+        return {"flight": wj.Mode(field, guards, energy=energy)}
 
 
 BASIN = wj.basin(Juggler(), GRID, "direct", strides=300)
@@ -61,7 +62,9 @@ BASIN = wj.basin(Juggler(), GRID, "direct", strides=300)
 
 def test_strides_end_in_them():
     made = wj.strides(Juggler(), np.array([[1.0, 0.4], [0.4, 0.0], [2.1, 0.0], [-1.0, 0.0]]))
-    assert made.outcome.tolist() == [0, wj.Outcome.OWN_2, wj.Outcome.OWN_1, wj.Outcome.OUTSIDE]
+    high, stuck = map(Juggler().failure, Juggler.failures)
+    assert (high, stuck) == (OWN, OWN + 1)
+    assert made.outcome.tolist() == [0, stuck, high, wj.Outcome.OUTSIDE]
     np.testing.assert_allclose(made.state[0], [1.0, 0.2], rtol=1e-12)
     assert np.isnan(made.state[1:]).all()
 
@@ -95,33 +98,34 @@ class Relay(wj.HybridSystem):
 
     def modes(self):
         field = lambda y: {"time": 1 + 0 * y["time"], "wait": 0 * y["wait"], "place": 0 * y["wait"]}
-        ends = wj.Guard(lambda y: y["time"] - y["wait"])
         judged = (
-            wj.Condition(lambda y: self.latest - y["time"], self.failure("late")),
-            wj.Condition(lambda y: self.farthest - y["place"], self.failure("lost")),
-            wj.Condition(lambda y: self.farthest - 0.5 - y["place"], self.failure("lost")),
-            wj.Condition(lambda y: jnp.sqrt(4 + y["place"]), self.failure("lost")),
+            wj.Condition(lambda y: self.latest - y["time"], "late"),
+            wj.Condition(lambda y: self.farthest - y["place"], "lost"),
+            wj.Condition(lambda y: self.farthest - 0.5 - y["place"], "lost"),
+            wj.Condition(lambda y: jnp.sqrt(4 + y["place"]), "lost"),
         )
-        first = wj.Mode(field, (ends,), reset=lambda y: y | {"time": 0 * y["time"]}, at_end=judged)
-        return first, wj.Mode(field, (wj.Guard(lambda y: y["time"] - 1),))
+        again = lambda y: y | {"time": 0 * y["time"]}
+        ends = wj.Guard(lambda y: y["time"] - y["wait"], "rest", reset=again, must_hold=judged)
+        rests = wj.Guard(lambda y: y["time"] - 1, wj.SECTION)
+        return {"wait": wj.Mode(field, (ends,)), "rest": wj.Mode(field, (rests,))}
 
 
 def test_a_mode_that_is_not_the_last_is_judged_at_its_end():
     starts = np.array([[0.5, 0.0], [1.5, 0.0], [0.5, 1.7], [0.5, 2.5], [1.5, 2.5], [-0.5, 1.7]])
     found = wj.margins_of_many(Relay(), starts)
-    late, lost = wj.Outcome.OWN_1, wj.Outcome.OWN_2
+    late, lost = map(Relay().failure, Relay.failures)
     assert found.stride.outcome.tolist() == [0, late, lost, lost, late, lost]
     np.testing.assert_array_equal(wj.strides(Relay(), starts).outcome, found.stride.outcome)
     np.testing.assert_allclose(found.own, [0.5, -0.5, -0.2, -1.0, -0.5, -0.2], atol=1e-12)
     # what is not a number decides nothing
     assert wj.stride(Relay(), jnp.array([0.5, -5.0])).outcome == wj.Outcome.UNDECIDED
     said = str(wj.explain(Relay(), jnp.array([0.5, 1.7])))
-    assert "from (0.5, 1.7): lost\n" in said and "mode 1" not in said
+    assert "from (0.5, 1.7): lost\n" in said and "mode rest" not in said
     assert "condition lost at the end: 0.3 at least\n" in said
     assert "condition lost at the end (2): -0.2 at least, violated" in said
     at_once = wj.explain(Relay(), jnp.array([-0.5, 1.7]))
     assert at_once.name == "lost" and len(at_once.modes) == 1
-    assert at_once.modes[0].ended_by == "STRIDE at once"
+    assert at_once.modes[0].led_to == "rest at once"
 
 
 class Stumbling(wj.SimplestWalker):
@@ -130,9 +134,11 @@ class Stumbling(wj.SimplestWalker):
     slowest: float = 0.0
 
     def modes(self):
-        (swing,) = super().modes()
-        fast = wj.Condition(lambda y: -y.thetadot - self.slowest, wj.Outcome.STOPPED)
-        return (swing._replace(at_end=(fast,)),)
+        modes = super().modes()
+        *falls, strike = modes["swing"].guards
+        fast = wj.Condition(lambda y: -y.thetadot - self.slowest, "STOPPED")
+        strike = strike._replace(must_hold=(*strike.must_hold, fast))
+        return modes | {"swing": modes["swing"]._replace(guards=(*falls, strike))}
 
 
 def test_a_walker_has_the_least_of_its_margins():
@@ -195,8 +201,8 @@ def test_an_explanation_names_them():
     assert "condition sticks at the end: -0.1 at least, violated" in stuck
     assert "energy 0.08 at the start" in stuck
     high = wj.explain(Juggler(), jnp.array([2.1, 0.0]))
-    assert high.name == "hits_the_ceiling" and high.modes[0].ended_by == high.name
-    assert high.outcome == wj.Outcome.OWN_1
+    assert high.name == "hits_the_ceiling" and high.modes[0].led_to == high.name
+    assert high.outcome == Juggler().failure("hits_the_ceiling")
 
 
 def test_the_command_line_names_them(run, tmp_path, monkeypatch):
@@ -219,7 +225,7 @@ class Leaning(wj.SimplestWalker):
 
 def test_walkers_have_them_too():
     made = wj.strides(Leaning(0.009), np.array([[0.2, -0.2], [0.55, -0.5]]))
-    assert made.outcome.tolist() == [0, wj.Outcome.OWN_1]
+    assert made.outcome.tolist() == [0, Leaning(0.009).failure("leans_too_far")]
     offered = {"leaning": Offer("leaning", Leaning, (0.009,), "")}
     fates = describe_family(offered)["walkers"]["leaning"]["fates"]
     assert fates[12]["words"] == "leans too far" and fates[12]["lost"] and 13 not in fates
@@ -231,33 +237,41 @@ class Unnamed(Juggler):
 
 class Elsewhere(Juggler):
     def modes(self):
-        (mode,) = super().modes()
-        return (mode._replace(guards=(mode.guards[0]._replace(leads_to=99), mode.guards[1])),)
+        (mode,) = super().modes().values()
+        high, down = mode.guards
+        return {"flight": mode._replace(guards=(high._replace(leads_to=99), down))}
 
 
 class Unknown(Juggler):
     def modes(self):
-        (mode,) = super().modes()
-        high = mode.guards[0]._replace(leads_to=wj.Outcome.OWN_3)
-        return (mode._replace(guards=(high, mode.guards[1])),)
+        (mode,) = super().modes().values()
+        high, down = mode.guards
+        return {"flight": mode._replace(guards=(high._replace(leads_to="OWN_3"), down))}
 
 
 class Misspelt(Juggler):
     def modes(self):
-        (mode,) = super().modes()
-        return (mode._replace(at_end=(mode.at_end[0]._replace(outcome="sticks"),)),)
+        (mode,) = super().modes().values()
+        high, down = mode.guards
+        (fast,) = down.must_hold
+        down = down._replace(must_hold=(fast._replace(leads_to="stick"),))
+        return {"flight": mode._replace(guards=(high, down))}
 
 
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (Unnamed, "failure of Unnamed must be one of FORWARD, .*, not 'hits_the_ceiling'"),
-        (Elsewhere, "guards of a mode of Elsewhere must lead to an Outcome, not to 99: fail"),
-        (Misspelt, "at_end of a mode of Misspelt must lead to a failure, not to 'sticks'"),
-        (Unknown, "guards of a mode of Unknown must lead to an Outcome, not to .*OWN_3"),
+        (
+            lambda: Juggler().failure("drops"),
+            "failure of Juggler must be one of hits_the_ceiling, sticks, FORWARD, .*, not 'drops'",
+        ),
+        (Unnamed, "guards of mode 'flight' of Unnamed must .*, not to 'hits_the_ceiling'"),
+        (Elsewhere, "guards of mode 'flight' of Elsewhere must lead to a mode, .*, not to 99"),
+        (Misspelt, "must_hold of mode 'flight' of Misspelt must .* a failure, not to 'stick'"),
+        (Unknown, "guards of mode 'flight' of Unknown must lead to .* a failure, not to 'OWN_3'"),
         (
             type("Twice", (Juggler,), {"failures": ("sticks", "sticks")}),
-            "failures of Twice must be 4 different words at most",
+            "failures of Twice must be 20 different words at most",
         ),
         (
             type("Taken", (Juggler,), {"failures": ("FORWARD",)}),
@@ -268,6 +282,18 @@ class Misspelt(Juggler):
 def test_what_is_none_is_refused(make, said):
     with pytest.raises(ValueError, match=said):
         wj.stride(make(), jnp.array([1.0, 0.0]))
+
+
+def test_as_many_as_there_are_numbers_have_their_names():
+    names = (*Juggler.failures, *(f"drops_{i}" for i in range(OUTCOMES - OWN - 2)))
+    make = lambda names: type("Many", (Juggler,), {"failures": names})()
+    many = make((*names[2:], *names[:2]))
+    assert len(names) == 20 and many.failure("sticks") == OUTCOMES - 1 == 31
+    made = wj.strides(many, np.array([[0.4, 0.0], [2.1, 0.0]]))
+    assert made.outcome.tolist() == [31, 30]
+    assert wj.explain(many, jnp.array([0.4, 0.0])).name == "sticks"
+    with pytest.raises(ValueError, match="failures of Many must be 20 different words at most"):
+        make((*names, "one_more"))
 
 
 class Astray(wj.System):
@@ -307,13 +333,11 @@ class ThereAndBack(wj.HybridSystem):
     def modes(self):
         there = lambda y: There(jnp.cos(y.time), 1 + 0 * y.time)
         back = lambda y: There(-1 - y.place**2, 1 + 0 * y.time)
-        arrives = wj.Guard(lambda y: y.place - self.turning)
-        beyond = wj.Guard(
-            lambda y: y.place**3 - self.turning**3, self.failure("beyond"), at_once=True
-        )
         turns = lambda y: There(y.place + self.jump, 0 * y.time)
-        ends = wj.Guard(lambda y: y.time - 1)
-        return wj.Mode(there, (arrives,), reset=turns), wj.Mode(back, (beyond, ends))
+        arrives = wj.Guard(lambda y: y.place - self.turning, "back", reset=turns)
+        beyond = wj.Guard(lambda y: y.place**3 - self.turning**3, "beyond", at_once=True)
+        ends = wj.Guard(lambda y: y.time - 1, wj.SECTION)
+        return {"there": wj.Mode(there, (arrives,)), "back": wj.Mode(back, (beyond, ends))}
 
 
 def test_a_guard_on_the_switch_to_its_mode_does_not_end_it():
@@ -325,7 +349,8 @@ def test_a_guard_on_the_switch_to_its_mode_does_not_end_it():
     np.testing.assert_allclose(found.state[:, 0], expected, rtol=0, atol=1e-12)
     by_xla = jax.jit(jax.vmap(partial(wj.stride, ThereAndBack())))(xs[:20])
     np.testing.assert_array_equal(by_xla.outcome, found.outcome[:20])
-    for jump, outcome in ((1e-9, wj.Outcome.OWN_1), (-1e-9, wj.Outcome.STRIDE)):
+    fails = ThereAndBack().failure("beyond")
+    for jump, outcome in ((1e-9, fails), (-1e-9, wj.Outcome.STRIDE)):
         assert (wj.strides(ThereAndBack(jump=jump), xs[::9]).outcome == outcome).all()
     single = wj.strides(ThereAndBack(), xs.astype(np.float32))
     assert (single.outcome == wj.Outcome.STRIDE).all()

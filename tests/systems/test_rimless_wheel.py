@@ -195,7 +195,7 @@ def test_energy_changes_by_the_work_of_the_motor_alone():
     rng = np.random.default_rng(1)
     wheel = jax.tree.map(jnp.asarray, DOWNHILL)
     states = WheelState(*jnp.asarray(rng.uniform(-1, 1, (4, 50))))
-    (mode,) = wheel.modes()
+    (mode,) = wheel.modes().values()
     change = lambda y: jax.jvp(lambda y: energy(wheel, y), (y,), (mode.rates(y),))[1]
     tau = wheel.stiffness * (wheel.lean - states.psi) - wheel.damping * states.psidot
     work = tau * (states.psidot + states.thetadot)
@@ -334,16 +334,16 @@ class IntegratingWheel(wj.TorsoWheel):
     section = (*wj.TorsoWheel.section, "integral")
 
     def modes(self):
-        (mode,) = super().modes()
+        (mode,) = super().modes().values()
 
         def rates(state):
             held = eqx.tree_at(lambda one: one.lean, self, self.lean + self.gain * state.integral)
             return Remembering(SingleSupport(held)(state.wheel), self.lean - state.wheel.psi)
 
         of_wheel = lambda one: lambda state: one(state.wheel)
-        guards = tuple(one._replace(value=of_wheel(one.value)) for one in mode.guards)
+        *falls, strikes = (one._replace(value=of_wheel(one.value)) for one in mode.guards)
         strike = lambda state: Remembering(self.strike(state.wheel), state.integral)
-        return (Mode(rates, guards, reset=strike),)
+        return {"stance": Mode(rates, (*falls, strikes._replace(reset=strike)))}
 
     def lift(self, x):
         return Remembering(super().lift(x[:3]), x[3])

@@ -120,13 +120,13 @@ def test_margins_of_two_guards_that_lead_to_one_failure():
             return state[:2]
 
         def modes(self):
-            guards = (
-                wj.Guard(lambda y: y[0], wj.Outcome.BACKWARD, at_once=True),
-                wj.Guard(lambda y: y[1], wj.Outcome.BACKWARD, at_once=True),
-                wj.Guard(lambda y: y[2] - 1),
-            )
             drop = lambda y: y.at[:2].add(0.5)
-            return (wj.Mode(lambda y: jnp.array([0.0, 0.0, 1.0], y.dtype), guards, reset=drop),)
+            guards = (
+                wj.Guard(lambda y: y[0], "BACKWARD", at_once=True),
+                wj.Guard(lambda y: y[1], "BACKWARD", at_once=True),
+                wj.Guard(lambda y: y[2] - 1, wj.SECTION, reset=drop),
+            )
+            return {"fork": wj.Mode(lambda y: jnp.array([0.0, 0.0, 1.0], y.dtype), guards)}
 
     found = wj.margins_of_many(Fork(), np.array([[-0.6, -2.0], [-2.0, -0.6], [-0.4, -2.0]]))
     assert found.stride.outcome.tolist() == [0, 0, wj.Outcome.BACKWARD]
@@ -346,7 +346,8 @@ def test_states_may_be_trees_of_arrays():
                 turn = -self.damping * y["v"][0] - jnp.sin(y["q"][0]) + 0.3 * jnp.cos(y["q"][1])
                 return {"q": y["v"], "v": jnp.stack([turn, 0 * turn])}
 
-            return (wj.Mode(field, (wj.Guard(lambda y: y["q"][1] - 2 * np.pi),)),)
+            period = wj.Guard(lambda y: y["q"][1] - 2 * np.pi, wj.SECTION)
+            return {"period": wj.Mode(field, (period,))}
 
     plain = lambda t, y: [y[1], -0.2 * y[1] - np.sin(y[0]) + 0.3 * np.cos(t)]
     end = solve_ivp(plain, (0, 2 * np.pi), [0.1, 0.2], method="DOP853", rtol=1e-12, atol=1e-13)
@@ -371,9 +372,10 @@ class Decay(wj.HybridSystem):
             decays = {name: -self.rate * y[name] for name in ("pair", "table")}
             return {"clock": 1 + 0 * y["clock"]} | decays
 
-        late = wj.Guard(lambda y: y["table"][1, 2] - 9.0, wj.Outcome.FORWARD)
-        small = wj.Condition(lambda y: 5.0 - jnp.sum(y["pair"]), wj.Outcome.RUNNING)
-        return (wj.Mode(field, (late, wj.Guard(lambda y: y["clock"] - 1.0)), (small,)),)
+        late = wj.Guard(lambda y: y["table"][1, 2] - 9.0, "FORWARD")
+        ends = wj.Guard(lambda y: y["clock"] - 1.0, wj.SECTION)
+        small = wj.Condition(lambda y: 5.0 - jnp.sum(y["pair"]), "RUNNING", at_start=True)
+        return {"decay": wj.Mode(field, (late, ends), (small,))}
 
 
 def test_a_state_may_hold_scalars_and_arrays_of_any_shape():
@@ -387,7 +389,7 @@ def test_a_state_may_hold_scalars_and_arrays_of_any_shape():
     assert found.forward == pytest.approx(9 - 1.5) and found.running == pytest.approx(5 - 1.5)
     states = wj.trajectory(Decay(), start, jnp.array([0.0, 0.5]))
     np.testing.assert_allclose(states["table"][1], np.exp(-0.5) * states["table"][0], rtol=1e-12)
-    assert "guard 1 (STRIDE) rose at 1\n" in str(wj.explain(Decay(), start))
+    assert "guard 1 (section) rose at 1\n" in str(wj.explain(Decay(), start))
     assert wj.find_gait(Decay(), [0.1, 0.1]).states == pytest.approx(0, abs=1e-12)
 
 

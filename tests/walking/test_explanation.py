@@ -32,7 +32,7 @@ def test_the_last_rise_is_what_ended_the_stride(x):
         assert last.time == pytest.approx(float(made.time), rel=1e-12)
         np.testing.assert_array_equal(found.state, made.state)
     else:
-        assert mode.ended_by == last.leads_to
+        assert mode.led_to == last.leads_to
     assert f": {found.outcome.name}\n" in str(found)
 
 
@@ -41,8 +41,8 @@ def test_a_rise_that_is_not_admitted_is_told():
     found = wj.explain(wj.SpringMassRunner(), jnp.array([2.0]))
     assert found.outcome == wj.Outcome.BACKWARD and len(found.modes) == 2
     counted = {rise.leads_to: rise.admitted for rise in found.modes[1].rises}
-    assert counted == {"BACKWARD": True, "STOPPED": False, "STRIDE": False}
-    assert "guard 3 (STRIDE) rose at 0.667038549, not admitted" in str(found)
+    assert counted == {"BACKWARD": True, "STOPPED": False, "rise": False}
+    assert "guard 3 (rise) rose at 0.667038549, not admitted" in str(found)
 
 
 def test_conditions_have_their_least_values():
@@ -73,7 +73,8 @@ class Spinner(wj.HybridSystem):
     def modes(self):
         speed = 1 + jnp.sqrt(-self.blows_up)
         field = lambda y: jnp.stack([speed, speed])
-        return (wj.Mode(field, (wj.Guard(lambda y: y[1] - 2 * np.pi),)),)
+        turned = wj.Guard(lambda y: y[1] - 2 * np.pi, wj.SECTION)
+        return {"turn": wj.Mode(field, (turned,))}
 
 
 class Lost(Spinner):
@@ -83,9 +84,9 @@ class Lost(Spinner):
 
 class Shut(Lost):
     def modes(self):
-        (mode,) = super().modes()
+        (mode,) = super().modes().values()
         shut = mode.guards[0]._replace(admits=(lambda y: -1 - y[1],))
-        return (mode._replace(guards=(shut,)),)
+        return {"turn": mode._replace(guards=(shut,))}
 
 
 @pytest.mark.parametrize(
@@ -95,7 +96,7 @@ class Shut(Lost):
         (Lost(), r"no stride begins at the next point, \(6.48"),
         pytest.param(
             Shut(),
-            "mode 0 is not ended .*guard 0 of mode 0 rose, but was never admitted",
+            "mode 'turn' is not ended .*guard 0 of mode 'turn' rose, but was never admitted",
             marks=pytest.mark.slow,
         ),
         (Lost(blows_up=1.0), "the vector field at the start is not finite"),
@@ -111,7 +112,7 @@ def test_what_does_not_fit_together_is_found(system, complaint):
 def test_modes_are_told_where_lift_and_project_do_not_fit():
     found = wj.explain(Lost(0.1), jnp.array([0.2]))
     (mode,) = found.modes
-    assert mode.ended_by == "STRIDE" and mode.time == pytest.approx(2 * np.pi, rel=1e-12)
+    assert mode.led_to == wj.SECTION and mode.time == pytest.approx(2 * np.pi, rel=1e-12)
 
 
 class Switched(Lost):
@@ -124,7 +125,8 @@ class Switched(Lost):
 
     def modes(self):
         field = lambda y: {"angle": self.rate(y["angle"]), "clock": 1 + 0 * y["clock"]}
-        return (wj.Mode(field, (wj.Guard(lambda y: y["clock"] - 6),), most_steps=30),)
+        ends = wj.Guard(lambda y: y["clock"] - 6, wj.SECTION)
+        return {"turn": wj.Mode(field, (ends,), most_steps=30)}
 
     def lift(self, x):
         return {"angle": x[0], "clock": 0 * x[0]}
@@ -145,8 +147,9 @@ class Slow(Switched):
 
 class Overflowing(Switched):
     def modes(self):
-        (mode,) = super().modes()
-        return (mode._replace(reset=lambda y: y | {"angle": jnp.sqrt(-y["angle"])}),)
+        (mode,) = super().modes().values()
+        root = lambda y: y | {"angle": jnp.sqrt(-y["angle"])}
+        return {"turn": mode._replace(guards=(mode.guards[0]._replace(reset=root),))}
 
 
 @pytest.mark.parametrize(
@@ -181,12 +184,12 @@ class Decaying(Switched):
     drive: float = eqx.field(static=True, default=1e-30)
 
     def modes(self):
-        (mode,) = super().modes()
+        (mode,) = super().modes().values()
         smooth = lambda y: 1e-9 * jnp.tanh(y["clock"] - 3)
         driven = lambda y: self.drive * y["clock"] if self.drive else 0.0
         rate = lambda y: -9 * y["angle"] + driven(y)
         field = lambda y: {"angle": rate(y), "clock": 1 + smooth(y)}
-        return (mode._replace(field=field, most_steps=1000),)
+        return {"turn": mode._replace(field=field, most_steps=1000)}
 
 
 def test_noise_and_features_that_may_be_missed_are_told():
@@ -194,8 +197,8 @@ def test_noise_and_features_that_may_be_missed_are_told():
     assert found.outcome == wj.Outcome.STRIDE and found.complaints == []
     (mode,) = found.modes
     noise, sharp = mode.doubts
-    assert re.match(r"in mode 0 angle falls to \S+, beside variables of \S+: .* scales", noise)
-    assert re.match(r"the longest step of mode 0 takes 0\.\d+: .* longest_step", sharp)
+    assert re.match(r"in mode 'turn' angle falls to \S+, beside variables of \S+: .* scales", noise)
+    assert re.match(r"the longest step of mode 'turn' takes 0\.\d+: .* longest_step", sharp)
     assert f"? {noise}" in str(found).splitlines()
     alone = wj.explain(Decaying(drive=0), jnp.array([0.2]))  # its error is relative to itself
     assert ["longest step" in doubt for doubt in alone.modes[0].doubts] == [True]
@@ -208,15 +211,17 @@ class Begun(Lost):
     """Its first mode is over as it begins."""
 
     def modes(self):
-        (mode,) = super().modes()
-        turned = mode._replace(reset=lambda y: y.at[0].add(-2 * np.pi))
-        return mode._replace(guards=(wj.Guard(lambda y: y[1] + 1),)), turned
+        (mode,) = super().modes().values()
+        back = mode.guards[0]._replace(reset=lambda y: y.at[0].add(-2 * np.pi))
+        over = wj.Guard(lambda y: y[1] + 1, "turn")
+        return {"over": mode._replace(guards=(over,)), "turn": mode._replace(guards=(back,))}
 
 
 def test_a_mode_that_is_over_as_it_begins_is_told():
     found = wj.explain(Begun(), jnp.array([0.2]))
     assert found.outcome == wj.Outcome.STRIDE
-    assert [one.ended_by for one in found.modes] == ["STRIDE at once", "STRIDE"]
+    assert [one.name for one in found.modes] == ["over", "turn"]
+    assert [one.led_to for one in found.modes] == ["turn at once", wj.SECTION]
     assert found.modes[0].time == 0 and found.modes[1].time == pytest.approx(2 * np.pi)
 
 
@@ -240,7 +245,7 @@ def test_energy_that_should_be_constant_is_looked_at():
     assert sound.complaints == [] and f"energy {start:.9g} at the start" in str(sound)
     found = wj.explain(Leaky(0.009), jnp.array([0.2, -0.2]))
     (complaint,) = found.complaints
-    assert complaint.startswith("in mode 0 the energy changes by -0.0")
+    assert complaint.startswith("in mode 'swing' the energy changes by -0.0")
     runner = wj.explain(wj.SpringMassRunner(), jnp.array([1.0]))
     energies = np.array([mode.energy for mode in runner.modes])
     np.testing.assert_allclose(energies, wj.SpringMassRunner().energy, rtol=1e-11)
@@ -279,15 +284,19 @@ def test_the_command_says_the_same(run):
     expected = wj.explain(WALKER, jnp.array([0.3, -0.1]))
     report, _, conclusion = told.rstrip().rpartition("\n")
     words = {"BACKWARD": "falls backward", "FORWARD": "falls forward", "STRIDE": "walks"}
-    words |= {"condition RUNNING": "condition (runs)", "ended by": "the end:"}
+    words |= {"condition RUNNING": "condition (runs)", ", leads to falls": ", the end: falls"}
     said = str(expected)
     for name, word in words.items():
         said = said.replace(name, word)
     assert report == said
+    assert "mode swing: " in said and "steps, the end: falls backward\n" in said
     assert conclusion.startswith("The walk ends here (falls backward)")
     data = json.loads(answer)
     assert data["outcome"] == "BACKWARD" and data["state"] is None
     assert data["modes"][0]["rises"][0]["time"] == expected.modes[0].rises[0].time
+    code, walked, _ = run(*"explain --slope 0.009 --theta 0.2 --thetadot -0.2".split())
+    assert code == 0 and "condition (stops on both feet) at the end: 0." in walked
+    assert "steps, leads to section\n" in walked and "not the end" not in walked
 
 
 def test_a_map_is_explained_too():

@@ -306,10 +306,10 @@ class SpreadByMode(wj.SimplestWalker):
     """It has fallen where its legs are far apart, by a guard of the swing."""
 
     def modes(self):
-        (swing,) = super().modes()
+        swing = super().modes()["swing"]
         *falls, strike = swing.guards
-        spread = Guard(lambda state: -0.6 - state.phi, Outcome.SIDEWAYS, at_once=True)
-        return (swing._replace(guards=(*falls, spread, strike)),)
+        spread = Guard(lambda state: -0.6 - state.phi, "SIDEWAYS", at_once=True)
+        return {"swing": swing._replace(guards=(*falls, spread, strike))}
 
 
 def test_modes_of_ones_own_are_what_every_function_follows():

@@ -7,7 +7,7 @@ from walker_jax.cli.conclusions import conclude_explanation
 from walker_jax.cli.options import Json
 from walker_jax.cli.section import Start, begin_at
 from walker_jax.cli.walker_options import takes_walker
-from walker_jax.systems.outcomes import outcome_in_words
+from walker_jax.systems.outcomes import WORDS, outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_walker
 from walker_jax.walking import explanation
@@ -40,5 +40,6 @@ def explain(walker: System, start: Start, as_json: Json = False) -> None:
 
 def in_words(text: str) -> str:
     """Write an explanation with words in the places of the names of outcomes."""
-    text = re.sub(r"condition (\w+):", r"condition (\1):", text.replace("ended by ", "the end: "))
+    text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", text)
+    text = re.sub(rf"\bleads to ({'|'.join(WORDS)})\b", r"the end: \1", text)
     return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: outcome_in_words(name[0]), text)

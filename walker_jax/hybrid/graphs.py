@@ -7,6 +7,7 @@ The modes are the nodes, and their guards the edges. Most edges point ahead in t
 from collections.abc import Mapping
 from typing import Any
 
+import equinox as eqx
 import jax
 
 from walker_jax.checks import WrongUse, short
@@ -58,10 +59,10 @@ def check_graph(label: str, modes: Any, failures: set[str]) -> None:
     for name, mode in modes.items():
         if not isinstance(name, str) or not isinstance(mode, Mode):
             raise WrongUse(f"modes of {label} must be modes by name, not {name!r}: {short(mode)}")
-        if name == SECTION or name in failures:
+        if name in ("", SECTION) or name in failures:
             raise WrongUse(f"modes of {label} must have names that name no failure, not {name!r}")
         known = {*modes, SECTION} | failures
-        held = [one for guard in mode.guards for one in guard.must_hold]
+        held = [one for guard in mode.guards for one in getattr(guard, "must_hold", ())]
         for part, ends, allowed in (
             ("guards", mode.guards, known),
             ("conditions", mode.conditions, failures),
@@ -82,24 +83,32 @@ def check_graph(label: str, modes: Any, failures: set[str]) -> None:
         raise WrongUse(f"modes of {label} must lead to SECTION, but no guard does")
 
 
-def kinds_of_states(label: str, modes: Modes, start: Any) -> dict[str, Any]:
+def kinds_of_states(modes: Modes, start: Any) -> dict[str, Any]:
     """Return the shapes of the states in which modes begin, and of the section's, by name.
 
     Raise `WrongUse` where resets into one mode return states of different kinds.
     """
-    shape = lambda value: jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), value)
     order = in_order(modes)
-    kinds: dict[str, Any] = {order[0]: shape(jax.eval_shape(lambda: start))}
+    kinds: dict[str, Any] = {order[0]: kind_of(start)}
     for name in order:
         for guard in modes[name].guards:
             to = guard.leads_to
             if to != SECTION and to not in modes:
                 continue
-            kind = shape(jax.eval_shape(guard.reset, kinds[name]))
-            if kinds.setdefault(to, kind) != kind:
-                described = " and ".join(map(str, (kinds[to], kind)))
-                raise WrongUse(
-                    f"resets into mode {to!r} of {label} must return states of one kind, "
-                    f"not {described}"
-                )
+            kind = kind_of(jax.eval_shape(guard.reset, kinds[name]))
+            check_one_kind(to, kinds.setdefault(to, kind), kind)
     return kinds
+
+
+def kind_of(state: Any) -> Any:
+    """Return the structure of a state, with the shapes and types of its leaves."""
+    made = jax.eval_shape(lambda: state)
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), made)
+
+
+def check_one_kind(to: str, known: Any, other: Any) -> None:
+    """Raise `WrongUse` for two kinds of states in which a mode, or the section, is entered."""
+    if jax.tree.flatten(known) != jax.tree.flatten(other):
+        both = (eqx.tree_pformat(one, struct_as_array=True) for one in (known, other))
+        described = " ".join(" and ".join(both).split())
+        raise WrongUse(f"resets into {to!r} must return states of one kind, not {described}")

@@ -20,7 +20,13 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
-from walker_jax.hybrid.graphs import entered_again, in_order, kinds_of_states
+from walker_jax.hybrid.graphs import (
+    check_one_kind,
+    entered_again,
+    in_order,
+    kind_of,
+    kinds_of_states,
+)
 from walker_jax.hybrid.modes import SECTION, Guard, Mode, ends_at_once
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator, Method, zero_at
@@ -96,16 +102,17 @@ def follow_graph(
     if not again:
         return follow_modes(system, modes, begun, integrator)
     first, *_ = modes
-    kinds = kinds_of_states(system.label(), modes, begun.entries[first].state)
+    kinds = kinds_of_states(modes, begun.entries[first].state)
     never = jnp.asarray(False)
     empty = lambda name: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), kinds[name])
-    waiting = {name: Entry(never, empty(name)) for name in {first, *again, SECTION}}
+    begun_in = [*dict.fromkeys((first, *again))]
+    waiting = {name: Entry(never, empty(name)) for name in (*begun_in, SECTION)}
     violated = dict.fromkeys((one.leads_to for m in modes.values() for one in m.conditions), never)
     course = begun._replace(entries=waiting | begun.entries, violated=violated)
 
     def goes_on(carry):
         course, passes = carry
-        reached = [course.entries[name].reached for name in {first, *again}]
+        reached = [course.entries[name].reached for name in begun_in]
         going = course.verdict == Outcome.UNDECIDED
         return going & reduce(jnp.logical_or, reached) & (passes < MOST_PASSES)
 
@@ -185,7 +192,8 @@ def follow_one(
             verdict = jnp.where(took & (holds != Outcome.STRIDE), holds, verdict)
             took &= holds == Outcome.STRIDE
         passed |= took & (holds == Outcome.STRIDE)
-        entries[guard.leads_to] = join(entries.get(guard.leads_to), Entry(took, state))
+        known = entries.get(guard.leads_to)
+        entries[guard.leads_to] = join(guard.leads_to, known, Entry(took, state))
     violated = either(course.violated, end.violated)
     part = Part(mode, entry.state, course.time, going, begun, followed, taken, passed, end)
     parts = *course.parts, part
@@ -193,17 +201,18 @@ def follow_one(
     return Course(entries, course.time + end.time, verdict, held, violated, parts)
 
 
-def join(known: Entry | None, other: Entry) -> Entry:
+def join(name: str, known: Entry | None, other: Entry) -> Entry:
     """Return two ways into a mode as one."""
     if known is None:
         return other
+    check_one_kind(name, kind_of(known.state), kind_of(other.state))
     state = jax.tree.map(partial(jnp.where, other.reached), other.state, known.state)
     return Entry(known.reached | other.reached, state)
 
 
 def either(known: Violated, found: Violated) -> Violated:
     """Return whether conditions were violated in either of two parts."""
-    both = {name: known[name] | found[name] for name in known.keys() & found.keys()}
+    both = {name: known[name] | found[name] for name in known if name in found}
     return dict(known) | found | both
 
 

@@ -1,0 +1,192 @@
+"""Modes that are no graph are refused, and those that are have their order."""
+
+import re
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from part_of_swing import PartOfSwing
+
+import walker_jax as wj
+from walker_jax.hybrid.graphs import entered_again, in_order, kinds_of_states
+
+
+class Moving(NamedTuple):
+    place: Any
+    time: Any
+
+
+class Waiting(NamedTuple):
+    place: Any
+    left: Any
+
+
+FIELD = lambda y: jnp.ones_like(y)
+RISES = lambda y: y[0] - 1
+
+
+def mode(*names, **fields):
+    """A mode whose guards lead to places of these names."""
+    return wj.Mode(FIELD, tuple(wj.Guard(RISES, name) for name in names), **fields)
+
+
+class Made(wj.HybridSystem):
+    """A system of the modes that it is made of."""
+
+    section = ("x",)
+    failures = ("stuck",)
+
+    def lift(self, x):
+        return x
+
+    def project(self, state):
+        return state[:1]
+
+
+def system_of(modes, **more):
+    return type("Made", (Made,), {"modes": lambda self: modes, **more})()
+
+
+NO_END = "guards of mode 'a' of Made must lead to a mode, to SECTION or a failure, not to "
+HELD = wj.Guard(RISES, wj.SECTION, must_hold=(wj.Condition(RISES, "b"),))
+
+
+@pytest.mark.parametrize(
+    ("modes", "said"),
+    [
+        ((mode(wj.SECTION),), "modes of Made must be a dictionary of modes, not (Mode("),
+        ({}, "modes of Made must be a dictionary of modes, not {}"),
+        ({0: mode(wj.SECTION)}, "modes of Made must be modes by name, not 0: Mode("),
+        ({"a": RISES}, "modes of Made must be modes by name, not 'a': <function"),
+        ({"stuck": mode(wj.SECTION)}, "must have names that name no failure, not 'stuck'"),
+        ({"FORWARD": mode(wj.SECTION)}, "must have names that name no failure, not 'FORWARD'"),
+        ({wj.SECTION: mode(wj.SECTION)}, "must have names that name no failure, not 'section'"),
+        ({"": mode(wj.SECTION)}, "must have names that name no failure, not ''"),
+        ({"a": mode("b", wj.SECTION)}, NO_END + "'b'"),
+        ({"a": mode(wj.SECTION, "STRIDE")}, NO_END + "'STRIDE'"),
+        ({"a": mode(wj.SECTION, wj.Outcome.FORWARD)}, NO_END + "<Outcome.FORWARD: 1>"),
+        ({"a": mode(wj.SECTION, "")}, NO_END + "nothing"),
+        ({"a": wj.Mode(FIELD, (wj.Guard(RISES),))}, NO_END + "nothing"),
+        ({"a": mode(wj.SECTION)._replace(guards=(RISES,))}, NO_END + "<function"),
+        (
+            {"a": mode("b", conditions=(wj.Condition(RISES, "b"),)), "b": mode(wj.SECTION)},
+            "conditions of mode 'a' of Made must lead to a failure, not to 'b'",
+        ),
+        (
+            {"a": mode("b"), "b": wj.Mode(FIELD, (HELD,))},
+            "must_hold of mode 'b' of Made must lead to a failure, not to 'b'",
+        ),
+        (
+            {"a": mode(wj.SECTION), "b": mode("c"), "c": mode("a")},
+            "modes of Made must be reached from the first, unlike 'b'",
+        ),
+        (
+            {"a": mode("b", "stuck"), "b": mode("a", "FORWARD")},
+            "modes of Made must lead to SECTION, but no guard does",
+        ),
+    ],
+)
+def test_modes_that_are_no_graph_are_refused(modes, said):
+    for follow in (wj.stride, wj.margins, wj.trajectory, wj.explain):
+        more = ([0.5],) if follow is wj.trajectory else ()
+        with pytest.raises(ValueError, match=re.escape(said)) as told:
+            follow(system_of(modes), jnp.array([0.2]), *more)
+        assert "\n" not in str(told.value)
+
+
+def test_modes_are_in_an_order_in_which_edges_point_ahead():
+    """However they are listed; edges that lead back are those to modes that are entered again."""
+    ahead = {"a": mode("c", "b"), "c": mode("d"), "b": mode("c", "d"), "d": mode(wj.SECTION)}
+    assert in_order(ahead) == ["a", "b", "c", "d"] and entered_again(ahead) == []
+    back = ahead | {"d": mode("b", "stuck", wj.SECTION)}
+    assert in_order(back) == ["a", "b", "c", "d"] and entered_again(back) == ["b"]
+    assert entered_again({"a": mode("a", wj.SECTION)}) == ["a"]
+    rng = np.random.default_rng(5)
+    for _ in range(50):  # graphs whose edges all point ahead in a hidden order
+        names = [f"mode {i}" for i in range(8)]
+        to = {
+            one: [names[i + 1], *rng.choice(names[i + 1 :], 2)] if i < 7 else [wj.SECTION]
+            for i, one in enumerate(names)
+        }
+        listed = [names[0], *rng.permutation(names[1:])]
+        modes = {one: mode(*rng.permutation(to[one])) for one in listed}
+        assert in_order(modes) == names and entered_again(modes) == []
+
+
+def fork(by_place, by_time, *ends, **more):
+    """A motion that rests from the place 1 or the time 5 on, each with a reset, and moves on."""
+    ones = lambda y: jax.tree.map(jnp.ones_like, y)
+    at_place = wj.Guard(lambda y: y.place - 1, "rest", reset=by_place)
+    at_time = wj.Guard(lambda y: y.time - 5, "rest", reset=by_time)
+    rests = [wj.Guard(lambda y: y[1] - 2, name) for name in ends]
+    modes = {"move": wj.Mode(ones, (at_place, at_time)), "rest": wj.Mode(ones, tuple(rests))}
+    lift = lambda self, x: Moving(x[0], 0 * x[0])
+    return system_of(modes, lift=lift, project=lambda self, y: y[0][None], **more)
+
+
+def waits(y):
+    return Waiting(y.place, 0 * y.time)
+
+
+@pytest.mark.parametrize("ends", [(wj.SECTION,), (wj.SECTION, "move")], ids=["once", "again"])
+def test_resets_into_one_mode_that_return_different_states_are_refused(ends):
+    others = (
+        lambda y: y,
+        lambda y: Moving(y.place[None], y.time),
+        lambda y: Waiting(y.place, jnp.zeros(2)),
+        lambda y: {"place": y.place, "left": y.time},
+    )
+    for follow in (wj.stride, wj.margins) if len(ends) == 1 else (wj.stride,):
+        for one, other in [(waits, reset) for reset in others] + [(others[0], waits)]:
+            said = "resets into 'rest' must return states of one kind, not .* and "
+            with pytest.raises(ValueError, match=said) as told:
+                follow(fork(one, other, *ends), jnp.array([0.2]))
+            assert "\n" not in str(told.value)
+    if len(ends) > 1:  # the first mode begins in the state of `lift`, too
+        with pytest.raises(ValueError, match="resets into 'move' must return states of one kind"):
+            wj.stride(fork(waits, waits, *ends), jnp.array([0.2]))
+
+
+def test_a_mode_may_have_states_of_its_own():
+    system = fork(waits, waits, wj.SECTION)
+    made = wj.strides(system, np.array([[0.2], [-9.0]]))
+    np.testing.assert_allclose(made.state[:, 0], [3.0, -2.0], rtol=1e-14)
+    np.testing.assert_allclose(made.time, [2.8, 7.0], rtol=1e-14)
+    kinds = kinds_of_states(system.modes(), Moving(1.0, 0.0))
+    assert {name: type(one) for name, one in kinds.items()} == {
+        "move": Moving,
+        "rest": Waiting,
+        wj.SECTION: Waiting,
+    }
+    said = "mode 'rest' has a state of another kind than the first one, unless shown makes it one"
+    with pytest.raises(ValueError, match=said):
+        wj.trajectory(system, jnp.array([0.2]), [1.0])
+    shown = lambda self, state: Moving(*state)
+    states = wj.trajectory(
+        fork(waits, waits, wj.SECTION, shown=shown), jnp.array([0.2]), [0.5, 1.8]
+    )
+    np.testing.assert_allclose(states.place, [0.7, 2.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("measure", [wj.margins, wj.phase_times])
+def test_what_has_no_meaning_where_modes_are_entered_again_is_refused(measure):
+    system = fork(lambda y: y, lambda y: y, "move", wj.SECTION)
+    said = "of Made cannot be had: its mode 'move' can be entered again"
+    with pytest.raises(ValueError, match=said):
+        measure(system, jnp.array([0.2]))
+
+
+def test_phases_of_one_name_are_refused():
+    class Part(PartOfSwing):
+        def event(self, state):
+            return -state.theta
+
+    class Twice(wj.SimplestWalker):
+        def phases(self):
+            return Part(self), Part(self)
+
+    said = r"phases of Twice must have different names, not \['Part', 'Part', 'swing'\]"
+    with pytest.raises(ValueError, match=said):
+        wj.stride(Twice(0.01), jnp.array([0.2, -0.2]))
