@@ -11,6 +11,7 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import attractors_of_cycles
 from walker_jax.cellmaps import resolve
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.outcomes import OUTCOMES
 from walker_jax.walking import iteration
 from walker_jax.walking.iteration import Targets, iterate, orbits
 
@@ -206,6 +207,6 @@ def test_an_attractor_without_a_cycle_of_cells_is_not_listed():
     cycle = [int(labels.converged.argmax()), *np.flatnonzero(labels.fallen)[:2].tolist()]
     image = np.full(REGION.size, REGION.size + Outcome.FORWARD)
     image[cycle] = np.roll(cycle, -1)
-    ends = resolve(image, sinks=len(Outcome))
+    ends = resolve(image, sinks=OUTCOMES)
     (artefact,), number = attractors_of_cycles(WALKER, REGION, ends, Integrator(1e-12))
     assert artefact.artefact and artefact.period == 3 and number.tolist() == [0]

@@ -230,7 +230,7 @@ def three_body_like(state):
 def single_steps():
     """One step at a time of Euler's equations: times and states at step ends."""
     method = Method(three_body_like, Taylor(SERIES_ORDER[jnp.dtype("float64")]), TOLERANCE)
-    take = kernel(lambda state: method.step(state, ())[1:3])
+    take = kernel(lambda state: method.step(state, method.begin(state))[1:3])
     state = jnp.array(1.0), jnp.array(0.4), jnp.array(0.9)
     times, states = [0.0], [state]
     for _ in range(12):
