@@ -251,10 +251,10 @@ class Waving(Lost):
     """A clock that counts from its third second on, and when a wave rises."""
 
     def modes(self):
-        (mode,) = super().modes()
-        wave = wj.Guard(lambda y: jnp.sin(5 * y[1]) - 0.5, 0, (lambda y: y[1] - 3,))
-        held = wj.Condition(lambda y: 1.25 + jnp.cos(5 * y[1]), wj.Outcome.RUNNING)
-        return (mode._replace(guards=(wave,), conditions=(held,)),)
+        (mode,) = super().modes().values()
+        wave = wj.Guard(lambda y: jnp.sin(5 * y[1]) - 0.5, wj.SECTION, (lambda y: y[1] - 3,))
+        held = wj.Condition(lambda y: 1.25 + jnp.cos(5 * y[1]), "RUNNING")
+        return {"turn": mode._replace(guards=(wave,), conditions=(held,))}
 
 
 @pytest.mark.parametrize("solver", [None, diffrax.Dopri8()], ids=["Taylor", "Dopri8"])
@@ -264,7 +264,7 @@ def test_rises_are_all_of_them(solver):
     times = (np.pi / 6 + 2 * np.pi * np.arange(4)) / 5
     np.testing.assert_allclose([rise.time for rise in mode.rises], times, atol=1e-11)
     assert [rise.admitted for rise in mode.rises] == [False, False, False, True]
-    assert mode.time == mode.rises[-1].time and mode.ended_by == "STRIDE"
+    assert mode.time == mode.rises[-1].time and mode.led_to == wj.SECTION
     assert mode.least["RUNNING"] == pytest.approx(0.25, abs=1e-12)
 
 
