@@ -11,6 +11,8 @@ from part_of_swing import PartOfSwing
 
 import walker_jax as wj
 from walker_jax.hybrid.graphs import entered_again, in_order, kinds_of_states
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.walking.courses import begin_course, follow_graph
 
 
 class Moving(NamedTuple):
@@ -113,6 +115,30 @@ def test_modes_are_in_an_order_in_which_edges_point_ahead():
         listed = [names[0], *rng.permutation(names[1:])]
         modes = {one: mode(*rng.permutation(to[one])) for one in listed}
         assert in_order(modes) == names and entered_again(modes) == []
+
+
+def test_modes_are_followed_in_one_order_whatever_hashes_names_have():
+    """Sets of names have another order in each process, and traces are kept for the next one."""
+
+    def trace(prefix):
+        name = lambda one: wj.SECTION if one == wj.SECTION else f"{prefix}_{one}"
+        lost = tuple(name(one) for one in ("late", "lost", "low", "slow"))
+        held = tuple(wj.Condition(lambda y: 2 + jnp.sum(y), one) for one in lost)
+        to = {"a": "b", "b": "c", "c": "a", "d": "b"}
+        modes = {
+            name(one): mode(name("d"), name(other), wj.SECTION, conditions=held)
+            for one, other in to.items()
+        }
+        system = system_of(modes, failures=lost)
+
+        def follow(x):
+            begun = begin_course(name("a"), x, jnp.asarray(True))
+            return follow_graph(system, modes, begun, Integrator(1e-12))
+
+        return re.sub("0x[0-9a-f]+", "", str(jax.make_jaxpr(follow)(jnp.array([0.2]))))
+
+    one, *others = map(trace, "abpqr")  # before "section" in the alphabet, as trees sort names
+    assert len(one) > 1000 and all(other == one for other in others)
 
 
 def fork(by_place, by_time, *ends, **more):

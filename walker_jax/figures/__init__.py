@@ -29,6 +29,7 @@ from walker_jax.figures.films import zoom_film as zoom_film
 from walker_jax.figures.fraction_plots import basin_fractions as basin_fractions
 from walker_jax.figures.layout import for_print as for_print
 from walker_jax.figures.metastable_plots import metastability as metastability
+from walker_jax.figures.mode_graphs import modes as modes
 from walker_jax.figures.multiplier_plots import multipliers as multipliers
 from walker_jax.figures.optimum_plots import basins_before_and_after as basins_before_and_after
 from walker_jax.figures.optimum_plots import optimisation as optimisation

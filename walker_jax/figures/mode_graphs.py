@@ -1,0 +1,107 @@
+"""The modes of a hybrid system as a graph, with its guards as arrows."""
+
+from matplotlib.axes import Axes
+from matplotlib.patches import FancyArrowPatch
+from matplotlib.text import Text
+
+from walker_jax.figures.layout import DrawnAxes, axes_for, figure_of
+from walker_jax.figures.style import INK, SMALL
+from walker_jax.hybrid.graphs import in_order
+from walker_jax.hybrid.modes import SECTION
+from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
+from walker_jax.walking.explanation import Explanation
+
+BOX = {"boxstyle": "round,pad=0.5", "fc": "#f2f2f2", "ec": INK}
+PASSED = "#0d2c5e"
+
+
+def modes(
+    system: HybridSystem, found: Explanation | None = None, ax: Axes | None = None
+) -> DrawnAxes:
+    """Draw the modes of a system, and the guards that lead from one to another or to the section.
+
+    Modes stand in columns, in the order in which a stride may pass them; the failures to which a
+    mode may lead are listed below it. Guards that lead back are drawn below the modes.
+
+    **Arguments:**
+
+    - `system`: any hybrid system.
+    - `found`: a stride of it, from `walker_jax.explain`, whose way is drawn thick.
+    - `ax`: where to draw; by default, on a new figure of 2.2 inches for each column by 3 inches.
+
+    **Returns** the axes.
+    """
+    graph, failures = modes_of(system), failures_by_name(system)
+    places = places_of(graph)
+    columns = 1 + max(column for column, _ in places.values())
+    rows = max(row for _, row in places.values())
+    ax = axes_for(ax, 2.2 * columns, 3.0 + 0.8 * rows)
+    ax.set(xlim=(-0.5, columns - 0.5), ylim=(-0.8, rows + 0.6))
+    ax.axis("off")
+    ax.set_title(f"modes of {system.label()}", loc="left", fontweight="bold")
+    boxes = {name: ax.text(*place, name, ha="center", va="center", bbox=BOX, color=INK)
+             for name, place in places.items()}  # fmt: skip
+    figure_of(ax).draw_without_rendering()  # for the sizes of the boxes
+    for name, mode in graph.items():
+        ends = sorted({guard.leads_to for guard in mode.guards} & failures.keys())
+        conditions = sorted({one.leads_to for one in mode.conditions} - {*ends})
+        below = "\n".join(one.lower().replace("_", " ") for one in (*ends, *conditions))
+        column, row = places[name]
+        ax.annotate(
+            below, (column, row), (0, -18), textcoords="offset points",
+            ha="center", va="top", fontsize=SMALL, color="#606060",
+        )  # fmt: skip
+    way = way_of(found)
+    for name, to in sorted(edges_of(graph)):
+        draw_edge(ax, boxes[name], boxes[to], places[name], places[to], (name, to) in way)
+    return ax
+
+
+def edges_of(graph: dict) -> set[tuple[str, str]]:
+    """Return the pairs of names that a guard connects, failures excepted."""
+    known = {*graph, SECTION}
+    return {
+        (name, guard.leads_to)
+        for name, mode in graph.items()
+        for guard in mode.guards
+        if guard.leads_to in known
+    }
+
+
+def places_of(graph: dict) -> dict[str, tuple[int, int]]:
+    """Return the column and the row of each mode and of the section.
+
+    A column is that after the last mode that leads ahead to it; rows are counted upwards.
+    """
+    order, edges = [*in_order(graph), SECTION], edges_of(graph)
+    columns: dict[str, int] = {}
+    for i, name in enumerate(order):
+        before = [columns[one] for one, to in edges if to == name and one in order[:i]]
+        columns[name] = 1 + max(before, default=-1)
+    columns[SECTION] = 1 + max(columns[name] for name in graph)
+    places: dict[str, tuple[int, int]] = {}
+    for name, column in columns.items():
+        places[name] = column, sum(at == column for at, _ in places.values())
+    return places
+
+
+def way_of(found: Explanation | None) -> set[tuple[str, str]]:
+    """Return the edges that an explained stride has passed."""
+    if found is None:
+        return set()
+    return {(mode.name, mode.led_to.removesuffix(" at once")) for mode in found.modes}
+
+
+def draw_edge(
+    ax: Axes, start: Text, end: Text, place: tuple[int, int], onto: tuple[int, int], passed: bool
+) -> None:
+    """Draw an arrow from a mode's box to another one, bent where others stand in between."""
+    ahead, straight = onto[0] - place[0], onto[1] == place[1]
+    bend = 0.0 if ahead == 1 or not straight else -0.35 if ahead > 0 else -0.5
+    ax.add_patch(
+        FancyArrowPatch(
+            place, onto, patchA=start.get_bbox_patch(), patchB=end.get_bbox_patch(),
+            connectionstyle=f"arc3,rad={bend}", arrowstyle="-|>", mutation_scale=14,
+            color=PASSED if passed else INK, lw=2.4 if passed else 0.8, zorder=0,
+        )
+    )  # fmt: skip
