@@ -76,6 +76,7 @@ def test_the_answer_and_the_picture_name_attractors(data):
     assert any(one.startswith("attractor 0 / attractor 1") for one in words)
 
 
+@pytest.mark.filterwarnings("ignore::walker_jax.checks.NoKernelWarning")  # of complex numbers
 def test_three_attractors_and_a_failure_are_four_regions():
     """z -> the Newton step for z^3 = 1, which is not feasible near the origin."""
 
