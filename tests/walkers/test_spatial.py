@@ -243,6 +243,16 @@ def test_jacobians_agree_with_extrapolated_differences(gait):
 
 
 @pytest.mark.slow
+def test_a_disc_does_not_scuff_where_it_strikes():
+    """There its height is zero by definition, with the error of the time as a rest."""
+    region = WALKER.gait_region()
+    starts = region.points_at(np.random.default_rng(11).uniform(0, 1, (1500, len(region.shape))))
+    rough, fine = (wj.strides(WALKER, starts, tolerance=one).outcome for one in (1e-6, 1e-12))
+    differ = rough != fine
+    margins = wj.margins_of_many(WALKER, starts[differ]).scuffing
+    assert differ.sum() <= 2 and (np.abs(margins) < 1e-4).all()
+
+
 def test_a_push_from_the_side_topples_it(gait):
     """A stronger one lifts it off the slope; to the other side, the old foot would not lift."""
     pushes = np.array([-1.5, -2.0, 2.0])

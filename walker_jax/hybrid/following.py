@@ -143,7 +143,8 @@ def begin_following(
     first, values = before_first_step(mode, method, start)
     violated = {one.leads_to: jnp.asarray(False) for one in mode.conditions}
     for condition, value in zip(mode.conditions, values, strict=True):
-        violated[condition.leads_to] |= going & (value < 0)
+        if not condition.zero_at_ends[0]:
+            violated[condition.leads_to] |= going & (value < 0)
     return mode, Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
 
 
@@ -230,13 +231,15 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
         number = jnp.where(jnp.isnan(until), NO_GUARD, number)
         last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))
     for condition, (rate, _) in zip(watched(mode), last.rates, strict=True):
-        key = condition.leads_to
+        key, ends = condition.leads_to, number == len(mode.guards) - 1
         if misses is not None:
-            below = (misses.least[key] < 0) | condition.is_negative(arrival)
+            least, at_end = misses.least[key], value_at(condition.value, arrival)
         else:
-            least = find_least(condition, seen, below=rate, sign_alone=True)
-            below = (least.value < 0) | (least.at_end < 0)
-        violated[key] |= below
+            found = find_least(condition, seen, below=rate, sign_alone=True)
+            least, at_end = found.value, found.at_end
+        if condition.zero_at_ends[1]:  # to rounding, or to the error of the time
+            at_end = jnp.where(ends, 0, at_end)
+        violated[key] |= (least < 0) | (at_end < 0)
     time = last.time + until
     return Unfinished(last, arrival, time, number, now.count, violated, misses), seen
 

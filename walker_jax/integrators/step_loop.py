@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import diffrax
-import jax
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, PyTree
 
@@ -32,7 +32,7 @@ def make_steps(
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
         # diffrax asks for the types of a step's results several times; so it is traced once.
-        OneByOne(jax.jit(step), goes_on),
+        OneByOne(eqx.filter_closure_convert(step, last), goes_on),
         made.astype(float),
         float(most),
         None,

@@ -13,6 +13,7 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeGuard, TypeVar
 
 import jax
@@ -171,12 +172,13 @@ class Walker(HybridSystem):
         # An inverted pendulum that stops goes back, and its leg moves one way until then.
         persist = self.inverted_pendulum and type(self).falls is Walker.falls
         falls = fall_guards(self, persist=persist)
-        lifts = Condition(lambda state: self.impact(state)[0][1], Outcome.STOPPED.name)
+        impact = remembered(self.impact)
+        lifts = Condition(lambda state: impact(state)[0][1], Outcome.STOPPED.name)
         strike = Guard(
             self.contact,
             SECTION,
             (self.is_ahead,),
-            reset=lambda state: self.exchange_legs(self.impact(state)[1]),
+            reset=lambda state: self.exchange_legs(impact(state)[1]),
             must_hold=(lifts,),
             persists=self.foot_stays_down,
         )
@@ -306,6 +308,21 @@ class Walker(HybridSystem):
         return state._replace(
             theta=theta - phi, phi=-phi, thetadot=thetadot - phidot, phidot=-phidot
         )
+
+
+def remembered(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a function that keeps its last result, for a second call with the same state.
+
+    So what follows from an impact is traced once.
+    """
+    known: list[Any] = [None, None]
+
+    def ask(state):
+        if known[0] is not state:
+            known[:] = state, function(state)
+        return known[1]
+
+    return ask
 
 
 def check_planar(walker: Any) -> Walker:
