@@ -465,7 +465,7 @@ def test_derivatives_are_by_names_of_parameters_in_any_order(monkeypatch):
     """Of a margin that is made up: slope x_0 + stiffness^2 x_1."""
     margin = lambda walker, x, _: walker.slope * x[0] + walker.stiffness**2 * x[1]
     for name, made_up in {
-        "walk_on": lambda walker, x, *_: SimpleNamespace(state=x),
+        "scan_strides": lambda step, x, *_: (SimpleNamespace(state=x), None),
         "follow_margins": margin,
         "failure_margin": lambda value: value,
     }.items():

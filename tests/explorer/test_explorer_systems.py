@@ -95,8 +95,8 @@ def subject(offered, **asked):
 def test_the_page_knows_every_system_of_two_coordinates():
     assert {*OTHERS} == {
         *("henon", "duffing", "bouncing-ball", "impact-oscillator"),
-        *("torso-wheel", "five-link-biped"),
-    }  # the compass needs a slope, the runner has one coordinate
+        *("spring-mass-biped", "torso-wheel", "five-link-biped"),
+    }  # the compass needs a slope, others have one coordinate
     told = describe_family(OTHERS)
     assert json.dumps(told, allow_nan=False)
     for name, shown in told["walkers"].items():

@@ -117,7 +117,7 @@ def test_modes_are_in_an_order_in_which_edges_point_ahead():
         assert in_order(modes) == names and entered_again(modes) == []
 
 
-def test_modes_are_followed_in_one_order_whatever_hashes_names_have():
+def test_modes_have_one_order_whatever_hashes_names_have():
     """Sets of names have another order in each process, and traces are kept for the next one."""
 
     def trace(prefix):
@@ -157,7 +157,7 @@ def waits(y):
 
 
 @pytest.mark.parametrize("ends", [(wj.SECTION,), (wj.SECTION, "move")], ids=["once", "again"])
-def test_resets_into_one_mode_that_return_different_states_are_refused(ends):
+def test_resets_to_different_states_of_one_mode_are_refused(ends):
     others = (
         lambda y: y,
         lambda y: Moving(y.place[None], y.time),
@@ -197,7 +197,7 @@ def test_a_mode_may_have_states_of_its_own():
 
 
 @pytest.mark.parametrize("measure", [wj.margins, wj.phase_times])
-def test_what_has_no_meaning_where_modes_are_entered_again_is_refused(measure):
+def test_what_modes_entered_again_do_not_have_is_refused(measure):
     system = fork(lambda y: y, lambda y: y, "move", wj.SECTION)
     said = "of Made cannot be had: its mode 'move' can be entered again"
     with pytest.raises(ValueError, match=said):

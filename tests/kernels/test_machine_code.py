@@ -15,6 +15,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel, machine, machine_code, object_cache
 from walker_jax.kernels.compiled import Compiled, source_of
 from walker_jax.kernels.machine_code import MANY_CELLS, MachineCode
+from walker_jax.kernels.unused import without_unused
 from walker_jax.walking.stride import follow_stride
 
 TRIPLE = llvm.get_process_triple()
@@ -202,7 +203,7 @@ def test_both_levels_compute_the_same_bits(folder, all_are_long, name):
 def test_both_levels_fuse_the_same_products_with_sums(name):
     """On processors without fused operations, with them, and with long vectors."""
     walker, x = WALKERS["simplest"], np.zeros(2)
-    closed = jax.make_jaxpr(lambda x: change_of_stride(walker, x, x))(x)
+    closed = without_unused(jax.make_jaxpr(lambda x: change_of_stride(walker, x, x))(x))
     *_, source = source_of(closed, machine.bits_of(name, ""))
     counts = []
     for level in (machine.QUICK, machine.OPTIMISED):
@@ -214,10 +215,11 @@ def test_both_levels_fuse_the_same_products_with_sums(name):
         ]
         fused = sum(one.startswith(("vfm", "vfnm")) for one in names)
         counts.append((fused, Counter(one for one in names if one in ARITHMETIC)))
-    assert counts[0][0] == counts[1][0]
-    # The optimiser drops the few that two blocks compute alike.
-    for name_of_one, quick in counts[0][1].items():
-        assert 0.99 * quick <= counts[1][1][name_of_one] <= quick
+    # The optimiser drops what two blocks compute alike, fused operations and others alike.
+    (quick_fused, quick), (fused, optimised) = counts
+    left = [fused / quick_fused] if quick_fused else []
+    left += [optimised[one] / number for one, number in quick.items() if number > 100]
+    assert 0.94 < min(left) and max(left) <= 1 and max(left) - min(left) < 0.03
     assert sum(counts[0][1].values()) > 1000 and (counts[0][0] > 1000) == (name != "x86-64")
 
 

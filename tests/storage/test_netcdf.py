@@ -14,7 +14,8 @@ from walker_jax.systems.outcomes import failures_of, join_names, names_in
 RETURNING = [
     name
     for name in wj.__all__
-    if "Dataset" in str(inspect.signature(getattr(wj, name)).return_annotation)
+    if callable(getattr(wj, name))
+    and "Dataset" in str(inspect.signature(getattr(wj, name)).return_annotation)
 ]
 """Public functions that return a data set."""
 

@@ -4,10 +4,17 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from walker_jax.checks import WrongUse
-from walker_jax.walkers.phase import check_real, is_of_package
+from walker_jax.walkers.phase import State, check_real, is_of_package
+
+SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
+"""A point of the section at which impacts are tried; any point without symmetry would do."""
+MAX_LANDING_ERROR = 1e-4
+"""Largest distance from the section, relative to the largest coordinate, due to rounding."""
 
 
 def named(state: Any) -> str:
@@ -52,3 +59,43 @@ def check_motion(walker: Any, state: Any) -> None:
             )
     if not is_of_package(kind, "is_ahead"):
         check_real(f"is_ahead of {kind.__name__}", jax.eval_shape(walker.is_ahead, state))
+
+
+def check_lands_on_section(walker: Any) -> None:
+    """Raise `WrongUse` for a user's own walker whose impact leaves the section.
+
+    `project` would hide that. With two coordinates the projection drops phidot, so a user's own
+    masses matter too. phi is not checked: the user may choose which of several legs, or spokes, is
+    the next swing leg.
+    """
+    methods = ("impact", "exchange_legs", "project", "lift")
+    methods += ("system", "swing_foot") if len(walker.section) == 2 else ()
+    if all(is_of_package(type(walker), method) for method in methods):
+        return
+    if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(walker)):
+        return
+    arrival, after, on_section = landing(walker)
+    if isinstance(after.theta, Tracer):  # of a walker made in a function that JAX transforms
+        return
+    size = max(abs(float(value)) for value in after)
+    for name in ("theta", "thetadot", "phidot"):
+        error = float(getattr(after, name) - getattr(on_section, name))
+        if abs(error) > MAX_LANDING_ERROR * size:
+            raise WrongUse(
+                f"impact of {type(walker).__name__} must lead to its section: {name} is "
+                f"{error:.3g} off it after a heel strike at theta = {float(arrival.theta):.3g}"
+            )
+
+
+@jax.jit
+def landing(walker: Any) -> tuple[State, State, State]:
+    """Return a heel strike, the state after it, legs exchanged, and its place on the section."""
+    to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
+    walker = jax.tree.map(to_array, walker)
+    start = walker.lift(
+        jnp.stack([to_array(SAMPLE_POINT.get(name, 0.1)) for name in walker.section])
+    )
+    check_full_state(type(walker), start)
+    arrival = start._replace(theta=-start.theta, phi=-2 * start.theta)
+    after = walker.exchange_legs(walker.impact(arrival)[1])
+    return arrival, after, walker.lift(walker.project(after))

@@ -13,13 +13,11 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
-from collections.abc import Callable
 from typing import Any, ClassVar, TypeGuard, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
@@ -32,7 +30,7 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.full_states import check_full_state, check_motion
+from walker_jax.walkers.full_states import check_lands_on_section, check_motion
 from walker_jax.walkers.phase import (
     Conditions,
     Phase,
@@ -172,13 +170,12 @@ class Walker(HybridSystem):
         # An inverted pendulum that stops goes back, and its leg moves one way until then.
         persist = self.inverted_pendulum and type(self).falls is Walker.falls
         falls = fall_guards(self, persist=persist)
-        impact = remembered(self.impact)
-        lifts = Condition(lambda state: impact(state)[0][1], Outcome.STOPPED.name)
+        lifts = Condition(lambda state: self.impact(state)[0][1], Outcome.STOPPED.name)
         strike = Guard(
             self.contact,
             SECTION,
             (self.is_ahead,),
-            reset=lambda state: self.exchange_legs(impact(state)[1]),
+            reset=lambda state: self.exchange_legs(self.impact(state)[1]),
             must_hold=(lifts,),
             persists=self.foot_stays_down,
         )
@@ -310,33 +307,12 @@ class Walker(HybridSystem):
         )
 
 
-def remembered(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a function that keeps its last result, for a second call with the same state.
-
-    So what follows from an impact is traced once.
-    """
-    known: list[Any] = [None, None]
-
-    def ask(state):
-        if known[0] is not state:
-            known[:] = state, function(state)
-        return known[1]
-
-    return ask
-
-
 def check_planar(walker: Any) -> Walker:
     """Raise `WrongUse` for walkers in space, where the theory holds in the plane only."""
     check_kind("walker", walker, Walker)
     if not is_planar(walker):
         raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
     return walker
-
-
-SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
-"""A point of the section at which impacts are tried; any point without symmetry would do."""
-MAX_LANDING_ERROR = 1e-4
-"""Largest distance from the section, relative to the largest coordinate, due to rounding."""
 
 
 WalkerKind = TypeVar("WalkerKind", bound=Walker)
@@ -367,46 +343,6 @@ def moves_like(walker: System, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
     methods = {method for methods in PREMISES.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
     return isinstance(walker, kind) and all(map(same, methods))
-
-
-def check_lands_on_section(walker: Walker) -> None:
-    """Raise `WrongUse` for a user's own walker whose impact leaves the section.
-
-    `project` would hide that. With two coordinates the projection drops phidot, so a user's own
-    masses matter too. phi is not checked: the user may choose which of several legs, or spokes, is
-    the next swing leg.
-    """
-    methods = ("impact", "exchange_legs", "project", "lift")
-    methods += ("system", "swing_foot") if len(walker.section) == 2 else ()
-    if all(is_of_package(type(walker), method) for method in methods):
-        return
-    if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(walker)):
-        return
-    arrival, after, on_section = landing(walker)
-    if isinstance(after.theta, Tracer):  # of a walker made in a function that JAX transforms
-        return
-    size = max(abs(float(value)) for value in after)
-    for name in ("theta", "thetadot", "phidot"):
-        error = float(getattr(after, name) - getattr(on_section, name))
-        if abs(error) > MAX_LANDING_ERROR * size:
-            raise WrongUse(
-                f"impact of {type(walker).__name__} must lead to its section: {name} is "
-                f"{error:.3g} off it after a heel strike at theta = {float(arrival.theta):.3g}"
-            )
-
-
-@jax.jit
-def landing(walker: Walker) -> tuple[State, State, State]:
-    """Return a heel strike, the state after it, legs exchanged, and its place on the section."""
-    to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
-    walker = jax.tree.map(to_array, walker)
-    start = walker.lift(
-        jnp.stack([to_array(SAMPLE_POINT.get(name, 0.1)) for name in walker.section])
-    )
-    check_full_state(type(walker), start)
-    arrival = start._replace(theta=-start.theta, phi=-2 * start.theta)
-    after = walker.exchange_legs(walker.impact(arrival)[1])
-    return arrival, after, walker.lift(walker.project(after))
 
 
 def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:
