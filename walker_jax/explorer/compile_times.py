@@ -18,7 +18,7 @@ SECONDS = {
     "duffing": 3,
     "bouncing-ball": 1,
     "impact-oscillator": 2,
-    "spring-mass-biped": 9,
+    "spring-biped": 9,
     "torso-wheel": 10,
     "five-link-biped": 20,
 }

@@ -15,19 +15,17 @@ BOX = {"boxstyle": "round,pad=0.5", "fc": "#f2f2f2", "ec": INK}
 PASSED = "#0d2c5e"
 
 
-def modes(
-    system: HybridSystem, found: Explanation | None = None, ax: Axes | None = None
-) -> DrawnAxes:
+def modes(system: HybridSystem, found: Explanation | None = None) -> DrawnAxes:
     """Draw the modes of a system, and the guards that lead from one to another or to the section.
 
     Modes stand in columns, in the order in which a stride may pass them; the failures to which a
-    mode may lead are listed below it. Guards that lead back are drawn below the modes.
+    mode may lead are listed below it. Guards that lead back are drawn below the modes. The figure
+    is of 2.2 inches for each column by 3 inches.
 
     **Arguments:**
 
     - `system`: any hybrid system.
     - `found`: a stride of it, from `walker_jax.explain`, whose way is drawn thick.
-    - `ax`: where to draw; by default, on a new figure of 2.2 inches for each column by 3 inches.
 
     **Returns** the axes.
     """
@@ -35,7 +33,7 @@ def modes(
     places = places_of(graph)
     columns = 1 + max(column for column, _ in places.values())
     rows = max(row for _, row in places.values())
-    ax = axes_for(ax, 2.2 * columns, 3.0 + 0.8 * rows)
+    ax = axes_for(None, 2.2 * columns, 3.0 + 0.8 * rows)
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(-0.8, rows + 0.6))
     ax.axis("off")
     ax.set_title(f"modes of {system.label()}", loc="left", fontweight="bold")

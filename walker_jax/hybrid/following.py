@@ -213,9 +213,8 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     ends = zip(last.sides, last.ends, along(mode, series, whole=True), strict=True)
     for side, end, (value, admits) in ends:
         below = is_below(side, value)
-        ends_below = jnp.where(last.length == 0, below, end < 0)
-        may = may_rise(value, admits, last.length, below, ends_below)
-        crossings.append(Crossing(value, admits, below, ends_below, may))
+        may = may_rise(value, admits, last.length, below, end < 0)
+        crossings.append(Crossing(value, admits, below, end < 0, may))
     number, when = first_rise(crossings, last.length)
     until = jnp.minimum(when, last.length)
     event = partial(value_of_guard, mode, number)

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, PyTree
 
@@ -81,7 +82,7 @@ class OneByOne(diffrax.AbstractSolver):
         return terms.vf(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        step = self.make(solver_state)
+        step = jax.tree.map(jnp.asarray, self.make(solver_state))
         going = self.goes_on(step).astype(y0.dtype)
         return going, None, {}, step, diffrax.RESULTS.successful
 

@@ -18,7 +18,7 @@ SYSTEMS: dict[str, type[System]] = {
     "bouncing-ball": BouncingBall,
     "impact-oscillator": ImpactOscillator,
     "runner": SpringMassRunner,
-    "spring-mass-biped": SpringMassBiped,
+    "spring-biped": SpringMassBiped,
     "stick-slip": StickSlip,
     "torso-wheel": TorsoWheel,
     "switched-compass": SwitchedCompass,
