@@ -120,7 +120,8 @@ class Explanation(NamedTuple):
             risen = {f"{rise.guard} ({rise.leads_to})" for rise in mode.rises}
             for name, value in mode.greatest.items():
                 if name not in risen:
-                    lines.append(f"  guard {name} did not rise: {value:.6g} at most")
+                    since = " from below zero" if value > 0 else ""
+                    lines.append(f"  guard {name} did not rise{since}: {value:.6g} at most")
             asked = [(name, value, value >= 0) for name, value in mode.least.items()]
             asked += [(name, value, value > 0) for name, value in mode.held.items()]
             for name, value, holds in asked:
