@@ -111,6 +111,18 @@ FIXED_POINTS = [
 ]
 
 
+class OneVariable(wj.HybridSystem):
+    """A variable, beside time."""
+
+    section = ("y",)
+
+    def lift(self, x):
+        return Flow(x[0], 0 * x[0])
+
+    def project(self, state):
+        return state.y[None]
+
+
 @pytest.mark.parametrize(("rates", "near", "span"), FIXED_POINTS)
 def test_multipliers_of_fixed_points_of_flows(rates, near, span):
     """At an equilibrium the solution is constant, and its derivative is exp(T f')."""
@@ -149,15 +161,8 @@ def test_derivatives_that_feel_what_the_solution_does_not():
 def test_derivatives_by_a_gain_that_is_zero_before_its_switch():
     """y' = g (1 + tanh((t - 5) / w)) / 2 with g = 0: dy/dg is 0 until t = 5, and then t - 5."""
 
-    class Switched(wj.HybridSystem):
+    class Switched(OneVariable):
         gain: Any = 0.0
-        section = ("y",)
-
-        def lift(self, x):
-            return Flow(x[0], 0 * x[0])
-
-        def project(self, state):
-            return state.y[None]
 
         def modes(self):
             switch = lambda t: (1 + jnp.tanh((t - 5) / 1e-2)) / 2
@@ -171,15 +176,8 @@ def test_derivatives_by_a_gain_that_is_zero_before_its_switch():
 def test_derivatives_by_parameters_and_of_second_order_at_rest():
     """y' = -60 (y - a^2) from y = a^2: dy/da = 2 a (1 - e^-60), of second order 2 (1 - e^-60)."""
 
-    class Relaxation(wj.HybridSystem):
+    class Relaxation(OneVariable):
         a: Any = 3.0
-        section = ("y",)
-
-        def lift(self, x):
-            return Flow(x[0], 0 * x[0])
-
-        def project(self, state):
-            return state.y[None]
 
         def modes(self):
             field = lambda s: Flow(-60 * (s.y - self.a**2), 1 + 0 * s.t)
@@ -303,15 +301,7 @@ def test_a_torque_that_is_switched_smoothly():
 def test_a_guard_with_a_sharp_feature():
     """The guard tanh((t - 3) / w) + 1/2 is -1/2 from the start to just before it rises."""
 
-    class Alarm(wj.HybridSystem):
-        section = ("y",)
-
-        def lift(self, x):
-            return Flow(x[0], 0 * x[0])
-
-        def project(self, state):
-            return state.y[None]
-
+    class Alarm(OneVariable):
         def modes(self):
             field = lambda s: Flow(-jnp.sin(s.y), 1 + 0 * s.t)
             guard = wj.Guard(lambda s: jnp.tanh((s.t - 3) / 1e-3) + 0.5, wj.SECTION)

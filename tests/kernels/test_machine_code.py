@@ -15,7 +15,6 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel, machine, machine_code, object_cache
 from walker_jax.kernels.compiled import Compiled, source_of
 from walker_jax.kernels.machine_code import MANY_CELLS, MachineCode
-from walker_jax.kernels.unused import without_unused
 from walker_jax.walking.stride import follow_stride
 
 TRIPLE = llvm.get_process_triple()
@@ -201,9 +200,14 @@ def test_both_levels_compute_the_same_bits(folder, all_are_long, name):
 @needs_x86
 @pytest.mark.parametrize("name", ["x86-64", "haswell", "skylake-avx512"])
 def test_both_levels_fuse_the_same_products_with_sums(name):
-    """On processors without fused operations, with them, and with long vectors."""
-    walker, x = WALKERS["simplest"], np.zeros(2)
-    closed = without_unused(jax.make_jaxpr(lambda x: change_of_stride(walker, x, x))(x))
+    """On processors without fused operations, with them, and with long vectors.
+
+    The stride is the function itself: once a kernel's unused equations are dropped, the optimiser
+    finds whole blocks that compute alike.
+    """
+    integrator = Integrator(1e-12)
+    stride = lambda x: follow_stride.__wrapped__(WALKERS["simplest"], x, integrator).state
+    closed = jax.make_jaxpr(lambda x: jax.jvp(stride, (x,), (x,)))(np.zeros(2))
     *_, source = source_of(closed, machine.bits_of(name, ""))
     counts = []
     for level in (machine.QUICK, machine.OPTIMISED):
@@ -215,11 +219,11 @@ def test_both_levels_fuse_the_same_products_with_sums(name):
         ]
         fused = sum(one.startswith(("vfm", "vfnm")) for one in names)
         counts.append((fused, Counter(one for one in names if one in ARITHMETIC)))
-    # The optimiser drops what two blocks compute alike, fused operations and others alike.
-    (quick_fused, quick), (fused, optimised) = counts
-    left = [fused / quick_fused] if quick_fused else []
-    left += [optimised[one] / number for one, number in quick.items() if number > 100]
-    assert 0.94 < min(left) and max(left) <= 1 and max(left) - min(left) < 0.03
+    assert counts[0][0] == counts[1][0]
+    # The optimiser drops the few that two blocks compute alike, and sums that nothing needs.
+    for name_of_one, quick in counts[0][1].items():
+        least = 0.6 if name_of_one.endswith("addpd") else 0.99
+        assert least * quick <= counts[1][1][name_of_one] <= quick
     assert sum(counts[0][1].values()) > 1000 and (counts[0][0] > 1000) == (name != "x86-64")
 
 

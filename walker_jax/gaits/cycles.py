@@ -13,13 +13,13 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.gait_tables import gait_table
 from walker_jax.gaits.implicit_roots import find_root
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.kernels.primitive import vary_together
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
-from walker_jax.systems.html_tables import gait_table
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import parameter_directions

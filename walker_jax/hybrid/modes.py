@@ -76,8 +76,8 @@ class Guard(NamedTuple):
     stays above zero to the end of any step; and it turns from falling to rising at most once in a
     step. The two ends of a step then tell whether it has risen within."""
     at_once: bool = False
-    """Whether a mode that begins where the value is not negative ends there, by a failure; one that
-    follows another mode does not if the value is zero, to rounding, and falls."""
+    """Whether a mode that begins where the value is not negative ends there, by a failure or on the
+    section; one that follows another mode does not if the value is zero, to rounding, and falls."""
     measure: Callable[[Scalar], Scalar] = jnp.negative
     """The margin of a value below zero; by default its size."""
 
@@ -104,7 +104,8 @@ class Mode(NamedTuple):
     field: VectorField
     """The time derivative of the state, or a `PowerBalance`."""
     guards: tuple[Guard, ...]
-    """The earliest rise ends the mode; of rises at the same time, the first guard's counts."""
+    """The earliest rise ends the mode; of rises at the same time, the first guard's counts. The
+    last guard is the intended end: margins measure by how little it rose, or missed."""
     conditions: tuple[Condition, ...] = ()
     foregone: Foregone | None = None
     rates_at: Callable[[Any], Any] | None = None

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from walker_jax.checks import is_traced
-
 
 def html_table(caption: str, head: Iterable[Any], rows: Iterable[Iterable[Any]]) -> str:
     """Return a table in HTML; its words are escaped."""
@@ -19,18 +17,6 @@ def html_table(caption: str, head: Iterable[Any], rows: Iterable[Iterable[Any]])
     )
     body = "".join(line("td", row) for row in rows)
     return f"<table><caption>{escape(caption)}</caption>{line('th', head)}{body}</table>"
-
-
-def gait_table(gait: Any) -> str | None:
-    """Return a gait's states, step times and multipliers; None for several gaits."""
-    if is_traced(gait) or np.ndim(gait.found):
-        return None
-    kind = ("Stable" if gait.stable else "Unstable") + " gait" if gait.found else "No gait found"
-    columns = zip(gait.states, gait.step_times, strict=True)
-    rows = [(k, list_numbers(state), list_numbers(time)) for k, (state, time) in enumerate(columns)]
-    rows += [("multipliers", list_numbers(gait.multipliers), "")]
-    rows += [] if gait.found else [("residual", list_numbers(gait.residual), "")]
-    return html_table(f"{kind}, period {len(gait.states)}", ("stride", "state", "time"), rows)
 
 
 def list_numbers(values: Any) -> str:
