@@ -109,12 +109,12 @@ def follow_mode(
         return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
     def follow(now: Unfinished) -> Unfinished:
-        take = measured_step if measured else partial(next_step, violated=now.violated)
+        if measured:
+            return follow_measured(mode, method, now)[0]
+        step = partial(next_step, mode, method, violated=now.violated)
         quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
         # In a batch, lanes that have ended wait here for the others.
-        last, count = make_steps(
-            partial(take, mode, method), now.last, quiet, going, now.count, mode.most_steps
-        )
+        last, count = make_steps(step, now.last, quiet, going, now.count, mode.most_steps)
         return search_step(mode, method, now._replace(last=last, count=count))[0]
 
     last = lax.while_loop(unfinished, follow, begun)
@@ -143,7 +143,7 @@ def begin_following(
     first, values = before_first_step(mode, method, start)
     violated = {one.leads_to: jnp.asarray(False) for one in mode.conditions}
     for condition, value in zip(mode.conditions, values, strict=True):
-        if not condition.zero_at_ends[0]:
+        if not condition.zero_at_start:
             violated[condition.leads_to] |= going & (value < 0)
     return mode, Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
 
@@ -230,14 +230,15 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
         number = jnp.where(jnp.isnan(until), NO_GUARD, number)
         last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))
     for condition, (rate, _) in zip(watched(mode), last.rates, strict=True):
-        key, ends = condition.leads_to, number == len(mode.guards) - 1
+        key = condition.leads_to
         if misses is not None:
             least, at_end = misses.least[key], value_at(condition.value, arrival)
         else:
             found = find_least(condition, seen, below=rate, sign_alone=True)
             least, at_end = found.value, found.at_end
-        if condition.zero_at_ends[1]:  # to rounding, or to the error of the time
-            at_end = jnp.where(ends, 0, at_end)
+        for i, guard in enumerate(mode.guards):
+            if key in guard.makes_zero:  # to rounding, or to the error of the time
+                at_end = jnp.where(number == i, 0, at_end)
         violated[key] |= (least < 0) | (at_end < 0)
     time = last.time + until
     return Unfinished(last, arrival, time, number, now.count, violated, misses), seen

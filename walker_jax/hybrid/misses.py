@@ -9,6 +9,7 @@ in a series but evaluated where steps end, with its rate. A step has a minimum w
 is negative at its start and positive at its end.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -39,22 +40,24 @@ find its value. The error of a value is about the square of it."""
 
 
 class Misses(NamedTuple):
-    """Misses within a mode. Its start and its end, where values do not turn, do not count."""
+    """Misses within a mode. Its start and its end, where values do not turn, do not count.
+
+    Lists have an entry for each guard.
+    """
 
     nearest: list[Scalar]
-    """The greatest miss of each guard, all negative: its value, or minus its value, where it turned
-    or rose most slowly; or the least function that did not admit it. Minus infinity if there was
-    none."""
-    depth: Scalar
-    """How far the last guard turned below zero since it last rose, for a guard that is not always
-    admitted; minus infinity if it did not."""
-    height: Scalar
-    """How far the last guard rose, if it fell again within the step in which it ended the mode;
-    infinite otherwise."""
+    """The greatest miss, negative: the value, or minus the value, where it turned or rose most
+    slowly; or the least function that did not admit it. Minus infinity if there was none."""
+    depth: list[Scalar]
+    """How far a guard turned below zero since it last rose, if it is not always admitted; minus
+    infinity if it did not."""
+    height: list[Scalar]
+    """How far a guard rose, if it fell again within the step in which the mode ended; infinite
+    otherwise."""
     least: dict[str, Scalar]
     """The least value of each condition where it turned, by its failure; infinite if it did not."""
-    before: dict[str, Scalar]
-    """The greatest miss of the last guard up to the step in which each condition was violated."""
+    before: dict[str, list[Scalar]]
+    """The greatest misses up to the step in which each condition was violated."""
 
 
 class Seen(NamedTuple):
@@ -75,8 +78,8 @@ class Seen(NamedTuple):
 def no_misses(mode: Mode, start: Any) -> Misses:
     infinite = zero_at(start) + jnp.inf
     least = {one.leads_to: infinite for one in mode.conditions}
-    before = {one.leads_to: -infinite for one in mode.conditions}
-    return Misses([-infinite for _ in mode.guards], -infinite, infinite, least, before)
+    none = [-infinite] * len(mode.guards)
+    return Misses(none, none, [infinite] * len(none), least, dict.fromkeys(least, none))
 
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
@@ -88,10 +91,13 @@ def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
         key = one.leads_to
         if not one.least_at_ends:
             least[key] = jnp.minimum(least[key], least_in_step(one, step))
-        before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])
-    depth = jnp.maximum(known.depth, found[-1].depth)
-    depth = jnp.where(found[-1].rises & (step.until == step.length), -jnp.inf, depth)
-    height = jnp.minimum(known.height, found[-1].height)
+        choose = partial(jnp.where, step.violated[key])
+        before[key] = list(map(choose, known.before[key], nearest))
+    goes_on, depth = step.until == step.length, []
+    for one, deep in zip(found, known.depth, strict=True):
+        deepest = jnp.maximum(deep, one.depth)
+        depth.append(jnp.where(one.rises & goes_on, -jnp.inf, deepest))
+    height = list(map(jnp.minimum, known.height, [one.height for one in found]))
     return Misses(nearest, depth, height, least, before)
 
 

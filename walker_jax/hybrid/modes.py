@@ -39,10 +39,9 @@ class Condition(NamedTuple):
     at_start: bool = False
     """Whether a stride that begins where it is negative is over at once."""
     least_at_ends: bool = False
-    """Whether a proof shows that it is least at the start or at the end of a mode."""
-    zero_at_ends: tuple[bool, bool] = (False, False)
-    """Whether it is zero by definition as the mode starts, and where its last guard rises. Its
-    margin then counts values elsewhere."""
+    """Whether it is known to be least at the start or at the end of a mode."""
+    zero_at_start: bool = False
+    """Whether it is zero by definition as the mode starts, so that its sign there is rounding."""
     and_rate: Any = None
     """Function from a state to its value and its rate along the motion, constant to derivatives;
     set while a mode is followed, unless it is least at ends (`misses.with_rates`)."""
@@ -71,8 +70,11 @@ class Guard(NamedTuple):
     must_hold: tuple[Condition, ...] = ()
     """Functions that must be positive in the state in which the guard has risen, before the reset,
     for the motion to go on: for example the speed at which a foot lifts in an impact."""
+    makes_zero: tuple[str, ...] = ()
+    """Conditions, by their failures, that are zero by definition where the guard rises, so that
+    their sign there is rounding."""
     persists: bool = False
-    """Whether a proof about the field shows two things. A value that has risen where it is admitted
+    """Whether two things are known. A value that has risen where it is admitted
     stays above zero to the end of any step; and it turns from falling to rising at most once in a
     step. The two ends of a step then tell whether it has risen within."""
     at_once: bool = False
@@ -90,7 +92,7 @@ class Guard(NamedTuple):
 
 
 class Foregone(NamedTuple):
-    """A proof that a mode can end in one way only, so that it need not be followed any further."""
+    """A sufficient condition for a mode to end in one way: it need not be followed any further."""
 
     holds: Callable[[Any], Bool[Array, ""]]
     """Whether that is certain in a state; evaluated at the end of each step."""
@@ -104,8 +106,7 @@ class Mode(NamedTuple):
     field: VectorField
     """The time derivative of the state, or a `PowerBalance`."""
     guards: tuple[Guard, ...]
-    """The earliest rise ends the mode; of rises at the same time, the first guard's counts. The
-    last guard is the intended end: margins measure by how little it rose, or missed."""
+    """The earliest rise ends the mode; of rises at the same time, the first guard's counts."""
     conditions: tuple[Condition, ...] = ()
     foregone: Foregone | None = None
     rates_at: Callable[[Any], Any] | None = None

@@ -20,7 +20,6 @@ from walker_jax.walking.disturbed import (
     follow_disturbed_margins,
     follow_disturbed_walk,
 )
-from walker_jax.walking.failure_margins import failure_margin
 from walker_jax.walking.iteration import Targets, distances
 from walker_jax.walking.scan import Walked, scan_strides
 
@@ -153,7 +152,7 @@ def pull_back(
             outcome = found.stride.outcome
             # After a fall walks start again: derivatives of unused values must be finite too.
             state = jnp.where(outcome == Outcome.STRIDE, found.stride.state, start)
-            return found.stride._replace(state=(state, failure_margin(found)))
+            return found.stride._replace(state=(state, found.failed))
 
         begun = start, jnp.zeros((), start.dtype)
         end, margins = scan_strides(step, begun, len(rows), record=lambda made: made.state[1])

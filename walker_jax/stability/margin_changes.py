@@ -13,7 +13,7 @@ from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import with_values
-from walker_jax.walking.failure_margins import failure_margin, follow_margins
+from walker_jax.walking.failure_margins import follow_margins
 from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.stride import follow_stride
 
@@ -64,7 +64,7 @@ def margin_after(shared: tuple, cell: tuple) -> Scalar:
     walker, integrator = shared
     x, count = cell
     end, _ = scan_strides(lambda x, _: follow_stride(walker, x, integrator), x, count)
-    return failure_margin(follow_margins(walker, end.state, integrator))
+    return follow_margins(walker, end.state, integrator).failed
 
 
 def margin_jvp(shared: tuple, cell: tuple) -> Scalar:

@@ -8,7 +8,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
 from walker_jax.grids import Grid
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.hybrid.modes import Mode
+from walker_jax.walkers.model import SWING, Scalar, State, Walker, is_unchanged
 
 
 class AbstractPointFootWalker(Walker):
@@ -84,12 +85,34 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
         return -jnp.sin(swing) * s, jnp.cos(swing) * s
 
 
+def pendulum_modes(
+    walker: AbstractMasslessFootWalker, kind: type, modes: dict[str, Mode]
+) -> dict[str, Mode]:
+    """Return the modes of a walker with what is known of some kind, if it swings like that.
+
+    The stance leg is an inverted pendulum, thetaddot = sin(theta - slope). It moves one way until
+    it stops, and then goes back: falls last. `contact_force` is least at an end of the swing. Where
+    `rises_past_contact` is known, a foot ahead that has come down stays down too, unless the stance
+    leg is in tension, when no stride follows.
+    """
+    if not is_unchanged(walker, kind, *SWING, "past_contact"):
+        return modes
+    swing = modes["swing"]
+    *falls, strike = swing.guards
+    pulls, *others = swing.conditions
+    lasting = [one._replace(persists=True) for one in falls]
+    strike = strike._replace(persists=swing.foregone is not None)
+    conditions = pulls._replace(least_at_ends=True), *others
+    return modes | {"swing": swing._replace(guards=(*lasting, strike), conditions=conditions)}
+
+
 def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool[Array, ""]:
     """Return whether h > 0 rises, with the swing leg ahead and the stance leg in compression.
 
     Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a spring
-    between the legs adds to it, so h goes on rising. Once this ends, by tension or with phi > 0, it
-    is too late to come down again. That last step is an observation (tests), not a theorem.
+    between the legs adds to it, so h goes on rising. This ends by tension, or with phi > 0. In
+    strides from the section it is then too late to come down again. That is tested, not proved, and
+    does not hold for launches.
     """
     theta, phi, thetadot, phidot = state
     rising = (phi > 2 * theta) & (phidot > 2 * thetadot)

@@ -24,7 +24,7 @@ from walker_jax.walkers.masses import (
     rises_ever_faster,
     stance_coordinates,
 )
-from walker_jax.walkers.model import Scalar, State, least_scuff
+from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, least_scuff, shown_by
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.round_foot import HIP_MASS
 
@@ -143,12 +143,14 @@ class KneedWalker(HeavyLegWalker):
     def phases(self):
         return (FreeKnee(self),)
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)
 
+    @shown_by(*STEP)
     def gait_region(self):
         return pendulum_region(self, self.thigh_length + self.shank_length)
 
@@ -227,6 +229,7 @@ class LockedWalker(KneedWalker):
     def phases(self):
         return ()
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 

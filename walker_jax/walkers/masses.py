@@ -24,7 +24,7 @@ from walker_jax.multibody.single_support import (
     stance_coordinates,
 )
 from walker_jax.multibody.single_support import leg as leg
-from walker_jax.walkers.model import Phase, Scalar, State, Walker
+from walker_jax.walkers.model import DRIVE, Phase, Scalar, State, Walker, shown_by
 
 
 class MultibodyMotion(eqx.Module):
@@ -81,6 +81,7 @@ class MultibodyWalker(MultibodyMotion, Walker):
     def contacts(self, q):
         return self.swing_foot(q)
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         """True while there are no generalised forces, and `forces` are those of gravity."""
         system, slope = self.system(), vars(self)["slope"]
@@ -120,8 +121,8 @@ class MultibodyPhase(MultibodyMotion, Phase):
 def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
     """Return whether h > 0 rises ever faster, with the swing leg ahead and the stance leg falling.
 
-    The stance leg must also be in compression. As for the simplest walker, it is then too late to
-    come down again, and the leg falls on. That is an observation (tests), and excludes walkers that
+    The stance leg must also be in compression. In strides from the section it is then too late to
+    come down again, and the leg falls on. That is tested, not proved, and excludes walkers that
     rock on their feet, whose leg may turn.
     """
     (_, _, thetaddot, phiddot, *_), (_, Q_v, *_) = accelerations_and_forces(walker, state)

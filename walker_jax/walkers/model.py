@@ -13,6 +13,8 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
+from collections.abc import Callable
+from functools import wraps
 from typing import Any, ClassVar, TypeGuard, TypeVar
 
 import jax
@@ -38,6 +40,7 @@ from walker_jax.walkers.phase import (
     conditions_of,
     energy_of,
     fall_guards,
+    home_of,
     is_of_package,
     is_planar,
     legs,
@@ -54,31 +57,14 @@ class Walker(HybridSystem):
 
     state: ClassVar[type] = State
     """The `NamedTuple` of full states during the swing, with at least the fields of `State`."""
-    force_least_at_ends: ClassVar[bool] = False
-    """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
-    not check it in between."""
-    foot_stays_down: ClassVar[bool] = False
-    """Whether a foot ahead that has come down stays down, so that no integration step misses it."""
     longest_step: ClassVar[float | None] = None
     """Longest step of the integration, as for a `Mode`."""
     most_steps: ClassVar[int] = 10_000
     """A phase or swing that has not ended after so many integration steps is `UNDECIDED`. A stride
     makes less than a hundred; a walker that rocks on its feet makes all of them."""
-    inverted_pendulum: ClassVar[bool] = False
-    """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
     def __init_subclass__(cls, **kwargs):
-        """Reset known properties of base classes that this class may not have.
-
-        `PREMISES` lists these properties, with the methods from which each was shown. If a class
-        redefines one of these methods and does not restate the property, the default of `Walker`
-        holds.
-        """
         super().__init_subclass__(**kwargs)
-        for name, methods in PREMISES.items():
-            said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
-            if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
-                setattr(cls, name, vars(Walker)[name])
         StoreDescriber(cls)  # keeps its files: one may be edited while its code is in use
 
     def __check_init__(self):
@@ -167,9 +153,6 @@ class Walker(HybridSystem):
         legs, if the trailing foot lifts. Your own walker may change the modes, for example give the
         swing another guard before its last.
         """
-        # An inverted pendulum that stops goes back, and its leg moves one way until then.
-        persist = self.inverted_pendulum and type(self).falls is Walker.falls
-        falls = fall_guards(self, persist=persist)
         lifts = Condition(lambda state: self.impact(state)[0][1], Outcome.STOPPED.name)
         strike = Guard(
             self.contact,
@@ -177,16 +160,14 @@ class Walker(HybridSystem):
             (self.is_ahead,),
             reset=lambda state: self.exchange_legs(self.impact(state)[1]),
             must_hold=(lifts,),
-            persists=self.foot_stays_down,
         )
-        conditions = conditions_of(self, self.force_least_at_ends)
         over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
-        known = type(self).past_contact is not Walker.past_contact
+        known = is_unchanged(self, home_of(type(self), "past_contact"), *SWING)
         foregone = Foregone(over, Outcome.FORWARD.name) if known else None
         swing = Mode(
             self.equations(),
-            (*falls, strike),
-            conditions,
+            (*fall_guards(self), strike),
+            conditions_of(self),
             foregone=foregone,
             rates_at=self.vector_field,
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
@@ -235,8 +216,9 @@ class Walker(HybridSystem):
     def past_contact(self, state: Any) -> Bool[Array, ""]:
         """Return whether h > 0 can only grow from here, so that no heel strike follows.
 
-        It spares a walker that falls from the section the rest of its fall; outcomes must not
-        depend on it. By default that is never known.
+        This sufficient condition spares a walker that falls from the section the rest of its fall;
+        outcomes must not depend on it. By default that is never known. A class that redefines one
+        of the methods in `SWING` and not this one does without.
         """
         return jnp.zeros_like(state.theta, bool)
 
@@ -318,31 +300,46 @@ def check_planar(walker: Any) -> Walker:
 WalkerKind = TypeVar("WalkerKind", bound=Walker)
 GUARD_HOOKS = "contact", "clearance", "is_ahead", "falls", "swing_foot"
 """Methods from which the guards of a swing are made."""
-EQUATIONS_OF_MOTION = ("vector_field", "modes", "system")
-PREMISES = {
-    "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
-    "foot_stays_down": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "is_ahead"),
-    "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": (
-        "vector_field",
-        "modes",
-        "impact",
-        "push_off_impulse",
-        "during_stride",
-        "phases",
-    ),
-    "motor_work": ("vector_field", "modes", "impact", "phases"),
-    "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "falls"),
-    "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
-}
-"""Properties that may be known of a walker, and the methods from which each was shown."""
+EQUATIONS = "vector_field", "equations", "modes", "system"
+SWING = (*EQUATIONS, "contact", "swing_foot", "is_ahead", "falls", "contact_force")
+"""Methods that say how a walker swings, and where that ends."""
+WORK = "vector_field", "modes", "impact", "phases"
+DRIVE = (*WORK, "push_off_impulse", "during_stride")
+"""Methods that may do work."""
+STEP = (*EQUATIONS, "contact", "swing_foot", "impact", "lift", "project")
+"""Methods on which the states of gaits depend most."""
+
+
+def is_unchanged(walker: System, kind: type, *methods: str) -> bool:
+    """Return whether a walker has these methods of some class of walkers."""
+    same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
+    return all(map(same, methods))
+
+
+def shown_by(*methods: str) -> Callable[[Callable], Any]:
+    """Decorate a method that states a fact, shown of its class by some other methods.
+
+    Where a derived class redefines one of these, the base class states the fact.
+    """
+
+    def decorate(fact: Callable) -> Callable:
+        @wraps(fact)
+        def state(walker, *args):
+            bases = type(walker).__mro__
+            kind = next(base for base in reversed(bases) if getattr(base, name, None) is state)
+            if is_unchanged(walker, kind, *methods):
+                return fact(walker, *args)
+            return getattr(super(kind, walker), name)(*args)
+
+        name = fact.__name__
+        return state
+
+    return decorate
 
 
 def moves_like(walker: System, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
-    """Return whether a walker moves as one of some kind does, by the same equations."""
-    methods = {method for methods in PREMISES.values() for method in methods}
-    same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
-    return isinstance(walker, kind) and all(map(same, methods))
+    """Return whether a walker moves as one of some kind does, by the same methods."""
+    return isinstance(walker, kind) and is_unchanged(walker, kind, *SWING, *DRIVE, *STEP)
 
 
 def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:

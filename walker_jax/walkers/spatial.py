@@ -22,7 +22,7 @@ from walker_jax.multibody.space import (
     rotation_about,
 )
 from walker_jax.systems.outcomes import Outcome
-from walker_jax.walkers.model import Scalar, Walker, least_scuff
+from walker_jax.walkers.model import DRIVE, STEP, Scalar, Walker, least_scuff, shown_by
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.rolling_stance import RollingStance, SpatialState, contact_forces
 
@@ -214,6 +214,7 @@ class SpatialWalker(Walker):
         finite = jnp.isfinite(x).all()
         return finite & upright & (phi > LEAST_STEP) & (rising > 0)
 
+    @shown_by(*STEP)
     def gait_region(self):
         """Steps like those of the toy: legs about as far ahead as behind, the swing leg ahead of
         the axle's turn. Rates are in units of a pendulum of the leg's length."""
@@ -244,9 +245,12 @@ class SpatialWalker(Walker):
         if type(self).conditions is not SpatialWalker.conditions:
             return modes
         scuffs = Outcome.SCUFFED.name
-        touches = lambda one: one._replace(zero_at_ends=(one.leads_to == scuffs,) * 2)
         swing = modes["swing"]
-        return {"swing": swing._replace(conditions=tuple(map(touches, swing.conditions)))}
+        *falls, strike = swing.guards
+        guards = *falls, strike._replace(makes_zero=(scuffs,))
+        touches = lambda one: one._replace(zero_at_start=one.leads_to == scuffs)
+        conditions = tuple(map(touches, swing.conditions))
+        return {"swing": swing._replace(guards=guards, conditions=conditions)}
 
     def unit_of_time(self):
         return jnp.sqrt(self.leg_length)
@@ -256,6 +260,7 @@ class SpatialWalker(Walker):
         along, normal = contact_forces(self, state)
         return along, normal
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 

@@ -5,7 +5,7 @@ feet stand at different heights on rough ground.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +18,10 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.courses import Course, Part
+from walker_jax.walking.courses import Part
 from walker_jax.walking.failure_margins import (
     Margins,
     guards_of,
-    lesser_known,
     measure_stride,
     strike_margin,
 )
@@ -93,28 +92,20 @@ def follow_disturbed_margins(
     modes, course = follow_to_contact(walker, x, step, integrator, measured=True)
     *before, level, lower = course.parts
     swing = modes[[*modes][-1]]
-    choose = partial(jnp.where, lower.followed)
-    ways = [part[1:] for part in (*before, level)]
-    last = Part(swing, *jax.tree.map(choose, lower[1:], level[1:]))
-    state = course.entries[SECTION].state  # with its derivative by the step
-    ways.append(last._replace(end=last.end._replace(state=state))[1:])
-    course, stride = end_step(walker, modes, course)
-    to_contact = onto_step(walker, swing, step)
-    *others, contact = to_contact.guards
+    *others, contact = onto_step(walker, swing, step).guards
     contact = contact._replace(must_hold=swing.guards[-1].must_hold)
+    to_contact = swing._replace(guards=(*others, contact))
+    choose = partial(jnp.where, lower.followed)
+    last = Part(to_contact, *jax.tree.map(choose, lower[1:], level[1:]))
+    state = course.entries[SECTION].state  # with its derivative by the step
+    last = last._replace(end=last.end._replace(state=state))
     *falls, passes = level.mode.guards
     to_level = level.mode._replace(guards=(*falls, passes._replace(leads_to="below")))
-    course_modes = [part.mode for part in before]
-    course_modes += [to_level, to_contact._replace(guards=(*others, contact))]
-
-    def measure(walker, stride: Stride, course: Course, ways: list[Any]):
-        pairs = zip(course_modes, ways, strict=True)
-        parts = tuple(Part(mode, *way) for mode, way in pairs)
-        course = course._replace(parts=parts)
-        known = measure_stride(walker, first_of(modes), course, stride.outcome)
-        passed = jnp.where(lower.followed, strike_margin(parts[-2], guards_of(parts[-2])), jnp.inf)
-        forward = jnp.where(stride.outcome == Outcome.STRIDE, passed, jnp.nan)
-        known["forward"] = lesser_known(known["forward"], forward)
-        return Margins(stride, **known)
-
-    return with_fast_sincos(measure)(walker, stride, course._replace(parts=()), ways)
+    level = level._replace(mode=to_level)
+    course, stride = end_step(walker, modes, course)
+    course = course._replace(parts=(*before, level, last))
+    found = measure_stride(walker, first_of(modes), course, stride)
+    passed = with_fast_sincos(lambda: strike_margin(level, guards_of(level), len(falls)))()
+    known = lower.followed & (stride.outcome == Outcome.STRIDE)
+    forward = jnp.fmin(found.forward, jnp.where(known, passed, jnp.nan))
+    return found._replace(by_name=found.by_name | {Outcome.FORWARD.name: forward})

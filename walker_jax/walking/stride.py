@@ -120,7 +120,7 @@ def modes_from(
     if launched or to_the_end:
         modes = {name: one._replace(foregone=None) for name, one in modes.items()}
     if launched:
-        anywhere = lambda one: one._replace(zero_at_ends=(False, one.zero_at_ends[1]))
+        anywhere = lambda one: one._replace(zero_at_start=False)
         first, *_ = modes
         conditions = tuple(map(anywhere, modes[first].conditions))
         modes[first] = modes[first]._replace(conditions=conditions)
