@@ -1,6 +1,7 @@
 """The machines of the page of examples, against integrations with SciPy and closed forms."""
 
 import re
+from typing import Any
 
 import jax
 import numpy as np
@@ -51,7 +52,7 @@ def period_of_table(x, table):
     while t < 2 * np.pi:
         sign = np.sign(y[0]) or np.sign(y[1])
         ends = event(lambda _, y, sign=sign: -sign * y[0])
-        options = {"rtol": 1e-13, "atol": 1e-13, "first_step": 1e-5}
+        options: Any = {"rtol": 1e-13, "atol": 1e-13, "first_step": 1e-5}
         made = solve_ivp(rates, (t, 2 * np.pi), y, "DOP853", events=ends, **options)
         t, y = made.t[-1], made.y[:, -1]
         y[0] = 0.0 if made.t_events[0].size else y[0]
@@ -108,7 +109,7 @@ def test_a_switch_that_is_crossed_is_that_of_another_integration(names_of):
     def fly(u, y, way):
         rates = lambda _, s: [0.2 * s[0] + s[1] - u, u - s[0]]
         ends = event(lambda _, s: s[0], way)
-        options = {"rtol": 1e-13, "atol": 1e-13, "first_step": 1e-3}
+        options: Any = {"rtol": 1e-13, "atol": 1e-13, "first_step": 1e-3}
         made = solve_ivp(rates, (0, 20), [0.0, y], "DOP853", events=ends, **options)
         return made.y_events[0][0][1]
 

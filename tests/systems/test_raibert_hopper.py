@@ -1,5 +1,7 @@
 """Raibert's hopper, against an integration with SciPy and closed forms of hopping in place."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,7 +59,7 @@ def stride_by_scipy(x, hopper=HOPPER):
     time, parts = fall, ((0, lambda _, y: y[2]), (rate, lambda _, y: y[4] - thrust), (0, leaves))
     for motor, end in parts:
         ends = [leaves, event(end)] if end is not leaves else [leaves]
-        options = {"rtol": 1e-13, "atol": 1e-13, "first_step": 1e-3}
+        options: Any = {"rtol": 1e-13, "atol": 1e-13, "first_step": 1e-3}
         made = solve_ivp(rates(motor), (0, 20), y, "DOP853", events=ends, **options)
         which = next(i for i, one in enumerate(made.t_events) if one.size)
         y, time = made.y_events[which][0], time + made.t_events[which][0]
@@ -106,7 +108,7 @@ def test_hopping_in_place_is_that_of_linear_equations():
 
     apex = first(lambda h: next_apex(h) - h, 1.1, 3.0)
     gait = wj.find_gait(wj.RaibertHopper(desired_speed=0.0), [1.5, 0.0])
-    np.testing.assert_allclose(gait.states[0], [apex, 0], atol=1e-12)
+    np.testing.assert_allclose(gait.states[0], np.array([apex, 0]), atol=1e-12)
     slope = (next_apex(apex + 1e-4) - next_apex(apex - 1e-4)) / 2e-4
     assert np.abs(gait.multipliers - slope).min() < 1e-7
 
