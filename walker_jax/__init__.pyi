@@ -125,6 +125,7 @@ from walker_jax.walking.explanation import explain as explain
 from walker_jax.walking.failure_margins import Margins as Margins
 from walker_jax.walking.failure_margins import margins as margins
 from walker_jax.walking.failure_margins import margins_of_many as margins_of_many
+from walker_jax.walking.integrals import integrals as integrals
 from walker_jax.walking.iteration import strides as strides
 from walker_jax.walking.iteration import walk as walk
 from walker_jax.walking.movement import motion as motion

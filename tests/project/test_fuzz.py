@@ -17,6 +17,7 @@ import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from small_calls import Measured
 from unchecked import unchecked
 
 import walker_jax as wj
@@ -381,6 +382,7 @@ def calls() -> dict[str, dict]:
         "Grid.sheared": {"theta": axis, "sum": (-0.1, 0, 3)},
         "stride": start,
         "margins": start,
+        "integrals": {"system": Measured(0.004), "x": X, "tolerance": None},
         "strides": {**of_walker, "xs": np.array([X, X])},
         "margins_of_many": {**of_walker, "xs": np.array([X, X])},
         "walk": {**start, "n": 2},
@@ -571,7 +573,7 @@ def test_bad_arguments_of_functions_are_refused_before_any_work():
 
 
 TRACEABLE = {"stride", "margins", "walk", "trajectory", "step_down", "find_gait"}
-TRACEABLE |= {"phase_times", "gait_sensitivity"}
+TRACEABLE |= {"integrals", "phase_times", "gait_sensitivity"}
 
 
 def test_what_jax_cannot_trace_says_so():

@@ -6,7 +6,8 @@ the mode to which it leads, the section, or a failure. It resets the state on th
 not end a mode: it is recorded whether they were violated.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -122,6 +123,12 @@ class Mode(NamedTuple):
     longest_step: Any = None
     """Longest step of the integration. Features of time that last less than a step, such as a
     short pulse, may else lie between two places where the equations are evaluated."""
+    integrals: Mapping[str, Function] = MappingProxyType({})
+    """Functions of the state, such as a power, that `integrals` integrates along a stride, by
+    name."""
+    largest: Mapping[str, Function] = MappingProxyType({})
+    """Functions of the state, such as a force, of which `integrals` returns the largest value in a
+    stride."""
     energy: Function | None = None
     """The energy of a state, if it is known. Only `explain` uses it, to report its change."""
     most_steps: int = MOST_STEPS

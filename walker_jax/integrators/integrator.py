@@ -22,6 +22,7 @@ from jaxtyping import PyTree
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.arrivals import flow, time_to
 from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
+from walker_jax.integrators.integrals import beside, motion_of
 from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.roots import Real, Scalar
@@ -117,7 +118,7 @@ class Integrator(eqx.Module):
         """Return the method that integrates y' = f(y) from a state."""
         solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
         if limits.scales is None:
-            limits = limits._replace(proportional=proportional_variables(field, state))
+            limits = limits._replace(proportional=proportional_variables(*motion_of(field, state)))
         return Method(field, solver, self.tolerance, others, watched, conditions, limits)
 
 
@@ -295,7 +296,9 @@ class Method(eqx.Module):
         """
         of_derivatives = derivative_error((error, state, end))
         method, state, end, error, series = stop_gradients((self, state, end, error, series))
-        scaled = partial(in_units_of, units_of(method.limits))
+        units = units_of(method.limits)
+        units = None if units is None else beside(method.field, units, state, 0.0)
+        scaled = partial(in_units_of, units)
         defect = defect_of(method.field, series, length)
         error = jax.tree.map(lambda a, b: jnp.maximum(jnp.abs(a), b), error, defect)
         others = expansion_errors(method.others, series, length)

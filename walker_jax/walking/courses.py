@@ -29,6 +29,7 @@ from walker_jax.hybrid.graphs import (
 )
 from walker_jax.hybrid.modes import SECTION, Guard, Mode, ends_at_once
 from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.integrals import WithIntegrals
 from walker_jax.integrators.integrator import Integrator, Method, zero_at
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.step_lengths import StepLimits, has_sharp_features
@@ -279,6 +280,8 @@ def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     functions = tuple(function for guard in mode.functions() for function in guard)
     sharp = tuple(one.value for one in mode.conditions if has_sharp_features(one.value, start))
     watched = sharp if mode.as_smooth else (*functions, *sharp)
+    if isinstance(mode.field, WithIntegrals):
+        watched = *watched, *mode.field.functions()
     conditions = tuple(one.value for one in mode.conditions if not one.least_at_ends)
     limits = StepLimits(mode.scales, mode.longest_step)
     return integrator.method(
