@@ -41,9 +41,8 @@ def integrals(
     ```python
     class Measured(wj.SpringMassRunner):
         def modes(self):
-            modes = super().modes()
             height = {"height": lambda state: state.y}
-            return {name: one._replace(integrals=height) for name, one in modes.items()}
+            return {of: mode._replace(integrals=height) for of, mode in super().modes().items()}
 
     wj.integrals(Measured(), [0.79])["height"]
     ```
