@@ -168,7 +168,7 @@ def test_what_is_known_changes_no_stride(kind, launched):
     np.testing.assert_array_equal(known.state, searched.state)
 
 
-def test_a_launched_walker_is_followed_where_its_foot_comes_down_again():
+def test_a_launched_foot_may_come_down_again():
     """Of a launch, `rises_past_contact` is not enough: a stiff spring brings the leg back."""
     x = np.array([-0.08297899, -0.10377403, -0.053272, 3.63239204])
     walker = wj.SpringWalker(0.02472303749275454, 6.526178627223347)
