@@ -153,9 +153,7 @@ BASINS = {
             "edge_fates": V("edge beside", "integer", "", "`Outcome` of regions that touch"),
             "edge_attractors": V("edge beside", "integer", "", "their attractors; -1 for none"),
             "edge_between": V("edge beside", "integer", "", "`Outcome` beside the path's end"),
-            "edge_kind": V(
-                "edge", "text", "", "`saddle`, the margin or own failure at zero, or empty"
-            ),
+            "edge_kind": V("edge", "text", "", "`saddle`, the margin that is zero, or empty"),
             "edge_period": V("edge", "integer", "strides", "of the saddle; 0 for none"),
             "edge_saddle": V("edge saddle_phase coordinate", "real", STATE, "its cycle, or NaN"),
             "edge_multipliers": V("edge order part", "real", "", "real and imaginary part"),

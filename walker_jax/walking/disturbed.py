@@ -105,7 +105,7 @@ def follow_disturbed_margins(
     course, stride = end_step(walker, modes, course)
     course = course._replace(parts=(*before, level, last))
     found = measure_stride(walker, first_of(modes), course, stride)
-    passed = with_fast_sincos(lambda: strike_margin(level, guards_of(level), len(falls)))()
+    passed = with_fast_sincos(lambda: strike_margin(level, guards_of(level)[-1], len(falls)))()
     known = lower.followed & (stride.outcome == Outcome.STRIDE)
     forward = jnp.fmin(found.forward, jnp.where(known, passed, jnp.nan))
     return found._replace(by_name=found.by_name | {Outcome.FORWARD.name: forward})

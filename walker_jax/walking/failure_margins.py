@@ -188,16 +188,21 @@ def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: St
         passed[of] = jnp.minimum(passed[of], value) if of in passed else value
 
     # falls, and ends that lead to the section
-    known = [guards_of(part) for part in parts]
-    failed = fall_margin(parts, numbers, known, zero_at(parts[0].start) + walker.unit_of_time())
-    for part, each in zip(parts, known, strict=True):
-        for i, guard in enumerate(part.mode.guards):
-            if guard.leads_to in numbers:
-                at_end = jnp.where(part.taken == i, -jnp.inf, each.end[i])
-                greatest = jnp.maximum(each.before[i], at_end)
-                lower(guard.leads_to, guard_margin(guard, greatest, part.followed))
-            elif guard.leads_to == SECTION:
-                lower(Outcome.FORWARD.name, strike_margin(part, each, i))
+    unit, failed, pulled = walker.unit_of_time(), infinite * jnp.nan, jnp.asarray(False)
+    for part in parts:
+        known = guards_of(part)
+        failed = fall_margin(part, known, numbers, unit, failed)
+        for i, one in enumerate(known):
+            if one.guard.leads_to in numbers:
+                greatest = jnp.maximum(one.before, jnp.where(part.taken == i, -jnp.inf, one.end))
+                lower(one.guard.leads_to, guard_margin(one.guard, greatest, part.followed))
+            elif one.guard.leads_to == SECTION:
+                lower(Outcome.FORWARD.name, strike_margin(part, one, i))
+        for one in part.mode.conditions:
+            if one.at_start:
+                here = ~pulled & part.reached & (part.begun == numbers[one.leads_to])
+                failed = jnp.where(here, one.value(part.start), failed)
+                pulled |= here
     following = walker.begin(course.entries[SECTION].state)
     for guard in reversed(first.guards):
         if guard.at_once and guard.leads_to in numbers:
@@ -215,8 +220,6 @@ def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: St
         ends = struck & broken & (outcome == numbers[of])
         failed = jnp.where(ends, jnp.maximum(least, before), failed)
         violated |= broken
-    pulled, force = conditions_at_start(parts, numbers)
-    failed = jnp.where(pulled, force, failed)
 
     # after guards
     least = infinite
@@ -230,8 +233,9 @@ def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: St
                 least = jnp.minimum(least, jnp.where(ends, value, infinite))
     failed = jnp.where(jnp.isfinite(least), least, failed)
 
+    # A failed margin is above zero by rounding alone, which has no part in its derivatives.
+    failed -= lax.stop_gradient(jnp.maximum(failed, 0))
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
-    failed = not_above_zero(failed)
     for of, value in passed.items():
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
         passed[of] = jnp.where(outcome == numbers[of], failed, value)
@@ -239,43 +243,41 @@ def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: St
     return Margins(stride, jnp.where(fails, failed, jnp.nan), passed)
 
 
-class Guards(NamedTuple):
-    """The guards of a part of a stride, at its two ends; each field has an entry for each guard."""
+class GuardEnds(NamedTuple):
+    """A guard at the two ends of a part of a stride."""
 
-    start: list[Scalar]
+    guard: Guard
+    start: Scalar
     """Value at the start."""
-    before: list[Scalar]
+    before: Scalar
     """Greatest value before the end, where the guard is admitted."""
-    end: list[Scalar]
+    end: Scalar
     """Value at the end; minus infinity where the guard is not admitted."""
-    rates: list[Scalar]
+    rate: Scalar
     """Rate at the end."""
-    admits: list[Scalar]
+    admits: Scalar
     """Least of the functions that admit the guard at the end; infinite if there are none."""
 
 
-def guards_of(part: Part) -> Guards:
-    def look(state):
-        """Return values, and the least of the functions that admit each."""
-        values, admits = [], []
-        for guard in part.mode.guards:
-            values.append(guard.value(state))
-            least = jnp.full_like(values[-1], jnp.inf)
+def guards_of(part: Part) -> list[GuardEnds]:
+    state, found = part.end.state, []
+    for guard, nearest in zip(part.mode.guards, part.end.misses.nearest, strict=True):
+
+        def look(state, guard=guard):
+            """Return the value, and the least of the functions that admit it."""
+            value = guard.value(state)
+            least = jnp.full_like(value, jnp.inf)
             for one in (*guard.admits, *guard.admits_at_rise):
                 least = jnp.minimum(least, one(state))
-            admits.append(least)
-        return values, admits
+            return value, least
 
-    def below(values, admits):
-        """Return values of guards that are admitted and have not risen."""
-        both = zip(values, admits, strict=True)
-        return [jnp.where((value < 0) & (admit > 0), value, -jnp.inf) for value, admit in both]
-
-    start, admits = look(part.start)
-    before = list(map(jnp.maximum, part.end.misses.nearest, below(start, admits)))
-    state = part.end.state
-    (end, admits), (rates, _) = jax.jvp(look, (state,), (part.mode.rates(state),))
-    return Guards(start, before, below(end, admits), rates, admits)
+        # A value counts where it is admitted and has not risen.
+        below = lambda value, admit: jnp.where((value < 0) & (admit > 0), value, -jnp.inf)
+        start, admit = look(part.start)
+        (end, admits), (rate, _) = jax.jvp(look, (state,), (part.mode.rates(state),))
+        before = jnp.maximum(nearest, below(start, admit))
+        found.append(GuardEnds(guard, start, before, below(end, admits), rate, admits))
+    return found
 
 
 def guard_margin(guard: Guard, greatest: Scalar, known: Bool[Array, ""]) -> Scalar:
@@ -284,48 +286,40 @@ def guard_margin(guard: Guard, greatest: Scalar, known: Bool[Array, ""]) -> Scal
     return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
-def onward(part: Part, numbers: Numbers) -> list[int]:
-    """Return which guards of a part lead to no failure, but to a mode or the section."""
-    return [i for i, guard in enumerate(part.mode.guards) if guard.leads_to not in numbers]
-
-
 def fall_margin(
-    parts: tuple[Part, ...], numbers: Numbers, guards: list[Guards], unit: Scalar
+    part: Part, known: list[GuardEnds], numbers: Numbers, unit: Scalar, margin: Scalar
 ) -> Scalar:
-    """Return the margin of the fall that ended a stride before heel strike; NaN if none did.
+    """Return the margin of the fall that ended a part of a stride, or else the given margin.
 
     It is the least change that would have prevented the fall. The guard of the fall would not have
     risen if its rate were zero: -(rate unit)^2 / 2; nor if the rise were not admitted. The mode
     would have ended before if a guard that leads on had risen at its nearest miss, or rose now. A
-    stride that starts with a fall, or has one after an impact, has minus the guard's value.
+    mode that begins with a fall has minus the guard's value.
     """
-    margin = jnp.full_like(unit, jnp.nan)
-    for part, known in zip(parts, guards, strict=True):
-        late = jnp.full_like(unit, -jnp.inf)
-        for i in onward(part, numbers):
-            late = jnp.maximum(late, jnp.maximum(part.end.misses.nearest[i], known.end[i]))
-        for i, guard in enumerate(part.mode.guards):
-            if guard.leads_to not in numbers:
-                continue
-            begins = part.reached & (part.begun == numbers[guard.leads_to])
-            begins &= guard.at_once & (known.start[i] >= 0)
-            lasts = jnp.fmin(margin, -guard.measure(-known.start[i]))  # of several that are due
-            margin = jnp.where(begins, lasts, margin)
-            over = jnp.maximum(-((known.rates[i] * unit) ** 2) / 2, -known.admits[i])
-            margin = jnp.where(part.taken == i, jnp.maximum(over, late), margin)
+    late = jnp.full_like(margin, -jnp.inf)
+    for one, nearest in zip(known, part.end.misses.nearest, strict=True):
+        if one.guard.leads_to not in numbers:
+            late = jnp.maximum(late, jnp.maximum(nearest, one.end))
+    for i, one in enumerate(known):
+        if (of := one.guard.leads_to) not in numbers:
+            continue
+        begins = part.reached & (part.begun == numbers[of]) & one.guard.at_once & (one.start >= 0)
+        due = jnp.fmin(margin, -one.guard.measure(-one.start))  # the least of several
+        over = jnp.maximum(-((one.rate * unit) ** 2) / 2, -one.admits)
+        margin = jnp.where(begins, due, margin)
+        margin = jnp.where(part.taken == i, jnp.maximum(over, late), margin)
     return margin
 
 
-def strike_margin(part: Part, known: Guards, number: int) -> Scalar:
+def strike_margin(part: Part, known: GuardEnds, number: int) -> Scalar:
     """Return the margin by which a guard has ended a mode; infinite if it has not.
 
     It would not have risen if the foot had not passed the contact before, or had not been ahead; or
     if the foot came up again at once and had not come down as deep.
     """
-    misses = part.end.misses
-    depth, height = misses.depth[number], misses.height[number]
+    depth, height = part.end.misses.depth[number], part.end.misses.height[number]
     passed = jnp.where(depth > 0, depth, jnp.inf)
-    margin = jnp.minimum(jnp.minimum(passed, height), known.admits[number])
+    margin = jnp.minimum(jnp.minimum(passed, height), known.admits)
     return jnp.where(part.taken == number, margin, jnp.inf)
 
 
@@ -337,39 +331,20 @@ def least_value(parts: tuple[Part, ...], of: str, numbers: Numbers) -> tuple[Sca
     infinite = zero_at(parts[0].start) + jnp.inf
     least, before, broken = infinite, -infinite, jnp.asarray(False)
     for part in parts:
+        misses, guards = part.end.misses, part.mode.guards
         for condition in part.mode.conditions:
             if condition.leads_to != of:
                 continue
-            misses, value = part.end.misses, part.end.misses.least[of]
+            value, at_end = misses.least[of], condition.value(part.end.state)
             if not condition.zero_at_start:
                 value = jnp.minimum(value, condition.value(part.start))
-            at_end = condition.value(part.end.state)
-            for i, guard in enumerate(part.mode.guards):
+            for i, guard in enumerate(guards):
                 if of in guard.makes_zero:
                     at_end = jnp.where(part.taken == i, jnp.inf, at_end)
             value = jnp.minimum(value, at_end)
             least = jnp.where(part.followed, jnp.minimum(least, value), least)
-            for i in onward(part, numbers):
-                nearer = jnp.maximum(before, misses.before[of][i])
-                before = jnp.where(broken, before, nearer)
+            for guard, nearest in zip(guards, misses.before[of], strict=True):
+                if guard.leads_to not in numbers:
+                    before = jnp.where(broken, before, jnp.maximum(before, nearest))
             broken |= part.end.violated[of]
     return least, before
-
-
-def conditions_at_start(
-    parts: tuple[Part, ...], numbers: Numbers
-) -> tuple[Bool[Array, ""], Scalar]:
-    """Return whether a stride is over at once since a condition is negative, and its value then."""
-    value, pulled = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
-    for part in parts:
-        for one in part.mode.conditions:
-            if one.at_start:
-                here = ~pulled & part.reached & (part.begun == numbers[one.leads_to])
-                value = jnp.where(here, one.value(part.start), value)
-                pulled |= here
-    return pulled, value
-
-
-def not_above_zero(margin: Scalar) -> Scalar:
-    """Remove the positive rounding error of a failed margin, and keep the derivative."""
-    return margin - lax.stop_gradient(jnp.maximum(margin, 0))
