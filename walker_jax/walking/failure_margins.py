@@ -128,9 +128,9 @@ def failure_margin(found: Margins) -> Scalar:
 def follow_margins(
     walker: System, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Margins:
+    walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return measure_map(walker, x)
-    walker = during_stride(walker, x)
     modes = modes_from(walker, x, to_the_end=True)
     check_entered_once(walker, modes, "margins")
     course = follow_modes(walker, modes, start_course(walker, modes, x), integrator, measured=True)

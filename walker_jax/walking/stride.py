@@ -98,9 +98,9 @@ def stride(
 def follow_stride(
     walker: System, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Stride:
+    walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return apply_map(walker, x)
-    walker = during_stride(walker, x)
     modes = modes_from(walker, x)
     course = follow_graph(walker, modes, start_course(walker, modes, x), integrator)
     return end_course(walker, first_of(modes), course)
