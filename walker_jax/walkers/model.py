@@ -31,6 +31,7 @@ from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.full_states import check_lands_on_section, check_motion
+from walker_jax.walkers.ground import raise_ground
 from walker_jax.walkers.parameters import SLOPE
 from walker_jax.walkers.phase import (
     Conditions,
@@ -203,6 +204,10 @@ class Walker(HybridSystem):
             raise WrongUse(f"phases of {self.label()} must have different names, not {names}")
         onto = zip(names, phases, names[1:], strict=False)
         return {name: one.mode(next) for name, one, next in onto} | {"swing": swing}
+
+    def modes_on(self, step):
+        """In the plane, with a further mode for a foot on its way to lower ground."""
+        return raise_ground(self, self.modes(), step) if is_planar(self) else None
 
     def equations(self) -> VectorField:
         """Return the equations of motion to integrate: the vector field, or a `PowerBalance`."""

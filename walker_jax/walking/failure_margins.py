@@ -34,7 +34,13 @@ from walker_jax.systems.system import System, apply_map
 from walker_jax.walking.courses import Course, Numbers, Part, end_course, follow_modes
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import during_stride, on_section, prepare
-from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
+from walker_jax.walking.stride import (
+    check_entered_once,
+    first_of,
+    modes_from,
+    start_course,
+    with_full_state,
+)
 
 WAYS = {
     Outcome.BACKWARD: "backward",
@@ -126,15 +132,24 @@ def failure_margin(found: Margins) -> Scalar:
 
 @kernel
 def follow_margins(
-    walker: System, x: Float[Array, " coordinates"], integrator: Integrator
+    walker: System,
+    x: Float[Array, " coordinates"],
+    integrator: Integrator,
+    step: Scalar | None = None,
 ) -> Margins:
+    """Follow one stride, to ground higher by `step` if there is one, and measure its margins.
+
+    The state of a stride to a step is a full one. A foot that comes down on lower ground has passed
+    the level of the other foot before: the forward margin is the smaller one of the two.
+    """
     walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return measure_map(walker, x)
-    modes = modes_from(walker, x, to_the_end=True)
+    modes = modes_from(walker, x, step, to_the_end=True)
     check_entered_once(walker, modes, "margins")
     course = follow_modes(walker, modes, start_course(walker, modes, x), integrator, measured=True)
     stride = end_course(walker, first_of(modes), course)
+    stride = stride if step is None else with_full_state(stride, course)
     ways = [part[1:] for part in course.parts]
 
     def measure(walker, stride, course, ways):
@@ -145,6 +160,11 @@ def follow_margins(
             led_outside = (stride.outcome == Outcome.OUTSIDE) & walker.feasible(x)
             start = margin_of_start(walker, x)
             known["outside"] = jnp.where(led_outside, known["outside"], start)
+        if step is not None:
+            *_, level, _ = course.parts
+            passed = strike_margin(level, guards_of(level), len(level.mode.guards) - 2)
+            passed = jnp.where(stride.outcome == Outcome.STRIDE, passed, jnp.nan)
+            known["forward"] = lesser_known(known["forward"], passed)
         return Margins(stride, **known)
 
     course_modes = [part.mode for part in course.parts]
@@ -209,7 +229,9 @@ def measure_stride(
     passed = {of: margin_of(guard, value) for of, (value, guard) in greatest.items()}
     for part, each in zip(parts, known, strict=True):
         if part.mode.guards[-1].leads_to == SECTION:
-            lesser(passed, Outcome.FORWARD.name, strike_margin(part, each))
+            lesser(
+                passed, Outcome.FORWARD.name, strike_margin(part, each, len(part.mode.guards) - 1)
+            )
 
     # conditions
     violated = jnp.asarray(False)
@@ -347,16 +369,18 @@ def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
     return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
-def strike_margin(swing: Part, known: Guards) -> Scalar:
-    """Return the margin by which the last guard of a mode has ended it; infinite if it has not.
+def strike_margin(swing: Part, known: Guards, number: int) -> Scalar:
+    """Return the margin by which a guard of some number has ended a mode; infinite if it has not.
+
+    The guard is the last one, or one that has the same value.
 
     It would not have happened if the foot had not passed the contact before, or had not been ahead;
     or if the foot came up again at once and had not come down as deep.
     """
     depth, height = swing.end.misses.depth, swing.end.misses.height
     passed = jnp.where(depth > 0, depth, jnp.inf)
-    margin = jnp.minimum(jnp.minimum(passed, height), known.admits[-1])
-    return jnp.where(swing.taken == len(swing.mode.guards) - 1, margin, jnp.inf)
+    margin = jnp.minimum(jnp.minimum(passed, height), known.admits[number])
+    return jnp.where(swing.taken == number, margin, jnp.inf)
 
 
 def least_value(parts: tuple[Part, ...], of: str) -> tuple[Scalar, Scalar]:

@@ -27,11 +27,10 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.phase import legs
-from walker_jax.walking.courses import follow_modes, follow_one
+from walker_jax.walking.courses import follow_modes
 from walker_jax.walking.iteration import walk
-from walker_jax.walking.raised_ground import raise_ground
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import follow_to_step, modes_from, start_course
+from walker_jax.walking.stride import modes_from, start_course
 from walker_jax.walking.trajectories import trajectory
 
 
@@ -177,22 +176,11 @@ def ends_of_modes(
     The picture ends where the swing foot comes down, or the walker is on the ground.
     """
     walker = during_stride(walker, x)
-    modes = {
-        name: to_the_ground(one) for name, one in modes_from(walker, x, to_the_end=True).items()
-    }
-    *phases, last = modes
-    course = start_course(walker, modes, x)
-    before = {name: modes[name] for name in phases}
-    if step is not None:
-        before = {name: raise_ground(one, step) for name, one in before.items()}
-    if before:
-        course = follow_modes(walker, before, course, integrator)
-    times = [jnp.where(one.passed, one.time + one.end.time, jnp.inf) for one in course.parts]
-    if step is not None:
-        course = follow_to_step(walker, last, modes[last], course, step, integrator)
-    else:
-        swing, numbers = {last: modes[last]}, failures_by_name(walker)
-        course = follow_one(last, swing, numbers, course, integrator, False, bool(phases))
+    modes = modes_from(walker, x, step, to_the_end=True)
+    modes = {name: to_the_ground(one) for name, one in modes.items()}
+    course = follow_modes(walker, modes, start_course(walker, modes, x), integrator)
+    before = course.parts[: len(walker.modes()) - 1]
+    times = [jnp.where(one.passed, one.time + one.end.time, jnp.inf) for one in before]
     end = jnp.where(course.verdict == Outcome.UNDECIDED, jnp.inf, course.time)
     return jnp.stack([*times, end])
 
