@@ -49,7 +49,7 @@ class DrawnWheel(wj.TorsoWheel):
         return jnp.full_like(start.theta, 0.02)
 
     def basin_region(self, gait):
-        state = gait()
+        state: Any = gait()
         return wj.Grid.through(
             dict(zip(self.section, map(float, state), strict=True)), psi=(0.0, 1.0, 20)
         )

@@ -1,5 +1,7 @@
 """A step up or down is the same modes with their ground moved."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -64,7 +66,8 @@ def test_margins_on_a_step_of_nothing_are_those_of_a_stride():
     rng = np.random.default_rng(1)
     xs = rng.uniform([0.1, -0.3], [0.3, -0.05], (300, 2))
     full = np.stack([np.asarray(jnp.stack(WALKER.lift(x))) for x in jnp.asarray(xs)])
-    none = Disturbance(*np.zeros((3, len(xs))))
+    zeros: Any = np.zeros((3, len(xs)))
+    none = Disturbance(*zeros)
     arguments = walker, full, none, INTEGRATOR
     found = map_cells(follow_disturbed_margins, arguments, (False, True, True, False))
     level = wj.margins_of_many(WALKER, full)
@@ -82,11 +85,12 @@ def test_a_measured_stride_ends_as_the_stride_does():
             [-1.36285923e-02, -2.72571845e-02, -1.64717999e-01, -6.11851688e-05],
         ]
     )
-    disturbances = Disturbance(
-        step=np.array([-6.944730189498899e-07, -0.6395406207542276]),
-        slope=np.array([0.003237958986053437, -0.00016367596032493295]),
-        push=np.array([-0.00656633378059425, 0.0003955722506308007]),
+    numbers: Any = (
+        np.array([-6.944730189498899e-07, -0.6395406207542276]),
+        np.array([0.003237958986053437, -0.00016367596032493295]),
+        np.array([-0.00656633378059425, 0.0003955722506308007]),
     )
+    disturbances = Disturbance(*numbers)
     walker = jax.tree.map(np.asarray, WALKER)
     arguments = walker, starts, disturbances, INTEGRATOR
     made = map_cells(follow_disturbed, arguments, (False, True, True, False))

@@ -15,6 +15,8 @@ ROUNDING = 100
 1."""
 LOWER = "below the level"
 """The mode of a swing foot that has passed the level of the other foot, to lower ground."""
+PASSES = -2
+"""Place of the guard that leads there, among those of the swing."""
 
 
 def raise_ground(walker: Any, modes: Mapping[str, Mode], step: Scalar) -> dict[str, Mode]:

@@ -34,13 +34,7 @@ from walker_jax.systems.system import System, apply_map
 from walker_jax.walking.courses import Course, Numbers, Part, end_course, follow_modes
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import during_stride, on_section, prepare
-from walker_jax.walking.stride import (
-    check_entered_once,
-    first_of,
-    modes_from,
-    start_course,
-    with_full_state,
-)
+from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
 
 WAYS = {
     Outcome.BACKWARD: "backward",
@@ -131,52 +125,41 @@ def failure_margin(found: Margins) -> Scalar:
 
 
 @kernel
-def follow_margins(
-    walker: System,
-    x: Float[Array, " coordinates"],
-    integrator: Integrator,
-    step: Scalar | None = None,
-) -> Margins:
-    """Follow one stride, to ground higher by `step` if there is one, and measure its margins.
-
-    The state of a stride to a step is a full one. A foot that comes down on lower ground has passed
-    the level of the other foot before: the forward margin is the smaller one of the two.
-    """
+def follow_margins(walker: System, x: Float[Array, " n"], integrator: Integrator) -> Margins:
     walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return measure_map(walker, x)
-    modes = modes_from(walker, x, step, to_the_end=True)
+    return measure_modes(walker, x, modes_from(walker, x, to_the_end=True), integrator)[0]
+
+
+def measure_modes(
+    walker: HybridSystem, x: Float[Array, " n"], modes: dict[str, Mode], integrator: Integrator
+) -> tuple[Margins, Course]:
+    """Follow modes from x, and return their margins, and their course."""
     check_entered_once(walker, modes, "margins")
     course = follow_modes(walker, modes, start_course(walker, modes, x), integrator, measured=True)
     stride = end_course(walker, first_of(modes), course)
-    stride = stride if step is None else with_full_state(stride, course)
-    ways = [part[1:] for part in course.parts]
+    course_modes, ways = [part.mode for part in course.parts], [part[1:] for part in course.parts]
 
     def measure(walker, stride, course, ways):
-        pairs = zip(course_modes, ways, strict=True)
-        course = course._replace(parts=tuple(Part(mode, *way) for mode, way in pairs))
+        parts = tuple(Part(mode, *way) for mode, way in zip(course_modes, ways, strict=True))
+        course = course._replace(parts=parts)
         known = measure_stride(walker, first_of(modes), course, stride.outcome)
         if walker.margin(x[: len(walker.section)]) is not None:
             led_outside = (stride.outcome == Outcome.OUTSIDE) & walker.feasible(x)
             start = margin_of_start(walker, x)
             known["outside"] = jnp.where(led_outside, known["outside"], start)
-        if step is not None:
-            *_, level, _ = course.parts
-            passed = strike_margin(level, guards_of(level), len(level.mode.guards) - 2)
-            passed = jnp.where(stride.outcome == Outcome.STRIDE, passed, jnp.nan)
-            known["forward"] = lesser_known(known["forward"], passed)
         return Margins(stride, **known)
 
-    course_modes = [part.mode for part in course.parts]
-    return with_fast_sincos(measure)(walker, stride, course._replace(parts=()), ways)
+    return with_fast_sincos(measure)(walker, stride, course._replace(parts=()), ways), course
 
 
 def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
     """Measure a map: the margin that the system defines is that of the failure that happens."""
     stride, margin = apply_map(walker, x), margin_of_start(walker, x)
-    ways = {name: jnp.where(stride.outcome == way, margin, jnp.nan) for way, name in WAYS.items()}
-    own = jnp.where(stride.outcome >= OWN, margin, jnp.nan)
-    return Margins(stride, **ways | {"outside": margin, "own": own})
+    if_failed = lambda failed: jnp.where(failed, margin, jnp.nan)
+    ways = {name: if_failed(stride.outcome == way) for way, name in WAYS.items()}
+    return Margins(stride, **ways | {"outside": margin, "own": if_failed(stride.outcome >= OWN)})
 
 
 def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
@@ -206,7 +189,6 @@ def measure_stride(
     struck = course.verdict == Outcome.STRIDE
     infinite = jnp.full_like(course.time, jnp.inf)
 
-    # falls
     known = [guards_of(part) for part in parts]
     failed = fall_margin(parts, numbers, known, zero_at(parts[0].start) + walker.unit_of_time())
     greatest: dict[str, tuple[Scalar, Guard]] = {}
@@ -229,9 +211,7 @@ def measure_stride(
     passed = {of: margin_of(guard, value) for of, (value, guard) in greatest.items()}
     for part, each in zip(parts, known, strict=True):
         if part.mode.guards[-1].leads_to == SECTION:
-            lesser(
-                passed, Outcome.FORWARD.name, strike_margin(part, each, len(part.mode.guards) - 1)
-            )
+            lesser(passed, Outcome.FORWARD.name, strike_margin(part, each))
 
     # conditions
     violated = jnp.asarray(False)
@@ -369,18 +349,16 @@ def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
     return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
-def strike_margin(swing: Part, known: Guards, number: int) -> Scalar:
-    """Return the margin by which a guard of some number has ended a mode; infinite if it has not.
-
-    The guard is the last one, or one that has the same value.
+def strike_margin(swing: Part, known: Guards, last: int = -1) -> Scalar:
+    """Return the margin by which the last guard, or another of its value, has ended a mode, or inf.
 
     It would not have happened if the foot had not passed the contact before, or had not been ahead;
     or if the foot came up again at once and had not come down as deep.
     """
     depth, height = swing.end.misses.depth, swing.end.misses.height
     passed = jnp.where(depth > 0, depth, jnp.inf)
-    margin = jnp.minimum(jnp.minimum(passed, height), known.admits[number])
-    return jnp.where(swing.taken == number, margin, jnp.inf)
+    margin = jnp.minimum(jnp.minimum(passed, height), known.admits[last])
+    return jnp.where(swing.taken == len(swing.mode.guards) + last, margin, jnp.inf)
 
 
 def least_value(parts: tuple[Part, ...], of: str) -> tuple[Scalar, Scalar]:
