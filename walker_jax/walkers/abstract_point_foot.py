@@ -62,7 +62,9 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
 
     def struck(self, state, impulse, arm):
         """The foot keeps its speed across the swing leg: phidot changes by (1 - cos phi) times as
-        much as thetadot, which changes by P . (d hip / d theta)."""
+        much as thetadot, which changes by P . (d hip / d theta); phases may have other masses."""
+        if self.phases():
+            return None
         change = arm[0] * impulse[0] + arm[1] * impulse[1]
         turn = (1 - jnp.cos(state.phi)) * change
         return state._replace(thetadot=state.thetadot + change, phidot=state.phidot + turn)
