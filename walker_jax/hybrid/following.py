@@ -119,7 +119,7 @@ def follow_mode(
 
     last = lax.while_loop(unfinished, follow, begun)
 
-    event = partial(value_of_guard, mode, last.guard)
+    event = partial(value_of_guard, mode, last.guard, surface=True)
     refined, delay = method.refine_event(event, last.arrival)
     ended = (last.guard >= 0) & (last.guard < len(mode.guards))
     keep = lambda new, old: jnp.where(ended, new, old)
@@ -308,9 +308,13 @@ def rises_perhaps(
     return rises, ends_below
 
 
-def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any) -> Scalar:
-    """Return the value of the guard that ended a mode; of the first if none did."""
-    value = mode.guards[0].value(state)
+def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any, surface: bool = False) -> Scalar:
+    """Return the value, or that of the `surface`, of the guard that ended a mode.
+
+    It is that of the first guard if none did.
+    """
+    of = lambda guard: (surface and guard.surface) or guard.value
+    value = of(mode.guards[0])(state)
     for i, guard in enumerate(mode.guards[1:], 1):
-        value = jnp.where(number == i, guard.value(state), value)
+        value = jnp.where(number == i, of(guard)(state), value)
     return value

@@ -84,6 +84,10 @@ class Guard(NamedTuple):
     measure: Callable[[Scalar], Scalar] = jnp.negative
     """The margin of a value below zero; by default its size."""
 
+    surface: Function | None = None
+    """The function whose zero defines the event for derivatives, by default `value`. It differs
+    from that where a parameter moves the event, but not `value`."""
+
     def admitted(self, state: Any) -> Bool[Array, ""]:
         """Return whether a rise in a state counts."""
         counts = jnp.asarray(True)

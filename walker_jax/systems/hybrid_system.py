@@ -3,10 +3,12 @@
 import abc
 from typing import Any
 
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.hybrid.graphs import check_graph
 from walker_jax.hybrid.modes import Mode
+from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.outcomes import Outcome, names_of_outcomes
 from walker_jax.systems.system import System
 
@@ -27,6 +29,13 @@ class HybridSystem(System):
     @abc.abstractmethod
     def modes(self) -> dict[str, Mode]:
         """Return the modes of a stride by name; the first one is where it begins."""
+
+    def modes_on(self, step: Scalar) -> dict[str, Mode] | None:
+        """Return the modes of a stride to ground that is higher by `step`, in the unit of length.
+
+        None, the default, means that the system has no ground that could be raised.
+        """
+        return None
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> Any:
@@ -79,8 +88,13 @@ def failures_by_name(system: System) -> dict[str, int]:
     }
 
 
-def modes_of(system: HybridSystem) -> dict[str, Mode]:
-    """Return the modes of a system, checked."""
-    modes = system.modes()
+def has_ground(system: System) -> bool:
+    """Return whether a system walks on ground that may be higher or lower at each step."""
+    return isinstance(system, HybridSystem) and system.modes_on(jnp.asarray(0.0)) is not None
+
+
+def modes_of(system: HybridSystem, step: Scalar | None = None) -> dict[str, Mode]:
+    """Return the modes of a system, checked; those on a step, if there is one."""
+    modes: Any = system.modes() if step is None else system.modes_on(step)
     check_graph(system.label(), modes, {*failures_by_name(system)})
     return modes

@@ -7,6 +7,7 @@ a periodic point. A system fails where there is no next point.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
@@ -55,6 +56,9 @@ class System(eqx.Module):
     """Names of failures of its own, such as "misses" or "hits_the_wall"."""
     angles: ClassVar[tuple[str, ...]] = ()
     """Names of those coordinates that are angles (rad): a full turn more is the same point."""
+
+    spans: ClassVar[dict[str, tuple[float, float]]] = {}
+    """Usual ranges of parameters, over which gaits are followed unless others are given."""
 
     def __check_init__(self):
         names, known = self.failures, Outcome.__members__
@@ -143,6 +147,39 @@ class System(eqx.Module):
         default none is known.
         """
         return None
+
+    def picture(self) -> Any:
+        """Return how walks are drawn (`walkers.pictures`); None, the default, if they are not."""
+        return None
+
+    def step_length(self, x: Float[Array, " section"], end: Callable[[], Any]) -> Scalar | None:
+        """Return the length of a step of a gait at x; `end()` is the state at the stride's end.
+
+        None, the default, means that the system makes no steps.
+        """
+        return None
+
+    def driven_by_gravity(self) -> bool:
+        """Return whether gravity alone does work: a step loses the energy that the slope gives.
+
+        By default that is not known.
+        """
+        return False
+
+    def motor_work(self, start: Any, end: Any) -> Scalar | None:
+        """Return the work of motors in a step, per unit of weight, in the unit of length.
+
+        The states are those just after a heel strike and just before the next. The method is called
+        where `driven_by_gravity` is false. None, the default, means unknown.
+        """
+        return None
+
+    def basin_region(self, gait: Callable[[], Float[Any, " section"] | None]) -> Grid | None:
+        """Return the region in which the basin around a gait is measured, by default all.
+
+        `gait()` is a state of the gait, or None where none is found.
+        """
+        return self.gait_region()
 
     def gait_region(self) -> Grid:
         """Return the part of the section to search for gaits, with one search from each cell."""

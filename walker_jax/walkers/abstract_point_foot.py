@@ -45,6 +45,10 @@ class AbstractPointFootWalker(Walker):
     def reach(self, state):
         return jnp.sin(state.theta - state.phi) - jnp.sin(state.theta)
 
+    def basin_region(self, gait):
+        """All feasible angles, and rates that hold the basins of such walkers."""
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-1.1, 0.1, 800))
+
     def feasible(self, x):
         """0 < theta < pi/4 and thetadot < 0: beyond pi/4 no impact leaves the walker going on."""
         theta, thetadot = x[0], x[1]
@@ -56,6 +60,15 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
     """The limit of vanishing foot mass: the hip does not feel the swing leg."""
 
     slope: Scalar
+
+    def struck(self, state, impulse, arm):
+        """The foot keeps its speed across the swing leg: phidot changes by (1 - cos phi) times as
+        much as thetadot, which changes by P . (d hip / d theta); phases may have other masses."""
+        if self.phases():
+            return None
+        change = arm[0] * impulse[0] + arm[1] * impulse[1]
+        turn = (1 - jnp.cos(state.phi)) * change
+        return state._replace(thetadot=state.thetadot + change, phidot=state.phidot + turn)
 
     def contact_force(self, state):
         """(8). For an inverted pendulum, Q_v > 0 over a stride if it holds at both its ends.

@@ -21,6 +21,7 @@ from walker_jax.walkers.masses import (
     MultibodyPhase,
     gravity,
     leg,
+    masses_struck,
     rises_ever_faster,
     stance_coordinates,
 )
@@ -203,6 +204,12 @@ class KneedWalker(HeavyLegWalker):
         turning = [self.thigh_inertia, self.shank_inertia]
         masses = jnp.stack([M, M, *[m] * 4, *[n] * 4, *turning, *turning])
         return System(transfer, masses, gravity(self.slope, masses, turns=4))
+
+    def struck(self, state, impulse, arm):
+        return masses_struck((*self.phases(), self)[0], state, impulse, arm)
+
+    def in_swing(self):
+        return lock_knees(self)
 
     def bent_leg(self, state):
         hip, _, *leg_below = self.places(stance_coordinates(list(state[:3])))

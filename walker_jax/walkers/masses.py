@@ -68,6 +68,20 @@ class MultibodyMotion(eqx.Module):
         return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
 
 
+def masses_struck(
+    motion: MultibodyMotion, state: Any, impulse: Float[Array, " 2"], arm: tuple[Scalar, Scalar]
+) -> Any:
+    """Return a state after an impulse P at the hip: rates change by M^{-1} (d hip / dq)^T P."""
+    count = len(state) // 2
+    angles, rates = state[:count], state[count:]
+    torque = arm[0] * impulse[0] + arm[1] * impulse[1]
+    turns = tuple(range(2, 2 + count))
+    q = stance_coordinates([*angles])
+    factors = multibody.factorise(multibody.block(multibody.mass_matrix(motion.system(), q), turns))
+    changes = multibody.solve_factored(factors, [torque, *[jnp.zeros_like(torque)] * (count - 1)])
+    return type(state)(*angles, *(rate + by for rate, by in zip(rates, changes, strict=True)))
+
+
 class MultibodyWalker(MultibodyMotion, Walker):
     """Walkers whose equations follow from the places of their masses, by the general method.
 
@@ -80,6 +94,10 @@ class MultibodyWalker(MultibodyMotion, Walker):
 
     def contacts(self, q):
         return self.swing_foot(q)
+
+    def struck(self, state, impulse, arm):
+        """Phases of its own may have other masses."""
+        return None if self.phases() else masses_struck(self, state, impulse, arm)
 
     @shown_by(*DRIVE)
     def driven_by_gravity(self):

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
-from walker_jax.grids import Grid
+from walker_jax.grids import Grid, axes_around
 from walker_jax.hybrid.modes import SECTION, Condition, Foregone, Guard, Mode
 from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
@@ -33,6 +33,8 @@ from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.full_states import check_lands_on_section, check_motion
+from walker_jax.walkers.ground import raise_ground
+from walker_jax.walkers.parameters import SLOPE
 from walker_jax.walkers.phase import (
     Conditions,
     Phase,
@@ -46,6 +48,7 @@ from walker_jax.walkers.phase import (
     legs,
     some_state,
 )
+from walker_jax.walkers.pictures import picture_of_legs
 
 LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
 """Depth, in legs, from which on a foot counts as below the ground: less is rounding, where it
@@ -55,6 +58,7 @@ touches."""
 class Walker(HybridSystem):
     """A walker, as strides know it: its fields are its parameters, scalars, and options."""
 
+    spans: ClassVar[dict[str, tuple[float, float]]] = {"slope": SLOPE.span}
     state: ClassVar[type] = State
     """The `NamedTuple` of full states during the swing, with at least the fields of `State`."""
     longest_step: ClassVar[float | None] = None
@@ -182,6 +186,10 @@ class Walker(HybridSystem):
         onto = zip(names, phases, names[1:], strict=False)
         return {name: one.mode(next) for name, one, next in onto} | {"swing": swing}
 
+    def modes_on(self, step):
+        """In the plane, with a further mode for a foot on its way to lower ground."""
+        return raise_ground(self, self.modes(), step) if is_planar(self) else None
+
     def equations(self) -> VectorField:
         """Return the equations of motion to integrate: the vector field, or a `PowerBalance`."""
         return self.vector_field
@@ -197,21 +205,6 @@ class Walker(HybridSystem):
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
         """Return the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
-
-    def driven_by_gravity(self) -> bool:
-        """Return whether gravity alone does work: a step loses the energy that the slope gives.
-
-        By default that is not known.
-        """
-        return False
-
-    def motor_work(self, start: State, end: State) -> Scalar | None:
-        """Return the work of motors in a step, per unit of weight, in the unit of length.
-
-        The states are those just after a heel strike and just before the next. The method is called
-        where `driven_by_gravity` is false. None, the default, means unknown.
-        """
-        return None
 
     def past_contact(self, state: Any) -> Bool[Array, ""]:
         """Return whether h > 0 can only grow from here, so that no heel strike follows.
@@ -280,6 +273,35 @@ class Walker(HybridSystem):
         The state is one of the first phase. By default legs are drawn straight.
         """
         return None
+
+    def picture(self) -> Any:
+        """In the plane, two legs."""
+        return picture_of_legs(self) if is_planar(self) else None
+
+    def struck(
+        self, state: Any, impulse: Float[Array, " 2"], arm: tuple[Scalar, Scalar]
+    ) -> Any | None:
+        """Return a state after an impulse at the hip, along the slope and normal to it.
+
+        `arm` is the derivative of the hip's place by theta. By default it is not known which masses
+        move with the hip: None.
+        """
+        return None
+
+    def in_swing(self) -> "Walker":
+        """Return the walker once its phases are over; by default the walker itself."""
+        return self
+
+    def step_length(self, x, end):
+        """In the plane the step before x: a foot stands, or rolls by the angle of its leg, so the
+        state at heel strike gives the length."""
+        return self.reach(self.exchange_legs(self.lift(x)))
+
+    def basin_region(self, gait):
+        """A window around a gait, in the plane of theta and the sum of theta and thetadot."""
+        if (state := gait()) is None:
+            return None
+        return Grid.sheared(**axes_around(state, ("theta", "sum", *self.section[2:])))
 
     def exchange_legs(self, state: State) -> State:
         """Return the state with the swing leg as the new stance leg, (21) and its derivative."""

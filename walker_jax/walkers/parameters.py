@@ -168,10 +168,10 @@ SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2, span=(
 UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
-def slopes_of(kind: type[System]) -> tuple[float, float]:
-    """Return the ends of the slopes over which gaits are followed unless others are given."""
-    ends = next(one.span for one in parameters(kind) if one.name == "slope")
-    return SLOPE.span if np.isnan(ends[0]) else ends
+def span_of(kind: type[System], name: str) -> tuple[float, float] | None:
+    """Return the ends between which gaits are followed over a parameter, if they are known."""
+    own = next((one.span for one in parameters(kind) if one.name == name), (np.nan, np.nan))
+    return kind.spans.get(name) if np.isnan(own[0]) else own
 
 
 def check_parameter(walker: System, parameter: str, *values: float) -> None:

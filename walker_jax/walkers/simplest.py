@@ -2,14 +2,16 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
+from walker_jax.grids import Grid
 from walker_jax.walkers.abstract_point_foot import (
     AbstractMasslessFootWalker,
     gait_strip,
     pendulum_modes,
     rises_past_contact,
 )
-from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, shown_by
+from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, moves_like, shown_by
 from walker_jax.walkers.parameters import SLOPE
 
 
@@ -35,6 +37,11 @@ class SimplestWalker(AbstractMasslessFootWalker):
     @shown_by(*STEP)
     def gait_region(self):
         return gait_strip(self.slope)
+
+    def basin_region(self, gait):
+        if not moves_like(self, SimplestWalker):
+            return super().basin_region(gait)
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
 
     def past_contact(self, state):
         return rises_past_contact(self, state)

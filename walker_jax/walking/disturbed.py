@@ -4,31 +4,27 @@ States are full states, such as (theta, phi, thetadot, phidot), just after heel 
 feet stand at different heights on rough ground.
 """
 
-from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from walker_jax.hybrid.modes import SECTION
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.walkers.ground import PASSES
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.courses import Part
 from walker_jax.walking.failure_margins import (
     Margins,
     guards_of,
-    measure_stride,
+    measure_modes,
     strike_margin,
 )
-from walker_jax.walking.raised_ground import onto_step
 from walker_jax.walking.scan import Walked, scan_strides
 from walker_jax.walking.starts import during_stride, on_section
-from walker_jax.walking.stride import end_step, first_of, follow_step, follow_to_contact
+from walker_jax.walking.stride import follow_step, modes_from, with_full_state
 
 
 class Disturbance(NamedTuple):
@@ -89,23 +85,11 @@ def follow_disturbed_margins(
     """
     walker, x, step = disturbed_start(walker, x, disturbance)
     walker = during_stride(walker, x)
-    modes, course = follow_to_contact(walker, x, step, integrator, measured=True)
-    *before, level, lower = course.parts
-    swing = modes[[*modes][-1]]
-    *others, contact = onto_step(walker, swing, step).guards
-    contact = contact._replace(must_hold=swing.guards[-1].must_hold)
-    to_contact = swing._replace(guards=(*others, contact))
-    choose = partial(jnp.where, lower.followed)
-    last = Part(to_contact, *jax.tree.map(choose, lower[1:], level[1:]))
-    state = course.entries[SECTION].state  # with its derivative by the step
-    last = last._replace(end=last.end._replace(state=state))
-    *falls, passes = level.mode.guards
-    to_level = level.mode._replace(guards=(*falls, passes._replace(leads_to="below")))
-    level = level._replace(mode=to_level)
-    course, stride = end_step(walker, modes, course)
-    course = course._replace(parts=(*before, level, last))
-    found = measure_stride(walker, first_of(modes), course, stride)
-    passed = with_fast_sincos(lambda: strike_margin(level, guards_of(level)[-1], len(falls)))()
-    known = lower.followed & (stride.outcome == Outcome.STRIDE)
-    forward = jnp.fmin(found.forward, jnp.where(known, passed, jnp.nan))
-    return found._replace(by_name=found.by_name | {Outcome.FORWARD.name: forward})
+    modes = modes_from(walker, x, step, to_the_end=True)
+    found, course = measure_modes(walker, x, modes, integrator)
+    *_, level, _ = course.parts
+    number = len(level.mode.guards) + PASSES
+    passed = with_fast_sincos(lambda: strike_margin(level, guards_of(level)[number], number))()
+    passed = jnp.where(found.stride.outcome == Outcome.STRIDE, passed, jnp.nan)
+    by_name = found.by_name | {Outcome.FORWARD.name: jnp.fmin(found.forward, passed)}
+    return found._replace(stride=with_full_state(found.stride, course), by_name=by_name)

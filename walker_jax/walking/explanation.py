@@ -24,7 +24,6 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker
 from walker_jax.walking.consistency import (
     check_landing,
     check_point,
@@ -182,7 +181,7 @@ def explain(
         complaints += check_projection(walker, x)
         records, landed = record_modes(during_stride(walker, x), x, integrator)
         complaints += check_records(records)
-        if isinstance(walker, Walker) and walker.driven_by_gravity():
+        if walker.driven_by_gravity():
             complaints += check_energy(records)
         if outcome == Outcome.STRIDE and landed is not None:
             complaints += check_landing(walker, landed)

@@ -133,25 +133,29 @@ def margins_of_many(
 
 
 @kernel
-def follow_margins(
-    walker: System, x: Float[Array, " coordinates"], integrator: Integrator
-) -> Margins:
+def follow_margins(walker: System, x: Float[Array, " n"], integrator: Integrator) -> Margins:
+    walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return measure_map(walker, x)
-    walker = during_stride(walker, x)
-    modes = modes_from(walker, x, to_the_end=True)
+    return measure_modes(walker, x, modes_from(walker, x, to_the_end=True), integrator)[0]
+
+
+def measure_modes(
+    walker: HybridSystem, x: Float[Array, " n"], modes: dict[str, Mode], integrator: Integrator
+) -> tuple[Margins, Course]:
+    """Follow modes from x, and return their margins, and their course."""
     check_entered_once(walker, modes, "margins")
     course = follow_modes(walker, modes, start_course(walker, modes, x), integrator, measured=True)
     stride = end_course(walker, first_of(modes), course)
     found = measure_stride(walker, first_of(modes), course, stride)
     outside = margin_of_start(walker, x)
     if outside is None:
-        return found
+        return found, course
     # A guard may lead outside too.
     led = (stride.outcome == Outcome.OUTSIDE) & walker.feasible(x)
     outside = jnp.where(led, found.outside, outside)
     failed = jnp.where(stride.outcome == Outcome.OUTSIDE, outside, found.failed)
-    return Margins(stride, failed, found.by_name | {"OUTSIDE": outside})
+    return Margins(stride, failed, found.by_name | {"OUTSIDE": outside}), course
 
 
 def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:

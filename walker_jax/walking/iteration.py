@@ -29,11 +29,10 @@ from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.systems.system import AnySystem, System, numbers_of
-from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import Parameter, described_by, with_values
 from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
-from walker_jax.walking.stride import follow_step, follow_stride
+from walker_jax.walking.stride import check_ground, follow_step, follow_stride
 
 ROUNDS = 4, 16, 64
 """Number of strides in each round of an iteration; the last number holds for all later rounds. Only
@@ -206,7 +205,7 @@ def walk(
     if ground is None:
         with nan_allowed():
             return follow_walk(walker, x, n, integrator)
-    walker = check_planar(walker)
+    check_ground(walker)
     steps = as_floating(ground, "ground").astype(x.dtype)
     if steps.shape != (n,):
         raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
@@ -227,8 +226,8 @@ def follow_walk(
     """Follow n strides; on rough ground, each onto its own height above the last."""
     walker, start = vary_together((walker, x))
     step = lambda x, _: follow_stride(walker, x, integrator)
-    if isinstance(walker, Walker) and ground is not None:
-        x = jnp.stack(walker.lift(start))
+    if isinstance(walker, HybridSystem) and ground is not None:
+        x = jnp.stack(jax.tree.leaves(walker.lift(start)))
         start = nan_unless(walker.feasible(start), x)
         step = lambda x, i: follow_step(walker, x, ground[i], integrator)
     _, made = scan_strides(step, start, n, record=lambda stride: stride)
