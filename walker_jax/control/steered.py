@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from walker_jax.systems.maps import Map
-from walker_jax.systems.system import System, code_field, numbers_of
+from walker_jax.systems.system import System, code_field, fields_of, numbers_of
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import with_values
+from walker_jax.walkers.parameters import value_of, with_values
 from walker_jax.walking.stride import stride
 
 Choice = Callable[[Float[Array, " section"], Float[Array, " parameters"]], Any]
@@ -24,7 +24,7 @@ def steer(system: System, names: tuple[str, ...], choose: Choice, tolerance: flo
     The policy of any other system is a map, whose strides have this `tolerance`.
     """
     if isinstance(system, Walker):
-        return remake(type(system), names, choose, vars(system))
+        return remake(type(system), names, choose, fields_of(system))
 
     def plain(parameters: dict[str, Any]) -> System:
         return with_values(system, parameters)
@@ -50,12 +50,12 @@ class SteeredWalker(Walker):
     choose: eqx.AbstractVar[Choice]
 
     def during_stride(self, x):
-        own = jnp.stack([jnp.asarray(getattr(self, name), x.dtype) for name in self.chosen])
+        own = jnp.stack([jnp.asarray(value_of(self, name), x.dtype) for name in self.chosen])
         walker = with_values(self, zip(self.chosen, self.choose(x, own), strict=True))
         return self.steered.during_stride(walker, x)
 
     def __reduce__(self):
-        values = {name: value for name, value in vars(self).items() if name != "choose"}
+        values = {name: value for name, value in fields_of(self).items() if name != "choose"}
         return remake, (self.steered, self.chosen, self.choose, values)
 
 

@@ -20,6 +20,7 @@ from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
 from walker_jax.multibody.single_support import stance_coordinates
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
 from walker_jax.walkers.masses import MultibodyWalker
@@ -135,7 +136,7 @@ def states_at(
     walker: Walker, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
 ) -> Any:
     """Return the states at times after a start; one program serves any number of times."""
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
+    walker = in_dtype(walker, float)
     arguments = (walker, start, times, Integrator(1e-12).in_dtype(float))
     return map_cells(state_after, arguments, (False, False, True, False))
 
@@ -148,7 +149,7 @@ def push(
     The unit is that of mass (or the mass at the hip) times speed.
     """
     leg = np.asarray(leg_shape(check_push(subject.walker, subject.offer.name)))
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker_from(subject, start))
+    walker = in_dtype(walker_from(subject, start), float)
     arguments = (walker, start[None], impulse[None], leg)
     return map_cells(after_push, arguments, (False, True, True, False))[0]
 
