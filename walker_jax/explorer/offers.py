@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, is_number
@@ -15,12 +16,14 @@ from walker_jax.identity import code_fingerprint
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
+from walker_jax.systems.trees import make_static
 from walker_jax.walkers.family import OPENING, WALKERS
 from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import (
     Parameter,
     parameters_of,
     slopes_of,
+    trees,
     with_values,
 )
 from walker_jax.walkers.references import place_of
@@ -185,6 +188,8 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
     if len(walker.section) < 2:
         raise WrongUse(f"{walker.label()} has a section of one coordinate, and pictures have two")
     kind = walker if isinstance(walker, Map) else type(walker)
+    if isinstance(kind, type):
+        check_trees(walker)
     described = parameters_of(kind)
     for one in described:
         if one.name in ADDRESS_KEYS or one.name.startswith("at_"):
@@ -203,6 +208,17 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
             "--axis to walker-jax explore"
         )
     return made
+
+
+def check_trees(walker: System) -> None:
+    """Raise `WrongUse` for arrays or trees that are not the defaults of the class."""
+    for one in trees(type(walker)):
+        like = None if one.default is dataclasses.MISSING else make_static(one.default, one.name)
+        if not eqx.tree_equal(getattr(walker, one.name), like):
+            raise WrongUse(
+                f"{one.name} must be the default of {walker.label()}: the page changes single "
+                "numbers alone"
+            )
 
 
 def beside(offered: Offer) -> Offers:

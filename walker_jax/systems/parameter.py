@@ -10,7 +10,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from walker_jax.checks import WrongUse, short
@@ -35,7 +34,7 @@ class Parameter(NamedTuple):
     shape: tuple[int, ...] = ()
     """Shape of an array of such numbers; by default one number."""
 
-    def convert(self, value: ArrayLike) -> Array:
+    def convert(self, value: Any) -> Array:
         """Return the number, or the array, as an array; `ValueError` for one outside the bounds."""
         kind = f"real numbers of shape {self.shape}" if self.shape else "one real number"
         refusal = f"{self.name} must be {kind}, not {short(value)}"

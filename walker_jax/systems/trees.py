@@ -1,13 +1,16 @@
 """Parameters of any shape: arrays, and trees of them such as networks, as leaves with names.
 
-A leaf of a tree has the name of its path, `policy.layers[0].weight` or `table['torques']`.
+A leaf of a tree has the name of its path, `policy.layers[0].weight` or `table["torques"]`.
 Functions in a tree, such as the activation of a network, are part of its structure, so that JAX
 sees arrays alone. Integers in arrays stay integers: they are places in a table, not parameters.
 """
 
 import dataclasses
 import functools
+import importlib
 import math
+import sys
+import types
 import typing
 from collections.abc import Iterator
 from typing import Any
@@ -43,8 +46,25 @@ class Code:
     def __hash__(self) -> int:
         return hash(self.func)
 
+    def __reduce__(self):
+        """Pickle the function by its name in a module, which a lambda of a module has too."""
+        name = name_of(self.func)
+        return (named_code, (self.func.__module__, name)) if name else (Code, (self.func,))
+
     def __repr__(self) -> str:
-        return getattr(self.func, "__name__", type(self.func).__name__)
+        plain = getattr(self.func, "__name__", type(self.func).__name__)
+        return name_of(self.func) or plain
+
+
+def name_of(function: Any) -> str | None:
+    """Return the name of a function in its module; None if it has none there."""
+    names = vars(sys.modules.get(getattr(function, "__module__", ""), object))
+    return next((name for name, one in names.items() if one is function), None)
+
+
+def named_code(module: str, name: str) -> Code:
+    """Restore a function of a tree by its name."""
+    return Code(getattr(importlib.import_module(module), name))
 
 
 def is_tree(value: Any) -> bool:
@@ -52,7 +72,7 @@ def is_tree(value: Any) -> bool:
     return not jax.tree_util.all_leaves([value])
 
 
-def make_static(value: Any, name: str) -> Any:
+def make_static(value: Any, name: str, owner: str = "") -> Any:
     """Return a parameter with its functions as `Code`; raise `WrongUse` for other things in it."""
 
     def checked(path, leaf):
@@ -62,7 +82,7 @@ def make_static(value: Any, name: str) -> Any:
         real = real and not (path and isinstance(leaf, bool | complex))
         if not real or jnp.issubdtype(jnp.result_type(leaf), jnp.complexfloating):
             raise WrongUse(
-                f"{name}{jax.tree_util.keystr(path)} must be real numbers or a function, not "
+                f"{name}{path_name(path)}{owner} must be real numbers or a function, not "
                 f"{short(leaf)}: a static field may hold words"
             )
         return float(leaf) if path and isinstance(leaf, int) else leaf
@@ -74,7 +94,7 @@ def settle(system: Any) -> None:
     """Make functions in the trees of a new system static, and note the ranks of its arrays."""
     for name in (one.name for one in dynamic_fields(system)):
         value = getattr(system, name)
-        if value is not (settled := make_static(value, f"{name} of {type(system).__name__}")):
+        if value is not (settled := make_static(value, name, f" of {type(system).__name__}")):
             object.__setattr__(system, name, settled)
     if ranks := positive_ranks(system):
         object.__setattr__(system, "array_ranks", ranks)
@@ -84,16 +104,25 @@ def with_static_functions(system: Any) -> Any:
     """Return the system with functions as `Code`, where a tree was put in after it was made."""
     if not any(callable(leaf) for leaf in jax.tree.leaves(system)):
         return system
-    return make_static(system, type(system).__name__)
+    return make_static(system, "")
+
+
+def path_name(path: Any) -> str:
+    """Return the name of a leaf after that of its field: `.layers[0].weight` or `["torques"]`.
+
+    Its quotes are those that NetCDF allows in names.
+    """
+    key = lambda one: f'["{one.key}"]' if isinstance(getattr(one, "key", 0), str) else str(one)
+    return "".join(map(key, path))
 
 
 def leaves_in(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield the leaves of a field with their names."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(value):
         if name == PARAMETERS and isinstance(value, dict):
-            yield f"{path[0].key}{jax.tree_util.keystr(path[1:])}", leaf
+            yield f"{path[0].key}{path_name(path[1:])}", leaf
         else:
-            yield f"{name}{jax.tree_util.keystr(path)}", leaf
+            yield f"{name}{path_name(path)}", leaf
 
 
 def dynamic_fields(kind: Any) -> list[dataclasses.Field]:
@@ -142,13 +171,15 @@ def rank_in(annotation: Any) -> int | Any | None:
 
     It is an empty tree for a class of modules, such as a network, and None for any other one.
     """
-    for one in typing.get_args(annotation) or (annotation,):
+    union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
+    for one in typing.get_args(annotation) if union else (annotation,):
+        one = typing.get_origin(one) or one
         if one in (float, int):
             return 0
         dims = getattr(one, "dims", None)
         if isinstance(dims, tuple) and getattr(one, "index_variadic", None) is None:
             return len(dims)
-        if isinstance(one, type) and issubclass(one, eqx.Module | dict):
+        if isinstance(one, type) and issubclass(one, eqx.Module | dict | list | tuple):
             return {}
     return None
 
@@ -244,5 +275,5 @@ def structure_of(value: Any) -> tuple[Any, ...]:
 def functions_in(name: str, value: Any) -> dict[str, Code]:
     """Return the functions in a tree by the names of their paths."""
     paths = jax.tree_util.tree_leaves_with_path(value, is_leaf=lambda one: isinstance(one, Code))
-    keys = {f"{name}{jax.tree_util.keystr(path)}": one for path, one in paths}
+    keys = {f"{name}{path_name(path)}": one for path, one in paths}
     return {key: one for key, one in keys.items() if isinstance(one, Code)}

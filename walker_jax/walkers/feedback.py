@@ -100,6 +100,8 @@ def Feedback(
     values |= {f"reference_{name}": state[i] for i, name in enumerate(section)}
     for name, row in gains.items():
         check_parameter(walker, name)
+        if name not in values:
+            raise WrongUse(f"gains must name single numbers of the walker, not the array of {name}")
         check_bounded(walker, name, bounds)
         row = read_row("gains", name, row, len(section))
         values |= {f"{name}_per_{one}": row[i] for i, one in enumerate(section)}

@@ -243,7 +243,7 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
     """Raise `WrongUse` for a parameter the walker lacks, or values that it refuses."""
     check_kind("walker", walker, System)
     if not is_number_of(walker, parameter):
-        names = ", ".join([*numbers_of(walker), *map("a number of {}".format, arrays_of(walker))])
+        names = ", ".join([*numbers_of(walker), *example_of_entry(walker)])
         raise WrongUse(
             f"parameter must be one of the walker's, {names}, not {short(parameter)}",
             of="parameter",
@@ -319,6 +319,12 @@ def is_number_of(walker: System, parameter: Any) -> bool:
     rank = dict(walker.array_ranks)[name]
     shape = np.shape(arrays[name])[np.ndim(arrays[name]) - rank :]
     return len(entry) == rank and all(i < n for i, n in zip(entry, shape, strict=True))
+
+
+def example_of_entry(walker: System) -> list[str]:
+    """Return the name of the first number in the arrays of a walker, after an ellipsis."""
+    ranks = dict(walker.array_ranks).items()
+    return [f"{name}[{', '.join('0' * rank)}], ..." for name, rank in [*ranks][:1]]
 
 
 def with_entry(leaf: Any, entry: tuple[int, ...], value: Any) -> Any:
