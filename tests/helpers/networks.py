@@ -70,7 +70,8 @@ NAMES = [one for one in ByScalars.__annotations__ if one != "policy"]
 
 def by_scalars(walker: NetworkWalker) -> ByScalars:
     """The walker with a field for each number of its network."""
-    values = map(jnp.asarray, np.concatenate(list(map(np.ravel, jax.tree.leaves(walker.policy)))))
+    every = np.concatenate(list(map(np.ravel, jax.tree.leaves(walker.policy))))
+    values: Any = map(jnp.asarray, every)
     return ByScalars(walker.slope, **dict(zip(NAMES, values, strict=True)))
 
 

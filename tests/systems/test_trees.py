@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from networks import NetworkWalker, Pushed, network, pushed
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
+from walker_jax.cli.walker_options import read_tree
 from walker_jax.identity import code_fingerprint
+from walker_jax.proofs.provable import check_provable
 from walker_jax.systems.system import arrays_of, code_of, numbers_of
 from walker_jax.systems.trees import LARGEST, is_many, select
 from walker_jax.walkers.parameters import (
@@ -40,8 +42,8 @@ LEAVES = {
 class Curve(wj.System):
     """A map whose steps are a cubic with these coefficients."""
 
-    coefficients: Float[Array, " 4"]
-    shift: float = 0.0
+    coefficients: Float[Any, " 4"]
+    shift: float | Any = 0.0
     section = ("x",)
 
     def advance(self, x):
@@ -179,30 +181,60 @@ def test_functions_put_in_later_are_static_too():
 
 
 BOUNDED = Parameter("pulls", "", "", low=0.0, shape=(2,))
-WRONG = {
-    "coefficients must be an array of rank 1, not of shape (2, 4)": lambda: wj.stride(
-        Curve(np.zeros((2, 4))), [0.1]
-    ),
-    "coefficients must be an array of rank 1 or 3, not of shape (2, 4)": lambda: wj.strides(
-        Curve(np.zeros((2, 4))), np.zeros((3, 1))
-    ),
-    "force[\"kind\"] of Pushed must be real numbers or a function, not 'hard': a static field may "
-    "hold words": lambda: Pushed({"kind": "hard"}, np.arange(3)),
-    'force["on"] of Pushed must be real numbers or a function, not True: a static field may hold '
-    "words": lambda: Pushed({"on": True}, np.arange(3)),
-    "order of Pushed must be real numbers or a function, not 1j: a static field may hold "
-    "words": lambda: Pushed({}, 1j),
-    "pulls must be real numbers of shape (2,), not [1.0]": lambda: BOUNDED.convert([1.0]),
-    "pulls must be finite and above 0, not -2.0": lambda: BOUNDED.convert([1.0, -2.0]),
-    "parameter must be one of the walker's, slope, policy.layers[0].weight[0, 0], ..., not "
-    "'policy.layers[0].weight[4, 0]'": lambda: check_parameter(
-        NetworkWalker(0.009), "policy.layers[0].weight[4, 0]"
-    ),
-}
 
 
-@pytest.mark.parametrize("message", WRONG)
-def test_refusals(message):
-    with pytest.raises(WrongUse) as error:
-        WRONG[message]()
-    assert str(error.value) == message
+def test_refusals():
+    wide, other = Curve(np.zeros((2, 4))), " must be real numbers or a function, not "
+    wrong = {
+        "coefficients must be an array of rank 1, not of shape (2, 4)": lambda: wj.stride(
+            wide, [0.1]
+        ),
+        "coefficients must be an array of rank 1 or 3, not of shape (2, 4)": lambda: wj.strides(
+            wide, np.zeros((3, 1))
+        ),
+        f"force[\"kind\"] of Pushed{other}'hard': a static field may hold words": lambda: Pushed(
+            {"kind": "hard"}, np.arange(3)
+        ),
+        f'force["on"] of Pushed{other}True: a static field may hold words': lambda: Pushed(
+            {"on": True}, np.arange(3)
+        ),
+        f"order of Pushed{other}1j: a static field may hold words": lambda: Pushed({}, 1j),
+        "pulls must be real numbers of shape (2,), not [1.0]": lambda: BOUNDED.convert([1.0]),
+        "pulls must be finite and above 0, not -2.0": lambda: BOUNDED.convert([1.0, -2.0]),
+        "parameter must be one of the walker's, slope, policy.layers[0].weight[0, 0], ..., not "
+        "'policy.layers[0].weight[4, 0]'": lambda: check_parameter(
+            NetworkWalker(0.009), "policy.layers[0].weight[4, 0]"
+        ),
+        "--force needs a default of force in its class, to tell the shapes in a file": lambda: (
+            read_tree(trees(Pushed)[0], None)
+        ),
+        "walker must have single numbers for parameters, not the array policy.layers[0].weight": (
+            lambda: check_provable(NetworkWalker(0.009))
+        ),
+        "gains must name single numbers of the walker, not the array of policy.layers[0].bias[0]": (
+            lambda: wj.Feedback(
+                NetworkWalker(0.009), [0.2, -0.2], {"policy.layers[0].bias[0]": (1.0, 0.0)}
+            )
+        ),
+    }
+    for message, use in wrong.items():
+        with pytest.raises(WrongUse) as error:
+            use()
+        assert str(error.value) == message
+
+
+def test_areas_and_optima_follow_numbers_of_arrays():
+    """The basin of a contraction is where it is feasible, an ellipse's area of pi a b."""
+
+    def inside(x, axes):
+        return 1 - jnp.sum((x / axes) ** 2)
+
+    axes = jnp.array([0.8, 0.5])
+    system = wj.Map(lambda x, axes: x / 2, ("x", "y"), parameters={"axes": axes}, feasible=inside)
+    grid = wj.Grid.plain(x=(-1, 1, 40), y=(-1, 1, 40))
+    found = wj.area_gradient(system, grid, ("axes[0]", "axes[1]"), levels=3)
+    np.testing.assert_allclose(found.gradient, np.pi * np.array([0.5, 0.8]), rtol=2e-3)
+    best = wj.optimise(
+        system, {"axes[1]": (0.2, 0.7)}, grid=grid, starts=1, levels=0, progress=False
+    )
+    np.testing.assert_allclose(best["optimum"].item(), 0.7, rtol=1e-6)

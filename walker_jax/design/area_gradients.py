@@ -234,7 +234,7 @@ def differentiate_area(
     ends = [walkers_at_band_ends(walker, parameters[k], half_widths[k]) for k in chosen]
     sizes = [*side_by_side(lambda one: at_band_ends.measure(one).size, itertools.chain(*ends))]
     for k, (low, high), below, above in zip(chosen, ends, sizes[::2], sizes[1::2], strict=True):
-        width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
+        width = float(value_of(high, parameters[k]) - value_of(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
         made += below.strides + above.strides

@@ -107,7 +107,7 @@ class Map(System):
 def as_parameter(name: str, value: Any) -> Any:
     """Return a parameter of a map, checked: a number or an array of reals, or a tree of them."""
     shape = () if isinstance(value, str) else np.shape(value) if eqx.is_array_like(value) else None
-    exact = shape and not jnp.issubdtype(value.dtype, jnp.floating)
+    exact = shape and not jnp.issubdtype(jnp.result_type(value), jnp.floating)
     if shape is None or exact:  # a tree or a function, or places in a table
         return make_static(value, name)
     return Parameter(name, "", "", low=-np.inf, shape=shape).convert(value)

@@ -25,6 +25,8 @@ from walker_jax.systems.parameter import Parameter, description
 
 LARGEST = 4096
 """Numbers of the largest array that is written down; a larger one is known by its hash."""
+HASHED = "sha256 "
+"""Beginning of the words for a larger array."""
 CONTAINERS = tuple, list, dict, type(None)
 PARAMETERS = "parameters"
 """Field of a `Map` whose entries have names of their own."""

@@ -4,7 +4,7 @@ import dataclasses
 import inspect
 from collections.abc import Container, Iterable, Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from walker_jax.systems.system import (
     statics_of,
 )
 from walker_jax.systems.trees import (
+    HASHED,
     LARGEST,
     PARAMETERS,
     default_of,
@@ -48,8 +49,8 @@ def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
             continue
         one = description(field, Parameter)
         one = one or (SLOPE if field.name == "slope" else UNDESCRIBED)
-        known = isinstance(field.default, int | float | np.number | np.ndarray | jax.Array)
-        default = float(field.default) if known else one.default
+        known = field.default is not dataclasses.MISSING and field.default is not None
+        default = float(cast("Any", field.default)) if known else one.default
         found.append(one._replace(name=field.name, default=default))
     return tuple(found)
 
@@ -137,7 +138,7 @@ def write_array(value: Any) -> list[Any] | str:
     numbers = np.asarray(value)
     if numbers.size <= LARGEST:
         return numbers.tolist()
-    return f"sha256 {sha256_of(numbers.tobytes())}, {numbers.dtype} of shape {numbers.shape}"
+    return f"{HASHED}{sha256_of(numbers.tobytes())}, {numbers.dtype} of shape {numbers.shape}"
 
 
 def names_of_functions(walker: System) -> dict[str, str]:
