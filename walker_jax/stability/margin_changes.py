@@ -11,7 +11,7 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator, Solver
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System
-from walker_jax.systems.trees import in_dtype
+from walker_jax.systems.trees import in_dtype, zeros_like
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import as_tangent, with_values
 from walker_jax.walking.failure_margins import failure_margin, follow_margins
@@ -38,7 +38,7 @@ def differentiate_margins(
     along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
     names = [None] * len(directions) + list(parameters)
     column = lambda name: np.tile(np.array([name == one for one in names], dtype), n)
-    zeros = jax.tree.map(lambda leaf: np.zeros((n * columns, *np.shape(leaf)), dtype), walker)
+    zeros = zeros_like(walker, n * columns, dtype)
     tangent = with_values(zeros, {name: column(name) for name in parameters})
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
     shared = in_dtype(walker, dtype), Integrator(tolerance, solver).in_dtype(dtype)

@@ -229,7 +229,8 @@ def as_tuple(value: Any) -> tuple:
 
 def fields_of(system: System) -> dict[str, Any]:
     """Return the values of all fields by name."""
-    return {name: value for name, value in vars(system).items() if name != "array_ranks"}
+    known = {one.name for one in dataclasses.fields(system)} - {"array_ranks"}
+    return {name: value for name, value in vars(system).items() if name in known}
 
 
 def shown_values(system: System) -> dict[str, Any]:

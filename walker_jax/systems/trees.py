@@ -134,8 +134,8 @@ def dynamic_fields(kind: Any) -> list[dataclasses.Field]:
 
 def leaves_of(system: Any) -> dict[str, Any]:
     """Return the leaves of all parameters of a system by name, in the order of its fields."""
-    static = {one.name for one in dataclasses.fields(system) if one.metadata.get("static")}
-    fields = ((name, value) for name, value in vars(system).items() if name not in static)
+    known = {one.name for one in dynamic_fields(system)}
+    fields = ((name, value) for name, value in vars(system).items() if name in known)
     return {leaf: value for field in fields for leaf, value in leaves_in(*field)}
 
 
@@ -231,6 +231,16 @@ def map_leaves(function: Any, system: Any) -> Any:
     leaves, structure = jax.tree.flatten(system)
     ranks = ranks_of(system) or [0] * len(leaves)
     return structure.unflatten(map(function, leaves, ranks))
+
+
+def own_shape(leaf: Any, rank: int) -> tuple[int, ...]:
+    """Return the shape of a leaf in one system."""
+    return np.shape(leaf)[np.ndim(leaf) - rank :]
+
+
+def zeros_like(system: Any, rows: int, dtype: Any) -> Any:
+    """Return rows of zeros for each number of one system."""
+    return map_leaves(lambda leaf, rank: np.zeros((rows, *own_shape(leaf, rank)), dtype), system)
 
 
 def in_dtype(system: Any, dtype: Any, array: Any = np.asarray) -> Any:

@@ -34,7 +34,9 @@ from walker_jax.systems.trees import (
     functions_in,
     leaves_of,
     names_in_tree,
+    own_shape,
     told_by,
+    zeros_like,
 )
 
 
@@ -273,7 +275,7 @@ def parameter_directions(
     In the row of one of these its own number is 1, and all others are 0. The rows of other
     parameters are 0.
     """
-    zeros = jax.tree.map(lambda leaf: np.zeros((rows, *np.shape(leaf)), dtype), walker)
+    zeros = zeros_like(walker, rows, dtype)
     units = (np.eye(1, rows, i, dtype)[0] for i in range(len(parameters)))
     return with_values(zeros, zip(parameters, units, strict=True))
 
@@ -318,7 +320,7 @@ def is_number_of(walker: System, parameter: Any) -> bool:
     if name not in arrays or not jnp.issubdtype(jnp.result_type(arrays[name]), jnp.floating):
         return False
     rank = dict(walker.array_ranks)[name]
-    shape = np.shape(arrays[name])[np.ndim(arrays[name]) - rank :]
+    shape = own_shape(arrays[name], rank)
     return len(entry) == rank and all(i < n for i, n in zip(entry, shape, strict=True))
 
 

@@ -34,6 +34,7 @@ from walker_jax.systems.trees import (
     is_many,
     leaves_of,
     map_leaves,
+    own_shape,
     select,
     with_static_functions,
 )
@@ -160,7 +161,7 @@ def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
 
 def broadcast_parameters(walker: AnySystem, n: int, dtype) -> AnySystem:
     """Return a walker, or n of them, with n of every parameter."""
-    shape = lambda leaf, rank: (n, *np.shape(leaf)[np.ndim(leaf) - rank :])
+    shape = lambda leaf, rank: (n, *own_shape(leaf, rank))
     walker = in_dtype(walker, dtype)
     return map_leaves(lambda leaf, rank: np.broadcast_to(leaf, shape(leaf, rank)), walker)
 
