@@ -270,18 +270,15 @@ def repeat_cells(
 
 def jvp(shared: tuple[Integrator, System], cell):
     """Return the stride of one cell, and its derivative along a direction (start, parameters)."""
-    integrator, axes = shared
-    walker, x, direction = cell
-    way, along = split(axes, x, direction)
-    tangents = as_tangent(walker, way), along
+    (integrator, axes), (walker, x, direction) = shared, cell
+    tangents = split(axes, walker, x, direction)
     return jax.jvp(partial(timed_stride, integrator), (walker, x), tangents)
 
 
-def split(axes: System, x: Float[Array, " section"], direction: Float[Array, " columns"]):
+def split(axes: System, walker: System, x: Float[Array, " section"], direction: Array):
     """Split a direction into those of the walker and of the start."""
-    size = x.shape[0]
-    along = lambda leaf: jnp.sum((leaf.T * direction[size:]).T, axis=0)
-    return jax.tree.map(along, axes), direction[:size]
+    along = lambda leaf: jnp.sum((leaf.T * direction[x.size :]).T, axis=0)
+    return as_tangent(walker, jax.tree.map(along, axes)), direction[: x.size]
 
 
 def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " section"]):

@@ -28,7 +28,7 @@ from walker_jax.gaits.cycles import (
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import as_tangent, check_parameter, parameter_directions
+from walker_jax.walkers.parameters import check_parameter, parameter_directions
 from walker_jax.walking.starts import prepare
 
 MOST_PARAMETERS = 2
@@ -158,5 +158,4 @@ def second_jvp(shared: tuple[Integrator, System], cell):
     """Return ((stride, its derivative along first), (its derivatives along second, along both))."""
     walker, x, first, second = cell
     derivative = lambda walker, x: jvp(shared, (walker, x, first))
-    way, along = split(shared[1], x, second)
-    return jax.jvp(derivative, (walker, x), (as_tangent(walker, way), along))
+    return jax.jvp(derivative, (walker, x), split(shared[1], walker, x, second))
