@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from walker_jax.systems.system import System, code_field
-from walker_jax.walkers.parameters import with_values
+from walker_jax.walkers.parameters import value_of, with_values
 
 Choice = Callable[[Float[Array, " section"], Float[Array, " parameters"]], Any]
 """Function from a state and the system's own parameters to the parameters of the next stride."""
@@ -30,8 +30,8 @@ class Steered(eqx.Module):
     """The system without a policy, which may have feedback of its own."""
     choose: eqx.AbstractVar[Choice]
 
-    def during_stride(self, x):
-        own = jnp.stack([jnp.asarray(getattr(self, name), x.dtype) for name in self.chosen])
+    def during_stride(self: Any, x):
+        own = jnp.stack([jnp.asarray(value_of(self, name), x.dtype) for name in self.chosen])
         plain = with_fields(self.steered, vars(self))
         chosen = with_values(plain, zip(self.chosen, self.choose(x, own), strict=True))
         return chosen.during_stride(x)

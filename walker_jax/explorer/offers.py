@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, is_number
@@ -15,6 +16,7 @@ from walker_jax.identity import code_fingerprint
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
+from walker_jax.systems.trees import is_tree, make_static
 from walker_jax.walkers.family import OPENING, WALKERS, WINDOWS
 from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import (
@@ -22,6 +24,7 @@ from walker_jax.walkers.parameters import (
     Parameter,
     parameters_of,
     span_of,
+    trees,
     with_values,
 )
 from walker_jax.walkers.references import place_of
@@ -175,6 +178,7 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
     if len(walker.section) < 2:
         raise WrongUse(f"{walker.label()} has a section of one coordinate, and pictures have two")
     kind = walker if isinstance(walker, Map) else type(walker)
+    check_trees(walker)
     described = parameters_of(kind)
     for one in described:
         if one.name in ADDRESS_KEYS or one.name.startswith("at_"):
@@ -193,6 +197,22 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
             "--axis to walker-jax explore"
         )
     return made
+
+
+def check_trees(walker: System) -> None:
+    """Raise `WrongUse` for arrays or trees that are not the defaults of the class."""
+    if isinstance(walker, Map):
+        wrong = [name for name, one in walker.parameters.items() if is_tree(one) or np.ndim(one)]
+    else:
+        fields = [(one, getattr(walker, one.name)) for one in trees(type(walker))]
+        same = lambda one, value: eqx.tree_equal(value, make_static(one.default, one.name))
+        known = lambda one: one.default is not dataclasses.MISSING
+        wrong = [one.name for one, value in fields if not (known(one) and same(one, value))]
+    if wrong:
+        raise WrongUse(
+            f"{wrong[0]} must be a number, or the default of the class of {walker.label()}: the "
+            "page changes single numbers alone"
+        )
 
 
 def beside(offered: Offer) -> Offers:

@@ -18,6 +18,7 @@ from walker_jax.explorer.subjects import Subject
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.kneed import BentState
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.phase import legs
@@ -129,7 +130,7 @@ def states_at(
     walker: Any, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
 ) -> Any:
     """Return the states at times after a start; one program serves any number of times."""
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
+    walker = in_dtype(walker, float)
     arguments = (walker, start, times, Integrator(1e-12).in_dtype(float))
     return map_cells(state_after, arguments, (False, False, True, False))
 
@@ -141,8 +142,7 @@ def push(
 
     The unit is that of mass (or the mass at the hip) times speed.
     """
-    walker, leg = walker_from(subject, start), leg_of(subject)
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
+    walker, leg = in_dtype(walker_from(subject, start), float), leg_of(subject)
     sizes = np.array([*leg.values()]) if leg else None
     if leg is None or jax.eval_shape(after_push, walker, start, impulse, sizes) is None:
         raise WrongUse(

@@ -9,7 +9,7 @@ from jax.core import Tracer
 from walker_jax.checks import WrongUse, check_precision, short
 from walker_jax.kernels.jaxprs import equations_in
 from walker_jax.proofs.enclosures import ROUNDING, Space, exactly
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, arrays_of
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import Walker
 
@@ -36,6 +36,11 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
         raise WrongUse(
             "walker must be a SimplestWalker, SpringWalker or PoweredWalker, or of a derived class "
             f"that changes only equations, not {short(walker)}",
+            of="walker",
+        )
+    if arrays := arrays_of(walker):
+        raise WrongUse(
+            f"walker must have single numbers for parameters, not the array {next(iter(arrays))}",
             of="walker",
         )
     check_precision(jax.numpy.asarray(0.0).dtype, "a proof")

@@ -13,6 +13,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import (
     Disturbance,
@@ -54,7 +55,7 @@ class DisturbedWalks(NamedTuple):
     def arrays(self) -> tuple[Walker, Integrator]:
         """Return the walker and the integrator, with numbers of one dtype."""
         dtype = self.start.dtype
-        walker = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), self.mapper.walker)
+        walker = in_dtype(self.mapper.walker, dtype)
         return walker, self.mapper.integrator.in_dtype(dtype)
 
     def follow(self, w: Float[np.ndarray, "n size"]) -> Walked:

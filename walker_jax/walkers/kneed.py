@@ -1,6 +1,5 @@
 """The walker with knees."""
 
-from dataclasses import fields
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from walker_jax import multibody
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
+from walker_jax.systems.system import fields_of
 from walker_jax.walkers.abstract_round_foot import FOOT_RADIUS
 from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import (
@@ -243,7 +243,7 @@ class LockedWalker(KneedWalker):
 
 def lock_knees(walker: KneedWalker) -> LockedWalker:
     """Return the same walker after knee strike."""
-    return LockedWalker(**{one.name: getattr(walker, one.name) for one in fields(walker)})
+    return LockedWalker(**fields_of(walker))
 
 
 def begin_bent(state: State) -> BentState:

@@ -32,6 +32,7 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import in_dtype, settle
 from walker_jax.walkers.full_states import check_lands_on_section, check_motion
 from walker_jax.walkers.ground import raise_ground
 from walker_jax.walkers.parameters import SLOPE
@@ -72,6 +73,7 @@ class Walker(HybridSystem):
         StoreDescriber(cls)  # keeps its files: one may be edited while its code is in use
 
     def __check_init__(self):
+        settle(self)
         check_lands_on_section(self)
 
     @abc.abstractmethod
@@ -94,7 +96,7 @@ class Walker(HybridSystem):
         at 0: a walker whose joints are elsewhere in its gait has its own region.
         """
         dtype = jnp.asarray(0.0).dtype
-        walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        walker = in_dtype(self, dtype, jnp.asarray)
         rate, widest = float(toppling_rate(walker)), 0.6
         axes = {"theta": (0, widest, 100), "sum": (-1.5 * widest, 0.5 * widest, 800)}
         if len(self.section) > 2:
