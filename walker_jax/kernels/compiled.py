@@ -16,8 +16,8 @@ from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.machine import hash_source, register_bits
-from walker_jax.kernels.stored import is_long, keeps_arrays_in_memory
 from walker_jax.kernels.machine_code import MachineCode, report_compilation
+from walker_jax.kernels.stored import is_long, keeps_arrays_in_memory
 
 MAX_NUMBERS = 1000
 """Most numbers in the operands and results of one cell; each takes code of its own, unless it

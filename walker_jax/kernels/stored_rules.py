@@ -11,7 +11,7 @@ from walker_jax.kernels.entries import ENTRYWISE, MOVES, params_of, split_axis, 
 from walker_jax.kernels.products import pairs_of
 from walker_jax.kernels.rules import REDUCTIONS
 from walker_jax.kernels.shortcuts import SHORTCUTS
-from walker_jax.kernels.stored import Stored, is_long
+from walker_jax.kernels.stored import Stored
 from walker_jax.kernels.stored_products import contract
 
 
