@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from jax.scipy.special import erf
+from jax.scipy.special import erf, erfc
 
 from walker_jax.kernels import compiled
 from walker_jax.kernels.compiled import Compiled
@@ -109,6 +109,7 @@ ONE = {
     "arccosh": jnp.arccosh,
     "arctanh": jnp.arctanh,
     "erf": erf,
+    "erfc": erfc,
     "stop gradient": lax.stop_gradient,
     "reciprocal": lambda x: 1 / x,
     "select": lambda x: jnp.where(x > 0.5, x, -x),
