@@ -118,7 +118,7 @@ def by_hand(torque, within: bool):
     """Return the stride by `diffeqsolve`, as one would write it."""
     field = field_of(torque, within)
     contact = lambda t, y, args, **_: jnp.where(y.phi < AHEAD, y.phi - 2 * y.theta, -1.0)
-    event = diffrax.Event(contact, optimistix.Newton(1e-10, 1e-10), direction=True)
+    event = diffrax.Event(contact, optimistix.Newton(1e-12, 1e-12), direction=True)
 
     def stride(x):
         solution = diffrax.diffeqsolve(
@@ -128,7 +128,7 @@ def by_hand(torque, within: bool):
             10.0,
             0.1,
             begin(torque, within, x),
-            stepsize_controller=diffrax.PIDController(rtol=1e-10, atol=1e-10),
+            stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-12),
             event=event,
             adjoint=diffrax.ForwardMode(),
             throw=False,
@@ -190,6 +190,6 @@ if __name__ == "__main__":
         starts = int(sys.argv[2]) if len(sys.argv) > 2 else 2048
         print(" " * 29 + "".join(f"{way:>24}" for way in WAYS))
         for within in (True, False):
-            for layers in (2, 1):
+            for layers in (1, 2):
                 for width in widths:
                     report(width, layers, within, starts)

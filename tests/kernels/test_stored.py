@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 from jax import lax
@@ -88,6 +89,23 @@ def test_entries(registers):
         ]
 
     assert_near(function, POINTS)
+
+
+def test_the_hyperbolic_tangent_of_long_arrays():
+    """Within 3 units of the last digit, by mpmath's at 60 digits; also where it is NaN or 1."""
+    sizes = 10.0 ** RNG.uniform(-300, 3, 300), RNG.uniform(0, 1, 500), RNG.uniform(0, 25, 500)
+    x = np.concatenate([*sizes, [0.0, np.inf, np.nan, 1e-320]])
+    x = np.stack([x, -x], 1)
+    ones = np.ones((20, 2))
+
+    def function(y):
+        both = jnp.broadcast_to(y[:, None], (2, 20)) + 0 * (jnp.asarray(ones) @ y)
+        return jnp.tanh(jnp.where(jnp.isfinite(y[0]), both, y[:, None]))[:, 3]
+
+    found = run(function, x)
+    with mpmath.workdps(60):
+        exact = [float(mpmath.tanh(mpmath.mpf(one))) for one in x.ravel().tolist()]
+    np.testing.assert_allclose(found.ravel(), exact, rtol=3 * np.finfo(float).eps, atol=0)
 
 
 def test_moves():

@@ -7,12 +7,17 @@ from typing import Any, no_type_check
 import numpy as np
 from jax import lax
 
+from walker_jax.kernels.elementary import tanh_float64
 from walker_jax.kernels.entries import ENTRYWISE, MOVES, params_of, split_axis, unstack
 from walker_jax.kernels.products import pairs_of
 from walker_jax.kernels.rules import REDUCTIONS
 from walker_jax.kernels.shortcuts import SHORTCUTS
 from walker_jax.kernels.stored import Stored
 from walker_jax.kernels.stored_products import contract
+
+VECTORISED = {("tanh", "float64"): tanh_float64}
+"""Functions of all lanes at once, by primitive and type, for which programs in registers call the C
+library."""
 
 
 @no_type_check  # as the emitter
@@ -28,7 +33,11 @@ def elementwise(emitter, equation, operands: list) -> list:
     shorter = operands[0] if same else SHORTCUTS.get(name, lambda *_: None)(*operands)
     if shorter is not None:
         return [whole(shorter, like.shape)]
-    work = lambda entries: emitter.term(primitive, params, entries, dtypes)
+    vectorised = VECTORISED.get((name, str(dtypes[0])))
+    if vectorised is None:
+        work = lambda entries: emitter.term(primitive, params, entries, dtypes)
+    else:
+        work = lambda entries: emitter.inline(vectorised, *entries, dtype=dtypes[0])
     key = name, *dtypes, *params.values()
     return [map_entries(emitter, key, work, operands, like)]
 
