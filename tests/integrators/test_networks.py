@@ -3,6 +3,7 @@
 A stride without a kernel would warn, which is an error in the tests.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -47,7 +48,7 @@ def walker(activation):
 
         def modes(self):
             field = lambda y: State(*swing(y, torque(y), jnp))
-            after = lambda y: self.lift((-y.theta, jnp.cos(2 * y.theta) * y.thetadot))
+            after = lambda y: self.lift(jnp.stack([-y.theta, jnp.cos(2 * y.theta) * y.thetadot]))
             contact, ahead = lambda y: y.phi - 2 * y.theta, lambda y: -0.3 - y.phi
             return {"swing": Mode(field, (Guard(contact, SECTION, (ahead,), reset=after),))}
 
@@ -76,8 +77,8 @@ def test_strides_and_their_derivatives(name):
     field = lambda t, y: swing(y, LAST @ plain(U @ plain(W @ y + BIAS)), np)
     for (theta, rate), state, time in zip(STARTS, found.state, found.time, strict=True):
         start = [theta, 2 * theta, rate, (1 - np.cos(2 * theta)) * rate]
-        precision = {"rtol": 1e-12, "atol": 1e-12, "max_step": 0.01}
-        end = solve_ivp(field, (0, float(time)), start, method="DOP853", **precision).y[:, -1]
+        solve = partial(solve_ivp, method="DOP853", rtol=1e-12, atol=1e-12, max_step=0.01)
+        end = solve(field, (0, float(time)), start).y[:, -1]
         assert abs(end[1] - 2 * end[0]) < 1e-9
         expected = [-end[0], np.cos(2 * end[0]) * end[2]]
         np.testing.assert_allclose(state, expected, atol=1e-9)
