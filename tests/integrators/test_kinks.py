@@ -448,7 +448,7 @@ def test_a_motion_by_branches_loops_tables_and_remainders():
     assert by_slope == pytest.approx(2 * 3 / 4, abs=1e-11)
 
 
-def test_a_step_is_cut_at_the_first_kink_of_a_layer_as_at_those_of_its_units():
+def test_a_step_is_cut_at_the_first_kink_of_a_layer():
     """The switching functions of a long array are one list of arrays, with the same zeros."""
     rng = np.random.default_rng(7)
     series = [jnp.asarray(c) for c in rng.normal(size=(9, 40)) / 3.0 ** np.arange(9)[:, None]]
@@ -467,7 +467,7 @@ def test_a_step_is_cut_at_the_first_kink_of_a_layer_as_at_those_of_its_units():
             assert (found == 2) == (start == 30)
 
 
-def test_the_kinks_of_a_layer_are_found_together_and_softplus_has_none():
+def test_a_layer_has_its_kinks_together_and_softplus_none():
     weights = np.random.default_rng(8).normal(size=(20, 2))
     state = [jnp.asarray([0.3, -0.2]), jnp.asarray([1.0, 0.5])]
     layer = lambda f: lambda x: f(jnp.asarray(weights) @ x)

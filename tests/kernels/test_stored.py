@@ -8,7 +8,7 @@ import pytest
 from jax import lax
 from test_kernels import of_both, run
 
-from walker_jax.kernels import compiled, kernel, stored, why_not
+from walker_jax.kernels import compiled, kernel, store, why_not
 from walker_jax.kernels.compiled import source_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
@@ -224,7 +224,7 @@ def test_derivatives(where):
     np.testing.assert_allclose(each(made), each(network), rtol=1e-12, atol=1e-13)
 
 
-def test_a_program_is_as_long_for_a_wide_network_as_for_a_narrow_one():
+def test_programs_are_as_long_for_wide_networks():
     def lines(width):
         w, u = np.ones((width, 3)), np.ones((width, width))
         function = lambda x: jnp.sum(jnp.tanh(jnp.asarray(u) @ jnp.tanh(jnp.asarray(w) @ x)))
@@ -243,7 +243,7 @@ def test_short_arrays_stay_in_registers():
 
 
 def test_a_network_that_is_too_large_has_no_kernel(monkeypatch):
-    monkeypatch.setattr(stored, "MAX_BYTES", 1000)
+    monkeypatch.setattr(store, "MAX_BYTES", 1000)
     message = "arrays of more than 1000 bytes"
     with pytest.raises(UnsupportedPrimitive, match=message):
         run(layer, POINTS)

@@ -30,7 +30,8 @@ from walker_jax.kernels.rules import (
     is_floating,
 )
 from walker_jax.kernels.shortcuts import is_known
-from walker_jax.kernels.stored import Store, Stored, is_long, keeps_arrays_in_memory
+from walker_jax.kernels.store import Store
+from walker_jax.kernels.stored import Stored, is_long, keeps_arrays_in_memory
 from walker_jax.kernels.stored_rules import STORED_RULES
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
