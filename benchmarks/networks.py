@@ -15,7 +15,7 @@ are near the gait, so all make a stride.
 
 On a machine of two cores, which others used too:
 
-walker_jax                     XLA                 diffrax
+                                           walker_jax                     XLA                 diffrax
     1 x 8   within the stride       2.0 s    111909/s     12.4 s     17376/s      3.5 s     28646/s
     1 x 16  within the stride       1.9 s     86662/s     12.2 s     12066/s      3.6 s     31300/s
     1 x 32  within the stride       1.7 s     53803/s     11.9 s      8493/s      3.5 s     25402/s
@@ -26,6 +26,12 @@ walker_jax                     XLA                 diffrax
     2 x 64  within the stride       1.9 s     10915/s     11.1 s      1978/s      3.0 s      5034/s
     1 x 8   once a stride           1.0 s    400680/s      7.1 s     46726/s      2.6 s     35432/s
     1 x 16  once a stride           1.0 s    420936/s      7.0 s     48366/s      2.6 s     40229/s
+    1 x 32  once a stride           1.0 s    383998/s      7.3 s     41137/s      2.7 s     38864/s
+    1 x 64  once a stride           1.0 s    370265/s      6.8 s     37446/s      2.7 s     35484/s
+    2 x 8   once a stride           1.0 s    311321/s      8.0 s     47892/s      3.2 s     32750/s
+    2 x 16  once a stride           1.1 s    297016/s      7.5 s     36806/s      3.1 s     39421/s
+    2 x 32  once a stride           1.1 s    389047/s      7.7 s     38163/s      3.3 s     41851/s
+    2 x 64  once a stride           1.2 s    316720/s      8.2 s     32965/s      3.2 s     35845/s
 
     python benchmarks/networks.py [WIDTHS [STARTS]]
 """
