@@ -15,15 +15,15 @@ are near the gait, so all make a stride.
 
 On a machine of two cores, which others used too:
 
-          walker_jax                     XLA                 diffrax
-    1 x 8   within the strid     2.0 s    111909/s     12.4 s     17376/s      3.5 s     28646/s
-    1 x 16  within the strid     1.9 s     86662/s     12.2 s     12066/s      3.6 s     31300/s
-    1 x 32  within the strid     1.7 s     53803/s     11.9 s      8493/s      3.5 s     25402/s
-    1 x 64  within the strid     1.9 s     28408/s     11.8 s      4782/s      3.4 s     14883/s
-    2 x 8   within the strid     1.7 s     44897/s     11.3 s      9898/s      2.8 s     26167/s
-    2 x 16  within the strid     1.7 s     51591/s     11.4 s      7568/s      2.7 s     20818/s
-    2 x 32  within the strid     1.7 s     24334/s     10.4 s      4582/s      3.0 s      7386/s
-    2 x 64  within the strid     1.9 s     10915/s     11.1 s      1978/s      3.0 s      5034/s
+                                     walker_jax                     XLA                 diffrax
+    1 x 8   within the stride    2.0 s    111909/s     12.4 s     17376/s      3.5 s     28646/s
+    1 x 16  within the stride    1.9 s     86662/s     12.2 s     12066/s      3.6 s     31300/s
+    1 x 32  within the stride    1.7 s     53803/s     11.9 s      8493/s      3.5 s     25402/s
+    1 x 64  within the stride    1.9 s     28408/s     11.8 s      4782/s      3.4 s     14883/s
+    2 x 8   within the stride    1.7 s     44897/s     11.3 s      9898/s      2.8 s     26167/s
+    2 x 16  within the stride    1.7 s     51591/s     11.4 s      7568/s      2.7 s     20818/s
+    2 x 32  within the stride    1.7 s     24334/s     10.4 s      4582/s      3.0 s      7386/s
+    2 x 64  within the stride    1.9 s     10915/s     11.1 s      1978/s      3.0 s      5034/s
     1 x 8   once a stride       1.0 s    400680/s      7.1 s     46726/s      2.6 s     35432/s
     1 x 16  once a stride       1.0 s    420936/s      7.0 s     48366/s      2.6 s     40229/s
     1 x 32  once a stride       1.0 s    383998/s      7.3 s     41137/s      2.7 s     38864/s

@@ -18,6 +18,10 @@ from walker_jax.kernels.program_cache import code_of_program, identify_by_code
 from walker_jax.kernels.signs import Signed
 from walker_jax.kernels.stored import multiplies_long_matrices
 
+LAYER = 32
+"""Fewest entries along an axis of a product that make a function one of long arrays, as of a
+network. The masses of a walker in space have 18 coordinates, and few of their products differ."""
+
 
 def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     """Rewrite a function of small arrays as operations on scalars.
@@ -51,7 +55,7 @@ def unrolled(function: Callable[..., PyTree], *args) -> PyTree:
     leaves, structure = jax.tree.flatten(args)
     flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
     closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
-    entries = Signed(whole=multiplies_long_matrices(closed.jaxpr))
+    entries = Signed(whole=multiplies_long_matrices(closed.jaxpr, LAYER))
     inputs = [entries.entries_of(leaf) for leaf in leaves]
     results = entries.interpret(closed, inputs)
     pairs = zip(results, jax.tree.leaves(shapes), strict=True)

@@ -20,14 +20,14 @@ LONG = 16
 of a walker, are faster in registers."""
 
 
-def is_long(aval) -> bool:
+def is_long(aval, least: int = LONG) -> bool:
     """Return whether an array has an axis of many entries."""
-    return math.prod(aval.shape) > 0 and max(aval.shape, default=0) >= LONG
+    return math.prod(aval.shape) > 0 and max(aval.shape, default=0) >= least
 
 
-def multiplies_long_matrices(jaxpr: Jaxpr) -> bool:
+def multiplies_long_matrices(jaxpr: Jaxpr, least: int = LONG) -> bool:
     """Return whether a function, or one that it calls, multiplies a matrix that is long."""
-    return any(map(is_long_product, equations_in(jaxpr)))
+    return any(is_long_product(equation, least) for equation in equations_in(jaxpr))
 
 
 def keeps_arrays_in_memory(jaxpr: Jaxpr, bits: int) -> bool:
@@ -35,11 +35,11 @@ def keeps_arrays_in_memory(jaxpr: Jaxpr, bits: int) -> bool:
     return bits > 0 and multiplies_long_matrices(jaxpr)
 
 
-def is_long_product(equation) -> bool:
+def is_long_product(equation, least: int = LONG) -> bool:
     """Return whether an equation is a product of floating-point arrays with a long result."""
     return (
         equation.primitive.name == "dot_general"
-        and is_long(equation.outvars[0].aval)
+        and is_long(equation.outvars[0].aval, least)
         and all(v.aval.dtype == equation.outvars[0].aval.dtype for v in equation.invars)
         and np.dtype(equation.outvars[0].aval.dtype).kind == "f"
     )
