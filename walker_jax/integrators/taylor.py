@@ -35,6 +35,7 @@ from walker_jax.integrators.series import (
     scale,
 )
 from walker_jax.kernels.jaxprs import CALLS, called_function
+from walker_jax.kernels.stored import is_long
 
 VectorField = Callable[[PyTree], PyTree]
 
@@ -218,8 +219,11 @@ def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> l
 def series_of_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> tuple[list[list[Array]], list[list[Array]]]:
-    """Expand the switching functions: the bases of fractional powers last, on their own."""
-    kinks, of_powers = find_switches(function, series)
+    """Expand the switching functions: the bases of fractional powers last, on their own.
+
+    Those of a long array, as of a layer of a network, are one list of arrays.
+    """
+    kinks, of_powers = find_switches(function, series, together=True)
     return [one for _, one in kinks], [one for _, one in of_powers]
 
 
@@ -232,9 +236,12 @@ def located_switches(
 
 
 def find_switches(
-    function: Callable[[PyTree], PyTree], series: PyTree[list]
+    function: Callable[[PyTree], PyTree], series: PyTree[list], *, together: bool = False
 ) -> tuple[list[tuple[Any, list[Array]]], list[tuple[Any, list[Array]]]]:
-    """Expand the switching functions, and the bases of powers, each with its equation."""
+    """Expand the switching functions, and the bases of powers, each with its equation.
+
+    Switching functions are scalars, or, with `together`, all those of a long array at once.
+    """
     (known, start), order = expandable(series), order_of(series)
     with recording(switches) as of_switches, recording(bases) as of_bases:
         if isinstance(function, PowerBalance):
@@ -243,15 +250,17 @@ def find_switches(
         else:
             compose(function, known, start)
 
-    def scalars(found: list[Series]) -> list[tuple[Any, list[Array]]]:
+    def scalars(found: list[Series], together: bool = False) -> list[tuple[Any, list[Array]]]:
         varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
-        return [
-            (one.equation, [c.ravel()[i] for c in coefficients_up_to(one, order)])
-            for one in varying
-            for i in range(one[0].size)
-        ]
+        parts = []
+        for one in varying:
+            flat = [c.ravel() for c in coefficients_up_to(one, order)]
+            all_at_once = together and is_long(flat[0])
+            each = [flat] if all_at_once else [[c[i] for c in flat] for i in range(one[0].size)]
+            parts += [(one.equation, part) for part in each]
+        return parts
 
-    return scalars(of_switches), scalars(of_bases)
+    return scalars(of_switches, together), scalars(of_bases)
 
 
 def is_absent(x) -> bool:

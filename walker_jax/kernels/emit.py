@@ -30,7 +30,8 @@ from walker_jax.kernels.rules import (
     is_floating,
 )
 from walker_jax.kernels.shortcuts import is_known
-from walker_jax.kernels.stored import Store, Stored, is_long, keeps_arrays_in_memory
+from walker_jax.kernels.store import Store
+from walker_jax.kernels.stored import Stored, is_long, keeps_arrays_in_memory
 from walker_jax.kernels.stored_rules import STORED_RULES
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
@@ -58,8 +59,8 @@ class LLVMEmitter(Unrolling):
         """By identity of an equation: the equation, and the function that it calls."""
         self.alternatives: dict[int, tuple] = {}
         """By identity of an entry that is one of two numbers: the entry, its flag, the numbers."""
-        self.store: Store | None = None
-        """The memory of long arrays; None if all arrays are of entries in registers."""
+        self.store: Any = None
+        """The `Store` of long arrays; None if all arrays are of entries in registers."""
 
     # Types and constants.
 
@@ -151,7 +152,7 @@ class LLVMEmitter(Unrolling):
     def identity(self, entry) -> tuple:
         return entry.key() if isinstance(entry, Stored) else super().identity(entry)
 
-    def entries_of(self, value) -> np.ndarray:
+    def entries_of(self, value) -> Any:
         if isinstance(value, Stored):
             return value
         if isinstance(value, jax.Array):
@@ -245,12 +246,12 @@ class LLVMEmitter(Unrolling):
     def unflatten(self, flat: list, avals, buffers: list) -> list:
         """Rebuild arrays from a flat list of their entries: the inverse of `flatten`."""
         remaining = iter(flat)
-        arrays = [
+        arrays: list[Any] = [
             np.empty(aval.shape, object) if buffer is None else buffer
             for aval, buffer in zip(avals, buffers, strict=True)
         ]
-        for array in arrays:
-            for place in () if isinstance(array, Stored) else np.ndindex(array.shape):
+        for array, buffer in zip(arrays, buffers, strict=True):
+            for place in np.ndindex(array.shape) if buffer is None else ():
                 array[place] = next(remaining)
         return arrays
 

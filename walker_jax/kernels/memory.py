@@ -73,7 +73,9 @@ class Memory:
         if size >= SHARED:
             flag = builder.icmp_signed("==", stride, LONG(0))
             base = builder.bitcast(array, ADDRESS)
-            found.shared = flag, store.array(base, 0, shape, dtype, True)
+            twin = store.array(base, 0, shape, dtype, True)
+            twin.places = twin.whole = found.whole  # views of both have the same places
+            found.shared = flag, twin
 
         def copy():
             with store.counting(size) as i:

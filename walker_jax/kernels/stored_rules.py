@@ -7,12 +7,17 @@ from typing import Any, no_type_check
 import numpy as np
 from jax import lax
 
+from walker_jax.kernels.elementary import tanh_float64
 from walker_jax.kernels.entries import ENTRYWISE, MOVES, params_of, split_axis, unstack
 from walker_jax.kernels.products import pairs_of
 from walker_jax.kernels.rules import REDUCTIONS
 from walker_jax.kernels.shortcuts import SHORTCUTS
 from walker_jax.kernels.stored import Stored
 from walker_jax.kernels.stored_products import contract
+
+VECTORISED = {("tanh", "float64"): tanh_float64}
+"""Functions of all lanes at once, by primitive and type, for which programs in registers call the C
+library."""
 
 
 @no_type_check  # as the emitter
@@ -28,7 +33,11 @@ def elementwise(emitter, equation, operands: list) -> list:
     shorter = operands[0] if same else SHORTCUTS.get(name, lambda *_: None)(*operands)
     if shorter is not None:
         return [whole(shorter, like.shape)]
-    work = lambda entries: emitter.term(primitive, params, entries, dtypes)
+    vectorised = VECTORISED.get((name, str(dtypes[0])))
+    if vectorised is None:
+        work = lambda entries: emitter.term(primitive, params, entries, dtypes)
+    else:
+        work = lambda entries: emitter.inline(vectorised, *entries, dtype=dtypes[0])
     key = name, *dtypes, *params.values()
     return [map_entries(emitter, key, work, operands, like)]
 
@@ -125,18 +134,18 @@ def one_result(function: Callable) -> Callable:
     ]
 
 
-def joined(function: Callable) -> Callable:
+def joined(name: str) -> Callable:
     """Return the rule of a primitive that joins arrays along an axis."""
 
     @no_type_check
     def rule(emitter, equation, operands: list) -> list:
         like = equation.outvars[0].aval
         result = emitter.store.allocate(like.shape, like.dtype)
-        axis, begin = equation.params[function], 0
+        axis, begin = equation.params[name], 0
         for operand in operands:
-            size = operand.shape[axis] if function == "dimension" else 1
+            size = operand.shape[axis] if name == "dimension" else 1
             places = np.moveaxis(result.places, axis, 0)[begin : begin + size]
-            places = np.moveaxis(places, 0, axis) if function == "dimension" else places[0, ...]
+            places = np.moveaxis(places, 0, axis) if name == "dimension" else places[0, ...]
             emitter.store.copy(result.view(places), operand)
             begin += size
         return [result]
@@ -166,15 +175,16 @@ def reduce(emitter, equation, operands: list) -> list | None:
     def compute():
         result = store.allocate(like.shape, like.dtype)
         store.copy(result, operand.view(flat[0, ...]))
-        for part in (flat[1:],) if count > 1 else ():
-            rest = operand.view(part)
-            over = result.view(np.broadcast_to(result.places, part.shape))
+        if count == 1:
+            return result
+        rest = operand.view(flat[1:])
+        totals = result.view(np.broadcast_to(result.places, rest.shape))
 
-            def act(offsets):
-                total = combine(store.load(over, offsets[0]), store.load(rest, offsets[1]))
-                store.store(over, offsets[0], emitter.vector(total, like.dtype))
+        def act(offsets):
+            total = combine(store.load(totals, offsets[0]), store.load(rest, offsets[1]))
+            store.store(totals, offsets[0], emitter.vector(total, like.dtype))
 
-            store.for_each(part.shape, [over, rest], act)
+        store.for_each(rest.shape, [totals, rest], act)
         return result
 
     return [store.once((name, emitter.identity(operand.view(flat))), compute)]
