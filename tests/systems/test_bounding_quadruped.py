@@ -132,7 +132,9 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
         np.testing.assert_allclose(made.state, np.array([float(apex), 0, 0]), atol=1e-12)
         np.testing.assert_allclose(made.time, run.step_times[0], atol=1e-12)
         along = jacobian(jnp.array([apex, 0.0, 0.0]))[0]
-        np.testing.assert_allclose(along, [np.real(run.multipliers[0]), 0, 0], atol=1e-10)
+        np.testing.assert_allclose(
+            along, np.array([float(np.real(run.multipliers[0])), 0, 0]), atol=1e-10
+        )
 
 
 @pytest.mark.slow
