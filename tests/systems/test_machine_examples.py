@@ -95,13 +95,12 @@ def test_a_ball_on_a_table_has_derivatives_and_a_basin(table):
 
 def test_a_relay_slides_where_both_fields_point_to_the_switch(relay):
     gait, relay = relay["gait"], relay["Relay"]()
-    starts = np.linspace(-3, 0.99, 400)[:, None]  # no start chatters
+    starts = np.linspace(-3, 0.985, 400)[:, None]  # no start chatters; at y = 0 it would rest
     made = wj.strides(relay, starts)
     assert (made.outcome == wj.Outcome.STRIDE).all()
-    # Those that slide leave the switch at one of two points, so they arrive at one of two.
-    ends = made.state[(starts[:, 0] > -1)][:, 0]
-    assert len(np.unique(ends.round(11))) == 2
-    assert np.abs(ends - gait.states[0, 0]).min() < 1e-12
+    # Those that slide leave the switch at (0, 1) in the end, so they return to one place.
+    ends = made.state[starts[:, 0] > -1]
+    np.testing.assert_allclose(ends, gait.states[0, 0], atol=1e-12)
     data = wj.basin(relay, wj.Grid.plain(y=(-2, 0.9, 30)), "direct")
     assert (data.fate == wj.Outcome.STRIDE).all()
 
@@ -124,18 +123,19 @@ def test_a_switch_that_is_crossed_is_that_of_another_integration(relay):
 def test_a_foot_that_clears_the_ground_changes_nothing(scuffing):
     """And starts with a foot that is too long scuff, by SciPy's place of the foot."""
     walker, kind = scuffing["walker"], scuffing["ScuffingWalker"]
-    starts = np.stack([*np.meshgrid([0.12, 0.15, 0.18, 0.3], [-0.15, -0.16, -0.2, -0.32])], -1)
-    starts = starts.reshape(-1, 2)
+    thetas, sums = np.meshgrid([0.12, 0.15, 0.2, 0.25, 0.3], [-0.003, -0.01, -0.02])
+    starts = np.stack([thetas, sums - thetas], -1).reshape(-1, 2)
     free, none = (wj.strides(one, starts) for one in (walker, kind(0.004, 0.5)))
-    np.testing.assert_array_equal(free.outcome, none.outcome)
+    walks = free.outcome == wj.Outcome.STRIDE
+    np.testing.assert_array_equal(none.outcome == wj.Outcome.STRIDE, walks)
     np.testing.assert_allclose(none.state, free.state, atol=1e-12)
-    short = kind(0.004, 2e-3)
+    short = kind(0.004, 5e-4)
     outcomes = wj.strides(short, starts).outcome
     scuffs = int(short.failure("scuffs"))
     found = 0
     for x, outcome, without in zip(starts, outcomes, free.outcome, strict=True):
         if without == wj.Outcome.STRIDE:
-            assert outcome == (scuffs if lacks_room(x, 2e-3) else wj.Outcome.STRIDE)
+            assert outcome == (scuffs if lacks_room(x, 5e-4) else wj.Outcome.STRIDE)
             found += outcome == scuffs
     assert 0 < found < int((free.outcome == 0).sum())
 
