@@ -131,10 +131,8 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
         made = wj.stride(pronker, (apex, 0.0, 0.0))
         np.testing.assert_allclose(made.state, np.array([float(apex), 0, 0]), atol=1e-12)
         np.testing.assert_allclose(made.time, run.step_times[0], atol=1e-12)
-        along = jacobian(jnp.array([apex, 0.0, 0.0]))[0]
-        np.testing.assert_allclose(
-            along, np.array([float(np.real(run.multipliers[0])), 0, 0]), atol=1e-10
-        )
+        by_height = jacobian(jnp.array([apex, 0.0, 0.0]))[0, 0]
+        assert by_height == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-10)
 
 
 @pytest.mark.slow
@@ -153,7 +151,9 @@ def test_starts_near_the_bound_return_to_it_and_others_fall(gait):
     )
     data = wj.basin(BOUNDER, grid, "direct")
     near = data.sel(height=h, pitch_rate=rate, method="nearest")
-    assert near.fate == wj.Outcome.STRIDE and near.attractor == 0
+    assert near.fate == wj.Outcome.STRIDE  # the apexes of both flights are attractors
+    reached = data.states.values[int(near.attractor), 0]
+    np.testing.assert_allclose(reached, gait.states[0], atol=1e-9)
     assert set(np.unique(data.fate)) == {0, wj.Outcome.FORWARD, wj.Outcome.OUTSIDE}
 
 
