@@ -17,9 +17,10 @@ STARTS = {
     (1.03, -0.7, 0.01): "flight, on front, flight after front, on rear after front, last flight",
     (1.13, 0.05, -0.01): "flight, on rear, on both, on front after rear, last flight",
     (1.13, -0.05, 0.02): "flight, on front, on both, on rear after front, last flight",
-    (1.13, 0.02, 0.03): "flight, on rear, on both, on rear after front, last flight",
+    (1.043, 0.198, -0.114): "flight, on rear, on both, on rear after front, last flight",
+    (1.163, -0.106, 0.09): "flight, on front, on both, on front after rear, last flight",
 }
-"""Starts, and the modes of their strides."""
+"""Starts, and the modes of their strides: all orders that there are."""
 RUNS_AT = {"stiffness": 25.4841997961264, "angle": 1.1868238913561442, "energy": 2.27420998980632}
 
 
@@ -97,14 +98,18 @@ def test_bounding_is_stable_and_symmetric_in_time(gait):
     """Backward in time the rear becomes the front: both stand as long, and the body is level."""
     assert gait.stable and abs(gait.states[0, 2]) < 1e-12
     assert_gait(gait, lambda x: stride_by_scipy(x)[0], 1e-3, 1e-7)
+    times = np.sort(wj.phase_times(BOUNDER, gait.states[0]))[:5]
+    down, on_rear, between, on_front, up = np.diff(times, prepend=0.0)
+    assert on_rear == pytest.approx(on_front, abs=1e-11) and between > 0.1
+    assert down == pytest.approx(up, abs=1e-11)
+
+
+@pytest.mark.slow
+def test_every_mode_keeps_the_energy(gait):
     found = wj.explain(BOUNDER, gait.states[0])
-    assert not found.complaints
+    assert not found.complaints and len(found.modes) == 5
     for mode in found.modes:
         np.testing.assert_allclose(mode.energy, BOUNDER.energy, rtol=1e-12)
-    modes = {one.name: one for one in found.modes}
-    on_rear, on_front = modes["on rear"], modes["on front after rear"]
-    assert on_rear.time == pytest.approx(on_front.time, abs=1e-11)
-    assert modes["flight"].time == pytest.approx(modes["last flight"].time, abs=1e-11)
 
 
 def test_a_bound_is_the_same_from_the_apex_of_either_flight(gait):
@@ -126,10 +131,11 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
         made = wj.stride(pronker, (apex, 0.0, 0.0))
         np.testing.assert_allclose(made.state, np.array([float(apex), 0, 0]), atol=1e-12)
         np.testing.assert_allclose(made.time, run.step_times[0], atol=1e-12)
-        along = jacobian(jnp.array([apex, 0.0, 0.0]))[0]
-        np.testing.assert_allclose(along, [np.real(run.multipliers[0]), 0, 0], atol=1e-10)
+        by_height = jacobian(jnp.array([apex, 0.0, 0.0]))[0, 0]
+        assert by_height == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-10)
 
 
+@pytest.mark.slow
 def test_derivatives_by_every_parameter_are_those_of_differences(gait):
     names = "stiffness", "inertia", "hips", "rear_angle", "front_angle", "energy"
     values = np.array([float(getattr(BOUNDER, name)) for name in names])
@@ -145,7 +151,9 @@ def test_starts_near_the_bound_return_to_it_and_others_fall(gait):
     )
     data = wj.basin(BOUNDER, grid, "direct")
     near = data.sel(height=h, pitch_rate=rate, method="nearest")
-    assert near.fate == wj.Outcome.STRIDE and near.attractor == 0
+    assert near.fate == wj.Outcome.STRIDE  # the apexes of both flights are attractors
+    reached = data.states.values[int(near.attractor), 0]
+    np.testing.assert_allclose(reached, gait.states[0], atol=1e-9)
     assert set(np.unique(data.fate)) == {0, wj.Outcome.FORWARD, wj.Outcome.OUTSIDE}
 
 

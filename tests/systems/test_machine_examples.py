@@ -16,16 +16,28 @@ PAGE = ROOT / "docs" / "machine-examples.md"
 PROGRAMS = dict(re.findall(r"<!-- (.*?) -->\n```python\n(.*?)```", PAGE.read_text(), re.S))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def names_of():
-    """What the programs of the page define, by title; their assertions hold."""
-    found = {}
-    for title, source in PROGRAMS.items():
-        assert "\nassert " in source
-        names = found[title] = {"__name__": "own"}
-        with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
-            exec(compile(source, PAGE.name, "exec"), names)
-    return found
+def names_of(title):
+    """What a program of the page defines; its assertions hold."""
+    assert "\nassert " in PROGRAMS[title]
+    names: dict[str, Any] = {"__name__": "own"}
+    with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
+        exec(compile(PROGRAMS[title], PAGE.name, "exec"), names)
+    return names
+
+
+@pytest.fixture(scope="module")
+def table():
+    return names_of("a ball on a soft table")
+
+
+@pytest.fixture(scope="module")
+def relay():
+    return names_of("a relay that slides")
+
+
+@pytest.fixture(scope="module")
+def scuffing():
+    return names_of("a walker whose foot may scuff")
 
 
 def test_every_program_of_the_page_is_tested():
@@ -59,21 +71,17 @@ def period_of_table(x, table):
     return y
 
 
-def test_a_ball_begins_a_period_above_the_table_or_in_it(names_of):
-    """Contact is stiff, so SciPy's own error is some 1e-10."""
-    table = names_of["a ball on a soft table"]["table"]
+def test_a_ball_begins_a_period_above_the_table_or_in_it(table):
+    table = table["table"]
     starts = np.array([[2.6, -2.8], [0.0, -0.5], [-0.002, -0.3], [-0.004, 0.2], [0.3, 0.1]])
     made = wj.strides(table, starts)
     assert made.outcome.tolist() == [wj.Outcome.STRIDE] * 5
     expected = [period_of_table(x, table) for x in starts]
     np.testing.assert_allclose(made.state, expected, atol=1e-8)
-    begun = wj.explain(table, starts[3])
-    assert begun.modes[0].led_to == "contact at once" and begun.modes[1].name == "contact"
 
 
-def test_a_ball_on_a_table_has_derivatives(names_of):
-    names = names_of["a ball on a soft table"]
-    gait, table = names["gait"], names["table"]
+def test_a_ball_on_a_table_has_derivatives_and_a_basin(table):
+    gait, table = table["gait"], table["table"]
     stride = jax.jit(lambda x: wj.stride(table, x).state)
     expected = differences(
         lambda many: np.stack([*map(stride, many)]), gait.states[0], np.full(2, 1e-4)
@@ -85,26 +93,20 @@ def test_a_ball_on_a_table_has_derivatives(names_of):
         wj.margins(table, gait.states[0])
 
 
-def test_a_relay_slides_where_both_fields_point_to_the_switch(names_of):
-    relay = names_of["a relay that slides"]["Relay"]()
-    slides, crosses = wj.explain(relay, [-0.5]), wj.explain(relay, [-1.5])
-    assert [one.led_to for one in slides.modes] == ["below", "sliding", "above", "section"]
-    assert [one.led_to for one in crosses.modes][:2] == ["below at once", "sliding"]
-    assert slides.modes[0].time == pytest.approx(np.log(2), abs=1e-13)
-    starts = np.linspace(-3, 0.99, 400)[:, None]  # no start chatters
+def test_a_relay_slides_where_both_fields_point_to_the_switch(relay):
+    gait, relay = relay["gait"], relay["Relay"]()
+    starts = np.linspace(-3, 0.985, 400)[:, None]  # no start chatters; at y = 0 it would rest
     made = wj.strides(relay, starts)
     assert (made.outcome == wj.Outcome.STRIDE).all()
-    # Those that slide leave the switch at one of two points, so they arrive at one of two.
-    ends = made.state[(starts[:, 0] > -1)][:, 0]
-    assert len(np.unique(ends.round(11))) == 2
-    gait = names_of["a relay that slides"]["gait"]
-    assert np.abs(ends - gait.states[0, 0]).min() < 1e-12
+    # Those that slide leave the switch at (0, 1) in the end, so they return to one place.
+    ends = made.state[starts[:, 0] > -1]
+    np.testing.assert_allclose(ends, gait.states[0, 0], atol=1e-12)
     data = wj.basin(relay, wj.Grid.plain(y=(-2, 0.9, 30)), "direct")
     assert (data.fate == wj.Outcome.STRIDE).all()
 
 
-def test_a_switch_that_is_crossed_is_that_of_another_integration(names_of):
-    relay, y = names_of["a relay that slides"]["Relay"](), -1.5
+def test_a_switch_that_is_crossed_is_that_of_another_integration(relay):
+    relay, y = relay["Relay"](), -1.5
 
     def fly(u, y, way):
         rates = lambda _, s: [0.2 * s[0] + s[1] - u, u - s[0]]
@@ -118,29 +120,38 @@ def test_a_switch_that_is_crossed_is_that_of_another_integration(names_of):
     np.testing.assert_allclose(wj.stride(relay, [-1.5]).state, [expected], atol=1e-11)
 
 
-def test_a_foot_that_clears_the_ground_changes_nothing(names_of):
+def test_a_foot_that_clears_the_ground_changes_nothing(scuffing):
     """And starts with a foot that is too long scuff, by SciPy's place of the foot."""
-    names = names_of["a walker whose foot may scuff"]
-    walker, kind = names["walker"], names["ScuffingWalker"]
-    starts = np.stack([*np.meshgrid([0.12, 0.15, 0.18, 0.3], [-0.15, -0.16, -0.2, -0.32])], -1)
-    starts = starts.reshape(-1, 2)
+    walker, kind = scuffing["walker"], scuffing["ScuffingWalker"]
+    thetas, sums = np.meshgrid([0.12, 0.15, 0.2, 0.25, 0.3], [-0.003, -0.01, -0.02])
+    starts = np.stack([thetas, sums - thetas], -1).reshape(-1, 2)
     free, none = (wj.strides(one, starts) for one in (walker, kind(0.004, 0.5)))
-    np.testing.assert_array_equal(free.outcome, none.outcome)
+    walks = free.outcome == wj.Outcome.STRIDE
+    np.testing.assert_array_equal(none.outcome == wj.Outcome.STRIDE, walks)
     np.testing.assert_allclose(none.state, free.state, atol=1e-12)
-    short = kind(0.004, 2e-3)
+    short = kind(0.004, 5e-4)
     outcomes = wj.strides(short, starts).outcome
     scuffs = int(short.failure("scuffs"))
     found = 0
     for x, outcome, without in zip(starts, outcomes, free.outcome, strict=True):
         if without == wj.Outcome.STRIDE:
-            assert outcome == (scuffs if lacks_room(x, 2e-3) else wj.Outcome.STRIDE)
+            assert outcome == (scuffs if lacks_room(x, 5e-4) else wj.Outcome.STRIDE)
             found += outcome == scuffs
     assert 0 < found < int((free.outcome == 0).sum())
-    gait = names["gait"]
-    made = wj.explain(names["little"], gait.states[0])
-    assert made.name == "scuffs" and [one.name for one in made.modes] == ["shortened"]
-    made = wj.explain(names["enough"], gait.states[0])
-    assert [one.led_to for one in made.modes] == ["swing", "section"] and not made.complaints
+
+
+@pytest.mark.slow
+def test_explanations_say_the_way(table, relay, scuffing):
+    begun = wj.explain(table["table"], [-0.004, 0.2])
+    assert begun.modes[0].led_to == "contact at once" and begun.modes[1].name == "contact"
+    slides, crosses = (wj.explain(relay["Relay"](), [y]) for y in (-0.5, -1.5))
+    assert [one.led_to for one in slides.modes] == ["below", "sliding", "above", "section"]
+    assert [one.led_to for one in crosses.modes][:2] == ["below at once", "sliding"]
+    assert slides.modes[0].time == pytest.approx(np.log(2), abs=1e-13)
+    start = scuffing["gait"].states[0]
+    short, long = (wj.explain(scuffing[one], start) for one in ("little", "enough"))
+    assert short.name == "scuffs" and [one.name for one in short.modes] == ["shortened"]
+    assert [one.led_to for one in long.modes] == ["swing", "section"] and not long.complaints
 
 
 def lacks_room(x, shortening):

@@ -133,6 +133,7 @@ def test_hopping_is_stable_and_starts_around_it_return():
     assert {0, wj.Outcome.FORWARD, wj.Outcome.OUTSIDE} <= set(np.unique(data.fate))
 
 
+@pytest.mark.slow
 def test_derivatives_by_every_parameter_are_those_of_differences():
     values = np.array([*VALUES.values()])
     stride = jax.jit(lambda p: wj.stride(wj.RaibertHopper(*p), jnp.array([1.4, 0.6])).state)
@@ -142,9 +143,10 @@ def test_derivatives_by_every_parameter_are_those_of_differences():
 
 def test_a_hopper_that_stays_on_the_ground_has_stopped():
     weak = wj.RaibertHopper(damping=4.0, thrust=0.01)
-    made = wj.explain(weak, (1.001, 0.0))
-    assert made.outcome == wj.Outcome.STOPPED and made.modes[-1].led_to == "STOPPED"
-    assert made.modes[-1].name in ("thrust", "extension")
+    made = wj.stride(weak, (1.001, 0.0))
+    assert made.outcome == wj.Outcome.STOPPED and np.isnan(made.state).all()
+    times = np.asarray(wj.phase_times(weak, (1.001, 0.0)))
+    assert np.isfinite(times).tolist() == [True, True, True, False, False]  # as the motor is still
 
 
 def test_wrong_uses_are_refused_and_low_starts_are_outside():
