@@ -24,6 +24,7 @@ from walker_jax.hybrid.misses import (
     Misses,
     Seen,
     add_misses,
+    dip_between,
     find_least,
     no_misses,
     with_rates,
@@ -72,8 +73,8 @@ class Step(NamedTuple):
     """For each guard, -1 below zero at the start of the step and 1 above; 0 before the first."""
     ends: list[Scalar]
     """The sides at its end."""
-    rates: list[tuple[Scalar, Scalar]]
-    """The rates of watched conditions at both ends, unless the mode is measured."""
+    watched: list[tuple[tuple, tuple]]
+    """Value and rate of each watched condition at both ends, unless the mode is measured."""
     quiet: Bool[Array, ""]
     """Whether the step certainly ends nothing."""
     memory: Memory
@@ -158,19 +159,19 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, lis
     """Return a step of no length at the start of a mode, and the values of conditions there."""
     zero = zero_at(start)
     sides = [side_at_start(guard, method, start) for guard in mode.guards]
-    values, rates = [], []
+    values, known = [], []
     for one in mode.conditions:
         if one.least_at_ends:
             values.append(value_at(one.value, start))
         else:
             value, rate = one.and_rate(start)
             values.append(value)
-            rates.append((zero, rate))
+            known.append(((value, rate), (value, rate)))
     # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
     nothing = sum(0 * jnp.sum(x) for x in jax.tree.leaves(start))
     start = jax.tree.map(lambda x: x + nothing, start)
     memory = method.begin(start)
-    step = Step(start, start, zero, zero, sides, sides, rates, jnp.asarray(True), memory)
+    step = Step(start, start, zero, zero, sides, sides, known, jnp.asarray(True), memory)
     return step, values
 
 
@@ -184,14 +185,15 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
         rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
         may |= rises
         ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
-    rates = []
-    for condition, (_, before) in zip(watched(mode), step.rates, strict=True):
-        value, rate = condition.and_rate(end)
-        may |= ((value < 0) | ((before < 0) & (rate > 0))) & ~violated[condition.leads_to]
-        rates.append((before, rate))
+    seen = []
+    for condition, (_, before) in zip(watched(mode), step.watched, strict=True):
+        value, rate = after = condition.and_rate(end)
+        turns = ((before[1] < 0) & (rate > 0)) | dip_between(before, after, length).exists
+        may |= ((value < 0) | turns) & ~violated[condition.leads_to]
+        seen.append((before, after))
     if mode.foregone is not None:
         may |= value_at(mode.foregone.holds, end)
-    return Step(begins, end, step.time + step.length, length, sides, ends, rates, ~may, memory)
+    return Step(begins, end, step.time + step.length, length, sides, ends, seen, ~may, memory)
 
 
 def measured_step(mode: Mode, method: Method, step: Step) -> Step:
@@ -202,7 +204,7 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
         below = value_at(guard.value, end) < 0
         ends.append(jnp.where(length == 0, side, jnp.where(below, -1, 1).astype(length.dtype)))
     time, quiet = step.time + step.length, jnp.asarray(False)
-    return Step(step.end, end, time, length, step.ends, ends, step.rates, quiet, memory)
+    return Step(step.end, end, time, length, step.ends, ends, step.watched, quiet, memory)
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
@@ -229,12 +231,12 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     if not method.is_series:  # without a time of the event the motion is undecided
         number = jnp.where(jnp.isnan(until), NO_GUARD, number)
         last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))
-    for condition, (rate, _) in zip(watched(mode), last.rates, strict=True):
+    for condition, (before, _) in zip(watched(mode), last.watched, strict=True):
         key, ends = condition.leads_to, number == len(mode.guards) - 1
         if misses is not None:
             least, at_end = misses.least[key], value_at(condition.value, arrival)
         else:
-            found = find_least(condition, seen, below=rate, sign_alone=True)
+            found = find_least(condition, seen, known=before, sign_alone=True)
             least, at_end = found.value, found.at_end
         if condition.zero_at_ends[1]:  # to rounding, or to the error of the time
             at_end = jnp.where(ends, 0, at_end)
