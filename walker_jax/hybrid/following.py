@@ -41,6 +41,8 @@ FIRST_ORDER = 6
 one, they are expanded in full."""
 NO_GUARD, NOT_FOLLOWED = -1, -2
 """In place of a guard's number: none has ended the mode, or it was not followed."""
+ON_ZERO = 0.5
+"""Side of a guard that begins at zero, to rounding. It is below zero then if it falls."""
 Violated = dict[str, Bool[Array, ""]]
 """Whether each condition was violated, by the failure to which it leads."""
 
@@ -70,7 +72,8 @@ class Step(NamedTuple):
     """Time at its start."""
     length: Scalar
     sides: list[Scalar]
-    """For each guard, -1 below zero at the start of the step and 1 above; 0 before the first."""
+    """For each guard, -1 below zero at the start of the step and 1 above; before the first 0, or
+    `ON_ZERO`."""
     ends: list[Scalar]
     """The sides at its end."""
     watched: list[tuple[tuple, tuple]]
@@ -279,17 +282,24 @@ def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:
     """Return the side of zero on which a guard begins; zero if it is read from the first series.
 
     One rule serves all methods (`begins_below`), by the series of the solution. An interpolation
-    is no such series.
+    is no such series. A mode that begins where a guard is zero has not come there, though by
+    rounding the value may be negative: a stride does not end as it leaves the section.
     """
+    side = zero_at(start)
+    if not guard.at_once:
+        known = lax.stop_gradient(start)
+        on_zero = jnp.abs(guard.value(known)) <= rounding_of(guard.value, known, known, 0.0)
+        side = jnp.where(on_zero, ON_ZERO, side)
     if method.is_series:
-        return zero_at(start)
-    below = begins_below(method.series(guard.value, start, 2))
-    return jnp.where(below, -1, 1) + zero_at(start)
+        return side
+    return jnp.where(is_below(side, method.series(guard.value, start, 2)), -1, 1) + zero_at(start)
 
 
 def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
     """Return whether a guard is below zero as a step begins, by its side or first value."""
-    return jnp.where(side == 0, begins_below(value), side < 0)
+    falls = begins_below([jnp.zeros_like(value[0]), *value[1:]])
+    first = jnp.where(side == ON_ZERO, falls, begins_below(value))
+    return jnp.where(jnp.abs(side) < 1, first, side < 0)
 
 
 def rises_perhaps(
