@@ -101,6 +101,7 @@ exceeds the depth that counts, 1e-9.
     five-link-biped     Dopri8    10000      0    0    0      0    0    0      0    0    0
     five-link-biped     Tsit5     10000      0    0    0      0    0    0      0    0    0
     five-link-biped     Dopri5    10000      0    0    0      0    0    0      0    0    0
+    five-link-biped     Bosh3      1000      0    0    0      0    0    0      0    0    0
 
     python benchmarks/solvers.py [STRIDES [FAMILY ...]]
 """
