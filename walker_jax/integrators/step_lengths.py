@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import LINEAR, trace
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.reductions import largest
@@ -96,9 +97,7 @@ def longest_step(
         length = jnp.minimum(length, lax.stop_gradient(limits.longest))
     checked = None
     if has_sharp_features(field, state):
-        checked = (
-            field if isinstance(field, PowerBalance) else eqx.filter_closure_convert(field, state)
-        )
+        checked = field if isinstance(field, PowerBalance) else convert_closure(field, state)
     return shorten(checked, (series,), length, tolerance, sizes)
 
 

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, PyTree
 
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.roots import Scalar
 
 
@@ -33,7 +33,7 @@ def make_steps(
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
         # diffrax asks for the types of a step's results several times; so it is traced once.
-        OneByOne(eqx.filter_closure_convert(step, last), goes_on),
+        OneByOne(convert_closure(step, last), goes_on),
         made.astype(float),
         float(most),
         None,
