@@ -114,11 +114,8 @@ def suit_state(name: str, mode: Mode, state: Any) -> Mode:
     kind = kind_of(state)
     leaves = jax.tree.leaves(kind)
     types = {x.dtype for x in leaves}
-    if (
-        len(types) != 1
-        or not jnp.issubdtype(*types, jnp.floating)
-        or not all(x.size for x in leaves)
-    ):
+    floating = len(types) == 1 and all(jnp.issubdtype(one, jnp.floating) for one in types)
+    if not floating or not all(x.size for x in leaves):
         raise WrongUse(
             f"states of mode {name!r} must be floating-point numbers of one type, "
             f"not {in_words(kind)}"

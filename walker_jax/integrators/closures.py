@@ -1,6 +1,7 @@
 """Functions whose captured values are arguments, so that derivatives go through them."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 
@@ -12,7 +13,7 @@ def convert_closure(function: Callable, *args) -> Callable:
     `custom_jvp` would keep their tracers.
     """
     converted = eqx.filter_closure_convert(function, *args)
-    jaxpr = getattr(converted, "jaxpr", None)
+    jaxpr: Any = getattr(converted, "jaxpr", None)
     if not getattr(jaxpr, "consts", None):
         return converted
     return eqx.tree_at(lambda one: one.jaxpr, converted, jaxpr.with_consts(()))
