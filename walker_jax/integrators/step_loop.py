@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, PyTree
@@ -32,8 +33,9 @@ def make_steps(
     """
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
-        # diffrax asks for the types of a step's results several times; so it is traced once.
-        OneByOne(convert_closure(step, last), goes_on),
+        # diffrax asks for the types of a step's results several times; so it is traced once, and
+        # is called as a function of all that it closes over.
+        OneByOne(eqx.filter_jit(convert_closure(step, last)), goes_on),
         made.astype(float),
         float(most),
         None,
