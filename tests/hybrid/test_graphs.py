@@ -281,3 +281,13 @@ def test_states_that_cannot_be_integrated_are_refused(system, said):
         with pytest.raises(ValueError, match=re.escape(said)) as told:
             follow(system, X, *more)
         assert "\n" not in str(told.value)
+
+
+def test_a_reset_returns_a_state_of_one_type():
+    counts = wj.Guard(lambda y: y[1] - 1, "b", reset=lambda y: (y[0], jnp.zeros((), jnp.float32)))
+    field, end = (lambda y: (0 * y[0], 1.0)), wj.Guard(lambda y: y[1] - 1, wj.SECTION)
+    modes = {"a": wj.Mode(field, (counts,)), "b": wj.Mode(field, (end,))}
+    ends = {"lift": lambda self, x: (x, 0.0), "project": lambda self, state: state[0]}
+    said = "states of mode 'b' must be floating-point numbers of one type, not (f64[1], f32[])"
+    with pytest.raises(ValueError, match=re.escape(said)):
+        wj.stride(system_of(modes, **ends), np.array([0.2]))
