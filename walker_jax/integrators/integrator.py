@@ -21,6 +21,7 @@ from jaxtyping import PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.arrivals import flow, time_to
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
 from walker_jax.integrators.integrals import beside, motion_of
 from walker_jax.integrators.own_sizes import proportional_variables
@@ -215,11 +216,15 @@ class Method(eqx.Module):
 
     def solve(self, state: PyTree, t0, t1, most_steps: int = MOST_STEPS) -> diffrax.Solution:
         """Integrate from `state` at t0 to t1, if that takes at most so many steps."""
+        # diffrax keeps functions, so what these capture must be among their leaves.
+        apart = lambda f: f if isinstance(f, PowerBalance) else convert_closure(f, state)
+        functions = apart(self.field), tuple(map(apart, self.others))
+        self = eqx.tree_at(lambda method: (method.field, method.others), self, functions)
         solver = self.solver
         if isinstance(solver, Taylor):
             solver = Taylor(solver.taylor_order, self.field)
         return diffrax.diffeqsolve(
-            self.terms,
+            diffrax.ODETerm(convert_closure(self.terms.vector_field, t0, state, None)),
             solver,
             t0,
             t1,
@@ -290,9 +295,8 @@ class Method(eqx.Module):
     ) -> tuple[tuple[PyTree, PyTree], PyTree]:
         """Return both ends of a step, and its errors, for the controller.
 
-        The errors within the step, of the interpolation and of functions along it, are among them,
-        and those of derivatives. An error that is no number counts as infinite, so that the step
-        becomes shorter. All are constant to derivatives.
+        Among them are errors of the interpolation, of functions along it, and of derivatives. One
+        that is no number is infinite, so that the step becomes shorter. Derivatives ignore all.
         """
         of_derivatives = derivative_error((error, state, end))
         method, state, end, error, series = stop_gradients((self, state, end, error, series))
@@ -393,7 +397,7 @@ class Method(eqx.Module):
             pairs = zip(jax.tree.leaves(self.field(state)), leaves, strict=True)
             return jax.tree.unflatten(structure, [jnp.asarray(r, x.dtype) for r, x in pairs])
 
-        convert = lambda function: eqx.filter_closure_convert(with_fast_sincos(function), state)
+        convert = lambda function: convert_closure(with_fast_sincos(function), state)
         field, event = convert(rates), convert(event)
         time = time_to(event, field, state)
         return flow(field, state, time), time

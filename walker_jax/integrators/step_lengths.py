@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import LINEAR, trace
 from walker_jax.integrators.integrals import beside, motion_of
 from walker_jax.integrators.power_balance import PowerBalance
@@ -102,9 +103,7 @@ def longest_step(
         length = jnp.minimum(length, lax.stop_gradient(limits.longest))
     checked = None
     if has_sharp_features(field, state):
-        checked = (
-            field if isinstance(field, PowerBalance) else eqx.filter_closure_convert(field, state)
-        )
+        checked = field if isinstance(field, PowerBalance) else convert_closure(field, state)
     if field is not motion:
         sizes = jax.tree.map(lambda _: sizes, start) if eqx.is_array(sizes) else sizes
         sizes = beside(field, sizes, state, jnp.full_like(length, jnp.inf))

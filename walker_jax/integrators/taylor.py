@@ -25,6 +25,7 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
 from walker_jax.checks import is_traced
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import bases, compose, switches
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.series import (
@@ -75,7 +76,7 @@ def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyT
         return vector_field.series(state, order)
     state = jax.tree.map(jnp.asarray, state)
     # The values in the function's closure become arguments, so that derivatives go through them.
-    return expand_solution(eqx.filter_closure_convert(vector_field, state), state, order=order)
+    return expand_solution(convert_closure(vector_field, state), state, order=order)
 
 
 def grow_series(vector_field, state, order):

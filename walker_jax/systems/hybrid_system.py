@@ -3,6 +3,7 @@
 import abc
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -22,8 +23,8 @@ class HybridSystem(System):
     leads to the section returns a state like that of `lift`, of which `project` reads the
     coordinates. Failures are those that the system names in `failures`, or an `Outcome`'s.
 
-    States may have any structure, another one in each mode: trees of scalars or arrays, such as a
-    `NamedTuple` of numbers. `systems.bouncing_ball` is a short example.
+    States may have any structure, another one in each mode: trees of numbers or arrays, such as a
+    `NamedTuple` of numbers, but no lists. `systems.bouncing_ball` is a short example.
     """
 
     @abc.abstractmethod
@@ -61,7 +62,9 @@ class HybridSystem(System):
 
         x is on the section, or one of the `full_states`, which have another size.
         """
-        return self.begin(self.lift(x))
+        start = self.begin(self.lift(x))
+        is_truth = lambda y: jnp.issubdtype(jnp.result_type(y), jnp.bool_)  # which is no number
+        return jax.tree.map(lambda y: y if is_truth(y) else jnp.asarray(y, x.dtype), start)
 
     def may_launch(self, x: Float[Array, " coordinates"], start: Any) -> Bool[Array, ""]:
         """Return whether a stride can begin at x, in the state `start` of the first mode."""

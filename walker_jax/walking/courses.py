@@ -26,6 +26,7 @@ from walker_jax.hybrid.graphs import (
     in_order,
     kind_of,
     kinds_of_states,
+    suit_state,
 )
 from walker_jax.hybrid.modes import SECTION, Guard, Mode, ends_at_once
 from walker_jax.integrators.expansion import with_fast_sincos
@@ -157,7 +158,8 @@ def follow_one(
     switched: bool | Bool[Array, ""],
 ) -> Course:
     """Follow one mode, from where the course enters it to where its guard leads."""
-    mode, entry = modes[name], course.entries[name]
+    entry = course.entries[name]
+    mode = suit_state(name, modes[name], entry.state)
     method = method_of(mode, entry.state, integrator)
     going = entry.reached & (course.verdict == Outcome.UNDECIDED)
     due = guard_due(mode, numbers, method, entry.state, switched)

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.following import NO_GUARD, Unfinished, begin_following, follow_measured
+from walker_jax.hybrid.graphs import suit_state
 from walker_jax.hybrid.misses import turns_in_step
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator, Method
@@ -263,8 +264,8 @@ def record_mode(
 
     There is none if the mode ends in a failure, or by no guard.
     """
+    mode = suit_state(name, mode, state)._replace(foregone=None)
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
-    mode = mode._replace(foregone=None)
     mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
     made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
     fallen = int(fall_of(mode, numbers, state, switched))

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.hybrid.graphs import in_order
+from walker_jax.hybrid.graphs import in_order, suit_state
 from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real, Scalar
@@ -87,7 +87,8 @@ def state_after(
     result = start = walker.launch(x)
     course = begin_course(order[0], start, jnp.asarray(True))
     for name in order:
-        entry, mode = course.entries[name], modes[name]
+        entry = course.entries[name]
+        mode = suit_state(name, modes[name], entry.state)
         left = time - jnp.where(entry.reached, course.time, jnp.inf)
         later = walker.shown(state_of_motion(mode, entry.state, jnp.maximum(left, 0), integrator))
         if jax.tree.structure(later) != jax.tree.structure(start):
