@@ -136,7 +136,7 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
 
 
 @pytest.mark.slow
-def test_derivatives_by_every_parameter_are_those_of_differences(gait):
+def test_derivatives_by_parameters_are_those_of_differences(gait):
     names = "stiffness", "inertia", "hips", "rear_angle", "front_angle", "energy"
     values = np.array([float(getattr(BOUNDER, name)) for name in names])
     stride = jax.jit(lambda p: wj.stride(wj.BoundingQuadruped(*p), jnp.array(gait.states[0])).state)

@@ -105,7 +105,7 @@ def test_a_relay_slides_where_both_fields_point_to_the_switch(relay):
     assert (data.fate == wj.Outcome.STRIDE).all()
 
 
-def test_a_switch_that_is_crossed_is_that_of_another_integration(relay):
+def test_a_crossed_switch_is_that_of_another_integration(relay):
     relay, y = relay["Relay"](), -1.5
 
     def fly(u, y, way):

@@ -134,7 +134,7 @@ def test_hopping_is_stable_and_starts_around_it_return():
 
 
 @pytest.mark.slow
-def test_derivatives_by_every_parameter_are_those_of_differences():
+def test_derivatives_by_parameters_are_those_of_differences():
     values = np.array([*VALUES.values()])
     stride = jax.jit(lambda p: wj.stride(wj.RaibertHopper(*p), jnp.array([1.4, 0.6])).state)
     expected = differences(lambda many: np.stack([*map(stride, many)]), values, np.full(7, 1e-3))

@@ -35,7 +35,7 @@ def motion_of(field: Any, state: PyTree) -> tuple[Any, PyTree]:
 
 
 def beside(field: Any, of_motion: PyTree, state: PyTree, of_integrals: Any) -> PyTree:
-    """Return something known of the motion's variables, and the same of all integrals beside it."""
-    if not isinstance(field, WithIntegrals):
+    """Return what is known of the motion's variables, if any is, beside the same of integrals."""
+    if of_motion is None or not isinstance(field, WithIntegrals):
         return of_motion
     return of_motion, jax.tree.map(lambda _: of_integrals, state[1])

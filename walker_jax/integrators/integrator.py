@@ -295,14 +295,11 @@ class Method(eqx.Module):
     ) -> tuple[tuple[PyTree, PyTree], PyTree]:
         """Return both ends of a step, and its errors, for the controller.
 
-        Among them are errors of the interpolation, of functions along it, and of derivatives. One
-        that is no number is infinite, so that the step becomes shorter. Derivatives ignore all.
+        Errors of the interpolation and of derivatives are among them; no number means infinite.
         """
         of_derivatives = derivative_error((error, state, end))
         method, state, end, error, series = stop_gradients((self, state, end, error, series))
-        units = units_of(method.limits)
-        units = None if units is None else beside(method.field, units, state, 0.0)
-        scaled = partial(in_units_of, units)
+        scaled = partial(in_units_of, beside(method.field, units_of(method.limits), state, 0.0))
         defect = defect_of(method.field, series, length)
         error = jax.tree.map(lambda a, b: jnp.maximum(jnp.abs(a), b), error, defect)
         others = expansion_errors(method.others, series, length)
