@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax.integrators.taylor import function_series, switching_series
+from walker_jax.integrators.taylor import function_series, solution_series, switching_series
 from walker_jax.kernels import kernel, why_not
 
 ORDER, SIZE = 6, 4
@@ -181,3 +181,19 @@ def test_a_stride_with_a_solve_is_a_kernel():
     assert (
         why_not(lambda m, x: wj.stride(DoublePendulum(m), x), jnp.array(0.7), jnp.ones(2)) is None
     )
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_number_may_add_to_a_matrix(sign):
+    """The coefficients of a sum are matrices even where one operand alone has one."""
+    matrix = jnp.array([[2.0, 0.0], [0.0, 1.0]])
+
+    def field(y):
+        shifted = matrix + 0.1 * y[0] if sign > 0 else matrix - 0.1 * y[0]
+        return jnp.linalg.solve(shifted, -y)
+
+    series = solution_series(field, jnp.ones(2), 20)
+    found = np.sum(np.stack(series) * 0.5 ** np.arange(21)[:, None], axis=0)
+    rates = lambda t, y: np.linalg.solve(np.asarray(matrix) + sign * 0.1 * y[0], -y)
+    exact = solve_ivp(rates, (0, 0.5), [1.0, 1.0], method="DOP853", rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(found, exact.y[:, -1], rtol=1e-11)
