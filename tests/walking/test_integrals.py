@@ -137,3 +137,26 @@ def test_largest_values_need_modes_that_are_entered_once():
 
     with pytest.raises(WrongUse, match="largest values of Peak"):
         wj.integrals(Peak(), [1.2])
+
+
+def test_gaits_have_the_means_of_their_integrals():
+    """The block turns back at the same place for any belt: the time is its period alone."""
+
+    def period(speed):
+        return np.pi + 2 * np.arctan2(speed, 0.5) + 1 / speed
+
+    found = wj.gait_measures(Stuck(), ["speed"])
+    np.testing.assert_allclose(found["time"].value, period(0.5), atol=1e-12)
+    np.testing.assert_allclose(found["time"].gradient, 2 / (1 + 1) / 0.5 - 4, atol=1e-11)
+    np.testing.assert_allclose(found["work"].value, 0, atol=1e-12)
+    np.testing.assert_allclose(found["work"].gradient, 0, atol=1e-11)
+
+
+def test_the_name_of_an_integral_is_no_measure_of_gaits():
+    class Fast(wj.BouncingBall):
+        def modes(self):
+            (flight,) = super().modes().values()
+            return {"flight": flight._replace(integrals={"speed": lambda y: y.velocity})}
+
+    with pytest.raises(WrongUse, match="must not be named 'speed'"):
+        wj.gait_measures(Fast(), ["restitution"])

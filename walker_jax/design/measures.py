@@ -5,6 +5,7 @@ derivatives from the implicit function theorem.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,13 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from walker_jax.checks import check_kind, refuses_tracers
+from walker_jax.checks import WrongUse, check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import along_parameter, check_parameters
+from walker_jax.walking.integrals import integrals, named_functions
 from walker_jax.walking.stride import stride
 from walker_jax.walking.trajectories import trajectory
 
@@ -57,6 +59,9 @@ def gait_measures(
       (`Walker.motor_work`), hip and push-off together; NaN if that work is not known. So on level
       ground it is the motors' work alone, and uphill that work less what gravity takes.
 
+    The mean of each integral and largest value that the modes name (`integrals`) is there too, by
+    its name.
+
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All
     measures are NaN if there is no gait. A system that makes no steps has only the
     spectral radius; its other measures are NaN.
@@ -67,9 +72,14 @@ def gait_measures(
     check_parameters(walker, parameters)
     gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
+    named = named_functions(walker)
+    if taken := sorted({*named} & {*GAIT_MEASURES}):
+        raise WrongUse(
+            f"integrals of {walker.label()} must not be named {taken[0]!r}: gaits have it"
+        )
     if not gait.found:
         unknown = Measure(np.nan, np.full(len(parameters), np.nan))
-        return dict.fromkeys(GAIT_MEASURES, unknown)
+        return dict.fromkeys((*GAIT_MEASURES, *named), unknown)
     changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
     states, period = np.asarray(gait.states), len(gait.states)
 
@@ -86,6 +96,10 @@ def gait_measures(
         ]
         known = jnp.stack([work for work in works if work is not None])
         return jnp.mean(known) / mean_step_length(walker, states)
+
+    def mean_integral(name: str, walker: Any, states: Float[Array, "period section"]) -> Scalar:
+        found = [integrals(walker, x, tolerance=tolerance)[name] for x in states]
+        return jnp.mean(jnp.stack(found))
 
     def along(measure, name: str, dx: Float[np.ndarray, "period section"]) -> float:
         way = along_parameter(walker, name), jnp.asarray(dx)
@@ -112,11 +126,16 @@ def gait_measures(
             work = float(work_per_length(walker, jnp.asarray(states)))
             by = by + changes_of(work_per_length)
         cost = Measure(float(np.sin(slope)) + work, by)
+    means = {name: partial(mean_integral, name) for name in named}
     return {
         "step-length": Measure(length, longer),
         "speed": Measure(length / time, (longer - slower * length / time) / time),
         "spectral-radius": Measure(radius, radius * growth / abs(largest) ** 2 / period),
         "cost-of-transport": cost,
+        **{
+            name: Measure(float(mean(walker, jnp.asarray(states))), changes_of(mean))
+            for name, mean in means.items()
+        },
     }
 
 
