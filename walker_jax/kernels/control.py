@@ -15,7 +15,9 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, subjaxprs
 from llvmlite import ir
 
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.shortcuts import is_known
+from walker_jax.kernels.tape_memory import memory_of
 
 MAX_UNROLLED_TURNS = 16
 """Most turns of an unrolled loop: room for the 14 stages of Dopri8."""
@@ -55,7 +57,15 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
             ]
             return merge_lanes(emitter, flags, runs, avals)
 
-    flat, kinds = emitter.flatten(carry, avals)
+    tapes = {i: array for i, array in enumerate(carry) if memory_of(array)}  # written in place
+    others = [i for i in range(len(carry)) if i not in tapes]
+    avals = [avals[i] for i in others]
+
+    def with_tapes(entries: list) -> list[np.ndarray]:
+        found = tapes | dict(zip(others, emitter.unflatten(entries, avals), strict=True))
+        return [found[i] for i in range(len(carry))]
+
+    flat, kinds = emitter.flatten([carry[i] for i in others], avals)
     initial = [emitter.vector(x, dtype) for x, dtype in zip(flat, kinds, strict=True)]
     before = builder.block
     head = builder.append_basic_block("head")
@@ -68,7 +78,7 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         phi.add_incoming(value, before)
 
     known, lanes = len(emitter.known), emitter.active
-    values = emitter.unflatten(phis, avals)
+    values = with_tapes(phis)
     (flags,) = emitter.interpret(condition, [*of_condition, *values])
     flags = [emitter.vector(flag, bool) for flag in np.ravel(flags)]
     if lanes is not None:
@@ -78,7 +88,10 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
 
     builder.position_at_end(turn)
     emitter.active = going
-    results, _ = emitter.flatten(emitter.interpret(body, [*of_body, *values]), avals)
+    results = emitter.interpret(body, [*of_body, *values])
+    if any(memory_of(results[i]) is not memory_of(tape) for i, tape in tapes.items()):
+        raise UnsupportedPrimitive("a loop that replaces a tape")
+    results, _ = emitter.flatten([results[i] for i in others], avals)
     # Entries of a mapped loop come first in each value.
     owners = [i for aval in avals for i in np.repeat(range(len(flags)), aval.size // len(flags))]
     for phi, result, dtype, owner in zip(phis, results, kinds, owners, strict=True):
@@ -88,7 +101,7 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     builder.position_at_end(done)
     emitter.active = lanes
     forget_terms(emitter, known)
-    return emitter.unflatten(phis, avals)
+    return with_tapes(phis)
 
 
 @no_type_check

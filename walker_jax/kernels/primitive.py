@@ -39,6 +39,7 @@ from walker_jax.kernels.program import (
     nan_allowed,
     tracing_for_kernel,
 )
+from walker_jax.kernels.reverse import reversing
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
 MAX_OPERATIONS = 4000, 20000
@@ -60,6 +61,12 @@ In other calls, and on other devices, every direction becomes a cell of its own.
 """
 MAX_DIRECTIONS = 32
 """Most directions at once: each number of directions needs a program of its own."""
+FEWEST_FOR_ADJOINT = 16
+"""Fewest numbers by which reverse mode differentiates by a program's adjoint.
+
+It takes some five times as long as the program, for any number of them. By fewer, reverse mode
+computes the columns of the Jacobian in forward mode.
+"""
 
 kernel_p = Primitive("kernel")
 kernel_p.multiple_results = True
@@ -69,7 +76,7 @@ def call_program(program: Program, leaves: Sequence[jax.Array]) -> list[jax.Arra
     """Call a program by its primitive; within another kernel, evaluate its own equations."""
     leaves = vary_alike(list(map(without_weak_type, leaves)))
     if tracing_for_kernel.value:
-        return program.function(*leaves)
+        return (program.function_in_reverse if reversing.value else program.function)(*leaves)
     return kernel_p.bind(*leaves, program=program, mapped=(0,) * len(leaves))
 
 
@@ -331,6 +338,8 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[i
     given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
     if not given:
         return [None] * len(operands)
+    if program.adjoint_of is not None and program.linear.issuperset(wanted):
+        return pull_back_adjoint(cotangents, operands, wanted, program, mapped)
     if program.origin is None or not program.linear.issuperset(wanted):
         return pull_back_linear(cotangents, operands, wanted, program, mapped)
     origin, by, _ = program.origin
@@ -340,6 +349,12 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[i
     avals = [origin.operands[i] for i in some]
     shapes = [aval.shape for aval in avals]
     sizes = [math.prod(shape) for shape in shapes]
+    if sum(sizes) >= FEWEST_FOR_ADJOINT:
+        real = [i for i, aval in enumerate(origin.results) if is_real(aval)]
+        adjoint = origin.adjoint(some, tuple(real[i] for i in given))
+        if adjoint is not None:
+            parts = call_adjoint(adjoint, point, [cotangents[i] for i in given], mapped)
+            return replace_some([None] * len(operands), wanted, parts)
     cells, own = max(mapped), max(mapped[:count])  # axes of cells: of all, and of the point
     lacking = range(own, cells)
 
@@ -377,6 +392,44 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[i
             part = part.sum(axis=range(cells))
         lead = part.shape[:-1]
         found[i] = part.reshape(*lead, *shape).astype(program.operands[i].dtype)
+    return found
+
+
+def call_adjoint(adjoint: Program, point: Sequence, cotangents: Sequence, mapped) -> list:
+    """Return the cotangents of a derivative's directions, by the adjoint of its program."""
+    assert adjoint.adjoint_of is not None
+    (_, by, _), count, cells = adjoint.adjoint_of, len(point), max(mapped)
+    over = (*mapped[:count], *[cells] * len(cotangents))
+
+    def of_direction(*cotangents):
+        return kernel_p.bind(*point, *cotangents, program=adjoint, mapped=over)
+
+    if cotangents[0].shape[cells] == 1:
+        parts = of_direction(*(jnp.squeeze(ct, cells) for ct in cotangents))
+        parts = [jnp.expand_dims(part, cells) for part in parts]
+    else:
+        parts = jax.vmap(of_direction, cells, cells)(*cotangents)
+    shared = [i for i in range(len(by)) if not mapped[count + i]]
+    return [part.sum(axis=range(cells)) if i in shared else part for i, part in enumerate(parts)]
+
+
+def pull_back_adjoint(cotangents, operands, wanted: list[int], program: Program, mapped) -> list:
+    """Return the cotangents of an adjoint's cotangents: the derivative of its program."""
+    assert program.adjoint_of is not None
+    origin, by, of = program.adjoint_of
+    count, cells = len(origin.operands), max(mapped)
+    given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
+    changes = kernel_p.bind(
+        *operands[:count],
+        *(jnp.expand_dims(cotangents[i], cells) for i in given),
+        program=origin.derivative(tuple(by[i] for i in given)),
+        mapped=(*mapped[:count], *[cells] * len(given)),
+    )
+    real = [i for i, aval in enumerate(origin.results) if is_real(aval)]
+    found: list[Any] = [None] * len(operands)
+    for i in wanted:
+        part = jnp.squeeze(changes[real.index(of[i - count])], cells)
+        found[i] = part if mapped[i] else part.sum(axis=range(cells))
     return found
 
 
