@@ -214,10 +214,14 @@ class Program:
                 results = self.function_in_reverse(*point)
                 return [results[i] for i in of]
 
-            _, transposed = jax.vjp(of_some, *(point[i] for i in by))
-            # A result without a cotangent has no part, even if its derivative is NaN.
-            used = jnp.any(jnp.stack([jnp.any(ct != 0) for ct in cotangents]))
-            return [jnp.where(used, ct, 0) for ct in transposed(cotangents)]
+            results, transposed = jax.vjp(of_some, *(point[i] for i in by))
+            # A result without a cotangent has no part, even if its derivative is NaN. Any other
+            # that is NaN has no derivatives.
+            some = lambda flags: jnp.any(jnp.stack([*map(jnp.any, flags)]))
+            used = some(ct != 0 for ct in cotangents)
+            lost = some((ct != 0) & jnp.isnan(x) for ct, x in zip(cotangents, results, strict=True))
+            known = lambda ct: jnp.where(used, jnp.where(lost, jnp.nan, ct), 0)
+            return [known(ct) for ct in transposed(cotangents)]
 
         operands = [*self.operands, *(self.results[i] for i in of)]
         avals = operands, [self.operands[i] for i in by]
