@@ -195,8 +195,8 @@ class Program:
     def adjoint(self, by: tuple[int, ...], of: tuple[int, ...]) -> "Program | None":
         """Return the program of the cotangents of the operands `by`; None if there is none.
 
-        Its operands are those of this program, followed by the cotangents of the results `of`. Loops
-        of a user's own, and those within derivatives, have no transpose.
+        Its operands are those of this program, followed by the cotangents of the results `of`.
+        Loops of a user's own, and those within derivatives, have no transpose.
         """
         if (by, of) not in self.adjoints:
             self.adjoints[by, of] = self.make_adjoint(by, of)

@@ -2,8 +2,8 @@
 
 JAX does not transpose a `lax.while_loop`. In the adjoint of a kernel such a loop is made once more:
 the starts of its turns are written on a tape, which is read backwards, and one turn after the other
-is transposed. A tape has `ROWS` rows. For more turns the loop is made again for each part of it, the
-last one first, so memory is bounded and the result is exact for any number of turns.
+is transposed. A tape has `ROWS` rows. For more turns the loop is made again for each part of it,
+the last one first, so memory is bounded and the result is exact for any number of turns.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,11 +64,12 @@ def with_transposed_turns(
     if not reversing.value:
         end, _, others = find(start)
         return end, others
+    start = jax.tree.map(jnp.asarray, start)
     finding, deciding = Traced(find, start), Traced(decide, start)
     decided = jax.tree.unflatten(deciding.structure, deciding.shapes)
     turning = Traced(turn, start, decided)
     reverse = Traced(turn, start, decided, in_reverse=True)
-    leaves, structure = jax.tree.flatten(start)
+    leaves = jax.tree.leaves(start)
     count = len(leaves)
 
     @jax.custom_vjp
@@ -81,7 +82,8 @@ def with_transposed_turns(
 
     def backward(known, cts):
         (*others, consts), leaves, turns = known
-        loop = ReverseLoop(deciding, turning, reverse, *others[1:], consts)
+        _, of_deciding, of_turning = others
+        loop = ReverseLoop(deciding, turning, reverse, of_deciding, of_turning, consts)
         of_start, of_consts = loop.pull(leaves, turns, cts[:count])
         unused = [put_back([], one) for one in others]
         return [*unused, put_back(of_consts, consts)], put_back(of_start, leaves)
@@ -103,6 +105,7 @@ class ReverseLoop:
 
     def pull(self, leaves: list, turns: Int[Array, ""], cts: list) -> tuple[list, list]:
         """Return the cotangents of the start and of the constants, given those of the end."""
+        leaves = list(map(jnp.asarray, leaves))  # some may be numbers that JAX knows
         real = list(map(is_real, leaves))
         cts = [ct for ct, one in zip(cts, real, strict=True) if one]
         used = jnp.any(jnp.stack([jnp.any(ct != 0) for ct in cts]))
@@ -127,8 +130,8 @@ class ReverseLoop:
 
     def record(self, leaves: list, first: Int[Array, ""], last: Int[Array, ""]) -> "Tapes":
         """Make turns up to the last, and write down all from the first on."""
-        # A tape of derivatives begins as a tape too, if the rows depend on all that turns depend on.
-        nothing = sum(0 * jnp.sum(x) for x in (*leaves, *self.consts) if is_real(x))
+        # A tape of derivatives begins as a tape too, if rows depend on all that turns depend on.
+        nothing: Any = sum(0 * jnp.sum(x) for x in (*leaves, *self.consts) if is_real(x))
         like = [jnp.zeros(x.shape, x.dtype) for x in (*leaves, *self.decided)]
         tapes = Tapes([x + nothing.astype(x.dtype) if is_real(x) else x for x in like])
 
@@ -192,7 +195,7 @@ def zero_where_unused(function: Callable[..., PyTree], *args: PyTree) -> PyTree:
     """
     if not reversing.value:
         return function(*args)
-    traced, (leaves, structure) = Traced(function, *args, in_reverse=True), jax.tree.flatten(args)
+    traced, leaves = Traced(function, *args, in_reverse=True), jax.tree.leaves(args)
 
     def of_real(known, some):
         values = replace(known, map(is_real, known), some)
@@ -225,7 +228,7 @@ def replace(values: Sequence, places, some: Sequence) -> list:
 
 
 def put_back(cotangents: Sequence, values: Sequence) -> list:
-    """Return cotangents of all values, given those of real ones in order; zero where none is left."""
+    """Return cotangents of all values, given those of real ones in order, or none: zero then."""
     new = iter(cotangents)
     none = lambda x: np.zeros(np.shape(x), jax.dtypes.float0)
     return [next(new, jnp.zeros_like(x)) if is_real(x) else none(x) for x in values]

@@ -31,7 +31,9 @@ class TapeMemory:
         builder, emitter = self.emitter.builder, self.emitter
         index = emitter.vector(index, dtype)
         last = emitter.vector(self.rows - 1, dtype)
-        index = emitter.intrinsic("smin", emitter.intrinsic("smax", index, emitter.vector(0, dtype)), last)
+        index = emitter.intrinsic(
+            "smin", emitter.intrinsic("smax", index, emitter.vector(0, dtype)), last
+        )
         each = self.width * emitter.lanes
         begins = []
         for lane in range(emitter.lanes):
@@ -92,5 +94,7 @@ def read_row(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         for lane, begin in enumerate(begins):
             value = builder.load(memory.entry(begin, k))
             vector = builder.insert_element(vector, value, LANE(lane))
-        row[place] = builder.trunc(vector, emitter.type(bool)) if memory.dtype.kind == "b" else vector
+        row[place] = (
+            builder.trunc(vector, emitter.type(bool)) if memory.dtype.kind == "b" else vector
+        )
     return [row]

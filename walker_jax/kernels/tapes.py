@@ -72,7 +72,7 @@ def vary_writing(primals, tangents, *, over: int):
     (tape, i, row), (dtape, _, drow) = primals, tangents
     written = write_row_p.bind(tape, i, row, over=over)
     if isinstance(dtape, ad.Zero) and isinstance(drow, ad.Zero):
-        return written, ad.Zero.from_primal_value(written)
+        return written, ad.Zero(jax.typeof(written).to_tangent_aval())
     drow = ad.instantiate_zeros(drow)
     if isinstance(dtape, ad.Zero):
         dtape = new_tape_p.bind(drow, rows=tape.shape[over], over=over)
@@ -83,7 +83,7 @@ def vary_reading(primals, tangents, **params):
     (tape, i), (dtape, _) = primals, tangents
     found = read_row_p.bind(tape, i, **params)
     if isinstance(dtape, ad.Zero):
-        return found, ad.Zero.from_primal_value(found)
+        return found, ad.Zero(jax.typeof(found).to_tangent_aval())
     return found, read_row_p.bind(dtape, i, **params)
 
 
