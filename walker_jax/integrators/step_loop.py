@@ -32,8 +32,9 @@ def make_steps(
     """
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
-        # diffrax asks for the types of a step's results several times; so it is traced once.
-        OneByOne(eqx.filter_closure_convert(step, last), goes_on),
+        # diffrax asks for the types of a step's results several times; so it is traced once, and
+        # is called as a function of all that it closes over.
+        OneByOne(eqx.filter_jit(eqx.filter_closure_convert(step, last)), goes_on),
         made.astype(float),
         float(most),
         None,

@@ -6,7 +6,7 @@ Each interpreter has its own kind of values: entries of an array, instructions, 
 import abc
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, no_type_check
 
@@ -76,7 +76,12 @@ class Interpreter(abc.ABC):
 
 def line_of(equation: JaxprEqn) -> str | None:
     """Return the line of user code that an equation comes from, if known."""
-    traceback = equation.source_info.traceback
+    return line_in(equation.source_info.traceback)
+
+
+@lru_cache(maxsize=4096)
+def line_in(traceback: Any) -> str | None:
+    """Return the innermost line of a traceback that is a user's own, if there is one."""
     for frame in traceback.frames if traceback else ():
         if is_code(frame.file_name):
             file = Path(frame.file_name)

@@ -30,14 +30,13 @@ def prune_loop(used: list[bool], equation: JaxprEqn) -> tuple[list[bool], JaxprE
     needed, old = prune(condition.jaxpr, [True])[1][len(fixed) :], []
     used = [*map(or_, used, needed)]
     while used != old:  # what is carried may need more of what is carried
-        old, needed = used, prune(body.jaxpr, used)[1]
-        used = [*map(or_, used, needed[more:])]
+        turn, needed = prune(body.jaxpr, used, [False] * more + used)
+        old, used = used, [*map(or_, used, needed[more:])]
     others = needed[:more]
+    asks = prune(condition.jaxpr, [True], fixed + used)[0]
     changed = {
-        "cond_jaxpr": ClosedJaxpr(
-            prune(condition.jaxpr, [True], fixed + used)[0], condition.consts
-        ),
-        "body_jaxpr": ClosedJaxpr(prune(body.jaxpr, used, [False] * more + used)[0], body.consts),
+        "cond_jaxpr": ClosedJaxpr(asks, condition.consts),
+        "body_jaxpr": ClosedJaxpr(turn, body.consts),
         "body_nconsts": sum(others),
     }
     operands = [*fixed, *others, *used]
