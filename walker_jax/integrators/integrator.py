@@ -20,7 +20,7 @@ from jax.core import Tracer
 from jaxtyping import PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.integrators.arrivals import flow, time_to
+from walker_jax.integrators.arrivals import arrive_by_newton, flow, time_to
 from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
 from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.power_balance import PowerBalance
@@ -50,6 +50,7 @@ from walker_jax.integrators.taylor_steps import (
     taylor_step,
     usable_series,
 )
+from walker_jax.kernels.reverse import reversing
 
 AnySolver = diffrax.AbstractSolver
 Solver = diffrax.AbstractAdaptiveSolver
@@ -392,5 +393,7 @@ class Method(eqx.Module):
 
         convert = lambda function: eqx.filter_closure_convert(with_fast_sincos(function), state)
         field, event = convert(rates), convert(event)
+        if reversing.value:
+            return arrive_by_newton(event, field, state)
         time = time_to(event, field, state)
         return flow(field, state, time), time

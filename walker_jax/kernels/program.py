@@ -204,24 +204,28 @@ class Program:
 
     def make_adjoint(self, by: tuple[int, ...], of: tuple[int, ...]) -> "Program | None":
         count = len(self.operands)
+        # By all real operands, so that nothing of the program is left untransposed, which could not
+        # be differentiated again. Only what `by` needs is kept.
+        real = [i for i, aval in enumerate(self.operands) if is_real(aval)]
 
         def pull(*values):
             point, cotangents = list(values[:count]), list(values[count:])
 
             def of_some(*some):
-                for i, value in zip(by, some, strict=True):
+                for i, value in zip(real, some, strict=True):
                     point[i] = value
                 results = self.function_in_reverse(*point)
                 return [results[i] for i in of]
 
-            results, transposed = jax.vjp(of_some, *(point[i] for i in by))
+            results, transposed = jax.vjp(of_some, *(point[i] for i in real))
             # A result without a cotangent has no part, even if its derivative is NaN. Any other
             # that is NaN has no derivatives.
             some = lambda flags: jnp.any(jnp.stack([*map(jnp.any, flags)]))
             used = some(ct != 0 for ct in cotangents)
             lost = some((ct != 0) & jnp.isnan(x) for ct, x in zip(cotangents, results, strict=True))
             known = lambda ct: jnp.where(used, jnp.where(lost, jnp.nan, ct), 0)
-            return [known(ct) for ct in transposed(cotangents)]
+            found = dict(zip(real, transposed(cotangents), strict=True))
+            return [known(found[i]) for i in by]
 
         operands = [*self.operands, *(self.results[i] for i in of)]
         avals = operands, [self.operands[i] for i in by]

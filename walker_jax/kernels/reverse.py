@@ -199,12 +199,10 @@ def zero_where_unused(function: Callable[..., PyTree], *args: PyTree) -> PyTree:
 
     def of_real(known, some):
         values = replace(known, map(is_real, known), some)
-        found = traced(values[: len(traced.consts)], values[len(traced.consts) :])
-        return [x for x in found if is_real(x)]
+        return [x for x in compute(values) if is_real(x)]
 
-    @jax.custom_vjp
-    def evaluate(values):
-        return traced(values[: len(traced.consts)], values[len(traced.consts) :])
+    compute = lambda values: traced(values[: len(traced.consts)], values[len(traced.consts) :])
+    evaluate = jax.custom_vjp(compute)
 
     def backward(values, cts):
         cts = [ct for ct, x in zip(cts, traced.shapes, strict=True) if is_real(x)]
@@ -213,7 +211,7 @@ def zero_where_unused(function: Callable[..., PyTree], *args: PyTree) -> PyTree:
         found = [jnp.where(used, ct, 0) for ct in pull(cts)[0]]
         return (put_back(found, values),)
 
-    evaluate.defvjp(lambda values: (evaluate(values), values), backward)
+    evaluate.defvjp(lambda values: (compute(values), values), backward)
     return jax.tree.unflatten(traced.structure, evaluate([*traced.consts, *leaves]))
 
 
