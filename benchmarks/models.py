@@ -48,6 +48,14 @@ CASES = {
     "runner-with-retraction": Case(
         wj.SpringMassRunner(retraction=0.1), {"apex": (0.9, 2.2, 400)}, ("retraction", 0.05, 0.15)
     ),
+    "quadruped": Case(
+        wj.BoundingQuadruped(),
+        {"height": (0.9, 1.2, 60), "pitch_rate": (0.2, 1.2, 60)},
+        ("stiffness", 10.5, 11.5),
+    ),
+    "hopper": Case(
+        wj.RaibertHopper(), {"apex": (0.9, 3, 60), "speed": (-1.5, 2.5, 60)}, ("thrust", 0.05, 0.07)
+    ),
     "torso-wheel": Case(
         wj.TorsoWheel(0.0), {"thetadot": (-1, 0, 60), "psi": (-0.2, 1.5, 60)}, ("lean", 0.45, 0.55)
     ),

@@ -22,7 +22,6 @@ import walker_jax as wj
 from walker_jax.control.actions import Actions
 from walker_jax.control.policies import interpolate_actions, least_effort_actions
 from walker_jax.control.steered import steer
-from walker_jax.walking.failure_margins import failure_margin
 
 SLOPE, LARGEST = 0.004, 0.1
 STRIDES, SCALE, RATE, STEPS, STARTS = 4, 0.003, 2e-4, 120, 1500
@@ -70,7 +69,7 @@ def polish(grid, acts, pushes):
             (push,) = choose(x, jnp.zeros(1))
             found = wj.margins(wj.PoweredWalker(SLOPE, push_off=push), x)
             failed = found.stride.outcome != wj.Outcome.STRIDE
-            margin = jnp.where(failed, failure_margin(found), found.backward)
+            margin = jnp.where(failed, found.failed, found.backward)
             worst = jnp.minimum(worst, jnp.where(going & jnp.isfinite(margin), margin, jnp.inf))
             going = going & ~failed
             x = jnp.where(going, found.stride.state, x)

@@ -82,6 +82,7 @@ from walker_jax.stability.stochastic_map import metastability as metastability
 from walker_jax.stability.tipping import Tipping as Tipping
 from walker_jax.stability.tipping import tipping_probability as tipping_probability
 from walker_jax.systems.bouncing_ball import BouncingBall as BouncingBall
+from walker_jax.systems.bounding_quadruped import BoundingQuadruped as BoundingQuadruped
 from walker_jax.systems.duffing import DuffingOscillator as DuffingOscillator
 from walker_jax.systems.five_link_biped import FiveLinkBiped as FiveLinkBiped
 from walker_jax.systems.henon import HenonMap as HenonMap
@@ -91,6 +92,7 @@ from walker_jax.systems.maps import Map as Map
 from walker_jax.systems.outcomes import Outcome as Outcome
 from walker_jax.systems.outcomes import Stride as Stride
 from walker_jax.systems.outcomes import Walk as Walk
+from walker_jax.systems.raibert_hopper import RaibertHopper as RaibertHopper
 from walker_jax.systems.rimless_wheel import TorsoWheel as TorsoWheel
 from walker_jax.systems.spring_mass_biped import SpringMassBiped as SpringMassBiped
 from walker_jax.systems.spring_mass_runner import SpringMassRunner as SpringMassRunner
@@ -123,6 +125,7 @@ from walker_jax.walking.explanation import explain as explain
 from walker_jax.walking.failure_margins import Margins as Margins
 from walker_jax.walking.failure_margins import margins as margins
 from walker_jax.walking.failure_margins import margins_of_many as margins_of_many
+from walker_jax.walking.integrals import integrals as integrals
 from walker_jax.walking.iteration import strides as strides
 from walker_jax.walking.iteration import walk as walk
 from walker_jax.walking.movement import motion as motion

@@ -162,12 +162,13 @@ def test_starts_of_one_fate_are_told_what_it_hides():
 
 
 def test_of_all_margins_that_nearest_to_zero_is_named(monkeypatch):
-    made_up = np.full((len(edge_states.MARGIN_NAMES), 2), np.nan)
-    made_up[1], made_up[4, 0] = (-0.3, 0.2), 1e-12
-    found = SimpleNamespace(**dict(zip(edge_states.MARGIN_NAMES, made_up, strict=True)))
-    monkeypatch.setattr(edge_states, "for_each_start", lambda *args: found)
-    nearest = edge_states.failing_margin(WALKER, np.zeros((2, 2)), Integrator(1e-12))
-    assert nearest == ("landing", 1e-12)
+    found = {"BENT_KNEE": [1e-12, np.nan], "FORWARD": [-0.3, 0.2], "SCUFFED": [np.nan] * 2}
+    arrays = lambda found: {name: np.array(values) for name, values in found.items()}
+    for own, name in (([0.1, 0.1], "landing"), ([1.0, -1e-13], "hits_the_wall")):
+        made_up = SimpleNamespace(by_name=arrays(found | {"hits_the_wall": own}))
+        monkeypatch.setattr(edge_states, "for_each_start", lambda *args, made=made_up: made)
+        nearest = edge_states.failing_margin(WALKER, np.zeros((2, 2)), Integrator(1e-12))
+        assert nearest == (name, 1e-12 if name == "landing" else 1e-13)
 
 
 def test_the_manifold_of_a_saddle_is_followed_through_folds():

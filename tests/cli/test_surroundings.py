@@ -63,14 +63,16 @@ def test_a_command_draws_whatever_backend_a_notebook_has(tmp_path):
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="there is a device for JAX's platforms")
-@pytest.mark.parametrize("platform", ["cuda", "abacus"])
+@pytest.mark.parametrize(
+    ("name", "platform"),
+    [("JAX_PLATFORMS", "cuda"), ("JAX_PLATFORMS", "abacus"), ("JAX_PLATFORM_NAME", "gpu")],
+)
 @pytest.mark.parametrize("command", [["gait"], ["--version"]])
-def test_one_line_says_that_jax_has_no_device(command, platform):
-    code, out, err = run(*command, JAX_PLATFORMS=platform)
+def test_one_line_says_that_jax_has_no_device(command, name, platform):
+    code, out, err = run(*command, **{name: platform})
     assert (code, out) == (1, "")
     assert err == (
-        f"walker-jax: JAX finds no device by JAX_PLATFORMS={platform}: unset JAX_PLATFORMS, or "
-        "set it to cpu\n"
+        f"walker-jax: JAX finds no device by {name}={platform}: unset {name}, or set it to cpu\n"
     )
 
 

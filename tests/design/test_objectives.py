@@ -466,8 +466,7 @@ def test_derivatives_are_by_names_of_parameters_in_any_order(monkeypatch):
     margin = lambda walker, x, _: walker.slope * x[0] + walker.stiffness**2 * x[1]
     for name, made_up in {
         "scan_strides": lambda step, x, *_: (SimpleNamespace(state=x), None),
-        "follow_margins": margin,
-        "failure_margin": lambda value: value,
+        "follow_margins": lambda *given: SimpleNamespace(failed=margin(*given)),
     }.items():
         monkeypatch.setattr(f"walker_jax.stability.margin_changes.{name}", made_up)
     walker, names = OwnSpringWalker(0.009, 1.5), ["slope", "stiffness"]

@@ -198,7 +198,7 @@ def test_a_fall_is_shown_as_it_happens(client, x, outcome):
 
 def hip_velocity(walker, state):
     """By automatic differentiation of the hip's place."""
-    length, radius = walks.leg_shape(walker)
+    _, length, radius = walker.picture()
 
     def hip(q):
         return jnp.stack([-radius * q[0] - length * jnp.sin(q[0]), length * jnp.cos(q[0]) + radius])
@@ -308,7 +308,7 @@ def test_the_disturbance_for_the_page(monkeypatch):
 
 def test_the_diagram_for_the_page(monkeypatch):
     """Around the first doubling: branches are gaits, and points what walkers come to."""
-    monkeypatch.setattr(offers, "slopes_of", lambda kind: (0.0148, 0.0154))
+    monkeypatch.setattr(offers, "span_of", lambda kind, name: (0.0148, 0.0154))
     for name, value in few(3, strides=400).items():
         monkeypatch.setattr(measures, name, value)
     parts, diagram = parts_and_result(measures.bifurcation(subject(), "slope"))

@@ -102,7 +102,8 @@ def test_a_process_is_killed_if_interrupts_do_not_help(monkeypatch, at_work, hel
 
         worker.process, worker.at_work = Mock(pid=1234), at_work
         if not at_work:
-            asyncio.get_running_loop().call_soon(job.set_result, "done")
+            loop = asyncio.get_running_loop()
+            loop.call_soon(loop.call_soon, job.set_result, "done")  # one turn after `give_up` began
         monkeypatch.setattr(workers, "GRACE", 0.05)
         monkeypatch.setattr(workers.os, "kill", interrupt)
         monkeypatch.setattr(worker, "stop_process", kill)

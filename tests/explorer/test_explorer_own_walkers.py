@@ -158,8 +158,9 @@ def test_what_is_not_known_of_a_walker_is_said_in_a_sentence(file):
     subject = read_subject({"walker": "Unlike"}, {"Unlike": flat})
     with pytest.raises(WrongUse, match="Unlike cannot be drawn"):
         walks.follow(subject, np.array([0.2, -0.2]), 1)
-    with pytest.raises(WrongUse, match="Wheel cannot be pushed: it does not say where its masses"):
-        walks.check_push(wj.SpatialWalker(0.004), "Wheel")
+    spatial, start = read_subject({"walker": "spatial"}, FAMILY), np.zeros(7)
+    with pytest.raises(WrongUse, match="spatial cannot be pushed: it does not say where its mas"):
+        walks.push(spatial, start, np.array([0.1, 0.0]))
     viewed = sys.modules["damped_walkers"].Viewed(jnp.array(0.006))
     with pytest.raises(WrongUse, match="address has a view of its own: rename the parameter"):
         offer(viewed)

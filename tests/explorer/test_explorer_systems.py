@@ -95,7 +95,7 @@ def subject(offered, **asked):
 def test_the_page_knows_every_system_of_two_coordinates():
     assert {*OTHERS} == {
         *("henon", "duffing", "bouncing-ball", "impact-oscillator"),
-        *("spring-biped", "torso-wheel", "five-link-biped"),
+        *("spring-biped", "quadruped", "hopper", "torso-wheel", "five-link-biped"),
     }  # the compass needs a slope, others have one coordinate
     told = describe_family(OTHERS)
     assert json.dumps(told, allow_nan=False)

@@ -346,6 +346,17 @@ GIVEN_AXES: dict[str, Any] = {
 PARTS = ["title", "subtitle", "legend", "labels"]
 
 
+def test_an_edge_state_says_where_it_leads_whatever_the_failure():
+    """Also to a lean, to the edge of the starts, and to a failure of a system's own."""
+    kinds = {"sideways": "a lean at its limit", "outside": "the edge of feasible starts"}
+    kinds |= {"hits_the_wall": "hits the wall"}
+    for kind, words in kinds.items():
+        edges = EDGES.assign(edge_saddle=EDGES["edge_saddle"] * np.nan)
+        edges["edge_kind"] = "edge", np.array([kind, ""], object)
+        said = legend(figures.boundary(edges))
+        assert any(one.endswith(f": leads to {words}") for one in said), said
+
+
 def test_every_picture_on_given_axes_has_the_same_options():
     takes = {
         name: signature(one).parameters for name, one in vars(figures).items() if callable(one)

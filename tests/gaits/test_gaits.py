@@ -309,15 +309,15 @@ WHY = r"\(explain says why\)"
             0.009,
             [0.2, -0.5],
             1,
-            rf"the walker makes no stride from the guess {WHY}; try another guess",
+            rf"it makes no stride from the guess {WHY}; try another guess",
         ),
         (
             0.005,
             [0.1, -0.1],
             3,
-            rf"the walker makes fewer than 3 strides from the guess {WHY}; try an",
+            rf"it makes fewer than 3 strides from the guess {WHY}; try an",
         ),
-        (0.27, None, 1, rf"the walker makes no stride from where the search begins {WHY}; try a"),
+        (0.27, None, 1, rf"it makes no stride from where the search begins {WHY}; try a"),
         (
             0.009,
             [0.348, -0.3378],

@@ -35,6 +35,14 @@ class Shrinking(System):
         return wj.Grid.plain(x=(-1, 1, 2), y=(-1, 1, 2), z=(-1, 1, 2))
 
 
+class Measured(wj.SimplestWalker):
+    """The simplest walker, which measures how far its legs turn."""
+
+    def modes(self):
+        turn = {"turn": lambda state: state.phidot}
+        return {name: one._replace(integrals=turn) for name, one in super().modes().items()}
+
+
 @cache
 def gait() -> wj.Gait:
     return wj.find_gait(WALKER)
@@ -62,6 +70,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "walk": lambda: wj.walk(WALKER, X, 2),
     "step_down": lambda: wj.step_down(WALKER, X, 0.001),
     "trajectory": lambda: wj.trajectory(WALKER, X, jnp.array([0.0, 1.0])),
+    "integrals": lambda: wj.integrals(Measured(0.004), X),
     "phase_times": lambda: wj.phase_times(WALKER, X),
     "motion": lambda: wj.motion(WALKER, X, 2, step=0.5),
     "margins": lambda: wj.margins(WALKER, X),

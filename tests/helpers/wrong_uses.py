@@ -118,11 +118,30 @@ class Kicking(wj.SimplestWalker):
         return lifted, after._replace(phidot=after.phidot + 0.1)
 
 
+class Opening(wj.Phase):
+    """A phase in which the legs move as in the swing, up to mid-stance."""
+
+    def begin(self, state):
+        return state
+
+    def vector_field(self, state):
+        return self.walker.vector_field(state)
+
+    def contact_force(self, state):
+        return self.walker.contact_force(state)
+
+    def event(self, state):
+        return -state.theta
+
+    def end(self, state):
+        return state
+
+
 class Phased(wj.SimplestWalker):
     """One whose strides have phases."""
 
     def phases(self):
-        return (None,)
+        return (Opening(self),)
 
 
 class Painted(wj.SimplestWalker):

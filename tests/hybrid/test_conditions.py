@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 from walker_jax.hybrid.following import follow_mode
-from walker_jax.hybrid.misses import Least, Seen, find_least, with_rates
+from walker_jax.hybrid.misses import Least, Seen, dip_between, find_least, with_rates
 from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.integrator import integrator_of
@@ -61,7 +61,7 @@ def seen_step(value, start: float = 0.0) -> tuple[Condition, Seen]:
 def least_of(value, **options) -> Least:
     condition, step = seen_step(value)
     if options.pop("known", False):
-        options["below"] = condition.and_rate(step.start)[1]
+        options["known"] = condition.and_rate(step.start)
     return jax.jit(lambda: find_least(condition, step, **options))()
 
 
@@ -83,6 +83,56 @@ def test_a_condition_does_not_turn(value, known):
     least = least_of(value, known=known)
     assert float(least.value) == np.inf
     assert float(least.at_end) == float(value(LENGTH))
+
+
+DIPS = {
+    "rises again": lambda t, end: (t + 0.1) * (t - 1) ** 2,
+    "falls again": lambda t, end: (end - t + 0.1) * (end - t - 1) ** 2,
+    "begins level": lambda t, end: (t - 1) ** 2 * (2 * t + 1),
+}
+"""Functions that turn within a step, though their rates at its ends do not show it; least at zero,
+one after its start or before its end."""
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("dip", DIPS)
+def test_a_condition_turns_twice(dip, known):
+    least = least_of(lambda t: DIPS[dip](t, LENGTH), known=known)
+    assert float(least.time) == pytest.approx(1, abs=1e-8)  # where the step is two long
+    assert abs(float(least.value)) < 1e-15
+
+
+def test_cubics_that_turn_twice_are_known():
+    """All cubics, against the roots of their derivatives."""
+    rng, turned = np.random.default_rng(0), 0
+    find = jax.jit(dip_between)
+    for row in rng.normal(size=(300, 4)) * [1, 1, 3, 3]:
+        value, length = np.polynomial.Polynomial(row), rng.uniform(0.1, 2)
+        rate = value.deriv()
+        roots = rate.roots()
+        turns = np.isreal(roots).all() and ((roots.real > 0) & (roots.real < length)).all()
+        dip = find((value(0.0), rate(0.0)), (value(length), rate(length)), length)
+        assert bool(dip.exists) == turns
+        turned += turns
+        if turns:
+            assert float(dip.part) * length == pytest.approx(roots.real.mean(), rel=1e-9)
+    assert turned > 10
+
+
+@pytest.mark.parametrize("dip", DIPS)
+def test_a_violation_between_two_turns_is_noted(dip):
+    """A step of a mode whose only variable is time spans all of it."""
+    end = 5.0
+    conditions = [
+        Condition(lambda s, by=by: DIPS[dip](s[0], end) + by, name)
+        for name, by in (("low", -1e-3), ("high", 1e-3))
+    ]
+    guard = Guard(lambda s: s[0] - end, SECTION)
+    mode = Mode(lambda s: (jnp.ones_like(s[0]),), (guard,), tuple(conditions))
+    start = (jnp.float64(0.0),)
+    method = integrator_of(np.float64).method(mode.field, start)
+    run = jax.jit(lambda: follow_mode(mode, start, jnp.asarray(True), method).violated)
+    assert {key: bool(flag) for key, flag in run().items()} == {"low": True, "high": False}
 
 
 def test_the_sign_alone_is_found_earlier():

@@ -216,3 +216,78 @@ def test_phases_of_one_name_are_refused():
     said = r"phases of Twice must have different names, not \['Part', 'Part', 'swing'\]"
     with pytest.raises(ValueError, match=said):
         wj.stride(Twice(0.01), jnp.array([0.2, -0.2]))
+
+
+def turning(
+    first, time, rates=lambda y: jnp.stack([y[1], -y[0]]), rate=1.0, value=lambda y: y[1] - 1
+):
+    """A system whose state is a pair: x turns by an angle of 1, in that time."""
+    field = lambda y: (rates(y[0]), rate)
+    end = wj.Guard(value, wj.SECTION)
+    return system_of(
+        {"turn": wj.Mode(field, (end,))},
+        section=("p", "q"),
+        lift=lambda self, x: first(x, time),
+        project=lambda self, state: state[0],
+    )
+
+
+PAIR = lambda *parts: parts
+X = np.array([0.3, 0.5])
+TURNED = [X[0] * np.cos(1) + X[1] * np.sin(1), X[1] * np.cos(1) - X[0] * np.sin(1)]
+
+
+@pytest.mark.parametrize(
+    ("time", "rate"),
+    [(0, 1), (np.float32(0), np.int32(1)), (0.0, np.float32(1)), (np.int8(0), 1.0)],
+)
+def test_numbers_of_any_type_may_stand_in_a_state(time, rate):
+    system = turning(PAIR, time, rate=rate)
+    np.testing.assert_allclose(wj.stride(system, X).state, TURNED, rtol=1e-13)
+    np.testing.assert_allclose(wj.trajectory(system, X, [1.0])[0][0], TURNED, rtol=1e-12)
+    assert "STRIDE" in str(wj.explain(system, X))
+    single = wj.stride(system, X.astype(np.float32)).state
+    assert single.dtype == jnp.float32
+    np.testing.assert_allclose(single, TURNED, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("system", "said"),
+    [
+        (
+            turning(lambda *y: [*y], 0.0),
+            "states of mode 'turn' must be of tuples rather than lists",
+        ),
+        (turning(PAIR, True), "must be floating-point numbers of one type, not (f64[2], bool[])"),
+        (turning(PAIR, np.zeros(0)), "floating-point numbers of one type, not (f64[2], f64[0])"),
+        (
+            turning(PAIR, 0.0, lambda y: [y[1], -y[0]]),
+            "equations of mode 'turn' must return rates of the shapes of its state, "
+            "(f64[2], f64[]), not ([f64[], f64[]], f64[])",
+        ),
+        (
+            turning(PAIR, 0.0, lambda y: jnp.stack([y[1], -y[0]])[:, None]),
+            "the shapes of its state, (f64[2], f64[]), not (f64[2,1], f64[])",
+        ),
+        (
+            turning(PAIR, 0.0, value=lambda y: jnp.stack([y[1] - 1])),
+            "guards of mode 'turn' must be one number, not f64[1]",
+        ),
+    ],
+)
+def test_states_that_cannot_be_integrated_are_refused(system, said):
+    for follow in (wj.stride, wj.margins, wj.trajectory, wj.explain):
+        more = ([0.5],) if follow is wj.trajectory else ()
+        with pytest.raises(ValueError, match=re.escape(said)) as told:
+            follow(system, X, *more)
+        assert "\n" not in str(told.value)
+
+
+def test_a_reset_returns_a_state_of_one_type():
+    counts = wj.Guard(lambda y: y[1] - 1, "b", reset=lambda y: (y[0], jnp.zeros((), jnp.float32)))
+    field, end = (lambda y: (0 * y[0], 1.0)), wj.Guard(lambda y: y[1] - 1, wj.SECTION)
+    modes = {"a": wj.Mode(field, (counts,)), "b": wj.Mode(field, (end,))}
+    ends = {"lift": lambda self, x: (x, 0.0), "project": lambda self, state: state[0]}
+    said = "states of mode 'b' must be floating-point numbers of one type, not (f64[1], f32[])"
+    with pytest.raises(ValueError, match=re.escape(said)):
+        wj.stride(system_of(modes, **ends), np.array([0.2]))

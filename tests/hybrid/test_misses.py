@@ -83,10 +83,10 @@ LAST = Guard(lambda state: (state[0] - 0.3) * (state[0] - 0.8), SECTION, (NEVER,
 """It is least at 0.55, at -1/16, and rises at 0.8, where it is not admitted."""
 KNOWN = Misses(
     [jnp.float64(-0.5)],
-    depth=jnp.float64(0.01),
-    height=jnp.float64(INF),
+    depth=[jnp.float64(0.01)],
+    height=[jnp.float64(INF)],
     least={"low": jnp.float64(INF), "deep": jnp.float64(INF)},
-    before={"low": jnp.float64(-0.9), "deep": jnp.float64(-0.9)},
+    before={"low": [jnp.float64(-0.9)], "deep": [jnp.float64(-0.9)]},
 )
 
 
@@ -98,7 +98,7 @@ KNOWN = Misses(
 def test_depth_is_counted_since_the_last_rise(until, depth):
     """A rise in a step that goes on begins anew; the end of the mode does not."""
     mode = Mode(lambda state: (jnp.ones(()),), (LAST,), ())
-    found = jax.jit(lambda: add_misses(mode, KNOWN, seen(LAST, until=until)).depth)()
+    (found,) = jax.jit(lambda: add_misses(mode, KNOWN, seen(LAST, until=until)).depth)()
     assert float(found) == pytest.approx(depth, rel=1e-12)
 
 
@@ -110,5 +110,5 @@ def test_misses_before_a_violation_are_those_up_to_its_step():
     violated = {"low": jnp.asarray(True), "deep": jnp.asarray(False)}
     found = jax.jit(lambda: add_misses(mode, KNOWN, seen(LAST, violated=violated)))()
     assert float(found.nearest[-1]) == pytest.approx(-0.2)
-    assert float(found.before["low"]) == -0.9
-    assert float(found.before["deep"]) == pytest.approx(-0.2)
+    assert float(found.before["low"][0]) == -0.9
+    assert float(found.before["deep"][0]) == pytest.approx(-0.2)

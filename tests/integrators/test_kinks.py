@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 import walker_jax as wj
 from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.roots import first_zero
+from walker_jax.integrators.roots import cut_at_switches, first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
 from walker_jax.kernels import kernel
 from walker_jax.multibody import System
@@ -446,3 +446,31 @@ def test_a_motion_by_branches_loops_tables_and_remainders():
     value, by_slope = jax.jvp(end, (2.0,), (1.0,))
     assert value == pytest.approx(0.2 + 2 * 2.0 * 3 / 4 + 0.35 + 2.3**2 / 2, abs=1e-11)
     assert by_slope == pytest.approx(2 * 3 / 4, abs=1e-11)
+
+
+def test_a_step_is_cut_at_the_first_kink_of_a_layer():
+    """The switching functions of a long array are one list of arrays, with the same zeros."""
+    rng = np.random.default_rng(7)
+    series = [jnp.asarray(c) for c in rng.normal(size=(9, 40)) / 3.0 ** np.arange(9)[:, None]]
+    units = lambda series, count: [[c[i] for c in series] for i in range(count)]
+    length, behind = jnp.asarray(2.0), jnp.asarray(1e-12)
+    for count in (17, 40):
+        for start in (1.0, 30.0):  # many zeros, and none
+            some = [c[:count] + (start if k == 0 else 0) for k, c in enumerate(series)]
+            of_all = jax.value_and_grad(lambda s: cut_at_switches([s], length, behind))
+            of_each = jax.value_and_grad(
+                lambda s, n=count: cut_at_switches(units(s, n), length, behind)
+            )
+            (found, slopes), (expected, others) = of_all(some), of_each(some)
+            np.testing.assert_allclose(found, expected, rtol=1e-11)
+            np.testing.assert_allclose(slopes, others, rtol=1e-7, atol=1e-9)
+            assert (found == 2) == (start == 30)
+
+
+def test_a_layer_has_its_kinks_together_and_softplus_none():
+    weights = np.random.default_rng(8).normal(size=(20, 2))
+    state = [jnp.asarray([0.3, -0.2]), jnp.asarray([1.0, 0.5])]
+    layer = lambda f: lambda x: f(jnp.asarray(weights) @ x)
+    (switch,) = switching_series(layer(jax.nn.relu), state)
+    np.testing.assert_allclose(jnp.stack(switch), jnp.stack(state) @ weights.T, rtol=1e-14)
+    assert switching_series(layer(jax.nn.softplus), state) == []

@@ -231,3 +231,55 @@ def test_steps_keep_the_longest_step_and_the_scales_of_a_mode():
     expected = 4.5 + np.sqrt(4.5**2 - 12)
     assert found.time == pytest.approx(expected, abs=1e-6)
     assert found.state[1] == pytest.approx(1e-9 * np.exp(np.sin(expected)), rel=1e-6)
+
+
+class TiltedSection(wj.HybridSystem):
+    """A harmonic oscillator from a line at an angle, where it passes upward, to the line again.
+
+    A point of the line lies on it to rounding only. The period is 2 pi. If the line is a failure's
+    guard instead, the oscillator never comes to its section.
+    """
+
+    angle: Any = 0.7
+    leads_to: str = eqx.field(static=True, default=wj.SECTION)
+
+    section = ("place",)
+
+    def normal(self):
+        return jnp.stack([jnp.cos(self.angle), jnp.sin(self.angle)])
+
+    def lift(self, x):
+        first, second = self.normal()
+        return 0.3 * self.normal() + x[0] * jnp.stack([-second, first])
+
+    def project(self, state):
+        first, second = self.normal()
+        return (first * state[1] - second * state[0])[None]
+
+    def modes(self):
+        guard = wj.Guard(lambda s: self.normal() @ s - 0.3, self.leads_to)
+        later = wj.Guard(lambda s: 0.3 - self.normal() @ s, wj.SECTION)
+        guards = (guard,) if self.leads_to == wj.SECTION else (guard, later)
+        return {"turn": wj.Mode(lambda s: jnp.stack([s[1], -s[0]]), guards)}
+
+
+@pytest.mark.parametrize("solver", [None, diffrax.Dopri8()])
+def test_a_stride_does_not_end_as_it_leaves_its_section(solver):
+    places = np.random.default_rng(0).uniform(0.5, 4, (300, 1))
+    start = jax.vmap(TiltedSection().lift)(jnp.asarray(places))
+    values = start @ TiltedSection().normal() - 0.3
+    assert (values < 0).sum() > 30 and (values > 0).sum() > 30 and np.abs(values).max() < 1e-14
+    tolerance = None if solver is None else 1e-9
+    found = wj.strides(TiltedSection(), places, solver=solver, tolerance=tolerance)
+    np.testing.assert_array_equal(found.outcome, Outcome.STRIDE)
+    np.testing.assert_allclose(found.time, 2 * np.pi, rtol=1e-12)
+    np.testing.assert_allclose(found.state, places, rtol=1e-12)
+
+
+def test_a_mode_does_not_fail_as_it_leaves_a_failures_guard():
+    """It comes to the line again from above, after the time for the angle between both places."""
+    places = np.random.default_rng(1).uniform(0.5, 4, (300, 1))
+    found = wj.strides(TiltedSection(leads_to="FORWARD"), places)
+    np.testing.assert_array_equal(found.outcome, Outcome.STRIDE)
+    np.testing.assert_allclose(found.state, -places, rtol=1e-12)
+    np.testing.assert_allclose(found.time, 2 * np.arctan2(places, 0.3)[:, 0], rtol=1e-12)

@@ -413,6 +413,13 @@ ELEMENTARY = {
     "rsqrt": (lax.rsqrt, lambda x: 1 / mpmath.sqrt(x), LARGE),
     "sin": (jnp.sin, mpmath.sin, BOTH),
     "sinh": (jnp.sinh, mpmath.sinh, BOTH),
+    "softplus": (jax.nn.softplus, lambda x: mpmath.log1p(mpmath.exp(x)), (-1.3, 0.0, 2.0)),
+    "gelu": (
+        lambda x: jax.nn.gelu(x, approximate=False),
+        lambda x: x * mpmath.erfc(-x / mpmath.sqrt(2)) / 2,
+        BOTH,
+    ),
+    "swish": (jax.nn.swish, lambda x: x / (1 + mpmath.exp(-x)), BOTH),
     "sqrt": (jnp.sqrt, mpmath.sqrt, LARGE),
     "square": (jnp.square, lambda x: x * x, (-1.3, 0.0, 2.0)),
     "tan": (jnp.tan, mpmath.tan, (-0.9, 0.4, 3.0)),
@@ -435,6 +442,7 @@ ELEMENTARY = {
 # Of two operands x(t) and y(t), the second from y(0) = 1.2 on.
 OF_TWO = {
     "atan2": (jnp.arctan2, lambda x, y: mpmath.atan2(x, y), BOTH),
+    "logaddexp": (jnp.logaddexp, lambda x, y: mpmath.log(mpmath.exp(x) + mpmath.exp(y)), BOTH),
     "atan2 behind": (lambda x, y: jnp.arctan2(x, -y), lambda x, y: mpmath.atan2(x, -y), LARGE),
     "power": (jnp.power, lambda x, y: x**y, LARGE),
 }

@@ -447,3 +447,26 @@ def test_functions_of_one_code_are_told_apart_by_all_else():
         two, three = unroll(make(2.0)), unroll(make(3.0))
         found = kernel(lambda x, two=two, three=three: (two(x), three(x)))(jnp.asarray(5.0))
         assert list(map(float, found)) == [10.0, 15.0]
+
+
+def test_long_arrays_stay_whole():
+    """Equations of a network are as many for wide layers as for narrow ones."""
+
+    def counted(width):
+        rng = np.random.default_rng(width)
+        first, second = rng.normal(size=(width, 3)), rng.normal(size=(width, width)) / width
+
+        def function(x, bias):
+            turned = jnp.array([[1.0, 0, 0], [0, jnp.cos(x[0]), 0], [0, 0, 1]]) @ x
+            hidden = jnp.tanh(jnp.asarray(first) @ turned + bias)
+            hidden = jax.nn.relu(jnp.asarray(second) @ hidden)
+            return -jnp.sum(hidden) * x, hidden, hidden[:2]
+
+        given = jnp.array([0.3, 0.2, 0.1]), jnp.asarray(rng.normal(size=width))
+        for way in (lambda f: f, lambda f: jax.jacfwd(f, (0, 1))):
+            both = (jax.tree.leaves(way(f)(*given)) for f in (unroll(function), function))
+            for found, expected in zip(*both, strict=True):
+                np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
+        return len(jax.make_jaxpr(unroll(function))(*given).eqns)
+
+    assert counted(32) == counted(40)

@@ -132,7 +132,7 @@ def test_a_walker_of_own_equations_has_not_the_papers_window():
         for kind in (Unchanged, Lifted)
     ]
     assert given == [
-        "the walker makes no stride from where the search begins (explain says why)",
+        "it makes no stride from where the search begins (explain says why)",
         "none of the 80000 starts over the section makes a stride (explain says why)",
     ]
 

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -356,3 +357,89 @@ def test_a_guard_on_the_switch_to_its_mode_does_not_end_it():
     assert (single.outcome == wj.Outcome.STRIDE).all()
     assert wj.explain(ThereAndBack(), xs[3]).name == "STRIDE"
     assert wj.explain(ThereAndBack(jump=1e-9), xs[3]).name == "beyond"
+
+
+class TwoDoors(wj.HybridSystem):
+    """A point that moves with speed 1 to either of two doors, one on each side, and not too long.
+
+    It falls in time 2, and each door lets it pass only near the middle, z = 0.
+    """
+
+    section = "place", "speed", "z"
+    failures = "lost", "bored"
+    first: str = eqx.field(static=True, default="left")
+
+    def lift(self, x):
+        return {"place": x[0], "speed": x[1], "z": x[2], "time": 0 * x[0]}
+
+    def project(self, y):
+        return jnp.stack([y["place"], y["speed"], y["z"]])
+
+    def modes(self):
+        def field(y):
+            zero = 0 * y["place"]
+            return {"place": y["speed"], "speed": zero, "z": zero, "time": 1 + zero}
+
+        near = (lambda y: 0.5 - y["z"],)
+        doors = {
+            "left": wj.Guard(lambda y: -1 - y["place"], wj.SECTION, near),
+            "right": wj.Guard(lambda y: y["place"] - 1, wj.SECTION, near),
+        }
+        late = wj.Guard(lambda y: y["time"] - 2, "lost")
+        bored = wj.Condition(lambda y: 1.5 - y["time"], "bored")
+        other = "right" if self.first == "left" else "left"
+        guards = doors[self.first], late, doors[other]
+        return {"room": wj.Mode(field, guards, (bored,))}
+
+
+def test_every_guard_to_the_section_is_measured_in_any_order():
+    """In closed form: how far the door that it takes is open, and how near it came to either."""
+    starts = np.array(
+        [[0, 1, 0.2], [0, -1, 0.2], [0, 0.4, 0], [0, -0.4, 0], [0, 1, 0.6], [0, -1, 0.6]]
+    )
+    starts = np.concatenate([starts, [[0, 0.6, 0.1], [0, -0.6, 0.1]]])
+    found, other = (wj.margins_of_many(TwoDoors(first), starts) for first in ("left", "right"))
+    lost, bored = map(TwoDoors().failure, TwoDoors.failures)
+    assert found.stride.outcome.tolist() == [0, 0, *[lost] * 4, bored, bored]
+    np.testing.assert_allclose(found.forward[:2], 0.3, atol=1e-12)
+    # 0.2 short of a door that is open; or 0.1 beside the gap of a door that it reached
+    np.testing.assert_allclose(found.by_name["lost"][2:6], [-0.2, -0.2, -0.1, -0.1], atol=1e-12)
+    np.testing.assert_allclose(found.by_name["lost"][:2], 1, atol=1e-12)
+    np.testing.assert_allclose(found.by_name["bored"][[0, 1]], 0.5, atol=1e-12)
+    # the margins of the failures that happened, and of all others: each has its own
+    np.testing.assert_allclose(found.failed[2:6], found.by_name["lost"][2:6])
+    np.testing.assert_allclose(found.failed[6:], found.by_name["bored"][6:])
+    np.testing.assert_allclose(found.by_name["bored"][6:], 1.5 - 1 / 0.6, atol=1e-12)
+    assert np.isnan(found.failed[:2]).all() and np.isnan(found.sideways).all()
+    np.testing.assert_array_equal(found.own, np.fmin(found.by_name["lost"], found.by_name["bored"]))
+    for one, same in zip(jax.tree.leaves(found), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(one, same, atol=1e-12)
+    single = jax.grad(lambda x: wj.margins(TwoDoors(), x).by_name["lost"])
+    np.testing.assert_allclose(single(jnp.array([0.0, -0.4, 0.0])), [-1, -2, 0], atol=1e-12)
+
+
+class Twice(wj.HybridSystem):
+    """Two guards at the start lead to one failure."""
+
+    section = ("place",)
+    failures = ("out",)
+
+    def lift(self, x):
+        return {"place": x[0]}
+
+    def project(self, y):
+        return jnp.stack([y["place"]])
+
+    def modes(self):
+        guards = (
+            wj.Guard(lambda y: y["place"] - 1, "out", at_once=True),
+            wj.Guard(lambda y: -1 - y["place"], "out", at_once=True),
+            wj.Guard(lambda y: y["place"] - 0.5, wj.SECTION),
+        )
+        return {"on": wj.Mode(lambda y: {"place": 1 + 0 * y["place"]}, guards)}
+
+
+def test_of_two_guards_to_one_failure_the_due_one_is_measured():
+    found = wj.margins_of_many(Twice(), np.array([[1.2], [-1.3], [0.0]]))
+    np.testing.assert_allclose(found.failed[:2], [-0.2, -0.3], atol=1e-12)
+    assert found.stride.outcome[2] == wj.Outcome.STRIDE and found.by_name["out"][2] > 0

@@ -1,7 +1,6 @@
 """Walkers against legs and bodies that forces hold together, and when they run."""
 
 from types import SimpleNamespace
-from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ from planar_walkers import GAITS, SLOW, name
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax import Outcome, RoundFootWalker, SimplestWalker, State, UpperBodyWalker
+from walker_jax import Outcome, RoundFootWalker, State, UpperBodyWalker
 
 # An independent solution: each leg and the upper body a free body, held by forces at its joints
 
@@ -195,28 +194,11 @@ def test_running_is_found_by_brute_force_too():
     assert dips.sum() >= 50
 
 
-class WatchedWalker(SimplestWalker):
-    """The simplest walker, with its force looked at all along."""
-
-    force_least_at_ends: ClassVar = False
-
-
 class PatientWalker(RoundFootWalker):
     """One watched to the end of every fall."""
 
     def past_contact(self, state):
         return state.theta > jnp.inf
-
-
-@pytest.mark.slow
-def test_a_force_least_at_its_ends_is_the_same_all_along():
-    theta, thetadot = np.meshgrid(np.linspace(0.005, 0.78, 40), np.linspace(-1.19, -0.01, 50))
-    xs = np.stack([theta.ravel(), thetadot.ravel()], axis=1)
-    plain, watched = (wj.strides(cls(0.0165), xs) for cls in (SimplestWalker, WatchedWalker))
-    np.testing.assert_array_equal(plain.outcome, watched.outcome)
-    assert {0, 1, 2, 3} <= set(plain.outcome.tolist())
-    np.testing.assert_allclose(plain.state, watched.state, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(plain.time, watched.time, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -29,7 +29,6 @@ from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.kneed import FreeKnee, stance_knee_moment
 from walker_jax.walkers.parameters import parameters
-from walker_jax.walking.movement import leg_positions
 
 pytestmark = pytest.mark.usefixtures("quick_references")
 
@@ -229,8 +228,8 @@ def test_what_is_checked_fails_at_heel_strike():
 
 
 def test_places_of_the_legs_have_the_knee(path):
-    states, radius = path[1], float(WALKER.foot_radius)
-    shown = leg_positions(WALKER, states, np.zeros(2), 1 - radius, radius)
+    states = path[1]
+    shown = WALKER.picture().places(states, np.zeros(2))
     stance, hip, swing, knee = shown.values()
     for k, q in enumerate(np.stack(states[:3], axis=1)):
         points, (_, thigh, _, shank) = places(WALKER, q)

@@ -1,7 +1,6 @@
 """What is known of a walker, and of which others it is not."""
 
-import inspect
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from typing import Any
 
 import jax
@@ -30,8 +29,6 @@ class TorqueWalker(wj.SimplestWalker):
 class HastyTorqueWalker(TorqueWalker):
     """The same, that says of itself what is known of the simplest walker."""
 
-    force_least_at_ends = True
-
     def past_contact(self, state):
         return wj.SimplestWalker.past_contact(self, state)
 
@@ -55,67 +52,143 @@ class PushedWalker(PushOff, wj.SimplestWalker):
     pass
 
 
-class FallingWalker(wj.SimplestWalker):
-    def falls(self, state):
-        return super().falls(state)
+SWINGS = {"falls last", "the foot stays down", "the force is least at ends", "past contact"}
+ALL = SWINGS | {"gravity", "gait region"}
 
 
-class ModesWalker(wj.SimplestWalker):
-    def modes(self):
-        return super().modes()
+def one_of(kind):
+    """A walker of some kind, with its default parameters and others of 0.01."""
+    return kind(*[0.01] * sum(one.default is MISSING for one in fields(kind)))
 
 
-class AheadWalker(wj.SimplestWalker):
-    def is_ahead(self, state):
-        return super().is_ahead(state)
+def known_of(kind) -> set[str]:
+    """What is known of walkers of some kind."""
+    walker = one_of(kind)
+    swing, region = walker.modes()["swing"], walker.gait_region()
+    *falls, strike = swing.guards
+    facts = {
+        "falls last": all(one.persists for one in falls),
+        "the foot stays down": strike.persists,
+        "the force is least at ends": swing.conditions[0].least_at_ends,
+        "past contact": swing.foregone is not None,
+        "gravity": walker.driven_by_gravity(),
+        "gait region": region.shape != wj.Walker.gait_region(walker).shape,
+    }
+    return {name for name, holds in facts.items() if holds}
 
 
-KNOWN = (
-    "force_least_at_ends",
-    "foot_stays_down",
-    "inverted_pendulum",
-    "driven_by_gravity",
-    "past_contact",
-)
-FALLING = tuple(name for name in KNOWN if name != "past_contact")
-AHEAD = tuple(name for name in KNOWN if name != "foot_stays_down")
+def changed(kind, *names: str):
+    """A kind of walkers that redefines methods, though they do the same."""
+
+    def again(name):
+        return lambda self, *args: getattr(super(new, self), name)(*args)
+
+    new: Any = type("Changed", (kind,), {name: again(name) for name in names})
+    return new
 
 
 @pytest.mark.parametrize(
-    ("kind", "kept"),
+    ("kind", "known"),
     [
-        (wj.SimplestWalker, (*KNOWN, "gait_region")),
-        (NamedWalker, (*KNOWN, "gait_region")),
-        (TorqueWalker, ()),
-        (HastyTorqueWalker, ("force_least_at_ends", "past_contact")),
-        (PushedWalker, tuple(name for name in KNOWN if name != "driven_by_gravity")),
-        (FallingWalker, (*FALLING, "gait_region")),
-        (AheadWalker, (*AHEAD, "gait_region")),
-        (ModesWalker, ()),
+        (wj.SimplestWalker, ALL),
+        (wj.SpringWalker, ALL),
+        (wj.PoweredWalker, {"falls last", "the force is least at ends", "gravity"}),
+        (wj.PointFootWalker, {"past contact", "gravity", "gait region"}),
+        (wj.RoundFootWalker, {"past contact", "gravity"}),
+        (wj.PoweredPointFootWalker, set()),
+        (NamedWalker, ALL),
+        (TorqueWalker, set()),
+        (HastyTorqueWalker, {"past contact"}),
+        (changed(HastyTorqueWalker, "vector_field"), set()),
+        (PushedWalker, SWINGS),
     ],
 )
-def test_what_is_known_does_not_pass_to_a_changed_walker(kind, kept):
-    for name in (*KNOWN, "gait_region"):
-        is_default = inspect.getattr_static(kind, name) is inspect.getattr_static(wj.Walker, name)
-        assert is_default == (name not in kept), name
-    assert moves_like(kind(*[0.01] * len(fields(kind))), wj.SimplestWalker) == (len(kept) == 6)
+def test_what_is_known_of_walkers(kind, known):
+    assert known_of(kind) == known
+    assert moves_like(one_of(kind), wj.SimplestWalker) == (kind in (wj.SimplestWalker, NamedWalker))
 
 
-@pytest.mark.parametrize("kind", [wj.SimplestWalker, wj.SpringWalker])
-def test_a_foot_that_is_known_to_stay_down_does(kind):
-    """At all slopes, with all springs: strides that look whether it came up again are the same."""
-    doubtful = type("Doubtful", (kind,), {"foot_stays_down": False})
-    rng = np.random.default_rng(3)
-    theta = rng.uniform(0.01, np.pi / 4, 20_000)
-    rate = np.concatenate(
-        [-theta[:10_000] + rng.uniform(-0.1, 0.1, 10_000), -rng.uniform(0, 1.4, 10_000)]
-    )
-    values = 10 ** rng.uniform(-3.5, -0.5, 20_000), 10 ** rng.uniform(-2, 2, 20_000)
-    many = lambda kind: jax.vmap(kind)(*map(jnp.asarray, values[: len(fields(kind))]))
-    xs = np.stack([theta, rate], axis=1)
-    known, searched = wj.strides(many(kind), xs), wj.strides(many(doubtful), xs)
+LOST = {
+    "vector_field": ALL,
+    "equations": ALL - {"gravity"},
+    "modes": ALL,
+    "contact": SWINGS | {"gait region"},
+    "is_ahead": SWINGS,
+    "falls": SWINGS,
+    "contact_force": SWINGS,
+    "impact": {"gravity", "gait region"},
+    "lift": {"gait region"},
+    "project": {"gait region"},
+    "phases": {"gravity"},
+    "during_stride": {"gravity"},
+}
+"""The facts that a class loses which redefines a method, whatever that does."""
+
+
+@pytest.mark.parametrize(("method", "lost"), LOST.items())
+def test_what_is_known_does_not_pass_to_a_changed_walker(method, lost):
+    for kind in (wj.SimplestWalker, wj.SpringWalker, wj.PoweredWalker, wj.PointFootWalker):
+        once = changed(kind, method)
+        assert known_of(once) == known_of(kind) - lost == known_of(changed(once, "greet"))
+
+
+def in_doubt(kind):
+    """The same walkers, of whose swing nothing is known."""
+    return type("Doubtful", (kind,), {"modes": wj.Walker.modes})
+
+
+PARAMETERS = [(-3.5, -0.5), (-2, 2.5), (-2, 1)]
+"""Exponents of the least and largest slope, hip stiffness and damping."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "launched"),
+    [
+        (wj.SimplestWalker, False),
+        (wj.SpringWalker, False),
+        (wj.SpringWalker, True),
+        (wj.PoweredWalker, True),
+    ],
+)
+def test_what_is_known_changes_no_stride(kind, launched):
+    """At all slopes, with all springs: all strides are as if nothing were known."""
+    rng, n = np.random.default_rng(3), 20_000
+    values = [jnp.asarray(10 ** rng.uniform(low, high, n)) for low, high in PARAMETERS]
+    values = values[: min(3, len(fields(kind)))]
+    if launched:
+        spread = (-1, 1), (-2, 2), (-1.6, 0.1), (-4, 4)
+        xs = np.stack([rng.uniform(low, high, n) for low, high in spread], axis=1)
+    else:
+        theta = rng.uniform(0.01, np.pi / 4, n)
+        near = rng.uniform(-0.15, 0.15, n // 2) - theta[: n // 2]
+        xs = np.stack([theta, np.concatenate([near, -rng.uniform(0, 1.6, n // 2)])], axis=1)
+    known, searched = (wj.strides(jax.vmap(one)(*values), xs) for one in (kind, in_doubt(kind)))
+    assert {0, 1, 2, 3} <= set(known.outcome.tolist())
     np.testing.assert_array_equal(known.outcome, searched.outcome)
     np.testing.assert_array_equal(known.state, searched.state)
+
+
+def test_a_launched_foot_may_come_down_again():
+    """Of a launch, `rises_past_contact` is not enough: a stiff spring brings the leg back."""
+    x = np.array([-0.08297899, -0.10377403, -0.053272, 3.63239204])
+    walker = wj.SpringWalker(0.02472303749275454, 6.526178627223347)
+    assert walker.past_contact(wj.State(*x)) and walker.contact(wj.State(*x)) > 0
+    made = wj.stride(walker, x)
+    assert made.outcome == wj.Outcome.STRIDE
+
+    def field(_, y):
+        theta, phi, thetadot, phidot = y
+        angle = theta - float(walker.slope)
+        swing = np.sin(phi) * (thetadot**2 - np.cos(angle)) + np.sin(angle)
+        return [thetadot, phidot, np.sin(angle), swing - float(walker.hip_stiffness) * phi]
+
+    down = lambda t, y: y[0] + np.pi / 2
+    down.terminal = True
+    rises = lambda t, y: y[1] - 2 * y[0]
+    rises.direction = 1
+    found = solve_ivp(field, (0, 40), x, events=(down, rises), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(made.time, found.t_events[1][0], rtol=1e-8)
+    np.testing.assert_allclose(made.state[0], -found.y_events[1][0][0], rtol=1e-8)
 
 
 def test_a_torque_may_bring_the_foot_down_again():

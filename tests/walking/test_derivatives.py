@@ -51,7 +51,7 @@ QUANTITIES = {
     "rough walk": lambda walker, x: wj.walk(walker, x, 1, ground=GROUND).states[-1],
     "walk": lambda walker, x: (wj.walk(walker, x, 3).states[1:], wj.walk(walker, x, 3).times),
     "trajectory": lambda walker, x: tuple(wj.trajectory(walker, x, TIMES)),
-    "margins": lambda walker, x: wj.margins(walker, x)[1 : 6 if walker.phases() else 5],
+    "margins": lambda walker, x: tuple(wj.margins(walker, x).by_name.values()),
     "gait": lambda walker, x: found(wj.find_gait(walker, x)),
 }
 

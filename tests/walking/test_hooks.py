@@ -11,7 +11,6 @@ from fixed_steps import Legs, strides
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.walkers.model import State
-from walker_jax.walking.failure_margins import failure_margin
 
 NAMES = "stiffness", "limit", "slowest", "spread", "least", "bound", "grip", "kept"
 
@@ -148,11 +147,11 @@ def test_margins_are_of_the_same_strides_and_have_their_signs(some):
     for walker, xs, expected in some:
         found = wj.margins_of_many(walker, xs)
         np.testing.assert_array_equal(found.stride.outcome, expected.outcome)
-        values = np.asarray(jax.vmap(failure_margin)(jax.tree.map(jnp.asarray, found)))
+        values = found.failed
         fails = ~np.isin(expected.outcome, [Outcome.STRIDE, Outcome.OUTSIDE])
         assert (values[fails] <= 0).all() and np.isnan(values[~fails]).all()
         made = expected.outcome == Outcome.STRIDE
-        for margin in found[1:]:
+        for margin in found.by_name.values():
             assert np.all((margin[made] > 0) | np.isnan(margin[made]))
 
 

@@ -13,7 +13,7 @@ from walker_jax import Outcome
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.spatial import LEAST_STEP
-from walker_jax.walking.failure_margins import Margins, failure_margin
+from walker_jax.walking.failure_margins import Margins
 from walker_jax.walking.iteration import iterate
 
 pytestmark = pytest.mark.usefixtures("quick_references")
@@ -40,10 +40,6 @@ def starts(seed=0, near=1500, far=3000):
     return GAIT + np.concatenate([close, WIDE * rng.uniform(-1, 1, (far, 7))])
 
 
-def failing(found: Margins) -> np.ndarray:
-    return np.array(jax.vmap(failure_margin)(jax.tree.map(jnp.asarray, found)))
-
-
 def assert_signs(found: Margins, ways: set) -> None:
     """Which margins are negative, positive and unknown after each outcome; there are these."""
     outcome = found.stride.outcome
@@ -68,7 +64,7 @@ def test_signs_of_margins_are_the_outcomes(some):
     assert_signs(some, set(DECIDES))
     back = wj.margins_of_many(WALKER, GAIT[None])
     np.testing.assert_allclose(back.stride.state[0], GAIT, rtol=0, atol=1e-7)
-    assert np.isnan(failing(back)).all()
+    assert np.isnan(back.failed).all()
 
 
 def test_forward_margins_are_by_how_much_heel_strikes_were_some(some):
@@ -139,7 +135,7 @@ def test_margins_are_zero_where_outcomes_change(outcome_of, far, pairs):
         strides = (outcome_of(middle) == Outcome.STRIDE)[:, None]
         a, b = np.where(strides, middle, a), np.where(strides, b, middle)
     found, beyond = wj.margins_of_many(WALKER, a), wj.margins_of_many(WALKER, b)
-    ends, sizes = np.asarray(beyond.stride.outcome), np.abs(failing(beyond))
+    ends, sizes = np.asarray(beyond.stride.outcome), np.abs(beyond.failed)
     for code in DECIDES:
         at = ends == code
         if code in (Outcome.RUNNING, Outcome.STOPPED):
@@ -163,12 +159,11 @@ def test_derivatives_of_failing_margins_are_differences():
 
     def at(h):
         columns = [
-            failing(wj.margins_of_many(WALKER, xs + h * axis, tolerance=1e-14))
-            for axis in np.eye(7)
+            wj.margins_of_many(WALKER, xs + h * axis, tolerance=1e-14).failed for axis in np.eye(7)
         ]
         for name in names:
             other = wj.SpatialWalker(**{name: float(getattr(WALKER, name)) + h})
-            columns.append(failing(wj.margins_of_many(other, xs, tolerance=1e-14)))
+            columns.append(wj.margins_of_many(other, xs, tolerance=1e-14).failed)
         return np.stack(columns, axis=1)
 
     steps = 2e-4 * 0.5 ** np.arange(3)

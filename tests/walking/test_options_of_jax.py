@@ -67,11 +67,15 @@ class Sprung(wj.SimplestWalker):
         return free._replace(phidot=free.phidot - self.stiffness * state.phi)
 
 
-@pytest.mark.skipif(
-    jax.__version_info__ >= (0, 11), reason="there JAX's own custom_jvp calls keep their tracers"
-)
-def test_no_tracer_is_left_behind_by_derivatives():
-    end = lambda stiffness: wj.stride(Sprung(0.009, stiffness), START).state[0]
+LEAK = {
+    "stride": lambda walker: wj.stride(walker, START).state[0],
+    "trajectory": lambda walker: wj.trajectory(walker, START, [1.0]).phi[0],
+}
+
+
+@pytest.mark.parametrize("name", LEAK)
+def test_no_tracer_is_left_behind_by_derivatives(name):
+    end = lambda stiffness: LEAK[name](Sprung(0.009, stiffness))
     with jax.checking_leaks():
         slope = jax.jacfwd(end)(jnp.array(0.2))
     low, high = (end(jnp.array(0.2 + d)) for d in (-1e-5, 1e-5))

@@ -18,7 +18,7 @@ from walker_jax.kernels import kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State
-from walker_jax.walking.failure_margins import failure_margin, margins_of_many
+from walker_jax.walking.failure_margins import margins_of_many
 from walker_jax.walking.iteration import iterate
 
 
@@ -32,10 +32,6 @@ def starts(n: int, slope: float = 0.01, seed: int = 0) -> np.ndarray:
 def assert_same(found: Any, expected: Any, atol: float = 1e-7) -> None:
     np.testing.assert_array_equal(found.outcome, expected.outcome)
     np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=atol)
-
-
-def failure_margins(found: Any) -> np.ndarray:
-    return np.asarray(jax.vmap(failure_margin)(jax.tree.map(jnp.asarray, found)))
 
 
 # Heel strikes
@@ -76,7 +72,7 @@ def test_a_foot_down_and_up_again_within_a_step_has_struck(torqued, tolerance):
     assert_same(found.stride, expected)
     fails = ~np.isin(expected.outcome, [Outcome.STRIDE, Outcome.OUTSIDE])
     assert fails.sum() > 10
-    assert (failure_margins(found)[fails] < 0).all()
+    assert (found.failed[fails] < 0).all()
 
 
 def test_the_named_strike_is_that_of_a_fine_integration():
@@ -214,7 +210,7 @@ def test_strides_and_margins_keep_to_the_rules_of_a_walker(ruled):
     found = margins_of_many(walker, xs)
     assert_same(found.stride, expected)
     assert len(np.unique(expected.outcome)) > 2
-    values = failure_margins(found)
+    values = found.failed
     fails = ~np.isin(expected.outcome, [Outcome.STRIDE, Outcome.OUTSIDE])
     assert (values[fails] <= 0).all()
 
@@ -232,7 +228,7 @@ def test_margins_of_own_rules_vanish_where_failing_begins(name):
         middle = (good + bad) / 2
         strides = (wj.strides(walker, middle).outcome == 0)[:, None]
         good, bad = np.where(strides, middle, good), np.where(strides, bad, middle)
-    values = np.abs(failure_margins(margins_of_many(walker, bad)))
+    values = np.abs(margins_of_many(walker, bad).failed)
     assert np.median(values) < 1e-9 and np.mean(values < 1e-6) > 0.9
 
 

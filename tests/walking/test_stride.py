@@ -1,7 +1,5 @@
 """Strides against an independent Runge-Kutta solution, the literature, and a 40-digit map."""
 
-from typing import ClassVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -236,7 +234,6 @@ class PulledWalker(SimplestWalker):
     at: jax.Array
     width: jax.Array
     jumps: jax.Array
-    force_least_at_ends: ClassVar = False
 
     def vector_field(self, state):
         none = jnp.zeros_like(state.theta)

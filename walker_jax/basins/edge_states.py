@@ -35,7 +35,7 @@ from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.systems.angles import turn_to, turns_of
 from walker_jax.systems.outcomes import OUTCOMES, Outcome, name_of_outcome
 from walker_jax.systems.system import System, check_single
-from walker_jax.walking.failure_margins import Margins, follow_margins
+from walker_jax.walking.failure_margins import WAYS, follow_margins
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.iteration import strides as take_strides
 
@@ -44,8 +44,6 @@ LONGEST_PERIOD = 16
 NEAR = 1e-4
 """Largest distance between the end of the path and the saddle that Newton's iteration finds
 there."""
-MARGIN_NAMES = Margins._fields[1:]
-"""The margins of a stride, in the order in which ties are decided."""
 ZERO = 1e-8
 """Largest size of a margin that counts as zero where the path is torn apart. Starts 1e-13 beside
 the boundary have a margin of about 1e-13, or more where it changes steeply."""
@@ -59,7 +57,8 @@ class EdgeState(NamedTuple):
     kind: str
     """"saddle" for an unstable gait. For the boundary of a stride's own failure, the name of the
     margin that is zero there: "backward" (the stance leg comes to rest upright), "forward" (the
-    swing foot grazes the ground), or another one of `Margins`. "" where neither shows."""
+    swing foot grazes the ground), another attribute of `Margins`, or the name of a failure of the
+    system's own. "" where neither shows."""
     saddle: Gait | None
     """The gait, with its multipliers; None unless `kind` is "saddle"."""
     path: Float[np.ndarray, "n section"]
@@ -181,9 +180,12 @@ def failing_margin(
 ) -> tuple[str, float]:
     """Return the margin that is nearest to zero in the strides from some starts, and its size."""
     found = for_each_start(follow_margins, walker, x, integrator.tolerance, integrator.solver)
-    sizes = np.array([np.abs(getattr(found, name)) for name in MARGIN_NAMES])
-    sizes = np.nanmin(np.where(np.isnan(sizes), np.inf, sizes), axis=1)
-    return MARGIN_NAMES[int(sizes.argmin())], float(sizes.min())
+    sizes = {
+        name: np.min(np.abs(values), where=~np.isnan(values), initial=np.inf)
+        for name, values in found.by_name.items()
+    }
+    nearest = min([*WAYS, *sizes], key=lambda name: sizes.get(name, np.inf))
+    return WAYS.get(nearest, nearest), float(sizes.get(nearest, np.inf))
 
 
 def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " section"]:

@@ -13,7 +13,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
 from walker_jax.systems.system import System, has_gait_region
-from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.model import moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 
 PAPER_WINDOW = {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
@@ -57,14 +57,20 @@ def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
     return {name: (float(low), float(high), cells) for name, low, high in ends}
 
 
-def whole_section(walker: Walker) -> dict[str, Any]:
+def whole_section(walker: System) -> dict[str, Any] | None:
     """Return the axes of a window of three dimensions that holds most of a walker's basin, or all.
 
-    The window is `WHOLE_SECTION`, with rates in units of 1 / sqrt(leg length).
+    The window is `WHOLE_SECTION`, with rates in units of 1 / sqrt(leg length). There is none for a
+    system that makes no steps, or has another section.
     """
+    if walker.section != ("theta", "thetadot", "phidot"):
+        return None
     angle = 1e-4  # so small that a step is 2 angle leg lengths long, also on round feet
-    start = walker.lift(jnp.array([angle, -angle, 0.0]))
-    unit = round(float(2 * angle / walker.reach(walker.exchange_legs(start))) ** 0.5, 6)
+    x = jnp.array([angle, -angle, 0.0])
+    step = walker.step_length(x, lambda: None)
+    if step is None:
+        return None
+    unit = round(float(2 * angle / step) ** 0.5, 6)
     (narrowest, widest, _), (low, high, count) = WHOLE_SECTION["theta"], WHOLE_SECTION["sum"]
     ends = [unit * end + (1 - unit) * a for a in (narrowest, widest) for end in (low, high)]
     backward, forward, turns = WHOLE_SECTION["phidot"]
@@ -96,7 +102,7 @@ def outline(axes: Mapping[str, Any]) -> Grid:
     )
 
 
-def film_window(walker: Walker, x: Float[ArrayLike, " section"]) -> Grid:
+def film_window(walker: System, x: Float[ArrayLike, " section"]) -> Grid:
     """Return the paper's window for the simplest walker, else one around the gait, or around x."""
     if moves_like(walker, SimplestWalker):
         return grid_along(PAPER_WINDOW)

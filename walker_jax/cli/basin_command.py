@@ -30,7 +30,6 @@ from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import write_description
 
 if TYPE_CHECKING:
@@ -59,14 +58,12 @@ class BasinWindow(Window):
 
         For a slice they stay as they are.
         """
-        if self.axis or not isinstance(walker, Walker) or "phidot" not in axes:
-            return axes
-        if self.at_phidot is not None:
-            return axes
         known = whole_section(walker)
+        if self.axis or self.at_phidot is not None or known is None:
+            return axes
         return {name: known[name] if axis is None else axis for name, axis in axes.items()}
 
-    def own_axes(self, walker: Walker) -> dict[str, Any]:
+    def own_axes(self, walker: System) -> dict[str, Any]:
         axes: dict[str, Any] = {"theta": self.theta}
         axes |= {"sum": self.sum} if self.thetadot is None else {"thetadot": self.thetadot}
         if "phidot" in walker.section:

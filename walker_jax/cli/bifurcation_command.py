@@ -16,13 +16,12 @@ from walker_jax.cli.walker_options import takes_walker
 from walker_jax.gaits.gait_summary import summarise_bifurcations, value_key
 from walker_jax.systems.system import System
 from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import (
     SLOPE,
     Parameter,
     check_parameter,
     described_by,
-    slopes_of,
+    span_of,
     with_parameter,
     write_description,
 )
@@ -38,7 +37,7 @@ TITLES = {
 def help_of_end(which: str, end: int) -> str:
     """Write the help of an option for one end of the slopes, with its default values."""
     usual = SLOPE.span[end]
-    own = {name: slopes_of(kind)[end] for name, kind in WALKERS.items()}
+    own = {name: (span_of(kind, "slope") or SLOPE.span)[end] for name, kind in WALKERS.items()}
     others = [f", {name}: {value:g}" for name, value in own.items() if value != usual]
     return f"{which} value (default, of the slope: {usual:g}{''.join(others)})."
 
@@ -57,8 +56,7 @@ class Options:
         """Return the parameter that changes, and its lowest and highest values."""
         over, low, high = underscored(self.over), self.low, self.high
         check_parameter(walker, over)
-        if over == "slope" and isinstance(walker, Walker):
-            usual = slopes_of(type(walker))
+        if usual := span_of(type(walker), over):
             low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
         if low is None or high is None:
             missing = "--from" if low is None else "--to"

@@ -16,7 +16,7 @@ from walker_jax.cli.walker_options import takes_walker
 from walker_jax.gaits.gait_summary import summarise_chart
 from walker_jax.gaits.selection import select_gaits
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter
+from walker_jax.walkers.parameters import check_parameter, value_of
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Options:
             name, low, high, count = read_range("--over", text)
             refuse_again("--over", name, found)
             check_parameter(system, name, low, high)
-            own = float(getattr(system, name))
+            own = float(value_of(system, name))
             if not low <= own <= high:
                 raise WrongUse(f"--over {text} must hold the {hyphenated(name)} {own:g}")
             found[name] = low, high, count

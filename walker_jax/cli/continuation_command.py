@@ -15,7 +15,6 @@ from walker_jax.cli.sweep_command import values_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.basin_fractions import summarise_fractions
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter
 
 DEFAULT = "slope=0.002:0.02:37"
@@ -42,7 +41,7 @@ def continuation(
 
     A gait keeps its number along its branch: it is born and it ends at folds and period doublings.
     """
-    if options.over == DEFAULT and not isinstance(walker, Walker):
+    if options.over == DEFAULT and "slope" not in walker.spans:
         raise WrongUse("--over is required: a parameter of the system and its values, NAME=LO:HI:N")
     ((name, values),) = values_of([options.over]).items()
     check_parameter(walker, name, *values)

@@ -72,7 +72,8 @@ def explore(
     reference_of(offered.kind)  # raises for code that worker processes cannot import
     for option in chosen_options(walker):
         raise WrongUse(f"{option_of(option)} must be left out: the page knows parameters alone")
-    values = {name: float(value) for name, value in numbers_of(walker).items()}
+    own = numbers_of(walker)
+    values = {one.name: float(own[one.name]) for one in offered.parameters}
     run_server(host, port, offered, values, browser=browser)
 
 

@@ -32,7 +32,7 @@ def list_walkers(requested: bool) -> bool:
 
 def print_walker(name: str, kind: type) -> None:
     """Print a walker, its section and its parameters."""
-    from walker_jax.walkers.parameters import options, parameters
+    from walker_jax.walkers.parameters import options, parameters, trees
 
     lines = (kind.__doc__ or kind.__name__).strip().splitlines()
     print(f"{name}: {lines[0]}")
@@ -41,6 +41,8 @@ def print_walker(name: str, kind: type) -> None:
         about = ", ".join(filter(None, (one.meaning, one.bounds())))
         default = "required" if math.isnan(one.default) else f"{one.default:g}"
         print(f"  {option_of(one.name):18} {one.unit:17} {default:<8} {about}")
+    for one in trees(kind):
+        print(f"  {option_of(one.name):18} FILE")
     for one in options(kind):
         print(f"  {option_of(one.name):44} {one.meaning}")
 

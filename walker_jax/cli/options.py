@@ -11,7 +11,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli.groups import option
 from walker_jax.cli.rewording import option_of
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import is_planar
 from walker_jax.walkers.parameters import check_parameter
 
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
@@ -44,10 +44,16 @@ def refuse(reason: str, **options: Any) -> None:
             raise WrongUse(f"{option_of(name)} {reason}")
 
 
-def refuse_for_systems(walker: System, **options: Any) -> None:
-    """Refuse options that are only for walkers."""
-    if not isinstance(walker, Walker):
+def refuse_without_picture(walker: System, **options: Any) -> None:
+    """Refuse options that are only for systems whose walks are drawn."""
+    if walker.picture() is None:
         refuse(f"is for walkers, not for {walker.label()}: leave it out", **options)
+
+
+def refuse_without_ground(walker: System, **options: Any) -> None:
+    """Refuse options that are only for systems on ground that may be rough."""
+    if not is_planar(walker):
+        refuse(f"is for walkers in the plane, not for {walker.label()}: leave it out", **options)
 
 
 def check_finite(**options: float | None) -> None:

@@ -19,7 +19,7 @@ from walker_jax.cli.options import (
     check_range,
     hyphenated,
     refuse,
-    refuse_for_systems,
+    refuse_without_ground,
     underscored,
 )
 from walker_jax.cli.section import AXIS, Axis, Region, asked_of, axes_of_region, check_section
@@ -29,7 +29,6 @@ from walker_jax.grids import Grid
 from walker_jax.stability.robustness_fields import summarise_robustness
 from walker_jax.systems.outcomes import outcome_in_words
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import space_decimals, write_description
 
 
@@ -43,12 +42,12 @@ class BasinRegion(Region):
     )
 
     def grid(self, walker: System) -> Grid | None:
-        """Return the grid of the region; None for the library's default, which is for walkers.
+        """Return the grid of the region; None for a `basin_region` of the system's own.
 
         The default for other systems is the region of their gaits.
         """
         grid = super().grid(walker)
-        if isinstance(walker, Walker):
+        if type(walker).basin_region is not System.basin_region:
             return grid
         check_section(walker, self.axis)
         return grid or grid_along(axes_of_region(walker))
@@ -74,9 +73,10 @@ class Options:
         check_finite(disturbances=self.disturbances, ground=self.ground)
         if self.disturbances <= 0:
             raise WrongUse(f"--disturbances must be above 0, not {self.disturbances}")
-        refuse_for_systems(walker, ground=self.ground)
+        refuse_without_ground(walker, ground=self.ground)
         given = {name: value for name, value in vars(self).items() if value is not None}
-        if isinstance(walker, Walker) and not is_planar(walker):
+        picture = walker.picture()
+        if picture is not None and picture.axes == 3:
             given["check"] = check_starts(walker, exact=True)
         return given
 

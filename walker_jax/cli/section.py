@@ -20,7 +20,6 @@ from walker_jax.cli.options import (
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker
 
 Axis = tuple[float, float, int]
 """Ends of an axis, and its number of cells."""
@@ -48,8 +47,9 @@ class Section:
 
     def check(self, walker: System) -> None:
         """Refuse axes that the walker's section lacks."""
-        if not isinstance(walker, Walker):
-            refuse("is for walkers: give --axis for each of a system's axes", **self.own)
+        if not has_plane(walker):
+            each = "give --axis for each coordinate of the section"
+            refuse(f"is for walkers in the plane: {each}", **self.own)
         turned = {name: self.own.get(name) for name in ("phidot", "at_phidot")}
         if "phidot" not in walker.section:
             section = ", ".join(walker.section)
@@ -76,14 +76,14 @@ class Window(Section):
         if self.axis:
             axes = axes_from(walker, self.axis)
             check_ranges(axes, most)
-        elif isinstance(walker, Walker):
+        elif has_plane(walker):
             axes = fill_from_paper(walker, self.own_axes(walker))
         else:
             axes = axes_of_region(walker)
         check_drawable(outline(axes))
         return axes
 
-    def own_axes(self, walker: Walker) -> dict[str, Any]:
+    def own_axes(self, walker: System) -> dict[str, Any]:
         """Return the axes that options of their own give, for a walker; None if missing."""
         axes: dict[str, Any] = {"theta": self.theta, "sum": self.sum}
         axes |= {"phidot": self.at_phidot} if "phidot" in walker.section else {}
@@ -117,9 +117,6 @@ class Region(Section):
             axes |= {"at-phidot": self.at_phidot} if ranged is None else {"phidot": ranged}
         if all(axis is None for axis in axes.values()):
             return None
-        if len(walker.section) > 3:
-            each = "give --axis for each coordinate of the section"
-            refuse(f"is for walkers in the plane: {each}", **axes)
         if None in axes.values():
             raise WrongUse(f"give {' and '.join(f'--{name}' for name in axes)}, or none of them")
         return Grid.sheared(**{name.removeprefix("at-"): axis for name, axis in axes.items()})
@@ -151,6 +148,11 @@ class Start:
         return start_from(walker, self.start) if self.start else given
 
 
+def has_plane(walker: System) -> bool:
+    """Return whether a section has the plane of theta and thetadot, which has own options."""
+    return walker.section[:2] == ("theta", "thetadot")
+
+
 def has_own_options(walker: System) -> bool:
     """Return whether all coordinates of a section have options of their own."""
     return {*walker.section} <= {"theta", "thetadot", "phidot"}
@@ -159,9 +161,10 @@ def has_own_options(walker: System) -> bool:
 def refuse_own(walker: System, **own: Any) -> None:
     """Refuse options for single coordinates on a section with other coordinates."""
     if not has_own_options(walker):
-        whose = "walkers in the plane" if isinstance(walker, Walker) else "walkers"
         section = ", ".join(walker.section)
-        refuse(f"is for {whose}: give --start NAME=VALUE, for each of {section}", **own)
+        refuse(
+            f"is for walkers in the plane: give --start NAME=VALUE, for each of {section}", **own
+        )
 
 
 def start_from(walker: System, texts: list[str]) -> dict[str, float]:

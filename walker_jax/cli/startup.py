@@ -13,6 +13,8 @@ from walker_jax.refusals import ComputationFailed
 
 SUFFIXES = "-cache", "-atime"
 """Suffixes of JAX's files."""
+PLATFORMS = "JAX_PLATFORMS", "JAX_PLATFORM_NAME"
+"""Variables that choose JAX's devices, the present one and the old one."""
 
 
 def configure_jax() -> None:
@@ -27,10 +29,11 @@ def find_devices() -> list:
     try:
         return jax.devices()
     except (AssertionError, RuntimeError) as error:
-        named = os.environ.get("JAX_PLATFORMS", "")
-        reason = f" by JAX_PLATFORMS={named}" * bool(named)
+        name = next((one for one in PLATFORMS if os.environ.get(one)), PLATFORMS[0])
+        named = os.environ.get(name, "")
+        reason = f" by {name}={named}" * bool(named)
         raise ComputationFailed(
-            f"JAX finds no device{reason}: unset JAX_PLATFORMS, or set it to cpu"
+            f"JAX finds no device{reason}: unset {name}, or set it to cpu"
         ) from error
 
 

@@ -15,13 +15,18 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import check_film, request_for, tell
 from walker_jax.cli.conclusions import conclude_walk
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import OUTPUT, check_finite, refuse_for_systems
-from walker_jax.cli.section import Start, begin_at, has_own_options
+from walker_jax.cli.options import (
+    OUTPUT,
+    check_finite,
+    refuse_without_ground,
+    refuse_without_picture,
+)
+from walker_jax.cli.section import Start, begin_at, has_own_options, has_plane
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.systems.outcomes import name_of_outcome, outcome_in_words
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import State, Walker, moves_like
+from walker_jax.walkers.model import State, moves_like
 
 PAPER_START = {"theta": 0.2, "thetadot": -0.21645}
 """The start of the walk in Table 1 of Schwab and Wisse (2001)."""
@@ -60,7 +65,8 @@ def walk(walker: System, start: Start, options: Options) -> None:
     basin.
     """
     check_finite(ground=options.ground)
-    refuse_for_systems(walker, ground=options.ground, animate=options.animate)
+    refuse_without_ground(walker, ground=options.ground)
+    refuse_without_picture(walker, animate=options.animate)
     given = start.coordinates(walker)
     if moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
@@ -81,7 +87,7 @@ def walk(walker: System, start: Start, options: Options) -> None:
         "outcomes": [name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()],
         "times": np.asarray(made.times)[:count],
     }
-    if options.animate is not None and isinstance(walker, Walker):
+    if options.animate is not None:
         draw_film(walker, begin, options, options.animate, storage.signature(request))
     rough = options.ground is not None
     coordinates = State._fields if rough else walker.section
@@ -90,13 +96,13 @@ def walk(walker: System, start: Start, options: Options) -> None:
     tell(answer, lines, as_json=options.as_json)
 
 
-def draw_film(walker: Walker, begin: Any, options: Options, place: Path, signature: str) -> None:
+def draw_film(walker: System, begin: Any, options: Options, place: Path, signature: str) -> None:
     """Save the film of a walk."""
     from walker_jax import figures
 
     heights, data = options.heights(), None
     motion = wj.motion(walker, begin, options.strides, step=FRAME_INTERVAL, ground=heights)
-    if not isinstance(walker, wj.SpatialWalker):
+    if has_plane(walker):
         data = wj.basin(walker, film_window(walker, begin), "direct", progress=True)
     figures.film(motion, place, data, signature=signature, progress=True)
 

@@ -1,10 +1,12 @@
 """The options that choose the walker, or other system, of a command, and set its parameters."""
 
+import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Annotated, Any, get_args
 
+import equinox as eqx
 import typer
 
 from walker_jax.checks import WrongUse
@@ -14,12 +16,15 @@ from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import make_static
 from walker_jax.walkers.family import OPENING, WALKERS
 from walker_jax.walkers.parameters import (
     Option,
     Parameter,
+    Tree,
     options,
     parameters_of,
+    trees,
     with_values,
 )
 from walker_jax.walkers.references import find_system, find_walker, installed_walkers
@@ -84,7 +89,8 @@ def with_walker_options(command: Command, args: Sequence[str] | None) -> Command
         values = {one: value for one, value in values.items() if value is not None}
         if ranges_over is not None:
             over, low = given[ranges_over].replace("-", "_"), given["low"]
-            if over in offered and (low is not None or not vars(command)["or_one_value"]):
+            ranged = over in offered and isinstance(first(offered[over]), Parameter)
+            if ranged and (low is not None or not vars(command)["or_one_value"]):
                 values |= lowest_value(first(offered[over]), low, values)
         name = system or walker
         return command(walker=build_walker(kinds[name], name, offered, values), **given)
@@ -119,13 +125,14 @@ def lowest_value(over: Parameter, low: float | None, given: Container[str]) -> d
 def offered_options(
     kinds: Kinds, opening: Mapping[str, Mapping[str, float]] | None = None
 ) -> Offered:
-    """Return the parameters of all walkers, then their options for the checks of strides.
+    """Return the parameters of all walkers, then arrays and trees, then options of their strides.
 
     `opening` has defaults of some walkers that replace their own.
     """
     offered: Offered = {}
+    trees_of = lambda kind: trees(kind) if isinstance(kind, type) else ()
     checks_of = lambda kind: options(kind) if isinstance(kind, type) else ()
-    for described in (parameters_of, checks_of):
+    for described in (parameters_of, trees_of, checks_of):
         for name, kind in kinds.items():
             for one in described(kind):
                 default = (opening or {}).get(name, {}).get(one.name)
@@ -157,6 +164,10 @@ def option_for(
     if isinstance(one, Option):
         flag = typer.Option(option_of(name), help=f"{whose}{one.meaning}.", **panel)
         return argument(PREFIX + name, Annotated[bool | None, flag], None)
+    if isinstance(one, Tree):
+        text = f"{whose}File of its numbers, as eqx.tree_serialise_leaves writes them."
+        file = typer.Option(option_of(name), help=text, metavar="FILE", **panel)
+        return argument(PREFIX + name, Annotated[str | None, file], None)
     about = "; ".join(filter(None, (one.meaning, one.unit)))
     defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
     for owner, other in owners.items():
@@ -192,7 +203,7 @@ SYSTEM = Annotated[
 
 
 def build_walker(
-    kind: type[System] | System, name: str, offered: Offered, values: dict[str, float]
+    kind: type[System] | System, name: str, offered: Offered, values: dict[str, Any]
 ) -> System:
     """Build the walker of that name, with defaults for the parameters that are not given."""
     own = {one: owners[name] for one, owners in offered.items() if name in owners}
@@ -202,5 +213,26 @@ def build_walker(
     for one, value in numbers.items():
         if one not in values and math.isnan(value):
             raise WrongUse(f"{option_of(one)} is required: {name} has no default for it")
-    made = {one: own[one].convert(value) for one, value in (numbers | values).items()}
+    read = {
+        one: read_tree(each, values.get(one)) for one, each in own.items() if isinstance(each, Tree)
+    }
+    given = (numbers | values).items()
+    made = {one: own[one].convert(value) for one, value in given if one not in read} | read
     return kind(**made) if isinstance(kind, type) else with_values(kind, made)
+
+
+def read_tree(tree: Tree, file: str | None) -> Any:
+    """Return the numbers of an array or a tree from a file, or its default."""
+    option = option_of(tree.name)
+    if tree.default is dataclasses.MISSING:
+        raise WrongUse(
+            f"{option} needs a default of {tree.name} in its class, to tell the shapes in a file"
+        )
+    like = make_static(tree.default, tree.name)
+    if file is None:
+        return like
+    try:
+        return eqx.tree_deserialise_leaves(file, like)
+    except (Exception, SystemExit) as error:  # whatever NumPy makes of a file
+        reason = " ".join(str(error).split())
+        raise WrongUse(f"{option} {file} must be a file of such numbers: {reason}") from error

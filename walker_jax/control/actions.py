@@ -12,8 +12,8 @@ from jaxtyping import Float
 from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
 from walker_jax.grids import check_axis
 from walker_jax.storage.schema import names_in_use
-from walker_jax.systems.system import System, check_single, numbers_of
-from walker_jax.walkers.parameters import check_parameter, with_values
+from walker_jax.systems.system import System, check_single
+from walker_jax.walkers.parameters import check_parameter, value_of, with_values
 
 MOST_ACTIONS = 10_000
 """Most combinations of values; a request for more is likely a mistake."""
@@ -52,7 +52,7 @@ def read_actions(system: System, actions: Any) -> Actions:
         if len(np.unique(row)) < len(row):
             raise WrongUse(f"actions of {name} must differ from one another")
     every = np.array(list(itertools.product(*values)))
-    own = np.array([float(numbers_of(system)[name]) for name in actions])
+    own = np.array([float(value_of(system, name)) for name in actions])
     among = np.flatnonzero(np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1))
     number = int(among[0]) if len(among) else len(every)
     every = every if len(among) else np.vstack([every, own])

@@ -5,7 +5,8 @@ from jaxtyping import Bool, Float, Int32
 
 from walker_jax.control.actions import Actions
 from walker_jax.controlled_maps import Points, parts
-from walker_jax.systems.system import System, numbers_of
+from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import value_of
 
 
 def effort_of(walker: System, actions: Actions) -> Float[np.ndarray, " m"]:
@@ -14,7 +15,7 @@ def effort_of(walker: System, actions: Actions) -> Float[np.ndarray, " m"]:
     It is the sum over parameters of the squared deviation from the walker's own value, in units of
     the range of all actions.
     """
-    own = np.array([float(numbers_of(walker)[name]) for name in actions.names])
+    own = np.array([float(value_of(walker, name)) for name in actions.names])
     ranges = np.ptp(actions.values, axis=0)
     return (((actions.values - own) / np.where(ranges > 0, ranges, 1)) ** 2).sum(axis=1)
 

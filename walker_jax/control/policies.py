@@ -16,7 +16,7 @@ from walker_jax.control.actions import Actions
 from walker_jax.control.images import Task, bytes_of_cell, map_in_tiles
 from walker_jax.control.least_effort import effort_of, find_least_effort
 from walker_jax.control.longest_walks import choose_nodes, find_longest
-from walker_jax.control.steered import Steered, SteeredWalker, steer
+from walker_jax.control.steered import Steered, steer
 from walker_jax.controlled_maps import Points
 from walker_jax.execution.workers import compute_here
 from walker_jax.grids import Grid
@@ -68,8 +68,7 @@ def Policy(
     **Arguments:**
 
     - `walker`: the walker that `viable` was given, or one with other parameters; target, kernel and
-      actions are those of `data` in both cases. If it is a system other than a walker, the strides
-      of the policy have the tolerance of `data`.
+      actions are those of `data` in both cases.
     - `data`: the result of `viable`.
     - `objective`: "fewest-strides" into the target, as in `data`; "least-effort" on the way there,
       the sum of squared deviations of parameters from the walker's own values, in units of the
@@ -82,7 +81,7 @@ def Policy(
     `ground` or for `ground` without it, and for `ground` with a system that is not a planar walker.
     """
     check_kind("walker", walker, System)
-    if isinstance(walker, SteeredWalker | Steered):
+    if isinstance(walker, Steered):
         raise WrongUse(f"walker must be one without a policy, not a {walker.label()}")
     check_single(walker)
     check_kind("data", data, xr.Dataset)
@@ -110,7 +109,7 @@ def Policy(
     else:
         action = longest_walk_actions(check_planar(walker), data, actions, read_ground(ground))
     choose = interpolate_actions(grid_of(data), action, actions.values)
-    return steer(walker, tuple(names), choose, float(data.attrs["tolerance"]))
+    return steer(walker, tuple(names), choose)
 
 
 def whole_grid(data: xr.Dataset) -> xr.Dataset:

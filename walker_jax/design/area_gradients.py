@@ -29,7 +29,12 @@ from walker_jax.grids import Grid, cell_slices
 from walker_jax.stability.margin_changes import differentiate_margins, margins_after
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, check_parameters, with_parameter
+from walker_jax.walkers.parameters import (
+    check_parameter,
+    check_parameters,
+    value_of,
+    with_parameter,
+)
 
 BISECTIONS = 8
 """Bisections that locate the boundary between two centres."""
@@ -229,7 +234,7 @@ def differentiate_area(
     ends = [walkers_at_band_ends(walker, parameters[k], half_widths[k]) for k in chosen]
     sizes = [*side_by_side(lambda one: at_band_ends.measure(one).size, itertools.chain(*ends))]
     for k, (low, high), below, above in zip(chosen, ends, sizes[::2], sizes[1::2], strict=True):
-        width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
+        width = float(value_of(high, parameters[k]) - value_of(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
         made += below.strides + above.strides
@@ -380,7 +385,7 @@ def check_bands(
 
 def walkers_at_band_ends(walker: System, parameter: str, width: float) -> tuple[System, System]:
     """Return walkers with a parameter lower and higher by a width, or by less if refused."""
-    value, ends = float(getattr(walker, parameter)), []
+    value, ends = float(value_of(walker, parameter)), []
     for step in (-width, width):
         for _ in range(MAX_BAND_HALVINGS):
             try:

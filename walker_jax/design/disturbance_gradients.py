@@ -24,6 +24,7 @@ from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_di
 from walker_jax.stability.margin_changes import differentiate_margins, margins_after
 from walker_jax.stability.rays import DENSE
 from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import value_of
 
 JUMP = 1e-6
 """Distance to a failure just beyond the nearest point, by its margin and the margin's slope along
@@ -124,6 +125,6 @@ def mean_derivative_over_band(
     for one in walkers_at_band_ends(walker, parameter, width):
         there = search_gait(one, gait.states, len(gait.states), tolerance=tolerance)
         one, there = (one, there) if there.found and there.stable else (walker, gait)
-        ends.append((float(getattr(one, parameter)), search(one, there).size))
+        ends.append((float(value_of(one, parameter)), search(one, there).size))
     (low, below), (high, above) = ends
     return (above - below) / (high - low) if high > low else np.nan

@@ -17,7 +17,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Scalar, Walker, is_planar
+from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import along_parameter, check_parameters
 from walker_jax.walking.stride import stride
 from walker_jax.walking.trajectories import trajectory
@@ -58,8 +58,8 @@ def gait_measures(
       ground it is the motors' work alone, and uphill that work less what gravity takes.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All
-    measures are NaN if there is no gait. A system that is not a walker has only the spectral
-    radius; its other measures are NaN.
+    measures are NaN if there is no gait. A system that makes no steps has only the
+    spectral radius; its other measures are NaN.
 
     Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
     gait that is not one of this walker.
@@ -73,11 +73,12 @@ def gait_measures(
     changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
     states, period = np.asarray(gait.states), len(gait.states)
 
-    def mean_step_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
+    def mean_step_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
         """Average the lengths of the steps, each measured at the heel strike that ends it."""
-        return jnp.mean(jnp.stack([step_length(walker, x) for x in states]))
+        lengths: list[Any] = [step_length(walker, x) for x in states]
+        return jnp.mean(jnp.stack(lengths))
 
-    def work_per_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
+    def work_per_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
         """Return the motors' work per unit of weight and of distance."""
         works = [
             walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x))
@@ -90,7 +91,7 @@ def gait_measures(
         way = along_parameter(walker, name), jnp.asarray(dx)
         return float(jax.jvp(measure, (walker, jnp.asarray(states)), way)[1])
 
-    steps = isinstance(walker, Walker)
+    steps = step_length(walker, jnp.asarray(states[0])) is not None
     length = float(mean_step_length(walker, jnp.asarray(states))) if steps else np.nan
     time = float(np.mean(gait.step_times))
 
@@ -119,26 +120,25 @@ def gait_measures(
     }
 
 
-def step_length(walker: Walker, x: Float[Array, " section"]) -> Scalar:
+def step_length(walker: System, x: Float[Array, " section"]) -> Scalar | None:
     """Return the length of a step of a gait: in the plane the step before x, in space the next.
 
-    A planar foot stands, or rolls by the angle of its leg, so the state at heel strike gives the
-    length. How far a disc rolls in space depends on the whole stride.
+    None for a system that makes no steps.
     """
-    if is_planar(walker):
-        return walker.reach(walker.exchange_legs(walker.lift(x)))
-    return walker.reach(end_of_stride(walker, x))
+    return walker.step_length(x, lambda: end_of_stride(walker, x))
 
 
-def end_of_stride(walker: Walker, x: Float[Array, " section"]) -> Any:
+def end_of_stride(walker: Any, x: Float[Array, " section"]) -> Any:
     """Return the full state just before the heel strike that ends a stride."""
     motion = trajectory(walker, x, stride(walker, x).time[None])
     return jax.tree.map(lambda values: values[0], motion)
 
 
-def cost_is_known(walker: System) -> bool:
+def cost_is_known(walker: Any) -> bool:
     """Return whether the energy that a step loses is known."""
-    if not isinstance(walker, Walker):
+    if walker.driven_by_gravity():
+        return True
+    if type(walker).motor_work is System.motor_work:
         return False
     anywhere = walker.lift(jnp.zeros(len(walker.section)))
-    return walker.driven_by_gravity() or walker.motor_work(anywhere, anywhere) is not None
+    return walker.motor_work(anywhere, anywhere) is not None

@@ -59,7 +59,7 @@ from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.slices import default_region
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker, check_planar, is_planar
+from walker_jax.walkers.model import check_planar, is_planar
 
 ATTRACTED = -1
 """Stands for a fate, in `fate_start` and `fate_optimum`, where the walker converges."""
@@ -286,13 +286,14 @@ def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -
     walkers = (problem.walker_at(problem.values(place)) for place in places)
     if problem.size == "volume":
         first = next(walkers)
-        if len(first.section) != 3 or not isinstance(first, Walker):
+        axes = whole_section(first)
+        if axes is None:
             raise WrongUse(
                 f"objective must be area for a {type(first).__name__}, whose section has "
                 f"{len(first.section)} coordinates, not volume",
                 of="objective",
             )
-        return grid_along(whole_section(first))
+        return grid_along(axes)
     return next((one for one in map(default_region, walkers) if one is not None), None)
 
 

@@ -16,7 +16,7 @@ from walker_jax.design.measures import GAIT_MEASURES, gait_measures
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, describe_source, with_values
+from walker_jax.walkers.parameters import check_parameter, describe_source, value_of, with_values
 
 OBJECTIVES = {
     "area": 1.0,
@@ -186,7 +186,7 @@ def check_bounds(walker: System, name: str, ends: Any) -> None:
 def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " parameters"]]:
     """Return the walker's own place, if within the bounds, and a Latin hypercube of others."""
     own = problem.place_of(
-        np.array([float(getattr(problem.walker, name)) for name in problem.names])
+        np.array([float(value_of(problem.walker, name)) for name in problem.names])
     )
     first = [own] if np.all((own >= 0) & (own <= 1)) else []
     return [*first, *latin_hypercube(starts - len(first), len(own), problem.seed)]

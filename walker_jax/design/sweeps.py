@@ -139,7 +139,7 @@ def sweep(
     how = {"method": "direct", **how, "seed": seed, "tolerance": tolerance}
     about = describe(walker, grid, how)
     for name in values:
-        del about.attrs[f"walker_{name}"]
+        about.attrs.pop(f"walker_{name}", None)  # a number of an array has no attribute of its own
     own = {"command": "sweep", "over": {name: given.tolist() for name, given in values.items()}}
     request = request or request_of(about, grid) | own
     about = about.assign_coords(values)

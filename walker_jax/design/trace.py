@@ -254,7 +254,8 @@ def check_known(problem: Problem, known: xr.Dataset) -> None:
     for name in dict.fromkeys([*whole, "density"]):
         own = name.startswith("walker_") and name.removeprefix("walker_") in problem.names
         value, other = about.get(name), known.attrs.get(name)
-        if isinstance(other, list):  # names in an older data set
+        other = other.tolist() if isinstance(other, np.ndarray) else other  # from NetCDF
+        if isinstance(other, list) and isinstance(value, str):  # names in an older data set
             other = join_names(other)
         if not own and name != "version" and other != value:
             raise WrongUse(f"known must be of the same {name}, {value!r}, not {other!r}")

@@ -19,6 +19,8 @@ SECONDS = {
     "bouncing-ball": 1,
     "impact-oscillator": 2,
     "spring-biped": 9,
+    "quadruped": 30,
+    "hopper": 13,
     "torso-wheel": 10,
     "five-link-biped": 20,
 }

@@ -112,7 +112,8 @@ def explore(walker: System, *, height: int = HEIGHT) -> Explorer:
     for option in chosen_options(walker):
         raise WrongUse(f"walker must be without {option}: the page knows parameters alone")
     offered = offer(walker)
-    values = {name: float(value) for name, value in numbers_of(walker).items()}
+    own = numbers_of(walker)
+    values = {one.name: float(own[one.name]) for one in offered.parameters}
     noun = "walker" if offered.is_walker else "system"
     key, options = "", []
     if offered in OTHERS.values():

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, is_number
@@ -15,16 +16,18 @@ from walker_jax.identity import code_fingerprint
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
-from walker_jax.walkers.family import OPENING, WALKERS
+from walker_jax.systems.trees import is_tree, make_static
+from walker_jax.walkers.family import OPENING, WALKERS, WINDOWS
 from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import (
+    SLOPE,
     Parameter,
     parameters_of,
-    slopes_of,
+    span_of,
+    trees,
     with_values,
 )
 from walker_jax.walkers.references import place_of
-from walker_jax.walkers.spatial import SpatialWalker
 
 ADDRESS_KEYS = ("walker", "section", "method", "tab", "over", "view", "start")
 """Keys of the page's address besides parameters; state.js writes and reads them."""
@@ -99,7 +102,7 @@ class Offer:
         It is empty for a walker in space, whose gaits take too long to follow for a page.
         """
         if self.has_film and isinstance(self.kind, type):
-            return {"slope": slopes_of(self.kind)}
+            return {"slope": span_of(self.kind, "slope") or SLOPE.span}
         if self.is_walker or not has_gait_region(self.build(self.defaults)):
             return {}
         return {one.name: span_around(one) for one in self.parameters}
@@ -140,16 +143,6 @@ def fingerprint_of(kind: type[System] | Map) -> str:
     return code_fingerprint(type(kind), code_of(kind))
 
 
-IN_SPACE = {
-    "yaw": (0.0, 0.2),
-    "theta": (0.06, 0.26),
-    "phi": (0.19, 0.39),
-    "yawdot": (-0.23, -0.03),
-    "leandot": (-0.12, 0.08),
-    "thetadot": (-0.57, -0.37),
-    "phidot": (-0.49, -0.29),
-}
-"""Window around the gait of the default walker in space; to find that gait takes long."""
 Offers = dict[str, Offer]
 """The offers of a page, by name; a request may name these only."""
 
@@ -185,6 +178,7 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
     if len(walker.section) < 2:
         raise WrongUse(f"{walker.label()} has a section of one coordinate, and pictures have two")
     kind = walker if isinstance(walker, Map) else type(walker)
+    check_trees(walker)
     described = parameters_of(kind)
     for one in described:
         if one.name in ADDRESS_KEYS or one.name.startswith("at_"):
@@ -205,6 +199,22 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
     return made
 
 
+def check_trees(walker: System) -> None:
+    """Raise `WrongUse` for arrays or trees that are not the defaults of the class."""
+    if isinstance(walker, Map):
+        wrong = [name for name, one in walker.parameters.items() if is_tree(one) or np.ndim(one)]
+    else:
+        fields = [(one, getattr(walker, one.name)) for one in trees(type(walker))]
+        same = lambda one, value: eqx.tree_equal(value, make_static(one.default, one.name))
+        known = lambda one: one.default is not dataclasses.MISSING
+        wrong = [one.name for one, value in fields if not (known(one) and same(one, value))]
+    if wrong:
+        raise WrongUse(
+            f"{wrong[0]} must be a number, or the default of the class of {walker.label()}: the "
+            "page changes single numbers alone"
+        )
+
+
 def beside(offered: Offer) -> Offers:
     """Return the offers of a page that opens with one offer: it and the package's of its sort."""
     return (FAMILY if offered.is_walker else OTHERS) | {offered.name: offered}
@@ -214,14 +224,14 @@ def beside(offered: Offer) -> Offers:
 def window_of(offered: Offer) -> dict[str, tuple[float, float]]:
     """Return the window of an offer: the ends of each coordinate.
 
-    They are those given; otherwise those of the `gait_region`, or for a `SpatialWalker` those
-    around its default gait. Without any of these the window is empty. A fixed coordinate has ends
+    They are those given; otherwise those of `WINDOWS` or of the `gait_region`. Without any of
+    these the window is empty. A fixed coordinate has ends
     for its slider.
     """
     walker = offered.build(offered.defaults)
     window = {}
-    if isinstance(walker, SpatialWalker):
-        window |= IN_SPACE
+    if offered.name in WINDOWS:
+        window |= WINDOWS[offered.name]
     elif has_gait_region(walker):
         region = walker.gait_region()
         shear, origin = np.asarray(region.shear), np.asarray(region.origin)

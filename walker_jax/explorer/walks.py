@@ -16,17 +16,14 @@ from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.explorer.subjects import Subject
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
-from walker_jax.multibody.single_support import stance_coordinates
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
-from walker_jax.walkers.kneed import KneedWalker, lock_knees
-from walker_jax.walkers.masses import MultibodyWalker
+from walker_jax.systems.trees import in_dtype
+from walker_jax.walkers.kneed import BentState
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.phase import legs
 from walker_jax.walking.iteration import strides
-from walker_jax.walking.movement import FALL_TIME, find_ends, frames_shown, leg_shape, swings_at
+from walker_jax.walking.movement import find_ends, frames_shown, swings_at
 from walker_jax.walking.trajectories import state_after
 
 MAX_STRIDES = 60
@@ -43,10 +40,9 @@ def leg_of(subject: Subject) -> dict[str, float] | None:
     They are the length of its legs, from the hip to the centre of the foot's arc, and the radius of
     that arc. Raises `WrongUse` if its clearance and reach are not those of a leg.
     """
-    walker = subject.walker
-    if not isinstance(walker, Walker) or not subject.offer.has_film:
+    if not subject.offer.has_film:
         return None
-    length, radius = leg_shape(walker)
+    _, length, radius = subject.walker.picture()
     if not (0 < length < math.inf and math.isfinite(radius)):
         raise WrongUse(
             f"{subject.offer.name} cannot be drawn: its clearance and reach are no leg's"
@@ -67,7 +63,7 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
         walker = walker_from(subject, start)
         stride = strides(walker, start[None])
         outcome, duration = Outcome(int(stride.outcome[0])), float(stride.time[0])
-        if not isinstance(walker, Walker) or leg is None or outcome == Outcome.OUTSIDE:
+        if leg is None or outcome == Outcome.OUTSIDE:
             made.append(end(walker, start, outcome, duration if outcome == Outcome.STRIDE else 0.0))
         elif outcome != Outcome.STRIDE:
             made.append(fall(walker, start, outcome))
@@ -83,16 +79,14 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
 
 def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> System:
     """Return the walker whose stride begins at a start; its knees are locked if the start's are."""
-    walker = subject.walker
-    if isinstance(walker, KneedWalker) and len(start) == len(State._fields):
-        return lock_knees(walker)
-    return walker
+    walker: Any = subject.walker
+    swings = subject.offer.has_film and len(start) == len(State._fields)
+    return walker.in_swing() if swings else walker
 
 
-def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outcome) -> dict:
+def fall(walker: Any, start: Float[np.ndarray, " coordinates"], outcome: Outcome) -> dict:
     """Describe the stride in which a walker fails, until it is on the ground, runs or stops."""
-    length, radius = leg_shape(walker)
-    ends = np.minimum(find_ends(walker, start), FALL_TIME * np.sqrt(length + radius))
+    ends = np.minimum(find_ends(walker, start), walker.picture().longest())
     times = np.linspace(0, ends[-1], 1 + max(8, round(ends[-1] / FRAME)))
     states = states_at(walker, start, times)
     finite = np.isfinite(states.theta)
@@ -103,7 +97,7 @@ def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outc
 
 
 def end(
-    walker: System,
+    walker: Any,
     start: Float[np.ndarray, " coordinates"],
     outcome: Outcome,
     duration: float,
@@ -114,15 +108,16 @@ def end(
     If a leg has a knee, `bent` has the places of the knee and of the leg's end relative to the hip,
     and `locks` is the time of knee strike.
     """
-    shown = states if states is None or isinstance(walker, KneedWalker) else legs(states)
-    rows = np.zeros((0, 4)) if shown is None else np.stack(shown, axis=1)
+    rows = np.zeros((0, 4))
+    if states is not None:
+        rows = np.stack(states if isinstance(states, BentState) else legs(states), axis=1)
     found = {
         "start": start.tolist(),
         "outcome": int(outcome),
         "duration": duration,
         "frames": np.round(rows, 7).tolist(),
     }
-    if isinstance(walker, Walker) and len(rows) and walker.phases():
+    if len(rows) and walker.phases():
         bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
         if bent is not None:
             found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
@@ -132,10 +127,10 @@ def end(
 
 
 def states_at(
-    walker: Walker, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
+    walker: Any, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
 ) -> Any:
     """Return the states at times after a start; one program serves any number of times."""
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
+    walker = in_dtype(walker, float)
     arguments = (walker, start, times, Integrator(1e-12).in_dtype(float))
     return map_cells(state_after, arguments, (False, False, True, False))
 
@@ -147,19 +142,14 @@ def push(
 
     The unit is that of mass (or the mass at the hip) times speed.
     """
-    leg = np.asarray(leg_shape(check_push(subject.walker, subject.offer.name)))
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker_from(subject, start))
-    arguments = (walker, start[None], impulse[None], leg)
+    walker, leg = in_dtype(walker_from(subject, start), float), leg_of(subject)
+    sizes = np.array([*leg.values()]) if leg else None
+    if leg is None or jax.eval_shape(after_push, walker, start, impulse, sizes) is None:
+        raise WrongUse(
+            f"{subject.offer.name} cannot be pushed: it does not say where its masses are"
+        )
+    arguments = (walker, start[None], impulse[None], sizes)
     return map_cells(after_push, arguments, (False, True, True, False))[0]
-
-
-def check_push(walker: System, name: str) -> MultibodyWalker | AbstractMasslessFootWalker:
-    """Refuse to push a walker if it is not known which masses move with its hip."""
-    if not isinstance(walker, MultibodyWalker | AbstractMasslessFootWalker):
-        raise WrongUse(f"{name} cannot be pushed: it does not say where its masses are")
-    if walker.phases() and not isinstance(walker, KneedWalker):
-        raise WrongUse(f"{name} cannot be pushed: it has phases of its own")
-    return walker
 
 
 def after_push(
@@ -167,26 +157,13 @@ def after_push(
     start: Float[Array, " coordinates"],
     impulse: Float[Array, " 2"],
     leg: Float[Array, " 2"],
-) -> Float[Array, " state"]:
-    """Return the state after an impulse P at the hip; rates change by M^{-1} (d hip / dq)^T P.
+) -> Float[Array, " state"] | None:
+    """Return the state after an impulse at the hip, if it is known which masses move with it.
 
     The hip of a leg of length l on a foot of radius r is at (-r theta - l sin theta, l cos theta).
-    If the swing leg has only a vanishing mass, at its foot, the foot keeps its speed across the
-    leg: then thetadot changes by P . (d hip / d theta) / l^2, and phidot by (1 - cos phi) times as
-    much.
     """
     state = walker.launch(start)
-    count = len(state) // 2
-    angles, rates = state[:count], state[count:]
-    theta, phi, length, radius = state.theta, state.phi, leg[0], leg[1]
-    torque = -(radius + length * jnp.cos(theta)) * impulse[0] - length * jnp.sin(theta) * impulse[1]
-    if isinstance(walker, MultibodyWalker):
-        first_phase: Any = (*walker.phases(), walker)[0]
-        q = stance_coordinates([*angles])
-        legs = tuple(range(2, 2 + count))
-        factors = factorise(block(mass_matrix(first_phase.system(), q), legs))
-        changes = solve_factored(factors, [torque, *[jnp.zeros_like(torque)] * (count - 1)])
-    else:
-        first = torque / length**2
-        changes = [first, (1 - jnp.cos(phi)) * first]
-    return jnp.stack([*angles, *(rate + by for rate, by in zip(rates, changes, strict=True))])
+    length, radius = leg
+    arm = -(radius + length * jnp.cos(state.theta)), -length * jnp.sin(state.theta)
+    after = walker.struck(state, impulse, arm)
+    return None if after is None else jnp.stack(after)

@@ -33,9 +33,11 @@ ENDS = {
     "landing": "leads to a bent leg's foot that grazes the ground",
     "buckling": "leads to a knee that is not pressed on its stop",
     "scuffing": "leads to a bent leg's foot that scuffs",
+    "sideways": "leads to a lean at its limit",
+    "outside": "leads to the edge of feasible starts",
     "": "comes to no cycle",
 }
-"""Words for an edge state that is no saddle."""
+"""Words for an edge state that is no saddle, but for those that lead to a system's own failure."""
 
 
 def boundary(
@@ -91,7 +93,8 @@ def boundary(
         else:
             path = one["edge_path"].values
             path = path[np.isfinite(path).all(axis=1)]
-            label = f"{pair}: {ENDS[str(one['edge_kind'].values)]}"
+            kind = str(one["edge_kind"].values)
+            label = f"{pair}: {ENDS.get(kind, f'leads to {outcome_in_words(kind)}')}"
             look |= {"color": "white"}
             marks += ax.plot(*place_states(data, path[-1:], (x, y)).T, "D", label=label, **look)
     ax.set(xlim=extent[:2], ylim=extent[2:])

@@ -3,10 +3,13 @@
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units, total_area
+from walker_jax.systems.trees import HASHED
 
 AREA_LABEL = "area of the basin (rad² / √(l/g))"
 VOLUME_LABEL = "volume of the basin (rad³·g/l)"
@@ -59,11 +62,13 @@ def walker_title(data: xr.Dataset, width: int = 60) -> str:
     return join_phrases([name, *values], width)
 
 
-def parameter_values(parameters: Mapping[str, float]) -> list[str]:
-    """Return parameters with their values."""
+def parameter_values(parameters: Mapping[str, Any]) -> list[str]:
+    """Return parameters with their values: numbers and words, without arrays."""
     return [
-        f"{name.replace('_', ' ')} {value:g}" + " rad" * (name == "slope")
+        f"{name.replace('_', ' ')} {value if isinstance(value, str) else f'{value:g}'}"
+        + " rad" * (name == "slope")
         for name, value in parameters.items()
+        if not np.ndim(value) and not str(value).startswith(HASHED)
     ]
 
 

@@ -21,7 +21,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import check_parameter, value_of, with_parameter
 from walker_jax.walking.iteration import select_walkers
 
 LONGEST_SEARCHED_PERIOD = 6
@@ -154,7 +154,7 @@ def find_starts(
     walking, cycles = cycle_guesses(walkers, np.concatenate(points), period, integrator)
     walkers = select_walkers(walkers, walking)
     found = iterate_newton(walkers, cycles, integrator)
-    at = getattr(walkers, parameter)
+    at = value_of(walkers, parameter)
     starts = []
     for value in values:
         gaits = Gait(*(field[at == value] for field in found))

@@ -43,7 +43,7 @@ from walker_jax.integrators.integrator import Integrator, default_tolerance
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import check_parameter, value_of, with_parameter
 
 
 class Branch(NamedTuple):
@@ -124,7 +124,7 @@ def continue_gait(
     check_interval(walker, parameter, interval)
     check_kind("normal_forms", normal_forms, bool)
     check_kind("progress", progress, bool)
-    value = float(getattr(walker, parameter))
+    value = float(value_of(walker, parameter))
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     check_found(gait)
     start = Start(value, np.asarray(gait.states, float))

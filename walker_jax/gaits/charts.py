@@ -32,7 +32,7 @@ from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import Outcome, join_names, names_in
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import describe_source
+from walker_jax.walkers.parameters import describe_source, value_of
 from walker_jax.walking.iteration import select_walkers, with_parameters
 from walker_jax.walking.stride import stride
 
@@ -118,7 +118,7 @@ def chart(
         raise WrongUse(f"cells must be two numbers, not {short(cells)}")
     for number in cells:
         check_whole("cells", number, 2)
-    own = np.array([float(getattr(system, name)) for name in names])
+    own = np.array([float(value_of(system, name)) for name in names])
     if not ranges.hold(own):
         told = " and ".join(f"{name} {value:g}" for name, value in zip(names, own, strict=True))
         raise WrongUse(f"bounds must hold the values of the system, {told}")
@@ -246,7 +246,7 @@ def attractors_on_grid(
     values = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     integrator = Integrator(tolerance)
     systems = with_parameters(system, names, values)
-    known = known_points(names, np.array([float(getattr(system, one)) for one in names]), branches)
+    known = known_points(names, np.array([float(value_of(system, one)) for one in names]), branches)
     gaits, stable = spread_gaits(systems, values, known, cells, ranges, integrator)
     fate = np.where(np.isfinite(gaits[:, 0]), int(Outcome.STRIDE), NO_GAIT)
     period = np.where(stable, 1, 0)

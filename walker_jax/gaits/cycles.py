@@ -22,7 +22,7 @@ from walker_jax.kernels.primitive import vary_together
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import parameter_directions
+from walker_jax.walkers.parameters import as_tangent, parameter_directions
 from walker_jax.walking.iteration import broadcast_parameters, select_walkers
 from walker_jax.walking.stride import follow_stride
 
@@ -263,22 +263,22 @@ def repeat_cells(
     n, period, size = cycles.shape
     walkers = broadcast_parameters(walker, n, cycles.dtype)
     return (
-        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), walkers),
+        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns, axis=0), walkers),
         np.repeat(cycles.reshape(-1, size), columns, axis=0),
     )
 
 
 def jvp(shared: tuple[Integrator, System], cell):
     """Return the stride of one cell, and its derivative along a direction (start, parameters)."""
-    integrator, axes = shared
-    walker, x, direction = cell
-    return jax.jvp(partial(timed_stride, integrator), (walker, x), split(axes, x, direction))
+    (integrator, axes), (walker, x, direction) = shared, cell
+    tangents = split(axes, walker, x, direction)
+    return jax.jvp(partial(timed_stride, integrator), (walker, x), tangents)
 
 
-def split(axes: System, x: Float[Array, " section"], direction: Float[Array, " columns"]):
+def split(axes: System, walker: System, x: Float[Array, " section"], direction: Array):
     """Split a direction into those of the walker and of the start."""
-    size = x.shape[0]
-    return jax.tree.map(lambda leaf: jnp.sum(leaf * direction[size:]), axes), direction[:size]
+    along = lambda leaf: jnp.sum((leaf.T * direction[x.size :]).T, axis=0)
+    return as_tangent(walker, jax.tree.map(along, axes)), direction[: x.size]
 
 
 def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " section"]):

@@ -158,4 +158,4 @@ def second_jvp(shared: tuple[Integrator, System], cell):
     """Return ((stride, its derivative along first), (its derivatives along second, along both))."""
     walker, x, first, second = cell
     derivative = lambda walker, x: jvp(shared, (walker, x, first))
-    return jax.jvp(derivative, (walker, x), split(shared[1], x, second))
+    return jax.jvp(derivative, (walker, x), split(shared[1], walker, x, second))

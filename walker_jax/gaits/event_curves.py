@@ -27,7 +27,7 @@ from walker_jax.gaits.requests import compute_responses, run_batched
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter
+from walker_jax.walkers.parameters import check_parameter, value_of
 
 
 class EventCurve(NamedTuple):
@@ -101,7 +101,7 @@ def continue_event(
     names, ranges = check_bounds(system, parameters, bounds)
     if np.shape(event.states)[1:] != (len(system.section),):
         raise WrongUse(f"event must be one on the section {', '.join(system.section)}", of="event")
-    values = np.array([event.value, float(getattr(system, names[1]))])
+    values = np.array([event.value, float(value_of(system, names[1]))])
     if not ranges.hold(values):
         raise WrongUse(
             f"bounds must hold the event, at {names[0]} {values[0]:g} and {names[1]} {values[1]:g}"

@@ -7,7 +7,7 @@ import numpy as np
 from walker_jax.checks import ComputationFailed
 from walker_jax.gaits.cycles import Gait, linearise
 from walker_jax.systems.system import System, numbers_of
-from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.model import moves_like
 from walker_jax.walkers.parameters import describe_briefly
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.starts import prepare
@@ -48,8 +48,7 @@ def reason_without_gait(walker: System, period: int, search: Gait | None, *, gue
     if not np.isfinite(search.residual):
         start = "the guess" if guessed else "where the search begins"
         made = "no stride" if period == 1 else f"fewer than {period} strides"
-        subject = "the walker" if isinstance(walker, Walker) else "the system"
-        return f"{subject} makes {made} from {start} (explain says why)"
+        return f"it makes {made} from {start} (explain says why)"
     if search.residual > LARGE_RESIDUAL:
         return (
             f"Newton's iteration diverged: a stride misses the next state by {search.residual:.2g}"

@@ -43,11 +43,11 @@ ROUNDING = 64
 def begins_below(series: list[Scalar], rounding: Real = 0.0) -> Bool[Array, ""]:
     """Return whether a function is below zero at first, or at zero and about to fall.
 
-    A value up to `rounding` counts as zero if it falls.
+    A value that differs from zero by `rounding` at most counts as zero.
     """
     value, rate, curvature = series[:3]
     falls = (rate < 0) | ((rate == 0) & (curvature < 0))
-    return (value < 0) | ((value <= rounding) & falls)
+    return (value < -rounding) | ((value <= rounding) & falls)
 
 
 def rounding_of(

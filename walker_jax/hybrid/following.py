@@ -25,6 +25,7 @@ from walker_jax.hybrid.misses import (
     Misses,
     Seen,
     add_misses,
+    dip_between,
     find_least,
     no_misses,
     with_rates,
@@ -43,6 +44,8 @@ FIRST_ORDER = 6
 one, they are expanded in full."""
 NO_GUARD, NOT_FOLLOWED = -1, -2
 """In place of a guard's number: none has ended the mode, or it was not followed."""
+ON_ZERO = 0.5
+"""Side of a guard that begins at zero, to rounding. It is below zero then if it falls."""
 Violated = dict[str, Bool[Array, ""]]
 """Whether each condition was violated, by the failure to which it leads."""
 
@@ -72,11 +75,12 @@ class Step(NamedTuple):
     """Time at its start."""
     length: Scalar
     sides: list[Scalar]
-    """For each guard, -1 below zero at the start of the step and 1 above; 0 before the first."""
+    """For each guard, -1 below zero at the start of the step and 1 above; before the first 0, or
+    `ON_ZERO`."""
     ends: list[Scalar]
     """The sides at its end."""
-    rates: list[tuple[Scalar, Scalar]]
-    """The rates of watched conditions at both ends, unless the mode is measured."""
+    watched: list[tuple[tuple, tuple]]
+    """Value and rate of each watched condition at both ends, unless the mode is measured."""
     quiet: Bool[Array, ""]
     """Whether the step certainly ends nothing."""
     memory: Memory
@@ -109,7 +113,7 @@ def follow_mode(
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
         last = find(start)
-        arrive = partial(method.refine_event, partial(value_of_guard, mode, last.guard))
+        arrive = partial(method.refine_event, surface_of(mode, last.guard))
     refined, delay = zero_where_unused(arrive, last.arrival)
     ended = has_ended(mode, last.guard)
     keep = lambda new, old: jnp.where(ended, new, old)
@@ -133,12 +137,12 @@ def find_event(
         return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
     def follow(now: Unfinished) -> Unfinished:
-        take = measured_step if measured else partial(next_step, violated=now.violated)
+        if measured:
+            return follow_measured(mode, method, now)[0]
+        step = partial(next_step, mode, method, violated=now.violated)
         quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
         # In a batch, lanes that have ended wait here for the others.
-        last, count = make_steps(
-            partial(take, mode, method), now.last, quiet, going, now.count, mode.most_steps
-        )
+        last, count = make_steps(step, now.last, quiet, going, now.count, mode.most_steps)
         return search_step(mode, method, now._replace(last=last, count=count))[0]
 
     return lax.while_loop(unfinished, follow, begun)
@@ -162,9 +166,14 @@ def find_in_reverse(
 
     def arrive(state):
         arrival = method.state_at(state, method.expand(state), until)
-        return method.refine_event(partial(value_of_guard, mode, last.guard), arrival)
+        return method.refine_event(surface_of(mode, last.guard), arrival)
 
     return last._replace(arrival=state, time=time + until), arrive
+
+
+def surface_of(mode: Mode, number: Int[Array, ""]) -> Callable[[Any], Scalar]:
+    """Return the function that is zero where a mode has ended, by which its end has derivatives."""
+    return partial(value_of_guard, mode, number, surface=True)
 
 
 def has_ended(mode: Mode, guard: Int[Array, ""]) -> Bool[Array, ""]:
@@ -184,7 +193,7 @@ def begin_following(
     first, values = before_first_step(mode, method, start)
     violated = {one.leads_to: jnp.asarray(False) for one in mode.conditions}
     for condition, value in zip(mode.conditions, values, strict=True):
-        if not condition.zero_at_ends[0]:
+        if not condition.zero_at_start:
             violated[condition.leads_to] |= going & (value < 0)
     return mode, Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
 
@@ -199,19 +208,19 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, lis
     """Return a step of no length at the start of a mode, and the values of conditions there."""
     zero = zero_at(start)
     sides = [side_at_start(guard, method, start) for guard in mode.guards]
-    values, rates = [], []
+    values, known = [], []
     for one in mode.conditions:
         if one.least_at_ends:
             values.append(value_at(one.value, start))
         else:
             value, rate = one.and_rate(start)
             values.append(value)
-            rates.append((zero, rate))
+            known.append(((value, rate), (value, rate)))
     # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
     nothing = sum(0 * jnp.sum(x) for x in jax.tree.leaves(start))
     start = jax.tree.map(lambda x: x + nothing, start)
     memory = method.begin(start)
-    step = Step(start, start, zero, zero, sides, sides, rates, jnp.asarray(True), memory)
+    step = Step(start, start, zero, zero, sides, sides, known, jnp.asarray(True), memory)
     return step, values
 
 
@@ -225,14 +234,15 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
         rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
         may |= rises
         ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
-    rates = []
-    for condition, (_, before) in zip(watched(mode), step.rates, strict=True):
-        value, rate = condition.and_rate(end)
-        may |= ((value < 0) | ((before < 0) & (rate > 0))) & ~violated[condition.leads_to]
-        rates.append((before, rate))
+    seen = []
+    for condition, (_, before) in zip(watched(mode), step.watched, strict=True):
+        value, rate = after = condition.and_rate(end)
+        turns = ((before[1] < 0) & (rate > 0)) | dip_between(before, after, length).exists
+        may |= ((value < 0) | turns) & ~violated[condition.leads_to]
+        seen.append((before, after))
     if mode.foregone is not None:
         may |= value_at(mode.foregone.holds, end)
-    return Step(begins, end, step.time + step.length, length, sides, ends, rates, ~may, memory)
+    return Step(begins, end, step.time + step.length, length, sides, ends, seen, ~may, memory)
 
 
 def measured_step(mode: Mode, method: Method, step: Step) -> Step:
@@ -243,7 +253,7 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
         below = value_at(guard.value, end) < 0
         ends.append(jnp.where(length == 0, side, jnp.where(below, -1, 1).astype(length.dtype)))
     time, quiet = step.time + step.length, jnp.asarray(False)
-    return Step(step.end, end, time, length, step.ends, ends, step.rates, quiet, memory)
+    return Step(step.end, end, time, length, step.ends, ends, step.watched, quiet, memory)
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
@@ -270,15 +280,16 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     if not method.is_series:  # without a time of the event the motion is undecided
         number = jnp.where(jnp.isnan(until), NO_GUARD, number)
         last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))
-    for condition, (rate, _) in zip(watched(mode), last.rates, strict=True):
-        key, ends = condition.leads_to, number == len(mode.guards) - 1
+    for condition, (before, _) in zip(watched(mode), last.watched, strict=True):
+        key = condition.leads_to
         if misses is not None:
             least, at_end = misses.least[key], value_at(condition.value, arrival)
         else:
-            found = find_least(condition, seen, below=rate, sign_alone=True)
+            found = find_least(condition, seen, known=before, sign_alone=True)
             least, at_end = found.value, found.at_end
-        if condition.zero_at_ends[1]:  # to rounding, or to the error of the time
-            at_end = jnp.where(ends, 0, at_end)
+        for i, guard in enumerate(mode.guards):
+            if key in guard.makes_zero:  # to rounding, or to the error of the time
+                at_end = jnp.where(number == i, 0, at_end)
         violated[key] |= (least < 0) | (at_end < 0)
     time = last.time + until
     return Unfinished(last, arrival, time, number, now.count, violated, misses), seen
@@ -318,17 +329,24 @@ def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:
     """Return the side of zero on which a guard begins; zero if it is read from the first series.
 
     One rule serves all methods (`begins_below`), by the series of the solution. An interpolation
-    is no such series.
+    is no such series. A mode that begins where a guard is zero has not come there, though by
+    rounding the value may be negative: a stride does not end as it leaves the section.
     """
+    side = zero_at(start)
+    if not guard.at_once:
+        known = lax.stop_gradient(start)
+        on_zero = jnp.abs(guard.value(known)) <= rounding_of(guard.value, known, known, 0.0)
+        side = jnp.where(on_zero, ON_ZERO, side)
     if method.is_series:
-        return zero_at(start)
-    below = begins_below(method.series(guard.value, start, 2))
-    return jnp.where(below, -1, 1) + zero_at(start)
+        return side
+    return jnp.where(is_below(side, method.series(guard.value, start, 2)), -1, 1) + zero_at(start)
 
 
 def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
     """Return whether a guard is below zero as a step begins, by its side or first value."""
-    return jnp.where(side == 0, begins_below(value), side < 0)
+    falls = begins_below([jnp.zeros_like(value[0]), *value[1:]])
+    first = jnp.where(side == ON_ZERO, falls, begins_below(value))
+    return jnp.where(jnp.abs(side) < 1, first, side < 0)
 
 
 def rises_perhaps(
@@ -348,9 +366,13 @@ def rises_perhaps(
     return rises, ends_below
 
 
-def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any) -> Scalar:
-    """Return the value of the guard that ended a mode; of the first if none did."""
-    value = mode.guards[0].value(state)
+def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any, surface: bool = False) -> Scalar:
+    """Return the value, or that of the `surface`, of the guard that ended a mode.
+
+    It is that of the first guard if none did.
+    """
+    of = lambda guard: (surface and guard.surface) or guard.value
+    value = of(mode.guards[0])(state)
     for i, guard in enumerate(mode.guards[1:], 1):
-        value = jnp.where(number == i, guard.value(state), value)
+        value = jnp.where(number == i, of(guard)(state), value)
     return value

@@ -9,9 +9,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from walker_jax.checks import WrongUse, short
 from walker_jax.hybrid.modes import SECTION, Mode
+from walker_jax.integrators.taylor import VectorField, is_list
 
 Modes = Mapping[str, Mode]
 
@@ -100,15 +102,68 @@ def kinds_of_states(modes: Modes, start: Any) -> dict[str, Any]:
     return kinds
 
 
+def suit_state(name: str, mode: Mode, state: Any) -> Mode:
+    """Return a mode with rates of the type of the state in which it begins.
+
+    Raise `WrongUse` unless its equations and guards suit that state.
+    """
+    if any(map(is_list, jax.tree.leaves(state, is_leaf=is_list))):
+        raise WrongUse(
+            f"states of mode {name!r} must be of tuples rather than lists: {short(state)}"
+        )
+    kind = kind_of(state)
+    leaves = jax.tree.leaves(kind)
+    types = {x.dtype for x in leaves}
+    floating = len(types) == 1 and all(jnp.issubdtype(one, jnp.floating) for one in types)
+    if not floating or not all(x.size for x in leaves):
+        raise WrongUse(
+            f"states of mode {name!r} must be floating-point numbers of one type, "
+            f"not {in_words(kind)}"
+        )
+    rates = kind_of(jax.eval_shape(mode.rates, state))
+    if not has_shapes(rates, kind):
+        raise WrongUse(
+            f"equations of mode {name!r} must return rates of the shapes of its state, "
+            f"{in_words(kind)}, not {in_words(rates)}"
+        )
+    for guard in mode.guards:
+        value = kind_of(jax.eval_shape(guard.value, state))
+        if not has_shapes(value, jax.ShapeDtypeStruct((), float)):
+            raise WrongUse(f"guards of mode {name!r} must be one number, not {in_words(value)}")
+    types |= {x.dtype for x in jax.tree.leaves(rates)}
+    return mode if len(types) == 1 else mode._replace(field=RatesOfType(mode.field))
+
+
+class RatesOfType(eqx.Module):
+    """Rates in the type of the state, such as whole numbers in floating point."""
+
+    field: VectorField
+
+    def __call__(self, state):
+        convert = lambda rate, x: jnp.asarray(rate, x.dtype)
+        return jax.tree.map(convert, self.field(state), state)
+
+
+def has_shapes(kind: Any, known: Any) -> bool:
+    """Return whether a tree has the structure of another, and leaves of its shapes or numbers."""
+    one, other = jax.tree.structure(kind), jax.tree.structure(known)
+    pairs = zip(jax.tree.leaves(kind), jax.tree.leaves(known), strict=False)
+    return one == other and all(a.shape in ((), b.shape) for a, b in pairs)
+
+
 def kind_of(state: Any) -> Any:
     """Return the structure of a state, with the shapes and types of its leaves."""
     made = jax.eval_shape(lambda: state)
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), made)
 
 
+def in_words(kind: Any) -> str:
+    """Return a kind of states on one line."""
+    return " ".join(eqx.tree_pformat(kind, struct_as_array=True).split())
+
+
 def check_one_kind(to: str, known: Any, other: Any) -> None:
     """Raise `WrongUse` for two kinds of states in which a mode, or the section, is entered."""
     if jax.tree.flatten(known) != jax.tree.flatten(other):
-        both = (eqx.tree_pformat(one, struct_as_array=True) for one in (known, other))
-        described = " ".join(" and ".join(both).split())
+        described = f"{in_words(known)} and {in_words(other)}"
         raise WrongUse(f"resets into {to!r} must return states of one kind, not {described}")

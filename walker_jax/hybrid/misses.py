@@ -6,9 +6,11 @@ the integration must be so short that the rate of a value turns at most once in 
 
 The value of a condition may cost as much as a vector field, as a force does. So it is not expanded
 in a series but evaluated where steps end, with its rate. A step has a minimum within it if the rate
-is negative at its start and positive at its end.
+is negative at its start and positive at its end, or if the cubic with these values and rates turns
+twice in it.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -39,22 +41,24 @@ find its value. The error of a value is about the square of it."""
 
 
 class Misses(NamedTuple):
-    """Misses within a mode. Its start and its end, where values do not turn, do not count."""
+    """Misses within a mode. Its start and its end, where values do not turn, do not count.
+
+    Lists have an entry for each guard.
+    """
 
     nearest: list[Scalar]
-    """The greatest miss of each guard, all negative: its value, or minus its value, where it turned
-    or rose most slowly; or the least function that did not admit it. Minus infinity if there was
-    none."""
-    depth: Scalar
-    """How far the last guard turned below zero since it last rose, for a guard that is not always
-    admitted; minus infinity if it did not."""
-    height: Scalar
-    """How far the last guard rose, if it fell again within the step in which it ended the mode;
-    infinite otherwise."""
+    """The greatest miss, negative: the value, or minus the value, where it turned or rose most
+    slowly; or the least function that did not admit it. Minus infinity if there was none."""
+    depth: list[Scalar]
+    """How far a guard turned below zero since it last rose, if it is not always admitted; minus
+    infinity if it did not."""
+    height: list[Scalar]
+    """How far a guard rose, if it fell again within the step in which the mode ended; infinite
+    otherwise."""
     least: dict[str, Scalar]
     """The least value of each condition where it turned, by its failure; infinite if it did not."""
-    before: dict[str, Scalar]
-    """The greatest miss of the last guard up to the step in which each condition was violated."""
+    before: dict[str, list[Scalar]]
+    """The greatest misses up to the step in which each condition was violated."""
 
 
 class Seen(NamedTuple):
@@ -75,8 +79,8 @@ class Seen(NamedTuple):
 def no_misses(mode: Mode, start: Any) -> Misses:
     infinite = zero_at(start) + jnp.inf
     least = {one.leads_to: infinite for one in mode.conditions}
-    before = {one.leads_to: -infinite for one in mode.conditions}
-    return Misses([-infinite for _ in mode.guards], -infinite, infinite, least, before)
+    none = [-infinite] * len(mode.guards)
+    return Misses(none, none, [infinite] * len(none), least, dict.fromkeys(least, none))
 
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
@@ -88,10 +92,13 @@ def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
         key = one.leads_to
         if not one.least_at_ends:
             least[key] = jnp.minimum(least[key], least_in_step(one, step))
-        before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])
-    depth = jnp.maximum(known.depth, found[-1].depth)
-    depth = jnp.where(found[-1].rises & (step.until == step.length), -jnp.inf, depth)
-    height = jnp.minimum(known.height, found[-1].height)
+        choose = partial(jnp.where, step.violated[key])
+        before[key] = list(map(choose, known.before[key], nearest))
+    goes_on, depth = step.until == step.length, []
+    for one, deep in zip(found, known.depth, strict=True):
+        deepest = jnp.maximum(deep, one.depth)
+        depth.append(jnp.where(one.rises & goes_on, -jnp.inf, deepest))
+    height = list(map(jnp.minimum, known.height, [one.height for one in found]))
     return Misses(nearest, depth, height, least, before)
 
 
@@ -225,18 +232,42 @@ class Least(NamedTuple):
     """Its value at the end."""
 
 
+class Dip(NamedTuple):
+    """Whether a function turns twice in a step, by the cubic with its values and rates at the ends.
+
+    With c_0 = f(0), c_1 = f'(0) and f(s) = c_0 + c_1 s + b s^2 + a s^3 in parts s of the step, its
+    rate turns at s = -b / (3 a), where it is c_1 - b^2 / (3 a).
+    """
+
+    exists: Bool[Array, ""]
+    part: Scalar
+    """Part of the step between the two turns; a half if there are none."""
+
+
+def dip_between(before: tuple, after: tuple, length: Scalar) -> Dip:
+    """Look for two turns in a step, from values and rates at its ends."""
+    (first, rate), (last, final) = before, after
+    rate, final, change = rate * length, final * length, last - first
+    a, b = rate + final - 2 * change, 3 * change - 2 * rate - final
+    within = (a * b < 0) & (jnp.abs(b) < 3 * jnp.abs(a)) & (3 * rate * a < b * b)
+    same = jnp.where(a > 0, (rate >= 0) & (final > 0), (rate < 0) & (final <= 0))
+    exists = within & same
+    return Dip(exists, jnp.where(exists, -b / (3 * jnp.where(exists, a, 1)), 0.5))
+
+
 def find_least(
     condition: Condition,
     step: Seen,
     *,
-    below: Scalar | None = None,
+    known: tuple[Scalar, Scalar] | None = None,
     sign_alone: bool = False,
 ) -> Least:
-    """Find where a condition is least in a step; `below` is its rate at the start, if known.
+    """Find where a condition is least in a step; its value and rate at the start may be `known`.
 
     It is least at a root of its rate, bracketed by secants (Illinois) to a part of the step; for
     its `sign_alone`, until the value is not above zero. The loop begins with both ends of the step,
-    as a condition is costly: a copy of it for each end would have to be compiled too.
+    as a condition is costly: a copy of it for each end would have to be compiled too. If it turns
+    twice, the place between is next (`dip_between`).
     """
     resolution, above = (FINE, 0.0) if sign_alone else (FINEST, -np.inf)
     before, series, after, until = lax.stop_gradient(
@@ -246,25 +277,33 @@ def find_least(
     resolution = max(resolution, 8 * float(jnp.finfo(until.dtype).eps))
 
     def unfinished(carry):
-        turn, low, high, *_, least = carry
+        turn, (low, high), *_, least = carry
         return (turn < 2) | ((high - low > resolution * until) & (least.value > above))
 
     def narrow(carry):
-        turn, low, high, below, beyond, least = carry
+        turn, (low, high), (start, below), beyond, between, least = carry
         first, second, inside = turn == 0, turn == 1, turn > 1
-        t = low + (high - low) * jnp.clip(below / (below - beyond), 0.01, 0.99)
+        part = jnp.where((turn == 2) & (between > 0), between, below / (below - beyond))
+        t = low + (high - low) * jnp.clip(part, 0.01, 0.99)
         choose = lambda start, end, within: jnp.where(first, start, jnp.where(second, end, within))
         state = jax.tree.map(choose, before, after, evaluate_series(series, t))
         value, rate = condition.and_rate(state)
         falling, less = rate < 0, inside & (value < least.value)
-        turns = jnp.where((below < 0) & (rate > 0), until, 0)
-        return (
-            turn + 1,
-            jnp.where(inside & falling, t, low),
-            choose(high, turns, jnp.where(falling, high, t)),
-            # The rate at an end that stays counts half as much the next time.
+        dip = dip_between((start, below), (value, rate), until)
+        turns = ((below < 0) & (rate > 0)) | dip.exists
+        # The rate at an end that stays counts half as much the next time.
+        below, beyond = (
             choose(rate, below, jnp.where(falling, rate, below / 2)),
             choose(beyond, rate, jnp.where(falling, beyond / 2, rate)),
+        )
+        low = jnp.where(inside & falling, t, low)
+        high = choose(high, jnp.where(turns, until, 0), jnp.where(falling, high, t))
+        return (
+            turn + 1,
+            (low, jnp.where(inside & ~((below < 0) & (beyond > 0)), low, high)),
+            (jnp.where(first, value, start), below),
+            beyond,
+            jnp.where(second & dip.exists, dip.part, between),
             Least(
                 jnp.where(less, t, least.time),
                 jnp.minimum(least.value, jnp.where(inside, value, jnp.inf)),
@@ -273,10 +312,9 @@ def find_least(
         )
 
     zero, one = jnp.zeros_like(until), jnp.ones_like(until)
-    nowhere = Least(zero, zero + jnp.inf, zero)
-    known = below is not None
-    turn = jnp.asarray(int(known), jnp.int32)
-    carry = (turn, zero, zero, lax.stop_gradient(below) if known else zero, one, nowhere)
+    turn = jnp.asarray(int(known is not None), jnp.int32)
+    start = (zero, zero) if known is None else lax.stop_gradient(known)
+    carry = (turn, (zero, zero), start, one, zero, Least(zero, zero + jnp.inf, zero))
     *_, least = lax.while_loop(unfinished, narrow, carry)
     return least
 

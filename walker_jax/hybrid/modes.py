@@ -6,7 +6,8 @@ the mode to which it leads, the section, or a failure. It resets the state on th
 not end a mode: it is recorded whether they were violated.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -39,10 +40,9 @@ class Condition(NamedTuple):
     at_start: bool = False
     """Whether a stride that begins where it is negative is over at once."""
     least_at_ends: bool = False
-    """Whether a proof shows that it is least at the start or at the end of a mode."""
-    zero_at_ends: tuple[bool, bool] = (False, False)
-    """Whether it is zero by definition as the mode starts, and where its last guard rises. Its
-    margin then counts values elsewhere."""
+    """Whether it is known to be least at the start or at the end of a mode."""
+    zero_at_start: bool = False
+    """Whether it is zero by definition as the mode starts, so that its sign there is rounding."""
     and_rate: Any = None
     """Function from a state to its value and its rate along the motion, constant to derivatives;
     set while a mode is followed, unless it is least at ends (`misses.with_rates`)."""
@@ -71,8 +71,11 @@ class Guard(NamedTuple):
     must_hold: tuple[Condition, ...] = ()
     """Functions that must be positive in the state in which the guard has risen, before the reset,
     for the motion to go on: for example the speed at which a foot lifts in an impact."""
+    makes_zero: tuple[str, ...] = ()
+    """Conditions, by their failures, that are zero by definition where the guard rises, so that
+    their sign there is rounding."""
     persists: bool = False
-    """Whether a proof about the field shows two things. A value that has risen where it is admitted
+    """Whether two things are known. A value that has risen where it is admitted
     stays above zero to the end of any step; and it turns from falling to rising at most once in a
     step. The two ends of a step then tell whether it has risen within."""
     at_once: bool = False
@@ -80,6 +83,10 @@ class Guard(NamedTuple):
     section; one that follows another mode does not if the value is zero, to rounding, and falls."""
     measure: Callable[[Scalar], Scalar] = jnp.negative
     """The margin of a value below zero; by default its size."""
+
+    surface: Function | None = None
+    """The function whose zero defines the event for derivatives, by default `value`. It differs
+    from that where a parameter moves the event, but not `value`."""
 
     def admitted(self, state: Any) -> Bool[Array, ""]:
         """Return whether a rise in a state counts."""
@@ -90,7 +97,7 @@ class Guard(NamedTuple):
 
 
 class Foregone(NamedTuple):
-    """A proof that a mode can end in one way only, so that it need not be followed any further."""
+    """A sufficient condition for a mode to end in one way: it need not be followed any further."""
 
     holds: Callable[[Any], Bool[Array, ""]]
     """Whether that is certain in a state; evaluated at the end of each step."""
@@ -104,8 +111,7 @@ class Mode(NamedTuple):
     field: VectorField
     """The time derivative of the state, or a `PowerBalance`."""
     guards: tuple[Guard, ...]
-    """The earliest rise ends the mode; of rises at the same time, the first guard's counts. The
-    last guard is the intended end: margins measure by how little it rose, or missed."""
+    """The earliest rise ends the mode; of rises at the same time, the first guard's counts."""
     conditions: tuple[Condition, ...] = ()
     foregone: Foregone | None = None
     rates_at: Callable[[Any], Any] | None = None
@@ -121,6 +127,12 @@ class Mode(NamedTuple):
     longest_step: Any = None
     """Longest step of the integration. Features of time that last less than a step, such as a
     short pulse, may else lie between two places where the equations are evaluated."""
+    integrals: Mapping[str, Function] = MappingProxyType({})
+    """Functions of the state, such as a power, that `integrals` integrates along a stride, by
+    name."""
+    largest: Mapping[str, Function] = MappingProxyType({})
+    """Functions of the state, such as a force, of which `integrals` returns the largest value in a
+    stride."""
     energy: Function | None = None
     """The energy of a state, if it is known. Only `explain` uses it, to report its change."""
     most_steps: int = MOST_STEPS

@@ -25,6 +25,17 @@ from walker_jax.integrators.taylor import (
     solution_series,
     with_zeros,
 )
+from walker_jax.kernels.reverse import reversing
+
+
+def arrive(
+    event: Callable[[PyTree], Scalar], field: VectorField, state: PyTree
+) -> tuple[PyTree, Scalar]:
+    """Return the state at the event, and the time to it, which is zero, with all derivatives."""
+    if reversing.value:
+        return arrive_by_newton(event, field, state)
+    time = time_to(event, field, state)
+    return flow(field, state, time), time
 
 
 @eqx.filter_custom_jvp

@@ -48,6 +48,7 @@ from walker_jax.integrators.series import (
     solution,
     times,
 )
+from walker_jax.integrators.softplus import custom_call_rule
 from walker_jax.integrators.unknown_series import no_series
 from walker_jax.kernels.jaxprs import (
     CALLS,
@@ -353,6 +354,7 @@ Expansion.rules = {
     "cond": branch_rule,
     "convert_element_type": conversion_rule,
     "cos": by_pair(sincos, -1, 1),
+    "custom_jvp_call": custom_call_rule,
     "cosh": by_pair(lambda x: (jnp.sinh(x), jnp.cosh(x)), 1, 1),
     "cumprod": by_definition(cumulative_product),
     "div": division_rule,

@@ -20,8 +20,10 @@ from jax.core import Tracer
 from jaxtyping import PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.integrators.arrivals import arrive_by_newton, flow, time_to
+from walker_jax.integrators.arrivals import arrive
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
+from walker_jax.integrators.integrals import beside, motion_of
 from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.roots import Real, Scalar
@@ -50,7 +52,6 @@ from walker_jax.integrators.taylor_steps import (
     taylor_step,
     usable_series,
 )
-from walker_jax.kernels.reverse import reversing
 
 AnySolver = diffrax.AbstractSolver
 Solver = diffrax.AbstractAdaptiveSolver
@@ -118,7 +119,7 @@ class Integrator(eqx.Module):
         """Return the method that integrates y' = f(y) from a state."""
         solver = self.solver or Taylor(SERIES_ORDER[jax.tree.leaves(state)[0].dtype])
         if limits.scales is None:
-            limits = limits._replace(proportional=proportional_variables(field, state))
+            limits = limits._replace(proportional=proportional_variables(*motion_of(field, state)))
         return Method(field, solver, self.tolerance, others, watched, conditions, limits)
 
 
@@ -215,11 +216,15 @@ class Method(eqx.Module):
 
     def solve(self, state: PyTree, t0, t1, most_steps: int = MOST_STEPS) -> diffrax.Solution:
         """Integrate from `state` at t0 to t1, if that takes at most so many steps."""
+        # diffrax keeps functions, so what these capture must be among their leaves.
+        apart = lambda f: f if isinstance(f, PowerBalance) else convert_closure(f, state)
+        functions = apart(self.field), tuple(map(apart, self.others))
+        self = eqx.tree_at(lambda method: (method.field, method.others), self, functions)
         solver = self.solver
         if isinstance(solver, Taylor):
             solver = Taylor(solver.taylor_order, self.field)
         return diffrax.diffeqsolve(
-            self.terms,
+            diffrax.ODETerm(convert_closure(self.terms.vector_field, t0, state, None)),
             solver,
             t0,
             t1,
@@ -290,13 +295,11 @@ class Method(eqx.Module):
     ) -> tuple[tuple[PyTree, PyTree], PyTree]:
         """Return both ends of a step, and its errors, for the controller.
 
-        The errors within the step, of the interpolation and of functions along it, are among them,
-        and those of derivatives. An error that is no number counts as infinite, so that the step
-        becomes shorter. All are constant to derivatives.
+        Errors of the interpolation and of derivatives are among them; no number means infinite.
         """
         of_derivatives = derivative_error((error, state, end))
         method, state, end, error, series = stop_gradients((self, state, end, error, series))
-        scaled = partial(in_units_of, units_of(method.limits))
+        scaled = partial(in_units_of, beside(method.field, units_of(method.limits), state, 0.0))
         defect = defect_of(method.field, series, length)
         error = jax.tree.map(lambda a, b: jnp.maximum(jnp.abs(a), b), error, defect)
         others = expansion_errors(method.others, series, length)
@@ -391,9 +394,6 @@ class Method(eqx.Module):
             pairs = zip(jax.tree.leaves(self.field(state)), leaves, strict=True)
             return jax.tree.unflatten(structure, [jnp.asarray(r, x.dtype) for r, x in pairs])
 
-        convert = lambda function: eqx.filter_closure_convert(with_fast_sincos(function), state)
+        convert = lambda function: convert_closure(with_fast_sincos(function), state)
         field, event = convert(rates), convert(event)
-        if reversing.value:
-            return arrive_by_newton(event, field, state)
-        time = time_to(event, field, state)
-        return flow(field, state, time), time
+        return arrive(event, field, state)

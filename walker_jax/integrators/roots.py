@@ -134,14 +134,46 @@ def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
     return series
 
 
-def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
+def first_of_many(
+    series: list[Float[Array, " n"]], length: Scalar, resolution: Scalar
+) -> tuple[Scalar, list[Scalar]]:
+    """Find the first zero of several polynomials, as `first_zero` does, and which of them has it.
+
+    Returns the time and the coefficients of that polynomial. All advance by the same lengths.
+    """
+
+    def unfinished(carry):
+        time, steps, *_ = carry
+        return (time < length) & (jnp.min(steps) > resolution)
+
+    def advance(carry):
+        time, steps, *known = carry
+        step = jnp.min(steps)
+        time, known = time + step, shifted(known, jnp.broadcast_to(step, steps.shape))
+        return time, length_without_zero(known, length - time), *known
+
+    exact, length = series, lax.stop_gradient(length)
+    series = lax.stop_gradient(series)
+    sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
+    series = [sign * c for c in series]
+    first = jnp.zeros_like(length), length_without_zero(series, length), *series
+    time, steps, *_ = lax.while_loop(unfinished, advance, first)
+    share = (steps == jnp.min(steps)).astype(length.dtype)
+    share = share / jnp.sum(share)
+    return time, [jnp.sum(share * c) for c in exact]
+
+
+def cut_at_switches(switches: list[list[Array]], length: Scalar, behind: Scalar) -> Scalar:
     """Cut a step just behind the first zero of functions given by their series.
 
-    The length has the derivatives of that zero, since second derivatives depend on where a step
-    ends at a kink.
+    A series may be of several functions, in arrays. The length has the derivatives of that zero,
+    since second derivatives depend on where a step ends at a kink.
     """
     for switch in switches:
-        zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
+        if jnp.ndim(switch[0]):
+            zero, switch = first_of_many(switch, length, behind)
+        else:
+            zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
         length = jnp.where(
             zero + behind < length, differentiable_zero(switch, zero) + behind, length
         )

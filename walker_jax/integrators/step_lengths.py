@@ -24,7 +24,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import LINEAR, trace
+from walker_jax.integrators.integrals import beside, motion_of
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
@@ -86,19 +88,25 @@ NO_LIMITS = StepLimits()
 def longest_step(
     field: VectorField, state: PyTree, series: PyTree, tolerance: Real, limits: StepLimits
 ) -> Scalar:
-    """Return the length of a step of y' = f(y), given its series from a state."""
-    counted = count_variables(series) if may_have_clocks(field, state) else None
-    sizes = sizes_of(series, counted, limits.scales)
+    """Return the length of a step of y' = f(y), given its series from a state.
+
+    Integrals beside the motion do not limit it (`WithIntegrals`).
+    """
+    motion, start = motion_of(field, state)
+    _, known = motion_of(field, series)
+    counted = count_variables(known) if may_have_clocks(motion, start) else None
+    sizes = sizes_of(known, counted, limits.scales)
     if limits.scales is None and limits.proportional is not None:
-        sizes = with_own_sizes(series, sizes, limits.proportional)
-    length = step_size(series, tolerance, sizes, counted)
+        sizes = with_own_sizes(known, sizes, limits.proportional)
+    length = step_size(known, tolerance, sizes, counted)
     if limits.longest is not None:
         length = jnp.minimum(length, lax.stop_gradient(limits.longest))
     checked = None
     if has_sharp_features(field, state):
-        checked = (
-            field if isinstance(field, PowerBalance) else eqx.filter_closure_convert(field, state)
-        )
+        checked = field if isinstance(field, PowerBalance) else convert_closure(field, state)
+    if field is not motion:
+        sizes = jax.tree.map(lambda _: sizes, start) if eqx.is_array(sizes) else sizes
+        sizes = beside(field, sizes, state, jnp.full_like(length, jnp.inf))
     return shorten(checked, (series,), length, tolerance, sizes)
 
 

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, PyTree
 
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.roots import Scalar
 
 
@@ -34,7 +35,7 @@ def make_steps(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
         # diffrax asks for the types of a step's results several times; so it is traced once, and
         # is called as a function of all that it closes over.
-        OneByOne(eqx.filter_jit(eqx.filter_closure_convert(step, last)), goes_on),
+        OneByOne(eqx.filter_jit(convert_closure(step, last)), goes_on),
         made.astype(float),
         float(most),
         None,

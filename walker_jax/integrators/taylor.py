@@ -25,6 +25,7 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, PyTree
 
 from walker_jax.checks import is_traced
+from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import bases, compose, switches
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.series import (
@@ -35,6 +36,7 @@ from walker_jax.integrators.series import (
     scale,
 )
 from walker_jax.kernels.jaxprs import CALLS, called_function
+from walker_jax.kernels.stored import is_long
 
 VectorField = Callable[[PyTree], PyTree]
 
@@ -74,7 +76,7 @@ def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyT
         return vector_field.series(state, order)
     state = jax.tree.map(jnp.asarray, state)
     # The values in the function's closure become arguments, so that derivatives go through them.
-    return expand_solution(eqx.filter_closure_convert(vector_field, state), state, order=order)
+    return expand_solution(convert_closure(vector_field, state), state, order=order)
 
 
 def grow_series(vector_field, state, order):
@@ -218,8 +220,11 @@ def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> l
 def series_of_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> tuple[list[list[Array]], list[list[Array]]]:
-    """Expand the switching functions: the bases of fractional powers last, on their own."""
-    kinks, of_powers = find_switches(function, series)
+    """Expand the switching functions: the bases of fractional powers last, on their own.
+
+    Those of a long array, as of a layer of a network, are one list of arrays.
+    """
+    kinks, of_powers = find_switches(function, series, together=True)
     return [one for _, one in kinks], [one for _, one in of_powers]
 
 
@@ -232,9 +237,12 @@ def located_switches(
 
 
 def find_switches(
-    function: Callable[[PyTree], PyTree], series: PyTree[list]
+    function: Callable[[PyTree], PyTree], series: PyTree[list], *, together: bool = False
 ) -> tuple[list[tuple[Any, list[Array]]], list[tuple[Any, list[Array]]]]:
-    """Expand the switching functions, and the bases of powers, each with its equation."""
+    """Expand the switching functions, and the bases of powers, each with its equation.
+
+    Switching functions are scalars, or, with `together`, all those of a long array at once.
+    """
     (known, start), order = expandable(series), order_of(series)
     with recording(switches) as of_switches, recording(bases) as of_bases:
         if isinstance(function, PowerBalance):
@@ -243,15 +251,17 @@ def find_switches(
         else:
             compose(function, known, start)
 
-    def scalars(found: list[Series]) -> list[tuple[Any, list[Array]]]:
+    def scalars(found: list[Series], together: bool = False) -> list[tuple[Any, list[Array]]]:
         varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
-        return [
-            (one.equation, [c.ravel()[i] for c in coefficients_up_to(one, order)])
-            for one in varying
-            for i in range(one[0].size)
-        ]
+        parts = []
+        for one in varying:
+            flat = [c.ravel() for c in coefficients_up_to(one, order)]
+            all_at_once = together and is_long(flat[0])
+            each = [flat] if all_at_once else [[c[i] for c in flat] for i in range(one[0].size)]
+            parts += [(one.equation, part) for part in each]
+        return parts
 
-    return scalars(of_switches), scalars(of_bases)
+    return scalars(of_switches, together), scalars(of_bases)
 
 
 def is_absent(x) -> bool:

@@ -11,6 +11,10 @@ vector have ended; a cell that has ended keeps its values. So a slow cell delays
 others in float64, equal terms are computed once, and intermediate results stay in the registers and
 the cache of one core.
 
+In a program that multiplies matrices with an axis of `stored.LONG` entries or more, as networks do,
+long arrays are in memory instead, and loops run over their entries. So it has as many instructions
+for a wide network as for a narrow one.
+
 Results equal XLA's to rounding, with two exceptions. A product with a number known to be zero is
 zero, even if the other factor is not finite. Subnormal numbers are kept, whereas XLA on a CPU
 flushes them to zero. A loop is unrolled if its number of turns is small and known. Primitives of

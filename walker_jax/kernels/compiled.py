@@ -17,9 +17,11 @@ from walker_jax.kernels.emit import emit
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.machine import hash_source, register_bits
 from walker_jax.kernels.machine_code import MachineCode, report_compilation
+from walker_jax.kernels.stored import is_long, keeps_arrays_in_memory
 
 MAX_NUMBERS = 1000
-"""Most numbers in the operands and results of one cell; each takes code of its own."""
+"""Most numbers in the operands and results of one cell; each takes code of its own, unless it
+belongs to a long array in memory."""
 
 
 class Compiled:
@@ -79,7 +81,9 @@ def source_of(closed: ClosedJaxpr, bits: int) -> tuple[list, list, str]:
     if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
         raise UnsupportedPrimitive("a key to random numbers")
     operands, results = shapes_and_types(closed.in_avals), shapes_and_types(closed.out_avals)
-    if sum(math.prod(shape) for shape, _ in (*operands, *results)) > MAX_NUMBERS:
+    stored = keeps_arrays_in_memory(closed.jaxpr, bits)
+    registers = [aval for aval in avals if not (stored and is_long(aval))]
+    if sum(math.prod(aval.shape) for aval in registers) > MAX_NUMBERS:
         raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
     with without_garbage_collection():
         return operands, results, emit(closed, operands, results, bits)

@@ -17,6 +17,7 @@ from llvmlite import ir
 
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.shortcuts import is_known
+from walker_jax.kernels.stored import Stored
 from walker_jax.kernels.tape_memory import memory_of
 
 MAX_UNROLLED_TURNS = 16
@@ -60,9 +61,12 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     tapes = {i: array for i, array in enumerate(carry) if memory_of(array)}  # written in place
     others = [i for i in range(len(carry)) if i not in tapes]
     avals = [avals[i] for i in others]
+    buffers = emitter.new_buffers(avals)
+    emitter.fill(buffers, [carry[i] for i in others])
 
-    def with_tapes(entries: list) -> list[np.ndarray]:
-        found = tapes | dict(zip(others, emitter.unflatten(entries, avals), strict=True))
+    def with_tapes(entries: list) -> list:
+        found = zip(others, emitter.unflatten(entries, avals, buffers), strict=True)
+        found = tapes | dict(found)
         return [found[i] for i in range(len(carry))]
 
     flat, kinds = emitter.flatten([carry[i] for i in others], avals)
@@ -78,9 +82,10 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         phi.add_incoming(value, before)
 
     known, lanes = len(emitter.known), emitter.active
+    used = emitter.used_memory()
     values = with_tapes(phis)
     (flags,) = emitter.interpret(condition, [*of_condition, *values])
-    flags = [emitter.vector(flag, bool) for flag in np.ravel(flags)]
+    flags = [emitter.vector(flag, bool) for flag in np.ravel(emitter.in_registers(flags))]
     if lanes is not None:
         flags = [builder.and_(flag, lanes) for flag in flags]
     going = reduce(builder.or_, flags)
@@ -88,19 +93,22 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
 
     builder.position_at_end(turn)
     emitter.active = going
-    results = emitter.interpret(body, [*of_body, *values])
-    if any(memory_of(results[i]) is not memory_of(tape) for i, tape in tapes.items()):
+    following = emitter.interpret(body, [*of_body, *values])
+    if any(memory_of(following[i]) is not memory_of(tape) for i, tape in tapes.items()):
         raise UnsupportedPrimitive("a loop that replaces a tape")
-    results, _ = emitter.flatten([results[i] for i in others], avals)
+    following = [following[i] for i in others]
+    results, _ = emitter.flatten(following, avals)
+    emitter.fill(buffers, following, flags)
     # Entries of a mapped loop come first in each value.
-    owners = [i for aval in avals for i in np.repeat(range(len(flags)), aval.size // len(flags))]
+    sizes = [aval.size // len(flags) for aval in emitter.short_ones(avals)]
+    owners = [i for size in sizes for i in np.repeat(range(len(flags)), size)]
     for phi, result, dtype, owner in zip(phis, results, kinds, owners, strict=True):
         new = builder.select(flags[owner], emitter.vector(result, dtype), phi)
         phi.add_incoming(new, builder.block)
     builder.branch(head)
     builder.position_at_end(done)
     emitter.active = lanes
-    forget_terms(emitter, known)
+    forget_terms(emitter, known, used)
     return with_tapes(phis)
 
 
@@ -112,8 +120,12 @@ def any_lane(emitter, flags) -> Any:
 
 
 @no_type_check
-def forget_terms(emitter, known: int) -> None:
-    """Forget the terms that a block computed: after it they are undefined if it was skipped."""
+def forget_terms(emitter, known: int, used: int) -> None:
+    """Forget the terms that a block computed: after it they are undefined if it was skipped.
+
+    The memory of its arrays is free again, down to what was used before.
+    """
+    emitter.reuse_memory(used)
     while len(emitter.known) > known:
         emitter.known.popitem()
 
@@ -161,8 +173,10 @@ def alternative_starts(emitter, carry: list[np.ndarray]) -> Iterator:
 
     def replace(entry, number):
         def case(carry):
-            new = [array.copy() for array in carry]
+            new = [array if isinstance(array, Stored) else array.copy() for array in carry]
             for array in new:
+                if isinstance(array, Stored):
+                    continue
                 for place in np.ndindex(array.shape):
                     array[place] = number if array[place] is entry else array[place]
             return new
@@ -208,15 +222,22 @@ def merge_lanes(
     A function with a jump is skipped if no active lane has its flag set.
     """
     builder, lanes, chosen = emitter.builder, emitter.active, None
+    buffers = emitter.new_buffers(avals)
     for i, (mine, function) in enumerate(zip(flags, functions, strict=True)):
         at_work = mine if lanes is None else builder.and_(mine, lanes)
-        jump, known, before = jumps is None or jumps[i], len(emitter.known), builder.block
+        jump, known, used = jumps is None or jumps[i], len(emitter.known), emitter.used_memory()
+        first = chosen is None
+        if jump and first:
+            emitter.fill(buffers, [np.zeros((), object)] * len(buffers))
+        before = builder.block
         if jump:
             taken, done = builder.append_basic_block("taken"), builder.append_basic_block("joined")
             builder.cbranch(any_lane(emitter, at_work), taken, done)
             builder.position_at_end(taken)
         emitter.active = at_work
-        flat, kinds = emitter.flatten(function(), avals)
+        found = function()
+        flat, kinds = emitter.flatten(found, avals)
+        emitter.fill(buffers, found, None if first and not jump else [mine])
         if chosen is None:  # zeros, so that an inactive lane neither traps nor keeps a loop running
             chosen = [emitter.vector(0, dtype) for dtype in kinds] if jump else flat
         pairs = zip(flat, chosen, kinds, strict=True)
@@ -235,6 +256,6 @@ def merge_lanes(
                 phi.add_incoming(emitter.vector(one, dtype), after)
                 phi.add_incoming(emitter.vector(other, dtype), before)
             new = phis
-            forget_terms(emitter, known)
+            forget_terms(emitter, known, used)
         emitter.active, chosen = lanes, new
-    return emitter.unflatten(chosen, avals)
+    return emitter.unflatten(chosen, avals, buffers)

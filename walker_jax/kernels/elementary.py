@@ -1,5 +1,7 @@
 """JAX functions that replace primitives for which LLVM has no instruction."""
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -49,3 +51,23 @@ def next_after(x, y):
     least = jnp.asarray(np.finfo(dtype).smallest_subnormal, dtype)
     moved = jnp.where(x == 0, jnp.where(y > x, least, -least), moved)
     return jnp.where((x != x) | (y != y), x + y, jnp.where(x == y, y, moved))
+
+
+def tanh_float64(x):
+    """tanh(x) = e / (e + 2), with e = exp(2 |x|) - 1; errors are below 3 units of the last digit.
+
+    The C library takes one lane after the other, and three times as long.
+    """
+    y = 2 * jnp.minimum(jnp.abs(x), 22.0)  # beyond, the result is 1
+    n = lax.round(y * (1 / np.log(2)), lax.RoundingMethod.TO_NEAREST_EVEN)
+    r = (y - n * 0.6931471803691238) - n * 1.9082149292705877e-10
+    # exp(r) - 1 = r + r^2 (1/2 + r/6 + ...), with |r| < 0.35
+    tail = jnp.float64(1 / math.factorial(14))
+    for k in range(13, 1, -1):
+        tail = tail * r + 1 / math.factorial(k)
+    small = r + r * r * tail
+    bits = lax.shift_left(n.astype(jnp.int64) + 1023, jnp.int64(52))
+    two_to_n = lax.bitcast_convert_type(bits, jnp.float64)
+    e = two_to_n * small + (two_to_n - 1)
+    value = e / (e + 2)
+    return jnp.where(x != x, x, jnp.where(x < 0, -value, value))

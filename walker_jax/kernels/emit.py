@@ -15,7 +15,12 @@ from llvmlite import ir
 from walker_jax.kernels import control, indexing, tape_memory
 from walker_jax.kernels.builder import FAST, Builder
 from walker_jax.kernels.entries import Unrolling
-from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, UnsupportedPrimitive, shape_dtype
+from walker_jax.kernels.jaxprs import (
+    CALLS,
+    CALLS_WITH_DERIVATIVES,
+    UnsupportedPrimitive,
+    shape_dtype,
+)
 from walker_jax.kernels.memory import ADDRESS, LONG, Memory
 from walker_jax.kernels.rules import (
     REDUCTIONS,
@@ -25,6 +30,9 @@ from walker_jax.kernels.rules import (
     is_floating,
 )
 from walker_jax.kernels.shortcuts import is_known
+from walker_jax.kernels.store import Store
+from walker_jax.kernels.stored import Stored, is_long, keeps_arrays_in_memory
+from walker_jax.kernels.stored_rules import STORED_RULES
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
 FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleType()}
@@ -51,6 +59,8 @@ class LLVMEmitter(Unrolling):
         """By identity of an equation: the equation, and the function that it calls."""
         self.alternatives: dict[int, tuple] = {}
         """By identity of an entry that is one of two numbers: the entry, its flag, the numbers."""
+        self.store: Any = None
+        """The `Store` of long arrays; None if all arrays are of entries in registers."""
 
     # Types and constants.
 
@@ -116,7 +126,35 @@ class LLVMEmitter(Unrolling):
 
     # Values.
 
-    def entries_of(self, value) -> np.ndarray:
+    def apply(self, equation, operands: list) -> list:
+        """Return the results of an equation; of long arrays, by a loop if there is a rule."""
+        if self.store is None or not (
+            any(isinstance(x, Stored) for x in operands)
+            or any(is_long(variable.aval) for variable in equation.outvars)
+        ):
+            return super().apply(equation, operands)
+        name = equation.primitive.name
+        if name in STORED_RULES and not self.all_known(operands):
+            results = STORED_RULES[name](self, equation, operands)
+            if results is not None:
+                pairs = zip(results, equation.outvars, strict=True)
+                return [x if is_long(v.aval) else self.store.entries(x) for x, v in pairs]
+        if not (name in PASSED_ON or self.inner(equation) is not None):
+            operands = [self.store.entries(operand) for operand in operands]
+        return super().apply(equation, operands)
+
+    def all_known(self, operands: list) -> bool:
+        """Return whether all entries of some arrays are known numbers."""
+        return not any(isinstance(x, Stored) for x in operands) and all(
+            is_known(entry) for operand in operands for entry in operand.ravel()
+        )
+
+    def identity(self, entry) -> tuple:
+        return entry.key() if isinstance(entry, Stored) else super().identity(entry)
+
+    def entries_of(self, value) -> Any:
+        if isinstance(value, Stored):
+            return value
         if isinstance(value, jax.Array):
             value = np.asarray(value)
         return super().entries_of(value)
@@ -157,9 +195,7 @@ class LLVMEmitter(Unrolling):
         if equation.effects or primitive.name.endswith("callback"):
             # An effect would happen once, while the program is emitted.
             raise UnsupportedPrimitive(primitive.name)
-        if primitive.name != "cond" and all(
-            is_known(entry) for operand in operands for entry in operand.ravel()
-        ):
+        if primitive.name != "cond" and self.all_known(operands):
             with contextlib.suppress(TypeError):  # a random key has no numerical value
                 return super().keep(equation, operands)
         if primitive.name in ARRAY_RULES:
@@ -196,19 +232,50 @@ class LLVMEmitter(Unrolling):
 
     # Arrays and entries.
 
-    def flatten(self, arrays: list[np.ndarray], avals) -> tuple[list, list]:
-        """Return all entries of arrays, and their types."""
-        entries = [entry for array in arrays for entry in array.ravel()]
+    def short_ones(self, values: list, avals=None) -> list:
+        """Return the values of arrays in registers; by default the abstract ones."""
+        pairs = zip(values, values if avals is None else avals, strict=True)
+        return [one for one, aval in pairs if self.store is None or not is_long(aval)]
+
+    def flatten(self, arrays: list, avals) -> tuple[list, list]:
+        """Return all entries of arrays in registers, and their types."""
+        entries = [entry for array in self.short_ones(arrays, avals) for entry in array.ravel()]
+        avals = self.short_ones(avals)
         return entries, [aval.dtype for aval in avals for _ in range(math.prod(aval.shape))]
 
-    def unflatten(self, flat: list, avals) -> list[np.ndarray]:
+    def unflatten(self, flat: list, avals, buffers: list) -> list:
         """Rebuild arrays from a flat list of their entries: the inverse of `flatten`."""
         remaining = iter(flat)
-        arrays = [np.empty(aval.shape, object) for aval in avals]
-        for array in arrays:
-            for place in np.ndindex(array.shape):
+        arrays: list[Any] = [
+            np.empty(aval.shape, object) if buffer is None else buffer
+            for aval, buffer in zip(avals, buffers, strict=True)
+        ]
+        for array, buffer in zip(arrays, buffers, strict=True):
+            for place in np.ndindex(array.shape) if buffer is None else ():
                 array[place] = next(remaining)
         return arrays
+
+    def new_buffers(self, avals) -> list:
+        """Return memory for each long array; None for others."""
+        if self.store is None:
+            return [None] * len(avals)
+        new = lambda aval: self.store.allocate(aval.shape, aval.dtype) if is_long(aval) else None
+        return [new(aval) for aval in avals]
+
+    def fill(self, buffers: list, arrays: list, flags: list | None = None) -> None:
+        """Copy long arrays to their memory, in the lanes of the flags alone."""
+        if any(buffer is not None for buffer in buffers):
+            self.store.update(buffers, arrays, flags)
+
+    def in_registers(self, array) -> np.ndarray:
+        return array if self.store is None else self.store.entries(array)
+
+    def used_memory(self) -> int:
+        return 0 if self.store is None else self.store.used
+
+    def reuse_memory(self, used: int) -> None:
+        if self.store is not None:
+            self.store.used = used
 
     def inline(self, function: Callable, *vectors: Any, dtype) -> Any:
         """Emit the instructions of a function of JAX scalars."""
@@ -241,6 +308,10 @@ ARRAY_RULES: dict[str, Callable] = {
     **dict.fromkeys(indexing.COMBINATIONS, indexing.scatter),
 }
 """Rules of primitives of whole arrays: (emitter, equation, operands) -> results."""
+
+
+PASSED_ON = {"while", "cond", "custom_linear_solve", *CALLS, *CALLS_WITH_DERIVATIVES}
+"""Primitives whose inner functions get long arrays as they are."""
 
 
 def implemented_in_jax(primitive: Primitive) -> bool:
@@ -283,6 +354,9 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
     builder = Builder(before)
     emitter = LLVMEmitter(builder, lanes)
+    if keeps_arrays_in_memory(closed.jaxpr, bits):
+        emitter.store = Store(emitter)
+        emitter.store.open()
     memory = Memory(emitter, addresses)
     arrays = [memory.array(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]
     steps = [builder.load(builder.gep(strides, [LONG(i)])) for i in range(len(operands))]
@@ -306,5 +380,7 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
     first.add_incoming(builder.add(first, LONG(lanes)), builder.block)
     builder.branch(head)
     builder.position_at_end(done)
+    if emitter.store is not None:
+        emitter.store.close()
     builder.ret_void()
     return str(module)

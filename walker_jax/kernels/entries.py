@@ -22,7 +22,7 @@ from walker_jax.kernels.shortcuts import SHORTCUTS, is_known
 
 ENTRYWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil "
-    "clamp convert_element_type copy copy_p cos cosh div eq erf exp exp2 expm1 floor ge gt "
+    "clamp convert_element_type copy copy_p cos cosh div eq erf erfc exp exp2 expm1 floor ge gt "
     "integer_pow is_finite le le_to log log1p log2 logistic lt lt_to max min mul ne neg nextafter "
     "not one_minus_square or polynomial pow rem round rsqrt select_n shift_left "
     "shift_right_arithmetic shift_right_logical sign sin sinh sqrt square stop_gradient sub tan "

@@ -36,6 +36,7 @@ from walker_jax.kernels.program_cache import (
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
 from walker_jax.kernels.reverse import reversing
+from walker_jax.kernels.stored import is_long, multiplies_long_matrices
 from walker_jax.kernels.unused import without_unused
 
 MAX_PROGRAMS = 256
@@ -241,21 +242,29 @@ class Program:
         return program if usable else None
 
 
-def count_operations(jaxpr, known: dict[int, int] | None = None) -> int:
+def count_operations(
+    jaxpr, known: dict[int, int] | None = None, in_memory: bool | None = None
+) -> int:
     """Count the scalars that a jaxpr computes; each loop counts for one turn.
 
-    A sum of products counts for its products and additions. `known` holds the counts of inner
-    jaxprs by identity.
+    A sum of products counts for its products and additions, and a long array that a kernel has
+    `in_memory` for one scalar, as a loop computes it. `known` holds the counts of inner jaxprs by
+    identity.
     """
     known = {} if known is None else known
+    in_memory = multiplies_long_matrices(jaxpr) if in_memory is None else in_memory
     if id(jaxpr) in known:
         return known[id(jaxpr)]
     total = 0
     for equation in jaxpr.eqns:
         inner = list(jaxprs_in_params(equation.params))
-        total += sum(count_operations(one, known) for one in inner)
+        total += sum(count_operations(one, known, in_memory) for one in inner)
         each = len(equation.invars) - 1 if equation.primitive is sum_of_products_p else 1
-        total += 0 if inner else each * sum(math.prod(v.aval.shape) for v in equation.outvars)
+        sizes = [
+            1 if in_memory and is_long(v.aval) else math.prod(v.aval.shape)
+            for v in equation.outvars
+        ]
+        total += 0 if inner else each * sum(sizes)
     known[id(jaxpr)] = total
     return total
 

@@ -341,7 +341,7 @@ RULES: dict[str, Callable] = {
         name: elementary(name)
         for name in (
             "exp2 expm1 log1p log2 cbrt sin cos tan asin acos atan atan2 sinh cosh tanh asinh "
-            "acosh atanh erf".split()
+            "acosh atanh erf erfc".split()
         )
     },
 }

@@ -14,9 +14,13 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from walker_jax.identity import AsItIs
-from walker_jax.kernels.entries import assemble
 from walker_jax.kernels.program_cache import code_of_program, identify_by_code
 from walker_jax.kernels.signs import Signed
+from walker_jax.kernels.stored import multiplies_long_matrices
+
+LAYER = 32
+"""Fewest entries along an axis of a product that make a function one of long arrays, as of a
+network. The masses of a walker in space have 18 coordinates, and few of their products differ."""
 
 
 def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
@@ -25,7 +29,8 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     Results and derivatives agree to rounding, with two exceptions. A product with an entry known to
     be zero is zero, even if the other factor is not finite. A zero may have the other sign, and so
     what depends on that sign, as 1 / 0 does. Operations that do not act entry by entry, such as
-    factorisations and loops, are kept; so are functions with custom derivatives.
+    factorisations and loops, are kept; so are functions with custom derivatives, and, in a function
+    that multiplies matrices as long as those of a network, long arrays.
     """
 
     code = identify_by_code(function)
@@ -50,9 +55,9 @@ def unrolled(function: Callable[..., PyTree], *args) -> PyTree:
     leaves, structure = jax.tree.flatten(args)
     flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
     closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
-    entries = Signed()
+    entries = Signed(whole=multiplies_long_matrices(closed.jaxpr, LAYER))
     inputs = [entries.entries_of(leaf) for leaf in leaves]
     results = entries.interpret(closed, inputs)
-    pairs = zip(map(entries.all_computed, results), jax.tree.leaves(shapes), strict=True)
-    outputs = [jnp.asarray(assemble(x, like)) for x, like in pairs]
+    pairs = zip(results, jax.tree.leaves(shapes), strict=True)
+    outputs = [jnp.asarray(entries.array_of(x, like)) for x, like in pairs]
     return jax.tree.unflatten(jax.tree.structure(shapes), outputs)

@@ -7,12 +7,15 @@ for the sign of a zero, and what depends on that sign.
 
 from typing import Any, no_type_check
 
+import jax
 import numpy as np
 from jax import lax
 from jax.extend.core import Primitive
 
-from walker_jax.kernels.entries import Unrolling, params_of
+from walker_jax.kernels.entries import Unrolling, assemble, bind_primitive, params_of
+from walker_jax.kernels.jaxprs import CALLS
 from walker_jax.kernels.shortcuts import is_known
+from walker_jax.kernels.stored import is_long
 
 
 class Negative:
@@ -31,9 +34,51 @@ def negative(entry: Any, dtype: Any) -> Any:
     return -entry if is_known(entry) else Negative(entry, dtype)
 
 
+class Whole:
+    """A long array that depends on the arguments, in place of its entries."""
+
+    __slots__ = ("array",)
+
+    def __init__(self, array: Any):
+        self.array = array
+
+    def ravel(self) -> "list[Whole]":
+        """Return the array as one entry, which is not known."""
+        return [self]
+
+
 @no_type_check  # as its base
 class Signed(Unrolling):
     """Interprets a jaxpr entry by entry; an entry may be a `Negative` too."""
+
+    def __init__(self, *, whole: bool = False):
+        super().__init__()
+        self.whole = whole
+        """Whether long arrays are kept as they are, and primitives applied to them."""
+
+    def apply(self, equation, operands: list) -> list:
+        avals = [one.aval for one in (*equation.invars, *equation.outvars)]
+        entries = not (self.whole and any(map(is_long, avals)))
+        if entries or equation.primitive.name in CALLS or self.all_known(operands):
+            return super().apply(equation, operands)
+        pairs = zip(operands, avals, strict=False)
+        arrays = [self.array_of(x, aval) for x, aval in pairs]
+        results = bind_primitive(equation.primitive, equation.params, arrays, now=False)
+        return [self.entries_of(result) for result in results]
+
+    def all_known(self, operands: list) -> bool:
+        return all(is_known(entry) for operand in operands for entry in operand.ravel())
+
+    def array_of(self, entries: Any, aval) -> Any:
+        """Return an array of JAX."""
+        if isinstance(entries, Whole):
+            return entries.array
+        return assemble(self.all_computed(entries), aval)
+
+    def entries_of(self, value) -> Any:
+        if self.whole and isinstance(value, jax.Array) and is_long(value):
+            return Whole(value)
+        return super().entries_of(value)
 
     def term(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         if primitive.name in SIGNED and np.dtype(dtypes[0]).kind == "f":

@@ -56,7 +56,7 @@ def whole(memory: TapeMemory, shape: tuple[int, ...]) -> np.ndarray:
 @no_type_check
 def memory_of(array: np.ndarray) -> TapeMemory | None:
     """Return the memory of a tape; None for any other array."""
-    first = array.flat[0] if array.size else None
+    first = array.flat[0] if isinstance(array, np.ndarray) and array.size else None
     return first if isinstance(first, TapeMemory) else None
 
 

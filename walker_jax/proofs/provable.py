@@ -9,12 +9,15 @@ from jax.core import Tracer
 from walker_jax.checks import WrongUse, check_precision, short
 from walker_jax.kernels.jaxprs import equations_in
 from walker_jax.proofs.enclosures import ROUNDING, Space, exactly
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, arrays_of
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.powered import PoweredWalker
+from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walkers.spring import SpringWalker
 
 FIXED_METHODS = (
-    *("phases", "during_stride", "project", "feasible", "exchange_legs", "modes", "equations"),
+    *("phases", "during_stride", "project", "feasible", "exchange_legs", "equations"),
     *("section", "lift", "contact", "is_ahead", "falls", "margin"),
     *("begin", "launch", "may_launch"),
 )
@@ -22,20 +25,26 @@ FIXED_METHODS = (
 another form of the same, that the swing foot is on the ground at the start, that no start has
 fallen."""
 
+SWINGS = AbstractMasslessFootWalker, SimplestWalker, SpringWalker, PoweredWalker
+"""Classes whose `modes` the proofs follow. They add to one another only what is known of them."""
 OWN_DERIVATIVES = {"custom_jvp_call", "custom_vjp_call", "call_hi_primitive", "stop_gradient"}
 """Primitives whose derivatives may be set by hand, or are zero."""
 
 
 def check_provable(walker: System) -> AbstractMasslessFootWalker:
     """Return the walker in float64; refuse a walker whose strides the proofs do not cover."""
-    known = isinstance(walker, AbstractMasslessFootWalker) and all(
-        getattr(type(walker), name) is getattr(AbstractMasslessFootWalker, name)
-        for name in FIXED_METHODS
-    )
-    if not known:
+    same = lambda name, kind: getattr(type(walker), name, None) is getattr(kind, name)
+    fixed = all(same(name, AbstractMasslessFootWalker) for name in FIXED_METHODS)
+    known = isinstance(walker, AbstractMasslessFootWalker)
+    if not (known and fixed and any(same("modes", kind) for kind in SWINGS)):
         raise WrongUse(
             "walker must be a SimplestWalker, SpringWalker or PoweredWalker, or of a derived class "
             f"that changes only equations, not {short(walker)}",
+            of="walker",
+        )
+    if arrays := arrays_of(walker):
+        raise WrongUse(
+            f"walker must have single numbers for parameters, not the array {next(iter(arrays))}",
             of="walker",
         )
     check_precision(jax.numpy.asarray(0.0).dtype, "a proof")

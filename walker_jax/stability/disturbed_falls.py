@@ -13,6 +13,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import (
     Disturbance,
@@ -20,7 +21,6 @@ from walker_jax.walking.disturbed import (
     follow_disturbed_margins,
     follow_disturbed_walk,
 )
-from walker_jax.walking.failure_margins import failure_margin
 from walker_jax.walking.iteration import Targets, distances
 from walker_jax.walking.scan import Walked, scan_strides
 
@@ -55,7 +55,7 @@ class DisturbedWalks(NamedTuple):
     def arrays(self) -> tuple[Walker, Integrator]:
         """Return the walker and the integrator, with numbers of one dtype."""
         dtype = self.start.dtype
-        walker = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), self.mapper.walker)
+        walker = in_dtype(self.mapper.walker, dtype)
         return walker, self.mapper.integrator.in_dtype(dtype)
 
     def follow(self, w: Float[np.ndarray, "n size"]) -> Walked:
@@ -153,7 +153,7 @@ def pull_back(
             outcome = found.stride.outcome
             # After a fall walks start again: derivatives of unused values must be finite too.
             state = jnp.where(outcome == Outcome.STRIDE, found.stride.state, start)
-            return found.stride._replace(state=(state, failure_margin(found)))
+            return found.stride._replace(state=(state, found.failed))
 
         begun = start, jnp.zeros((), start.dtype)
         end, margins = scan_strides(step, begun, len(rows), record=lambda made: made.state[1])

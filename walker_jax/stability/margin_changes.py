@@ -10,10 +10,11 @@ from jaxtyping import Float, Int
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator, Solver
 from walker_jax.integrators.roots import Real
-from walker_jax.systems.system import System, numbers_of
+from walker_jax.systems.system import System
+from walker_jax.systems.trees import in_dtype, zeros_like
 from walker_jax.walkers.model import Scalar
-from walker_jax.walkers.parameters import with_values
-from walker_jax.walking.failure_margins import failure_margin, follow_margins
+from walker_jax.walkers.parameters import as_tangent, with_values
+from walker_jax.walking.failure_margins import follow_margins
 from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.stride import follow_stride
 
@@ -37,12 +38,10 @@ def differentiate_margins(
     along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
     names = [None] * len(directions) + list(parameters)
     column = lambda name: np.tile(np.array([name == one for one in names], dtype), n)
-    # By name: a constructor may set them in any order.
-    tangent = with_values(walker, {name: column(name) for name in numbers_of(walker)})
+    zeros = zeros_like(walker, n * columns, dtype)
+    tangent = with_values(zeros, {name: column(name) for name in parameters})
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
-    shared = jax.tree.map(
-        lambda leaf: np.asarray(leaf, dtype), (walker, Integrator(tolerance, solver))
-    )
+    shared = in_dtype(walker, dtype), Integrator(tolerance, solver).in_dtype(dtype)
     return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
 
 
@@ -55,7 +54,7 @@ def margins_after(
     jump: a strike that is missed leads to another stride, and that to the failure. Margins are NaN
     where a walk does not fail.
     """
-    shared = jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), (walker, Integrator(tolerance)))
+    shared = in_dtype(walker, x.dtype), Integrator(tolerance).in_dtype(x.dtype)
     return map_cells(margin_after, (shared, (x, np.asarray(made))))
 
 
@@ -64,7 +63,7 @@ def margin_after(shared: tuple, cell: tuple) -> Scalar:
     walker, integrator = shared
     x, count = cell
     end, _ = scan_strides(lambda x, _: follow_stride(walker, x, integrator), x, count)
-    return failure_margin(follow_margins(walker, end.state, integrator))
+    return follow_margins(walker, end.state, integrator).failed
 
 
 def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
@@ -77,5 +76,5 @@ def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
     x, count, tangents = cell
 
     margin = lambda walker, x: margin_after((walker, integrator), (x, count))
-    value, change = jax.jvp(margin, (walker, x), tangents)
+    value, change = jax.jvp(margin, (walker, x), (as_tangent(walker, tangents[0]), tangents[1]))
     return jnp.where(jnp.isnan(value), jnp.nan, change)

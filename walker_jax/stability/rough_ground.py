@@ -30,6 +30,7 @@ from walker_jax.identity import AsItIs
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import check_single
+from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed_walk
 from walker_jax.walking.scan import Walked
@@ -128,7 +129,7 @@ def walk_disturbed(
     tolerance: float | None,
 ) -> Walked:
     """Follow disturbed walks from n full states, each with a random key, until they fail."""
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
+    walker = in_dtype(walker, states.dtype)
     integrator = integrator_of(states.dtype, tolerance).in_dtype(states.dtype)
     n = len(states)
     end = Walked(states.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32))

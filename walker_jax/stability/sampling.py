@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
@@ -38,6 +37,7 @@ from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.metric import CurvedMetric, DistanceFunction, LinearMetric, metric_of
 from walker_jax.systems.outcomes import OUTCOMES
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import select, sizes_of_many
 from walker_jax.walking.iteration import check_parameter_arrays
 
 NOT_MEASURED = np.array(np.nan)
@@ -142,7 +142,7 @@ def basin_stability(
         return BasinStability(*map(np.asarray, measure_returns(walker, gait, trial)))
     rows = []
     for i in range(count):
-        single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
+        single = select(walker, i)
         gait = search_gait(single, tolerance=tolerance)
         if gait.found and gait.stable:
             rows.append(measure_returns(single, gait, trial))
@@ -184,7 +184,7 @@ def check_disturbances(
 
 def count_walkers(walker: System, gait: Gait | None) -> int | None:
     """Return the number of walkers that array parameters describe; None for a single walker."""
-    counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
+    counts = sizes_of_many(walker)
     if not counts:
         return None
     if gait is not None:

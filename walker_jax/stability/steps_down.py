@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -14,6 +13,7 @@ from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait
 from walker_jax.stability.rays import FINE, bisect, first_failures, scan
 from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.stride import follow_step, step_down
@@ -93,7 +93,7 @@ def labels_after_step(
     """Label walkers that step down by `drops` from x; the stride down counts."""
     walker, integrator = mapper.walker, mapper.integrator
     arguments = (
-        jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker),
+        in_dtype(walker, x.dtype),
         x,
         -drops,
         integrator.in_dtype(x.dtype),

@@ -42,6 +42,7 @@ from walker_jax.stability.rough_ground import (
     walk_disturbed,
 )
 from walker_jax.systems.outcomes import Outcome, join_names
+from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import describe_source
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
@@ -265,7 +266,7 @@ def transition_matrix(
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
     integrator = integrator_of(states.dtype, rough.tolerance).in_dtype(states.dtype)
-    arrays = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), rough.walker)
+    arrays = in_dtype(rough.walker, states.dtype)
     chances, made_strides, undecided = np.full(len(states), 1 / len(states)), [], 0
     for number in range(ROUNDS):
         here = chart.cell_of(states, rough.side)

@@ -86,12 +86,18 @@ class FiveLinkBiped(AbstractFiveLinkRobot):
             Guard(lambda state: -hip_and_foot(state)[1, 0], "FORWARD"),
             Guard(lambda state: -state.rates[0] - state.rates[1], "BACKWARD", at_once=True),
             Guard(sunk, "OUTSIDE", (ahead, lambda state: -state.angles[0])),
-            Guard(sunk, SECTION, (ahead, lambda state: state.angles[0]), reset=self.strike),
+            Guard(
+                sunk,
+                SECTION,
+                (ahead, lambda state: state.angles[0]),
+                reset=self.strike,
+                makes_zero=("SCUFFED",),
+            ),
         )
         above = lambda state: LEAST_SCUFF - sunk(state)
         conditions = (
             Condition(lambda state: normal_force(self, state), "RUNNING", at_start=True),
-            Condition(above, "SCUFFED", zero_at_ends=(True, True)),
+            Condition(above, "SCUFFED", zero_at_start=True),
         )
         return {"stance": Mode(SingleSupport(self), guards, conditions, as_smooth=True)}
 

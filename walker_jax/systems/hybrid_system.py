@@ -3,10 +3,13 @@
 import abc
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.hybrid.graphs import check_graph
 from walker_jax.hybrid.modes import Mode
+from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.outcomes import Outcome, names_of_outcomes
 from walker_jax.systems.system import System
 
@@ -20,13 +23,20 @@ class HybridSystem(System):
     leads to the section returns a state like that of `lift`, of which `project` reads the
     coordinates. Failures are those that the system names in `failures`, or an `Outcome`'s.
 
-    States may have any structure, another one in each mode: trees of scalars or arrays, such as a
-    `NamedTuple` of numbers. `systems.bouncing_ball` is a short example.
+    States may have any structure, another one in each mode: trees of numbers or arrays, such as a
+    `NamedTuple` of numbers, but no lists. `systems.bouncing_ball` is a short example.
     """
 
     @abc.abstractmethod
     def modes(self) -> dict[str, Mode]:
         """Return the modes of a stride by name; the first one is where it begins."""
+
+    def modes_on(self, step: Scalar) -> dict[str, Mode] | None:
+        """Return the modes of a stride to ground that is higher by `step`, in the unit of length.
+
+        None, the default, means that the system has no ground that could be raised.
+        """
+        return None
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> Any:
@@ -52,7 +62,9 @@ class HybridSystem(System):
 
         x is on the section, or one of the `full_states`, which have another size.
         """
-        return self.begin(self.lift(x))
+        start = self.begin(self.lift(x))
+        is_truth = lambda y: jnp.issubdtype(jnp.result_type(y), jnp.bool_)  # which is no number
+        return jax.tree.map(lambda y: y if is_truth(y) else jnp.asarray(y, x.dtype), start)
 
     def may_launch(self, x: Float[Array, " coordinates"], start: Any) -> Bool[Array, ""]:
         """Return whether a stride can begin at x, in the state `start` of the first mode."""
@@ -79,8 +91,13 @@ def failures_by_name(system: System) -> dict[str, int]:
     }
 
 
-def modes_of(system: HybridSystem) -> dict[str, Mode]:
-    """Return the modes of a system, checked."""
-    modes = system.modes()
+def has_ground(system: System) -> bool:
+    """Return whether a system walks on ground that may be higher or lower at each step."""
+    return isinstance(system, HybridSystem) and system.modes_on(jnp.asarray(0.0)) is not None
+
+
+def modes_of(system: HybridSystem, step: Scalar | None = None) -> dict[str, Mode]:
+    """Return the modes of a system, checked; those on a step, if there is one."""
+    modes: Any = system.modes() if step is None else system.modes_on(step)
     check_graph(system.label(), modes, {*failures_by_name(system)})
     return modes

@@ -3,15 +3,16 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.grids import Grid
-from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 from walker_jax.systems.system import System, code_field
+from walker_jax.systems.trees import make_static
 
 
 class Map(System):
@@ -28,7 +29,8 @@ class Map(System):
 
     - `f`: a pure JAX function of a point, of shape (coordinates,), and of the parameters by name.
     - `coordinates`: names of the coordinates.
-    - `parameters`: numbers by name, for derivatives, continuation and sweeps.
+    - `parameters`: numbers by name, for derivatives, continuation and sweeps; or arrays, or trees
+      of arrays such as networks.
     - `feasible`: a function (x, **parameters) that tells whether a stride may begin at a point; by
       default at any finite one. If it returns a real number, points where it is positive are
       feasible, and it is the `margin` of a stride, which gives areas of basins their derivatives.
@@ -42,7 +44,7 @@ class Map(System):
 
     f: Callable = code_field()
     section: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride]
-    parameters: dict[str, Scalar]  # pyright: ignore[reportGeneralTypeIssues]
+    parameters: dict[str, Any]  # pyright: ignore[reportGeneralTypeIssues]
     angles: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride]
     within: Callable | None = code_field()
     region: tuple | None = code_field()
@@ -69,8 +71,7 @@ class Map(System):
                 raise WrongUse(f"parameters must have other names than a map's own {name}")
         self.f, self.section, self.within = f, tuple(coordinates), feasible
         self.parameters = {
-            name: Parameter(name, "", "", low=-np.inf).convert(of)
-            for name, of in (parameters or {}).items()
+            name: as_parameter(name, value) for name, value in (parameters or {}).items()
         }
         self.angles = tuple(angles) if isinstance(angles, list) else angles
         self.region = None if region is None else freeze(region_of(self.section, region))
@@ -101,6 +102,15 @@ class Map(System):
 
     def gait_region(self):
         return super().gait_region() if self.region is None else Grid.plain(**dict(self.region))
+
+
+def as_parameter(name: str, value: Any) -> Any:
+    """Return a parameter of a map, checked: a number or an array of reals, or a tree of them."""
+    shape = () if isinstance(value, str) else np.shape(value) if eqx.is_array_like(value) else None
+    exact = shape and not jnp.issubdtype(jnp.result_type(value), jnp.floating)
+    if shape is None or exact:  # a tree or a function, or places in a table
+        return make_static(value, name)
+    return Parameter(name, "", "", low=-np.inf, shape=shape).convert(value)
 
 
 def is_logical(value: Any) -> bool:

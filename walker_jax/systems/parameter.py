@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.typing import ArrayLike
+from jaxtyping import Array
 
 from walker_jax.checks import WrongUse, short
-from walker_jax.integrators.roots import Scalar
 
 Described = TypeVar("Described")
 
@@ -31,25 +31,29 @@ class Parameter(NamedTuple):
     """Whether the value may equal `low`."""
     span: tuple[float, float] = (np.nan, np.nan)
     """Default range of slopes over which the command line follows gaits."""
+    shape: tuple[int, ...] = ()
+    """Shape of an array of such numbers; by default one number."""
 
-    def convert(self, value: ArrayLike) -> Scalar:
-        """Return the number as an array; `ValueError` for a number outside the bounds."""
-        refusal = f"{self.name} must be one real number, not {short(value)}"
+    def convert(self, value: Any) -> Array:
+        """Return the number, or the array, as an array; `ValueError` for one outside the bounds."""
+        kind = f"real numbers of shape {self.shape}" if self.shape else "one real number"
+        refusal = f"{self.name} must be {kind}, not {short(value)}"
         try:
             value = jnp.asarray(value)
         except (TypeError, ValueError, OverflowError):
             raise WrongUse(refusal, of=self.name) from None
         real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
-        if value.shape != () or not real:
+        if value.shape != self.shape or not real:
             raise WrongUse(refusal, of=self.name)
         if not jnp.issubdtype(value.dtype, jnp.floating):
             value = value.astype(float)
         if isinstance(value, Tracer):
             return value
-        number = np.asarray(value)
-        above = number >= self.low if self.closed else number > self.low
-        if not (above & (number < self.high)):
-            raise WrongUse(f"{self.name} must be {self.bounds()}, not {value}", of=self.name)
+        numbers = np.asarray(value)
+        above = numbers >= self.low if self.closed else numbers > self.low
+        if not (within := above & (numbers < self.high)).all():
+            wrong = value[np.nonzero(~within)][0] if self.shape else value
+            raise WrongUse(f"{self.name} must be {self.bounds()}, not {wrong}", of=self.name)
         return value
 
     def bounds(self) -> str:
@@ -65,6 +69,9 @@ class Parameter(NamedTuple):
         """Return a field of a system for this parameter, with checked values."""
         if np.isnan(self.default):
             return eqx.field(converter=self.convert)
+        if self.shape:
+            full = partial(np.full, self.shape, self.default)
+            return eqx.field(converter=self.convert, default_factory=full)
         return eqx.field(converter=self.convert, default=self.default)
 
 

@@ -7,9 +7,11 @@ a periodic point. A system fails where there is no next point.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -21,6 +23,16 @@ from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.html_tables import html_table
 from walker_jax.systems.outcomes import OUTCOMES, OWN, Outcome, Stride, make_stride
 from walker_jax.systems.parameter import Parameter, description
+from walker_jax.systems.trees import (
+    PARAMETERS,
+    dynamic_fields,
+    functions_in,
+    is_tree,
+    leaves_in,
+    leaves_of,
+    settle,
+    structure_of,
+)
 
 AnySystem = TypeVar("AnySystem", bound="System")
 
@@ -34,7 +46,9 @@ SHARED_FAILURES = tuple(
 
 
 class System(eqx.Module):
-    """A return map; its fields are scalar parameters, or static options.
+    """A return map; its fields are parameters, or static options.
+
+    A parameter is a number, an array, or any tree of arrays, such as a network.
 
     ```python
     class Logistic(wj.System):
@@ -55,8 +69,15 @@ class System(eqx.Module):
     """Names of failures of its own, such as "misses" or "hits_the_wall"."""
     angles: ClassVar[tuple[str, ...]] = ()
     """Names of those coordinates that are angles (rad): a full turn more is the same point."""
+    array_ranks: tuple[tuple[str, int], ...] = eqx.field(static=True, init=False, default=())
+    """Ranks, in one system, of leaves that are no single numbers, by name: a leaf with further
+    axes before these belongs to many systems."""
+
+    spans: ClassVar[dict[str, tuple[float, float]]] = {}
+    """Usual ranges of parameters, over which gaits are followed unless others are given."""
 
     def __check_init__(self):
+        settle(self)
         names, known = self.failures, Outcome.__members__
         words = isinstance(names, tuple) and all(isinstance(one, str) for one in names)
         if not words or not all(one.isidentifier() and one not in known for one in names):
@@ -85,20 +106,18 @@ class System(eqx.Module):
 
     def __repr__(self):
         """Show the values of parameters that are single numbers, and the type of all others."""
-        code = {one.name for one in dataclasses.fields(self) if is_code(one)}
-        values = {name: value for name, value in every_value(self).items() if name not in code}
-        shown = (f"{name}={format_parameter(value)}" for name, value in values.items())
+        shown = (f"{name}={format_parameter(value)}" for name, value in shown_values(self).items())
         return f"{self.label()}({', '.join(shown)})"
 
     def _repr_html_(self) -> str:
         """Return a table of the parameters, with units and meanings, for notebooks."""
         fields = {one.name: one for one in dataclasses.fields(self)}
         rows = []
-        for name, value in every_value(self).items():
+        for name, value in shown_values(self).items():
             one = description(fields[name], Parameter) if name in fields else None
             about = (one.unit, one.meaning) if one else ("", "")
-            if name not in fields or not is_code(fields[name]):
-                rows += [(name, format_parameter(value), *about)]
+            leaves = dict(leaves_in(name, value)) | functions_in(name, value)
+            rows += [(leaf, format_parameter(of), *about) for leaf, of in leaves.items()]
         return html_table(self.label(), ("parameter", "value", "unit", "meaning"), rows)
 
     def advance(self, x: Float[Array, " section"]) -> tuple[Any, Any, Any]:
@@ -143,6 +162,39 @@ class System(eqx.Module):
         default none is known.
         """
         return None
+
+    def picture(self) -> Any:
+        """Return how walks are drawn (`walkers.pictures`); None, the default, if they are not."""
+        return None
+
+    def step_length(self, x: Float[Array, " section"], end: Callable[[], Any]) -> Scalar | None:
+        """Return the length of a step of a gait at x; `end()` is the state at the stride's end.
+
+        None, the default, means that the system makes no steps.
+        """
+        return None
+
+    def driven_by_gravity(self) -> bool:
+        """Return whether gravity alone does work: a step loses the energy that the slope gives.
+
+        By default that is not known.
+        """
+        return False
+
+    def motor_work(self, start: Any, end: Any) -> Scalar | None:
+        """Return the work of motors in a step, per unit of weight, in the unit of length.
+
+        The states are those just after a heel strike and just before the next. The method is called
+        where `driven_by_gravity` is false. None, the default, means unknown.
+        """
+        return None
+
+    def basin_region(self, gait: Callable[[], Float[Any, " section"] | None]) -> Grid | None:
+        """Return the region in which the basin around a gait is measured, by default all.
+
+        `gait()` is a state of the gait, or None where none is found.
+        """
+        return self.gait_region()
 
     def gait_region(self) -> Grid:
         """Return the part of the section to search for gaits, with one search from each cell."""
@@ -192,8 +244,10 @@ def is_code(field: dataclasses.Field) -> bool:
 
 
 def code_of(system: System) -> tuple[Any, ...]:
-    """Return the values of a system's fields of code."""
-    return tuple(getattr(system, one.name) for one in dataclasses.fields(system) if is_code(one))
+    """Return the values of a system's fields of code, and the structures of its trees."""
+    code = [getattr(system, one.name) for one in dataclasses.fields(system) if is_code(one)]
+    trees = (getattr(system, one.name) for one in dynamic_fields(system) if not is_code(one))
+    return *code, *filter(None, map(structure_of, trees))
 
 
 STATIC = bool, int, float, str, np.generic, type(None)
@@ -202,7 +256,7 @@ STATIC = bool, int, float, str, np.generic, type(None)
 
 def statics_of(system: System) -> dict[str, Any]:
     """Return the values of static fields by name, those of code excepted."""
-    static = (one for one in dataclasses.fields(system) if one.metadata.get("static"))
+    static = (one for one in dataclasses.fields(system) if one.metadata.get("static") and one.init)
     return {one.name: getattr(system, one.name) for one in static if not is_code(one)}
 
 
@@ -210,32 +264,48 @@ def as_tuple(value: Any) -> tuple:
     return value if isinstance(value, tuple) else (value,)
 
 
-def every_value(system: System) -> dict[str, Any]:
-    """Return the values of all fields by name; a dictionary of parameters by their own names."""
+def fields_of(system: System) -> dict[str, Any]:
+    """Return the values of all fields by name."""
+    known = {one.name for one in dataclasses.fields(system)} - {"array_ranks"}
+    return {name: value for name, value in vars(system).items() if name in known}
+
+
+def shown_values(system: System) -> dict[str, Any]:
+    """Return the values of all fields but code by name; the parameters of a map by their own."""
+    code = {one.name for one in dataclasses.fields(system) if is_code(one)}
     values = {}
-    for name, value in vars(system).items():
-        values |= value if isinstance(value, dict) else {name: value}
+    for name, value in fields_of(system).items():
+        own = name == PARAMETERS and isinstance(value, dict)
+        values |= value if own else {name: value} if name not in code else {}
     return values
 
 
 def numbers_of(system: System) -> dict[str, Any]:
-    """Return the parameters of a system by name: its fields, except static options."""
-    options = {one.name for one in dataclasses.fields(system) if one.metadata.get("static")}
-    return {name: value for name, value in every_value(system).items() if name not in options}
+    """Return the parameters of a system that are single numbers, by name."""
+    ranks = dict(system.array_ranks)
+    return {name: value for name, value in leaves_of(system).items() if name not in ranks}
+
+
+def arrays_of(system: System) -> dict[str, Any]:
+    """Return the arrays among the parameters of a system, by name."""
+    ranks = dict(system.array_ranks)
+    return {name: value for name, value in leaves_of(system).items() if name in ranks}
 
 
 def check_single(system: System) -> None:
-    """Refuse several systems in one, with arrays for parameters."""
-    for name, value in numbers_of(system).items():
-        if np.shape(value):
-            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
+    """Refuse several systems in one, with further axes of their parameters."""
+    ranks = dict(system.array_ranks)
+    for name, value in leaves_of(system).items():
+        if np.ndim(value) != (rank := ranks.get(name, 0)):
+            expected = f"an array of rank {rank}" if rank else "one number"
+            raise WrongUse(f"{name} must be {expected}, not of shape {np.shape(value)}")
 
 
 def warn_if_rounded(system: System) -> None:
     """Warn of parameters that were rounded to float32 before float64 was turned on."""
     if jnp.asarray(0.0).dtype != np.float64:
         return
-    for name, value in numbers_of(system).items():
+    for name, value in leaves_of(system).items():
         if getattr(value, "dtype", None) == np.float32:
             single = np.size(value) == 1 and not isinstance(value, Tracer)
             given = f"{name} {float(value)!r}" if single else name
@@ -243,7 +313,9 @@ def warn_if_rounded(system: System) -> None:
 
 
 def format_parameter(value: Any) -> str:
-    """Format a number as it is, and an array or traced value by its type and shape."""
+    """Format a number as it is, an array or traced value by its type and shape, a tree by size."""
+    if is_tree(value) and (leaves := jax.tree.leaves(value)):
+        return f"{type(value).__name__} of {sum(map(np.size, leaves))} numbers"
     if not eqx.is_array_like(value):
         return repr(value)
     single = not isinstance(value, Tracer) and np.shape(value) == ()

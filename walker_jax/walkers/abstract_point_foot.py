@@ -8,7 +8,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
 from walker_jax.grids import Grid
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.hybrid.modes import Mode
+from walker_jax.walkers.model import SWING, Scalar, State, Walker, is_unchanged
 
 
 class AbstractPointFootWalker(Walker):
@@ -44,6 +45,10 @@ class AbstractPointFootWalker(Walker):
     def reach(self, state):
         return jnp.sin(state.theta - state.phi) - jnp.sin(state.theta)
 
+    def basin_region(self, gait):
+        """All feasible angles, and rates that hold the basins of such walkers."""
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-1.1, 0.1, 800))
+
     def feasible(self, x):
         """0 < theta < pi/4 and thetadot < 0: beyond pi/4 no impact leaves the walker going on."""
         theta, thetadot = x[0], x[1]
@@ -55,6 +60,15 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
     """The limit of vanishing foot mass: the hip does not feel the swing leg."""
 
     slope: Scalar
+
+    def struck(self, state, impulse, arm):
+        """The foot keeps its speed across the swing leg: phidot changes by (1 - cos phi) times as
+        much as thetadot, which changes by P . (d hip / d theta); phases may have other masses."""
+        if self.phases():
+            return None
+        change = arm[0] * impulse[0] + arm[1] * impulse[1]
+        turn = (1 - jnp.cos(state.phi)) * change
+        return state._replace(thetadot=state.thetadot + change, phidot=state.phidot + turn)
 
     def contact_force(self, state):
         """(8). For an inverted pendulum, Q_v > 0 over a stride if it holds at both its ends.
@@ -84,12 +98,34 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
         return -jnp.sin(swing) * s, jnp.cos(swing) * s
 
 
+def pendulum_modes(
+    walker: AbstractMasslessFootWalker, kind: type, modes: dict[str, Mode]
+) -> dict[str, Mode]:
+    """Return the modes of a walker with what is known of some kind, if it swings like that.
+
+    The stance leg is an inverted pendulum, thetaddot = sin(theta - slope). It moves one way until
+    it stops, and then goes back: falls last. `contact_force` is least at an end of the swing. Where
+    `rises_past_contact` is known, a foot ahead that has come down stays down too, unless the stance
+    leg is in tension, when no stride follows.
+    """
+    if not is_unchanged(walker, kind, *SWING, "past_contact"):
+        return modes
+    swing = modes["swing"]
+    *falls, strike = swing.guards
+    pulls, *others = swing.conditions
+    lasting = [one._replace(persists=True) for one in falls]
+    strike = strike._replace(persists=swing.foregone is not None)
+    conditions = pulls._replace(least_at_ends=True), *others
+    return modes | {"swing": swing._replace(guards=(*lasting, strike), conditions=conditions)}
+
+
 def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool[Array, ""]:
     """Return whether h > 0 rises, with the swing leg ahead and the stance leg in compression.
 
     Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a spring
-    between the legs adds to it, so h goes on rising. Once this ends, by tension or with phi > 0, it
-    is too late to come down again. That last step is an observation (tests), not a theorem.
+    between the legs adds to it, so h goes on rising. This ends by tension, or with phi > 0. In
+    strides from the section it is then too late to come down again. That is tested, not proved, and
+    does not hold for launches.
     """
     theta, phi, thetadot, phidot = state
     rising = (phi > 2 * theta) & (phidot > 2 * thetadot)

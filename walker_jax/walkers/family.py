@@ -38,5 +38,18 @@ and one unit in all walkers.
 OPENING = {"spring": {"hip_stiffness": 1.0}}
 """Values with which the explorer opens a walker that is like another one at its defaults."""
 
+WINDOWS = {
+    "spatial": {
+        "yaw": (0.0, 0.2),
+        "theta": (0.06, 0.26),
+        "phi": (0.19, 0.39),
+        "yawdot": (-0.23, -0.03),
+        "leandot": (-0.12, 0.08),
+        "thetadot": (-0.57, -0.37),
+        "phidot": (-0.49, -0.29),
+    }
+}
+"""Windows of the explorer around gaits that take long to find."""
+
 PLANAR_WALKERS = {name: kind for name, kind in WALKERS.items() if kind.state is State}
 """Walkers that move in the plane."""

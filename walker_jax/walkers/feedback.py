@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.systems.system import fields_of
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import Parameter, check_parameter, parameters, with_parameter
 
@@ -30,7 +31,7 @@ class FeedbackWalker(Walker):
 
     def during_stride(self, x):
         """p = p* + K (x - x*), within its bounds."""
-        walker, values = self, vars(self)
+        walker, values = self, fields_of(self)
         away = [x[i] - values[f"reference_{name}"] for i, name in enumerate(self.section)]
         described = {one.name: one for one in parameters(self.kind)}
         for name in self.controlled:
@@ -44,7 +45,7 @@ class FeedbackWalker(Walker):
         return walker
 
     def __reduce__(self):
-        return partial(remake, self.kind, self.controlled, self.limited, vars(self)), ()
+        return partial(remake, self.kind, self.controlled, self.limited, fields_of(self)), ()
 
 
 def Feedback(
@@ -95,10 +96,12 @@ def Feedback(
         raise WrongUse("gains must name one parameter of the walker or more, not {}")
     section = type(walker).section
     state = read_reference(gait, section)
-    values = dict(vars(walker))
+    values = fields_of(walker)
     values |= {f"reference_{name}": state[i] for i, name in enumerate(section)}
     for name, row in gains.items():
         check_parameter(walker, name)
+        if name not in values:
+            raise WrongUse(f"gains must name single numbers of the walker, not the array of {name}")
         check_bounded(walker, name, bounds)
         row = read_row("gains", name, row, len(section))
         values |= {f"{name}_per_{one}": row[i] for i, one in enumerate(section)}

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, is_traced
+from walker_jax.systems.trees import in_dtype, is_many
 from walker_jax.walkers.phase import State, check_real, is_of_package
 
 SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
@@ -72,7 +73,7 @@ def check_lands_on_section(walker: Any) -> None:
     methods += ("system", "swing_foot") if len(walker.section) == 2 else ()
     if all(is_of_package(type(walker), method) for method in methods):
         return
-    if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(walker)):
+    if is_many(walker) or is_traced(walker):
         return
     arrival, after, on_section = landing(walker)
     if isinstance(after.theta, Tracer):  # of a walker made in a function that JAX transforms
@@ -91,7 +92,7 @@ def check_lands_on_section(walker: Any) -> None:
 def landing(walker: Any) -> tuple[State, State, State]:
     """Return a heel strike, the state after it, legs exchanged, and its place on the section."""
     to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
-    walker = jax.tree.map(to_array, walker)
+    walker = in_dtype(walker, jnp.asarray(0.0).dtype, jnp.asarray)
     start = walker.lift(
         jnp.stack([to_array(SAMPLE_POINT.get(name, 0.1)) for name in walker.section])
     )

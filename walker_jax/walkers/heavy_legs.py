@@ -11,10 +11,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, is_traced
 from walker_jax.grids import Grid
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import stance_coordinates
+from walker_jax.systems.trees import is_many, settle
 from walker_jax.walkers.masses import MultibodyWalker
 from walker_jax.walkers.model import Scalar, State, region_of_starts
 
@@ -53,9 +54,10 @@ class HeavyLegWalker(MultibodyWalker):
         super().__init_subclass__(**kwargs)
 
     def __check_init__(self):
+        settle(self)
         if taken := {*self.section} & {*vars(self)}:
             raise WrongUse(f"joints must not have names of parameters, unlike {min(taken)}")
-        if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
+        if is_many(self) or is_traced(self):
             return
         foot, moved = swing_foot_at(self, 0.3, 0.0), swing_foot_at(self, 0.3, 0.1)
         if isinstance(foot, Tracer):  # of a walker made in a function that JAX transforms

@@ -1,6 +1,5 @@
 """The walker with knees."""
 
-from dataclasses import fields
 from functools import partial
 from typing import NamedTuple
 
@@ -15,16 +14,18 @@ from walker_jax import multibody
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
+from walker_jax.systems.system import fields_of
 from walker_jax.walkers.abstract_round_foot import FOOT_RADIUS
 from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import (
     MultibodyPhase,
     gravity,
     leg,
+    masses_struck,
     rises_ever_faster,
     stance_coordinates,
 )
-from walker_jax.walkers.model import Scalar, State, least_scuff
+from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, least_scuff, shown_by
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.round_foot import HIP_MASS
 
@@ -143,12 +144,14 @@ class KneedWalker(HeavyLegWalker):
     def phases(self):
         return (FreeKnee(self),)
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)
 
+    @shown_by(*STEP)
     def gait_region(self):
         return pendulum_region(self, self.thigh_length + self.shank_length)
 
@@ -202,6 +205,12 @@ class KneedWalker(HeavyLegWalker):
         masses = jnp.stack([M, M, *[m] * 4, *[n] * 4, *turning, *turning])
         return System(transfer, masses, gravity(self.slope, masses, turns=4))
 
+    def struck(self, state, impulse, arm):
+        return masses_struck((*self.phases(), self)[0], state, impulse, arm)
+
+    def in_swing(self):
+        return lock_knees(self)
+
     def bent_leg(self, state):
         hip, _, *leg_below = self.places(stance_coordinates(list(state[:3])))
         return jnp.stack(leg_below) - hip
@@ -227,13 +236,14 @@ class LockedWalker(KneedWalker):
     def phases(self):
         return ()
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 
 
 def lock_knees(walker: KneedWalker) -> LockedWalker:
     """Return the same walker after knee strike."""
-    return LockedWalker(**{one.name: getattr(walker, one.name) for one in fields(walker)})
+    return LockedWalker(**fields_of(walker))
 
 
 def begin_bent(state: State) -> BentState:

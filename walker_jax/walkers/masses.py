@@ -24,7 +24,7 @@ from walker_jax.multibody.single_support import (
     stance_coordinates,
 )
 from walker_jax.multibody.single_support import leg as leg
-from walker_jax.walkers.model import Phase, Scalar, State, Walker
+from walker_jax.walkers.model import DRIVE, Phase, Scalar, State, Walker, shown_by
 
 
 class MultibodyMotion(eqx.Module):
@@ -68,6 +68,20 @@ class MultibodyMotion(eqx.Module):
         return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
 
 
+def masses_struck(
+    motion: MultibodyMotion, state: Any, impulse: Float[Array, " 2"], arm: tuple[Scalar, Scalar]
+) -> Any:
+    """Return a state after an impulse P at the hip: rates change by M^{-1} (d hip / dq)^T P."""
+    count = len(state) // 2
+    angles, rates = state[:count], state[count:]
+    torque = arm[0] * impulse[0] + arm[1] * impulse[1]
+    turns = tuple(range(2, 2 + count))
+    q = stance_coordinates([*angles])
+    factors = multibody.factorise(multibody.block(multibody.mass_matrix(motion.system(), q), turns))
+    changes = multibody.solve_factored(factors, [torque, *[jnp.zeros_like(torque)] * (count - 1)])
+    return type(state)(*angles, *(rate + by for rate, by in zip(rates, changes, strict=True)))
+
+
 class MultibodyWalker(MultibodyMotion, Walker):
     """Walkers whose equations follow from the places of their masses, by the general method.
 
@@ -81,6 +95,11 @@ class MultibodyWalker(MultibodyMotion, Walker):
     def contacts(self, q):
         return self.swing_foot(q)
 
+    def struck(self, state, impulse, arm):
+        """Phases of its own may have other masses."""
+        return None if self.phases() else masses_struck(self, state, impulse, arm)
+
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         """True while there are no generalised forces, and `forces` are those of gravity."""
         system, slope = self.system(), vars(self)["slope"]
@@ -120,8 +139,8 @@ class MultibodyPhase(MultibodyMotion, Phase):
 def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
     """Return whether h > 0 rises ever faster, with the swing leg ahead and the stance leg falling.
 
-    The stance leg must also be in compression. As for the simplest walker, it is then too late to
-    come down again, and the leg falls on. That is an observation (tests), and excludes walkers that
+    The stance leg must also be in compression. In strides from the section it is then too late to
+    come down again, and the leg falls on. That is tested, not proved, and excludes walkers that
     rock on their feet, whose leg may turn.
     """
     (_, _, thetaddot, phiddot, *_), (_, Q_v, *_) = accelerations_and_forces(walker, state)

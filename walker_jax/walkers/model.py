@@ -13,6 +13,8 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
+from collections.abc import Callable
+from functools import wraps
 from typing import Any, ClassVar, TypeGuard, TypeVar
 
 import jax
@@ -21,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
-from walker_jax.grids import Grid
+from walker_jax.grids import Grid, axes_around
 from walker_jax.hybrid.modes import SECTION, Condition, Foregone, Guard, Mode
 from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
@@ -30,7 +32,10 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import in_dtype, settle
 from walker_jax.walkers.full_states import check_lands_on_section, check_motion
+from walker_jax.walkers.ground import raise_ground
+from walker_jax.walkers.parameters import SLOPE
 from walker_jax.walkers.phase import (
     Conditions,
     Phase,
@@ -38,11 +43,13 @@ from walker_jax.walkers.phase import (
     conditions_of,
     energy_of,
     fall_guards,
+    home_of,
     is_of_package,
     is_planar,
     legs,
     some_state,
 )
+from walker_jax.walkers.pictures import picture_of_legs
 
 LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
 """Depth, in legs, from which on a foot counts as below the ground: less is rounding, where it
@@ -52,36 +59,21 @@ touches."""
 class Walker(HybridSystem):
     """A walker, as strides know it: its fields are its parameters, scalars, and options."""
 
+    spans: ClassVar[dict[str, tuple[float, float]]] = {"slope": SLOPE.span}
     state: ClassVar[type] = State
     """The `NamedTuple` of full states during the swing, with at least the fields of `State`."""
-    force_least_at_ends: ClassVar[bool] = False
-    """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
-    not check it in between."""
-    foot_stays_down: ClassVar[bool] = False
-    """Whether a foot ahead that has come down stays down, so that no integration step misses it."""
     longest_step: ClassVar[float | None] = None
     """Longest step of the integration, as for a `Mode`."""
     most_steps: ClassVar[int] = 10_000
     """A phase or swing that has not ended after so many integration steps is `UNDECIDED`. A stride
     makes less than a hundred; a walker that rocks on its feet makes all of them."""
-    inverted_pendulum: ClassVar[bool] = False
-    """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
     def __init_subclass__(cls, **kwargs):
-        """Reset known properties of base classes that this class may not have.
-
-        `PREMISES` lists these properties, with the methods from which each was shown. If a class
-        redefines one of these methods and does not restate the property, the default of `Walker`
-        holds.
-        """
         super().__init_subclass__(**kwargs)
-        for name, methods in PREMISES.items():
-            said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
-            if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
-                setattr(cls, name, vars(Walker)[name])
         StoreDescriber(cls)  # keeps its files: one may be edited while its code is in use
 
     def __check_init__(self):
+        settle(self)
         check_lands_on_section(self)
 
     @abc.abstractmethod
@@ -104,7 +96,7 @@ class Walker(HybridSystem):
         at 0: a walker whose joints are elsewhere in its gait has its own region.
         """
         dtype = jnp.asarray(0.0).dtype
-        walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        walker = in_dtype(self, dtype, jnp.asarray)
         rate, widest = float(toppling_rate(walker)), 0.6
         axes = {"theta": (0, widest, 100), "sum": (-1.5 * widest, 0.5 * widest, 800)}
         if len(self.section) > 2:
@@ -167,9 +159,6 @@ class Walker(HybridSystem):
         legs, if the trailing foot lifts. Your own walker may change the modes, for example give the
         swing another guard before its last.
         """
-        # An inverted pendulum that stops goes back, and its leg moves one way until then.
-        persist = self.inverted_pendulum and type(self).falls is Walker.falls
-        falls = fall_guards(self, persist=persist)
         lifts = Condition(lambda state: self.impact(state)[0][1], Outcome.STOPPED.name)
         strike = Guard(
             self.contact,
@@ -177,16 +166,14 @@ class Walker(HybridSystem):
             (self.is_ahead,),
             reset=lambda state: self.exchange_legs(self.impact(state)[1]),
             must_hold=(lifts,),
-            persists=self.foot_stays_down,
         )
-        conditions = conditions_of(self, self.force_least_at_ends)
         over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
-        known = type(self).past_contact is not Walker.past_contact
+        known = is_unchanged(self, home_of(type(self), "past_contact"), *SWING)
         foregone = Foregone(over, Outcome.FORWARD.name) if known else None
         swing = Mode(
             self.equations(),
-            (*falls, strike),
-            conditions,
+            (*fall_guards(self), strike),
+            conditions_of(self),
             foregone=foregone,
             rates_at=self.vector_field,
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
@@ -200,6 +187,10 @@ class Walker(HybridSystem):
             raise WrongUse(f"phases of {self.label()} must have different names, not {names}")
         onto = zip(names, phases, names[1:], strict=False)
         return {name: one.mode(next) for name, one, next in onto} | {"swing": swing}
+
+    def modes_on(self, step):
+        """In the plane, with a further mode for a foot on its way to lower ground."""
+        return raise_ground(self, self.modes(), step) if is_planar(self) else None
 
     def equations(self) -> VectorField:
         """Return the equations of motion to integrate: the vector field, or a `PowerBalance`."""
@@ -217,26 +208,12 @@ class Walker(HybridSystem):
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
         """Return the force on the stance foot, along and normal to the slope, (Q_u, Q_v)."""
 
-    def driven_by_gravity(self) -> bool:
-        """Return whether gravity alone does work: a step loses the energy that the slope gives.
-
-        By default that is not known.
-        """
-        return False
-
-    def motor_work(self, start: State, end: State) -> Scalar | None:
-        """Return the work of motors in a step, per unit of weight, in the unit of length.
-
-        The states are those just after a heel strike and just before the next. The method is called
-        where `driven_by_gravity` is false. None, the default, means unknown.
-        """
-        return None
-
     def past_contact(self, state: Any) -> Bool[Array, ""]:
         """Return whether h > 0 can only grow from here, so that no heel strike follows.
 
-        It spares a walker that falls from the section the rest of its fall; outcomes must not
-        depend on it. By default that is never known.
+        This sufficient condition spares a walker that falls from the section the rest of its fall;
+        outcomes must not depend on it. By default that is never known. A class that redefines one
+        of the methods in `SWING` and not this one does without.
         """
         return jnp.zeros_like(state.theta, bool)
 
@@ -299,6 +276,35 @@ class Walker(HybridSystem):
         """
         return None
 
+    def picture(self) -> Any:
+        """In the plane, two legs."""
+        return picture_of_legs(self) if is_planar(self) else None
+
+    def struck(
+        self, state: Any, impulse: Float[Array, " 2"], arm: tuple[Scalar, Scalar]
+    ) -> Any | None:
+        """Return a state after an impulse at the hip, along the slope and normal to it.
+
+        `arm` is the derivative of the hip's place by theta. By default it is not known which masses
+        move with the hip: None.
+        """
+        return None
+
+    def in_swing(self) -> "Walker":
+        """Return the walker once its phases are over; by default the walker itself."""
+        return self
+
+    def step_length(self, x, end):
+        """In the plane the step before x: a foot stands, or rolls by the angle of its leg, so the
+        state at heel strike gives the length."""
+        return self.reach(self.exchange_legs(self.lift(x)))
+
+    def basin_region(self, gait):
+        """A window around a gait, in the plane of theta and the sum of theta and thetadot."""
+        if (state := gait()) is None:
+            return None
+        return Grid.sheared(**axes_around(state, ("theta", "sum", *self.section[2:])))
+
     def exchange_legs(self, state: State) -> State:
         """Return the state with the swing leg as the new stance leg, (21) and its derivative."""
         theta, phi, thetadot, phidot = (getattr(state, name) for name in State._fields)
@@ -318,31 +324,46 @@ def check_planar(walker: Any) -> Walker:
 WalkerKind = TypeVar("WalkerKind", bound=Walker)
 GUARD_HOOKS = "contact", "clearance", "is_ahead", "falls", "swing_foot"
 """Methods from which the guards of a swing are made."""
-EQUATIONS_OF_MOTION = ("vector_field", "modes", "system")
-PREMISES = {
-    "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
-    "foot_stays_down": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "is_ahead"),
-    "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": (
-        "vector_field",
-        "modes",
-        "impact",
-        "push_off_impulse",
-        "during_stride",
-        "phases",
-    ),
-    "motor_work": ("vector_field", "modes", "impact", "phases"),
-    "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "falls"),
-    "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
-}
-"""Properties that may be known of a walker, and the methods from which each was shown."""
+EQUATIONS = "vector_field", "equations", "modes", "system"
+SWING = (*EQUATIONS, "contact", "swing_foot", "is_ahead", "falls", "contact_force")
+"""Methods that say how a walker swings, and where that ends."""
+WORK = "vector_field", "modes", "impact", "phases"
+DRIVE = (*WORK, "push_off_impulse", "during_stride")
+"""Methods that may do work."""
+STEP = (*EQUATIONS, "contact", "swing_foot", "impact", "lift", "project")
+"""Methods on which the states of gaits depend most."""
+
+
+def is_unchanged(walker: System, kind: type, *methods: str) -> bool:
+    """Return whether a walker has these methods of some class of walkers."""
+    same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
+    return all(map(same, methods))
+
+
+def shown_by(*methods: str) -> Callable[[Callable], Any]:
+    """Decorate a method that states a fact, shown of its class by some other methods.
+
+    Where a derived class redefines one of these, the base class states the fact.
+    """
+
+    def decorate(fact: Callable) -> Callable:
+        @wraps(fact)
+        def state(walker, *args):
+            bases = type(walker).__mro__
+            kind = next(base for base in reversed(bases) if getattr(base, name, None) is state)
+            if is_unchanged(walker, kind, *methods):
+                return fact(walker, *args)
+            return getattr(super(kind, walker), name)(*args)
+
+        name = fact.__name__
+        return state
+
+    return decorate
 
 
 def moves_like(walker: System, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
-    """Return whether a walker moves as one of some kind does, by the same equations."""
-    methods = {method for methods in PREMISES.values() for method in methods}
-    same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
-    return isinstance(walker, kind) and all(map(same, methods))
+    """Return whether a walker moves as one of some kind does, by the same methods."""
+    return isinstance(walker, kind) and is_unchanged(walker, kind, *SWING, *DRIVE, *STEP)
 
 
 def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:

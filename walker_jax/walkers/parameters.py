@@ -4,19 +4,40 @@ import dataclasses
 import inspect
 from collections.abc import Container, Iterable, Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from walker_jax.checks import WrongUse, check_kind, short
-from walker_jax.identity import code_fingerprint
+from walker_jax.identity import code_fingerprint, sha256_of
 from walker_jax.systems.outcomes import join_names
 from walker_jax.systems.parameter import Described, description
 from walker_jax.systems.parameter import Parameter as Parameter
-from walker_jax.systems.system import AnySystem, System, code_of, numbers_of, statics_of
+from walker_jax.systems.system import (
+    AnySystem,
+    System,
+    arrays_of,
+    code_of,
+    fields_of,
+    numbers_of,
+    statics_of,
+)
+from walker_jax.systems.trees import (
+    HASHED,
+    LARGEST,
+    PARAMETERS,
+    default_of,
+    dynamic_fields,
+    functions_in,
+    leaves_of,
+    names_in_tree,
+    own_shape,
+    told_by,
+    zeros_like,
+)
 
 
 def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
@@ -24,15 +45,34 @@ def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
 
     A user's own class need not describe its fields: they accept any real number then.
     """
-    found = []
-    for field in dataclasses.fields(walker):
-        if field.metadata.get("static") or field.name == "parameters":
+    found, told = [], told_by(walker if isinstance(walker, type) else type(walker))
+    for field in dynamic_fields(walker):
+        if field.name == PARAMETERS or told[field.name] not in (0, None):
             continue
         one = description(field, Parameter)
         one = one or (SLOPE if field.name == "slope" else UNDESCRIBED)
-        default = one.default if field.default is dataclasses.MISSING else float(field.default)
+        known = field.default is not dataclasses.MISSING and field.default is not None
+        default = float(cast("Any", field.default)) if known else one.default
         found.append(one._replace(name=field.name, default=default))
     return tuple(found)
+
+
+class Tree(NamedTuple):
+    """A field of a system that is no number: an array, or a tree of arrays such as a network."""
+
+    name: str
+    default: Any
+    """Its default; `dataclasses.MISSING` for none."""
+
+
+def trees(walker: type[System]) -> tuple[Tree, ...]:
+    """Return the fields of a class of systems whose parameters are no single numbers."""
+    told = told_by(walker)
+    return tuple(
+        Tree(one.name, default_of(one))
+        for one in dynamic_fields(walker)
+        if one.name != PARAMETERS and told[one.name] not in (0, None)
+    )
 
 
 def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
@@ -89,19 +129,42 @@ def other_statics(walker: System) -> dict[str, Any]:
 def describe_walker(walker: System) -> dict[str, Any]:
     """Return the name, parameters and active options of a walker, for a request."""
     values = {name: float(value) for name, value in numbers_of(walker).items()}
+    values |= {name: write_array(value) for name, value in arrays_of(walker).items()}
     chosen = dict.fromkeys(chosen_options(walker), True)
-    return {"name": walker.label(), **values, **chosen, **other_statics(walker)}
+    others = other_statics(walker) | names_of_functions(walker)
+    return {"name": walker.label(), **values, **chosen, **others}
+
+
+def write_array(value: Any) -> list[Any] | str:
+    """Return an array as lists of numbers; a large one as its hash."""
+    numbers = np.asarray(value)
+    if numbers.size <= LARGEST:
+        return numbers.tolist()
+    return f"{HASHED}{sha256_of(numbers.tobytes())}, {numbers.dtype} of shape {numbers.shape}"
+
+
+def names_of_functions(walker: System) -> dict[str, str]:
+    """Return the names of the functions in the trees of a walker, by their paths."""
+    fields = ((one.name, getattr(walker, one.name)) for one in dynamic_fields(walker))
+    return {path: repr(one) for field in fields for path, one in functions_in(*field).items()}
 
 
 def attributes_of(walker: System, *, without: Container[str] = ()) -> dict[str, Any]:
     """Return the parameters and active options of a walker, as attributes of a data set.
 
-    Parameters that are variables of the data set are left out by `without`. The attributes include
-    the names of its own failures, and a fingerprint of the code of a class outside the package.
+    Parameters that are variables of the data set are left out by `without`. Arrays are lists in
+    their C order, beside their shapes, and large ones their hashes (`LARGEST`). The attributes
+    include the names of its own failures, and a fingerprint of the code of a class outside the
+    package.
     """
-    values = {name: float(value) for name, value in numbers_of(walker).items()}
-    values = {name: value for name, value in values.items() if name not in without}
+    numbers = numbers_of(walker).items()
+    values: dict[str, Any] = {name: float(value) for name, value in numbers if name not in without}
+    for name, value in arrays_of(walker).items():
+        large, shape = np.size(value) > LARGEST, np.shape(value)
+        values[name] = write_array(value) if large else np.ravel(value).tolist()
+        values |= {f"{name}_shape": list(shape)} if len(shape) > 1 and not large else {}
     values |= dict.fromkeys(chosen_options(walker), 1) | other_statics(walker)
+    values |= names_of_functions(walker)
     code = code_fingerprint(type(walker), code_of(walker))
     about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
     about |= {"failures": join_names(walker.failures)} if walker.failures else {}
@@ -129,7 +192,12 @@ def describe_in_words(walker: System) -> str:
 def write_description(about: dict[str, Any], form: str = "g") -> str:
     """Write the result of `describe_walker` on one line."""
     name, *values = about.items()
-    words = lambda value: value if isinstance(value, str) else f"{value:{form}}"
+
+    def words(value: Any) -> str:
+        if isinstance(value, list):
+            return f"of {np.size(value)} numbers"
+        return value if isinstance(value, str) else f"{value:{form}}"
+
     return ", ".join([name[1], *(f"{key} {words(value)}" for key, value in values)])
 
 
@@ -168,25 +236,25 @@ SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2, span=(
 UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
-def slopes_of(kind: type[System]) -> tuple[float, float]:
-    """Return the ends of the slopes over which gaits are followed unless others are given."""
-    ends = next(one.span for one in parameters(kind) if one.name == "slope")
-    return SLOPE.span if np.isnan(ends[0]) else ends
+def span_of(kind: type[System], name: str) -> tuple[float, float] | None:
+    """Return the ends between which gaits are followed over a parameter, if they are known."""
+    own = next((one.span for one in parameters(kind) if one.name == name), (np.nan, np.nan))
+    return kind.spans.get(name) if np.isnan(own[0]) else own
 
 
 def check_parameter(walker: System, parameter: str, *values: float) -> None:
     """Raise `WrongUse` for a parameter the walker lacks, or values that it refuses."""
     check_kind("walker", walker, System)
-    if not isinstance(parameter, str) or parameter not in numbers_of(walker):
-        names = ", ".join(numbers_of(walker))
+    if not is_number_of(walker, parameter):
+        names = ", ".join([*numbers_of(walker), *example_of_entry(walker)])
         raise WrongUse(
             f"parameter must be one of the walker's, {names}, not {short(parameter)}",
             of="parameter",
         )
-    if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
+    if set(fields_of(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:
             try:
-                type(walker)(**{**vars(walker), parameter: value})
+                type(walker)(**fields_of(with_parameter(walker, parameter, value)))
             except WrongUse as error:
                 error.arguments = []  # the value is that of another argument
                 raise
@@ -207,26 +275,90 @@ def parameter_directions(
     In the row of one of these its own number is 1, and all others are 0. The rows of other
     parameters are 0.
     """
-    zeros = jax.tree.map(lambda leaf: np.zeros(rows, dtype), walker)
+    zeros = zeros_like(walker, rows, dtype)
     units = (np.eye(1, rows, i, dtype)[0] for i in range(len(parameters)))
     return with_values(zeros, zip(parameters, units, strict=True))
 
 
 def with_parameter(walker: AnySystem, parameter: str, value) -> AnySystem:
-    """Return the walker with another value of one parameter; an array makes many walkers."""
-    return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)
+    """Return the walker with another value of one parameter; an array makes many walkers.
+
+    The parameter may be one number of an array, `weights[0, 1]`.
+    """
+    return with_values(walker, {parameter: value})
 
 
 def with_values(
     walker: AnySystem, values: Mapping[str, Any] | Iterable[tuple[str, Any]]
 ) -> AnySystem:
     """Return the walker with other values of some parameters, by name, unchecked."""
+    leaves, structure = jax.tree.flatten(walker)
+    names = names_in_tree(walker)
     for parameter, value in dict(values).items():
-        walker = with_parameter(walker, parameter, value)
-    return walker
+        if parameter in names:
+            leaves[names.index(parameter)] = value
+        else:
+            name, entry = parse_entry(parameter)
+            i = names.index(name)
+            leaves[i] = with_entry(leaves[i], entry, value)
+    return structure.unflatten(leaves)
+
+
+def parse_entry(parameter: str) -> tuple[str, tuple[int, ...]]:
+    """Return the array, and the place in it, of a number such as `weights[0, 1]`."""
+    name, _, place = parameter.removesuffix("]").rpartition("[")
+    whole = place.replace(",", " ").split() if parameter.endswith("]") else []
+    entry = tuple(int(one) for one in whole if one.isdecimal())
+    return (name, entry) if entry and len(entry) == len(whole) else (parameter, ())
+
+
+def is_number_of(walker: System, parameter: Any) -> bool:
+    """Return whether a walker has a parameter, or a number in an array, of this name."""
+    if not isinstance(parameter, str) or parameter in numbers_of(walker):
+        return isinstance(parameter, str)
+    (name, entry), arrays = parse_entry(parameter), arrays_of(walker)
+    if name not in arrays or not jnp.issubdtype(jnp.result_type(arrays[name]), jnp.floating):
+        return False
+    rank = dict(walker.array_ranks)[name]
+    shape = own_shape(arrays[name], rank)
+    return len(entry) == rank and all(i < n for i, n in zip(entry, shape, strict=True))
+
+
+def example_of_entry(walker: System) -> list[str]:
+    """Return the name of the first number in the arrays of a walker, after an ellipsis."""
+    ranks = dict(walker.array_ranks).items()
+    return [f"{name}[{', '.join('0' * rank)}], ..." for name, rank in [*ranks][:1]]
+
+
+def with_entry(leaf: Any, entry: tuple[int, ...], value: Any) -> Any:
+    """Return an array with another number at a place; an array of values makes many arrays."""
+    if np.ndim(value) and np.ndim(leaf) == len(entry):
+        leaf = jnp.broadcast_to(leaf, (*np.shape(value), *np.shape(leaf)))
+    changed = jnp.asarray(leaf).at[..., *entry].set(value)
+    traced = isinstance(changed, Tracer) or isinstance(leaf, jax.Array)
+    return changed if traced else np.asarray(changed)
+
+
+def value_of(walker: System, parameter: str) -> Any:
+    """Return the value of a parameter, or of one number in an array, by name."""
+    leaves = leaves_of(walker)
+    if parameter in leaves:
+        return leaves[parameter]
+    name, entry = parse_entry(parameter)
+    return leaves[name][..., *entry]
 
 
 def along_parameter(walker: AnySystem, parameter: str) -> AnySystem:
     """Return the direction of one parameter: the walker with 1 for it and 0 for all others."""
-    one = jnp.ones_like(getattr(walker, parameter))
-    return with_parameter(jax.tree.map(jnp.zeros_like, walker), parameter, one)
+    one = jnp.ones_like(value_of(walker, parameter))
+    return as_tangent(walker, with_parameter(jax.tree.map(jnp.zeros_like, walker), parameter, one))
+
+
+def as_tangent(walker: AnySystem, direction: AnySystem) -> AnySystem:
+    """Return a direction of a walker as JAX takes it, which has no numbers for integers."""
+
+    def tangent(leaf, change):
+        real = jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
+        return change if real else np.zeros(np.shape(leaf), jax.dtypes.float0)
+
+    return jax.tree.map(tangent, walker, direction)

@@ -132,19 +132,24 @@ def energy_of(part: Any) -> Function | None:
 
 def is_of_package(kind: type, method: str) -> bool:
     """Return whether a method of a class, if it has it, is one of the package's own."""
-    home = next((base for base in kind.__mro__ if method in vars(base)), None)
+    home = home_of(kind, method)
     return home is None or home.__module__.startswith("walker_jax.")
 
 
-def conditions_of(part: Any, least_at_ends: bool = False) -> tuple[Condition, ...]:
-    """Return its conditions; the first is Q_v, which may be known to be `least_at_ends`."""
+def home_of(kind: type, method: str) -> Any:
+    """Return the class that defines a method of some class; None if it has no such method."""
+    return next((base for base in kind.__mro__ if method in vars(base)), None)
+
+
+def conditions_of(part: Any) -> tuple[Condition, ...]:
+    """Return its conditions; the first is Q_v."""
     force = lambda state: part.contact_force(state)[1]
-    pulls = Condition(force, Outcome.RUNNING.name, at_start=True, least_at_ends=least_at_ends)
+    pulls = Condition(force, Outcome.RUNNING.name, at_start=True)
     return pulls, *(Condition(one, name) for name, one in part.conditions().items())
 
 
-def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
-    """Return the falls of a walker as guards; `persist` says that they last within a step."""
+def fall_guards(walker: Any) -> list[Guard]:
+    """Return the falls of a walker as guards."""
     value = lambda name: lambda state: walker.falls(state)[name]
     kind, guards = type(walker).__name__, []
     for name, shape in jax.eval_shape(walker.falls, some_state(walker)).items():
@@ -154,7 +159,7 @@ def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
                 f"not {name!r}"
             )
         check_real(f"falls of {kind}: {name}", shape)
-        guard = Guard(value(name), name, persists=persist, at_once=True)
+        guard = Guard(value(name), name, at_once=True)
         if name == "BACKWARD" and is_planar(walker):
             guard = guard._replace(measure=lambda speed: speed**2 / 2)  # smooth at a dead point
         guards.append(guard)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from walker_jax.multibody import System
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker, gait_strip
 from walker_jax.walkers.masses import MultibodyWalker, gravity, leg, rises_ever_faster
-from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.model import STEP, Scalar, shown_by
 from walker_jax.walkers.parameters import SLOPE, Parameter
 
 FOOT_MASS = Parameter("foot_mass", "of each foot, per hip mass", "hip mass", 0.01)
@@ -45,5 +45,6 @@ class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):
         """(11)."""
         return q[:2] + leg(q[2]) - leg(q[2] - q[3])
 
+    @shown_by(*STEP)
     def gait_region(self):
         return gait_strip(self.slope)

@@ -1,13 +1,11 @@
 """The simplest walker with a motor in its hip and push-off from its trailing foot."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
-from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker, pendulum_modes
+from walker_jax.walkers.model import DRIVE, WORK, Scalar, State, shown_by
 from walker_jax.walkers.parameters import SLOPE, Parameter
 from walker_jax.walkers.spring import HIP_STIFFNESS
 
@@ -69,13 +67,15 @@ class PoweredWalker(AbstractMasslessFootWalker):
     hip_angle: Scalar = eqx.field(converter=HIP_ANGLE.convert, default=HIP_ANGLE.default)
     push_off: Scalar = eqx.field(converter=PUSH_OFF.convert, default=PUSH_OFF.default)
 
-    force_least_at_ends: ClassVar = True
-    inverted_pendulum: ClassVar = True
+    def modes(self):
+        return pendulum_modes(self, PoweredWalker, super().modes())
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         """True without push-off: the hip's torque does work of the order of the foot's mass."""
         return bool(np.all(np.asarray(self.push_off) == 0))
 
+    @shown_by(*WORK)
     def motor_work(self, start, end):
         """P^2 / 2: the impulse is along the leg, at right angles to the hip's velocity."""
         return self.push_off**2 / 2

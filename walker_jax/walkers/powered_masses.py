@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from walker_jax import multibody
 from walker_jax.multibody.single_support import coordinates_and_rates
 from walker_jax.walkers.masses import MultibodyWalker, leg, weight
-from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.model import WORK, Scalar, shown_by
 from walker_jax.walkers.parameters import Parameter
 from walker_jax.walkers.point_foot import PointFootWalker
 from walker_jax.walkers.powered import ANY_SLOPE, HIP_ANGLE, PUSH_OFF
@@ -49,6 +49,7 @@ class AbstractPoweredWalker(MultibodyWalker):
             lambda system: system.generalised_forces, passive, torque, is_leaf=lambda x: x is None
         )
 
+    @shown_by(*WORK)
     def motor_work(self, start, end):
         """Energy gained in the swing, by the hip alone, and in push-off.
 

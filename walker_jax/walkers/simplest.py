@@ -1,16 +1,17 @@
 """The simplest walking model."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
+from walker_jax.grids import Grid
 from walker_jax.walkers.abstract_point_foot import (
     AbstractMasslessFootWalker,
     gait_strip,
+    pendulum_modes,
     rises_past_contact,
 )
-from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, moves_like, shown_by
 from walker_jax.walkers.parameters import SLOPE
 
 
@@ -26,15 +27,21 @@ class SimplestWalker(AbstractMasslessFootWalker):
 
     slope: Scalar = eqx.field(converter=SLOPE.convert)
 
-    force_least_at_ends: ClassVar = True
-    foot_stays_down: ClassVar = True  # `rises_past_contact`; in tension no stride follows
-    inverted_pendulum: ClassVar = True
+    def modes(self):
+        return pendulum_modes(self, SimplestWalker, super().modes())
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 
+    @shown_by(*STEP)
     def gait_region(self):
         return gait_strip(self.slope)
+
+    def basin_region(self, gait):
+        if not moves_like(self, SimplestWalker):
+            return super().basin_region(gait)
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
 
     def past_contact(self, state):
         return rises_past_contact(self, state)

@@ -22,8 +22,9 @@ from walker_jax.multibody.space import (
     rotation_about,
 )
 from walker_jax.systems.outcomes import Outcome
-from walker_jax.walkers.model import Scalar, Walker, least_scuff
+from walker_jax.walkers.model import DRIVE, STEP, Scalar, Walker, least_scuff, shown_by
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
+from walker_jax.walkers.pictures import DiscPicture
 from walker_jax.walkers.rolling_stance import RollingStance, SpatialState, contact_forces
 
 LEG_MASS = Parameter("leg_mass", "of each leg", "mass", 1.0)
@@ -61,6 +62,10 @@ LEAST_STEP = 1e-3
 the legs are passing each other: for an upright walker both discs touch then."""
 GREATEST_LEAN = np.pi / 3
 """Lean at which a walker has fallen sideways (rad)."""
+
+SLICE_YAW, SLICE_LEAN_RATE, SLICE_CELLS = 0.2, 0.04, 100
+"""Half widths of a slice in space, of yaw in rad and of the rate of lean for legs of length 1, and
+its cells along an axis: they hold the toy's basin there, with a margin."""
 
 
 class SpatialWalker(Walker):
@@ -214,6 +219,7 @@ class SpatialWalker(Walker):
         finite = jnp.isfinite(x).all()
         return finite & upright & (phi > LEAST_STEP) & (rising > 0)
 
+    @shown_by(*STEP)
     def gait_region(self):
         """Steps like those of the toy: legs about as far ahead as behind, the swing leg ahead of
         the axle's turn. Rates are in units of a pendulum of the leg's length."""
@@ -244,9 +250,12 @@ class SpatialWalker(Walker):
         if type(self).conditions is not SpatialWalker.conditions:
             return modes
         scuffs = Outcome.SCUFFED.name
-        touches = lambda one: one._replace(zero_at_ends=(one.leads_to == scuffs,) * 2)
         swing = modes["swing"]
-        return {"swing": swing._replace(conditions=tuple(map(touches, swing.conditions)))}
+        *falls, strike = swing.guards
+        guards = *falls, strike._replace(makes_zero=(scuffs,))
+        touches = lambda one: one._replace(zero_at_start=one.leads_to == scuffs)
+        conditions = tuple(map(touches, swing.conditions))
+        return {"swing": swing._replace(guards=guards, conditions=conditions)}
 
     def unit_of_time(self):
         return jnp.sqrt(self.leg_length)
@@ -256,6 +265,7 @@ class SpatialWalker(Walker):
         along, normal = contact_forces(self, state)
         return along, normal
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 
@@ -288,6 +298,23 @@ class SpatialWalker(Walker):
             return {}
         least = least_scuff(self.leg_length)
         return {"SCUFFED": lambda state: self.clearance(state) + least}
+
+    def picture(self):
+        return DiscPicture(self)
+
+    def step_length(self, x, end):
+        """How far a disc rolls depends on the whole stride."""
+        return self.reach(end())
+
+    def basin_region(self, gait):
+        """A slice around a gait over yaw and rate of lean: walkers turned, and pushed sideways."""
+        if (state := gait()) is None:
+            return None
+        point = dict(zip(self.section, map(float, np.asarray(state)), strict=True))
+        around = lambda name, half: (point[name] - half, point[name] + half, SLICE_CELLS)
+        rate = float(np.sqrt(self.leg_length))
+        yaw, leandot = around("yaw", SLICE_YAW), around("leandot", SLICE_LEAN_RATE / rate)
+        return Grid.through(point, yaw=yaw, leandot=leandot)
 
     def is_ahead(self, state: Any):
         return -LEAST_STEP - state.phi

@@ -1,16 +1,15 @@
 """The simplest walker with a spring in its hip."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax.numpy as jnp
 
 from walker_jax.walkers.abstract_point_foot import (
     AbstractMasslessFootWalker,
     gait_strip,
+    pendulum_modes,
     rises_past_contact,
 )
-from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, shown_by
 from walker_jax.walkers.parameters import SLOPE, Parameter
 
 HIP_STIFFNESS = Parameter(
@@ -42,13 +41,14 @@ class SpringWalker(AbstractMasslessFootWalker):
         converter=HIP_STIFFNESS.convert, default=HIP_STIFFNESS.default
     )
 
-    force_least_at_ends: ClassVar = True
-    foot_stays_down: ClassVar = True  # `rises_past_contact`; in tension no stride follows
-    inverted_pendulum: ClassVar = True
+    def modes(self):
+        return pendulum_modes(self, SpringWalker, super().modes())
 
+    @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
 
+    @shown_by(*STEP)
     def gait_region(self):
         return gait_strip(self.slope, self.hip_stiffness)
 

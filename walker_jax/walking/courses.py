@@ -26,9 +26,11 @@ from walker_jax.hybrid.graphs import (
     in_order,
     kind_of,
     kinds_of_states,
+    suit_state,
 )
 from walker_jax.hybrid.modes import SECTION, Guard, Mode, ends_at_once
 from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.integrals import WithIntegrals
 from walker_jax.integrators.integrator import Integrator, Method, zero_at
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.step_lengths import StepLimits, has_sharp_features
@@ -161,7 +163,8 @@ def follow_one(
     switched: bool | Bool[Array, ""],
 ) -> Course:
     """Follow one mode, from where the course enters it to where its guard leads."""
-    mode, entry = modes[name], course.entries[name]
+    entry = course.entries[name]
+    mode = suit_state(name, modes[name], entry.state)
     method = method_of(mode, entry.state, integrator)
     going = entry.reached & (course.verdict == Outcome.UNDECIDED)
     due = guard_due(mode, numbers, method, entry.state, switched)
@@ -284,6 +287,8 @@ def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     functions = tuple(function for guard in mode.functions() for function in guard)
     sharp = tuple(one.value for one in mode.conditions if has_sharp_features(one.value, start))
     watched = sharp if mode.as_smooth else (*functions, *sharp)
+    if isinstance(mode.field, WithIntegrals):
+        watched = *watched, *mode.field.functions()
     conditions = tuple(one.value for one in mode.conditions if not one.least_at_ends)
     limits = StepLimits(mode.scales, mode.longest_step)
     return integrator.method(

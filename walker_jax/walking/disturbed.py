@@ -4,32 +4,27 @@ States are full states, such as (theta, phi, thetadot, phidot), just after heel 
 feet stand at different heights on rough ground.
 """
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from walker_jax.hybrid.modes import SECTION
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.walkers.ground import PASSES
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.courses import Course, Part
 from walker_jax.walking.failure_margins import (
     Margins,
     guards_of,
-    lesser_known,
-    measure_stride,
+    measure_modes,
     strike_margin,
 )
-from walker_jax.walking.raised_ground import onto_step
 from walker_jax.walking.scan import Walked, scan_strides
 from walker_jax.walking.starts import during_stride, on_section
-from walker_jax.walking.stride import end_step, first_of, follow_step, follow_to_contact
+from walker_jax.walking.stride import follow_step, modes_from, with_full_state
 
 
 class Disturbance(NamedTuple):
@@ -90,31 +85,11 @@ def follow_disturbed_margins(
     """
     walker, x, step = disturbed_start(walker, x, disturbance)
     walker = during_stride(walker, x)
-    modes, course = follow_to_contact(walker, x, step, integrator, measured=True)
-    *before, level, lower = course.parts
-    swing = modes[[*modes][-1]]
-    choose = partial(jnp.where, lower.followed)
-    ways = [part[1:] for part in (*before, level)]
-    last = Part(swing, *jax.tree.map(choose, lower[1:], level[1:]))
-    state = course.entries[SECTION].state  # with its derivative by the step
-    ways.append(last._replace(end=last.end._replace(state=state))[1:])
-    course, stride = end_step(walker, modes, course)
-    to_contact = onto_step(walker, swing, step)
-    *others, contact = to_contact.guards
-    contact = contact._replace(must_hold=swing.guards[-1].must_hold)
-    *falls, passes = level.mode.guards
-    to_level = level.mode._replace(guards=(*falls, passes._replace(leads_to="below")))
-    course_modes = [part.mode for part in before]
-    course_modes += [to_level, to_contact._replace(guards=(*others, contact))]
-
-    def measure(walker, stride: Stride, course: Course, ways: list[Any]):
-        pairs = zip(course_modes, ways, strict=True)
-        parts = tuple(Part(mode, *way) for mode, way in pairs)
-        course = course._replace(parts=parts)
-        known = measure_stride(walker, first_of(modes), course, stride.outcome)
-        passed = jnp.where(lower.followed, strike_margin(parts[-2], guards_of(parts[-2])), jnp.inf)
-        forward = jnp.where(stride.outcome == Outcome.STRIDE, passed, jnp.nan)
-        known["forward"] = lesser_known(known["forward"], forward)
-        return Margins(stride, **known)
-
-    return with_fast_sincos(measure)(walker, stride, course._replace(parts=()), ways)
+    modes = modes_from(walker, x, step, to_the_end=True)
+    found, course = measure_modes(walker, x, modes, integrator)
+    *_, level, _ = course.parts
+    number = len(level.mode.guards) + PASSES
+    passed = with_fast_sincos(lambda: strike_margin(level, guards_of(level)[number], number))()
+    passed = jnp.where(found.stride.outcome == Outcome.STRIDE, passed, jnp.nan)
+    by_name = found.by_name | {Outcome.FORWARD.name: jnp.fmin(found.forward, passed)}
+    return found._replace(stride=with_full_state(found.stride, course), by_name=by_name)

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.following import NO_GUARD, Unfinished, begin_following, follow_measured
+from walker_jax.hybrid.graphs import suit_state
 from walker_jax.hybrid.misses import turns_in_step
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator, Method
@@ -24,7 +25,6 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker
 from walker_jax.walking.consistency import (
     check_landing,
     check_point,
@@ -182,7 +182,7 @@ def explain(
         complaints += check_projection(walker, x)
         records, landed = record_modes(during_stride(walker, x), x, integrator)
         complaints += check_records(records)
-        if isinstance(walker, Walker) and walker.driven_by_gravity():
+        if walker.driven_by_gravity():
             complaints += check_energy(records)
         if outcome == Outcome.STRIDE and landed is not None:
             complaints += check_landing(walker, landed)
@@ -264,8 +264,8 @@ def record_mode(
 
     There is none if the mode ends in a failure, or by no guard.
     """
+    mode = suit_state(name, mode, state)._replace(foregone=None)
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
-    mode = mode._replace(foregone=None)
     mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
     made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
     fallen = int(fall_of(mode, numbers, state, switched))

@@ -2,7 +2,7 @@
 
 A margin is a smooth function of start and parameters. It is positive where the walker passes, and
 zero on the boundary to a failure. The guards and conditions of the modes of a stride define it, for
-all walkers alike (`hybrid.misses`):
+all systems alike (`hybrid.misses`):
 
 - for a fall that does not happen, it is the greatest value of its guard, up to the end of the
   stride and just after its impact; for a heel strike that happens, by how little it happened;
@@ -14,13 +14,14 @@ all walkers alike (`hybrid.misses`):
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
@@ -29,7 +30,7 @@ from walker_jax.integrators.integrator import Integrator, zero_at
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
-from walker_jax.systems.outcomes import OWN, Outcome, Stride
+from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.systems.system import System, apply_map
 from walker_jax.walking.courses import Course, Numbers, Part, end_course, follow_modes
 from walker_jax.walking.iteration import for_each_start
@@ -37,51 +38,67 @@ from walker_jax.walking.starts import during_stride, on_section, prepare
 from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
 
 WAYS = {
-    Outcome.BACKWARD: "backward",
-    Outcome.FORWARD: "forward",
-    Outcome.RUNNING: "running",
-    Outcome.STOPPED: "stopping",
-    Outcome.BENT_KNEE: "landing",
-    Outcome.BUCKLED: "buckling",
-    Outcome.SCUFFED: "scuffing",
-    Outcome.SIDEWAYS: "sideways",
-    Outcome.OUTSIDE: "outside",
+    "BACKWARD": "backward",
+    "FORWARD": "forward",
+    "RUNNING": "running",
+    "STOPPED": "stopping",
+    "BENT_KNEE": "landing",
+    "BUCKLED": "buckling",
+    "SCUFFED": "scuffing",
+    "SIDEWAYS": "sideways",
+    "OUTSIDE": "outside",
 }
-"""The margin of each way to fail; that of a system's own failures is `own`."""
+"""The words for the margins of failures that all systems share."""
+
+
+def margin_of(failure: str) -> property:
+    """Return an attribute for the margin of a failure; NaN where nothing leads to it."""
+    return property(lambda self: self.by_name.get(failure, jnp.full_like(self.failed, jnp.nan)))
 
 
 class Margins(NamedTuple):
     """A stride, and the margins by which it misses each way to fail; NaN where none applies.
 
     A failure's own margin is negative. Margins of falls that did not happen before it are positive,
-    and margins of conditions are known where there was a heel strike.
+    and margins of conditions are known where there was a heel strike. Attributes are those of the
+    failures that walkers share.
     """
 
     stride: Stride
-    backward: Float[Array, "*cells"]
+    failed: Float[Array, "*cells"]
+    """The margin of the failure that ended the stride; NaN if none did."""
+    by_name: dict[str, Float[Array, "*cells"]]
+    """The margin of each failure to which a guard or a condition of the system leads, by its name,
+    such as "FORWARD" or one of `System.failures`."""
+
+    backward = margin_of("BACKWARD")
     """In the plane, thetadot^2 / 2 where the stance leg is slowest, after the impact too. In space,
     the least distance of theta from pi/2."""
-    forward: Float[Array, "*cells"]
+    forward = margin_of("FORWARD")
     """The least of three: the depth to which the swing foot passes the contact, -h; how far ahead
     it comes down (`is_ahead`); and how far the leg then is from the ground, theta + pi/2."""
-    running: Float[Array, "*cells"]
+    running = margin_of("RUNNING")
     """The least contact force Q_v up to heel strike; or that at the start, if it is negative."""
-    stopping: Float[Array, "*cells"]
+    stopping = margin_of("STOPPED")
     """Velocity v of the trailing foot after the impact."""
-    landing: Float[Array, "*cells"]
+    landing = margin_of("BENT_KNEE")
     """The least height of a foot in front while it must not come down, as the knee is bent."""
-    buckling: Float[Array, "*cells"]
+    buckling = margin_of("BUCKLED")
     """The least moment that presses the stance knee on its stop, up to heel strike."""
-    scuffing: Float[Array, "*cells"]
+    scuffing = margin_of("SCUFFED")
     """The least height of the bent leg's foot, up to heel strike. In space, the height at which the
     swing disc turns upwards."""
-    sideways: Float[Array, "*cells"]
+    sideways = margin_of("SIDEWAYS")
     """In space, the least of (l^2 - lean^2) / 2l, with l the limit of the lean: near the limit, the
     distance from it."""
-    outside: Float[Array, "*cells"]
+    outside = margin_of("OUTSIDE")
     """Margin by which the start is feasible, where a system defines it (`System.margin`)."""
-    own: Float[Array, "*cells"]
-    """The least margin of the system's own `failures`."""
+
+    @property
+    def own(self) -> Float[Array, "*cells"]:
+        """The least margin of the system's own `failures`."""
+        own = [value for name, value in self.by_name.items() if name not in Outcome.__members__]
+        return reduce(jnp.fmin, own, jnp.full_like(self.failed, jnp.nan))
 
 
 def margins(
@@ -115,284 +132,223 @@ def margins_of_many(
     return for_each_start(follow_margins, walker, xs, tolerance, progress=progress)
 
 
-def failure_margin(found: Margins) -> Scalar:
-    """Return the margin of the failure that ended a stride, NaN for none; no batch axis."""
-    by = jnp.full_like(found.backward, jnp.nan)
-    outcome = found.stride.outcome
-    for way, name in WAYS.items():
-        by = jnp.where(outcome == way, getattr(found, name), by)
-    return jnp.where(outcome >= OWN, found.own, by)
-
-
 @kernel
-def follow_margins(
-    walker: System, x: Float[Array, " coordinates"], integrator: Integrator
-) -> Margins:
+def follow_margins(walker: System, x: Float[Array, " n"], integrator: Integrator) -> Margins:
+    walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return measure_map(walker, x)
-    walker = during_stride(walker, x)
-    modes = modes_from(walker, x, to_the_end=True)
+    return measure_modes(walker, x, modes_from(walker, x, to_the_end=True), integrator)[0]
+
+
+def measure_modes(
+    walker: HybridSystem, x: Float[Array, " n"], modes: dict[str, Mode], integrator: Integrator
+) -> tuple[Margins, Course]:
+    """Follow modes from x, and return their margins, and their course."""
     check_entered_once(walker, modes, "margins")
     course = follow_modes(walker, modes, start_course(walker, modes, x), integrator, measured=True)
     stride = end_course(walker, first_of(modes), course)
-    ways = [part[1:] for part in course.parts]
-
-    def measure(walker, stride, course, ways):
-        pairs = zip(course_modes, ways, strict=True)
-        course = course._replace(parts=tuple(Part(mode, *way) for mode, way in pairs))
-        known = measure_stride(walker, first_of(modes), course, stride.outcome)
-        if walker.margin(x[: len(walker.section)]) is not None:
-            led_outside = (stride.outcome == Outcome.OUTSIDE) & walker.feasible(x)
-            start = margin_of_start(walker, x)
-            known["outside"] = jnp.where(led_outside, known["outside"], start)
-        return Margins(stride, **known)
-
-    course_modes = [part.mode for part in course.parts]
-    return with_fast_sincos(measure)(walker, stride, course._replace(parts=()), ways)
+    found = measure_stride(walker, first_of(modes), course, stride)
+    outside = margin_of_start(walker, x)
+    if outside is None:
+        return found, course
+    # A guard may lead outside too.
+    led = (stride.outcome == Outcome.OUTSIDE) & walker.feasible(x)
+    outside = jnp.where(led, found.outside, outside)
+    failed = jnp.where(stride.outcome == Outcome.OUTSIDE, outside, found.failed)
+    return Margins(stride, failed, found.by_name | {"OUTSIDE": outside}), course
 
 
 def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
     """Measure a map: the margin that the system defines is that of the failure that happens."""
     stride, margin = apply_map(walker, x), margin_of_start(walker, x)
-    ways = {name: jnp.where(stride.outcome == way, margin, jnp.nan) for way, name in WAYS.items()}
-    own = jnp.where(stride.outcome >= OWN, margin, jnp.nan)
-    return Margins(stride, **ways | {"outside": margin, "own": own})
+    nan = jnp.sum(x) * jnp.nan
+    margin = nan if margin is None else margin
+    numbers = failures_by_name(walker)
+    failures = [name for name in numbers if name in WAYS or name in walker.failures]
+    by_name = {of: jnp.where(stride.outcome == numbers[of], margin, nan) for of in failures}
+    failed = reduce(jnp.fmin, by_name.values())
+    return Margins(stride, failed, by_name | {"OUTSIDE": margin})
 
 
-def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
-    """Return `System.margin`; NaN where there is none."""
-    known = walker.margin(x) if on_section(walker, x) else None
-    return jnp.sum(x) * jnp.nan if known is None else known
+def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar | None:
+    """Return `System.margin`; None where there is none."""
+    known = walker.margin(x[: len(walker.section)])
+    return known if known is None or on_section(walker, x) else jnp.sum(x) * jnp.nan
 
 
-def judged_ends(parts: tuple[Part, ...]) -> list[tuple[str, Bool[Array, ""], Scalar]]:
-    """Return what must hold after guards: its failure, whether that is asked, and its value."""
-    return [
-        (one.leads_to, part.taken == i, one.value(part.end.state))
-        for part in parts
-        for i, guard in enumerate(part.mode.guards)
-        for one in guard.must_hold
-    ]
+def measure_stride(walker: HybridSystem, first: Mode, course: Course, stride: Stride) -> Margins:
+    """Return the margins of a measured stride. The next stride begins in the `first` mode."""
+    return with_fast_sincos(partial(measure_course, walker, first, course, stride))()
 
 
-def measure_stride(
-    walker: HybridSystem, first: Mode, course: Course, outcome: Array
-) -> dict[str, Scalar]:
-    """Return the margins of a measured stride of known outcome, by name.
-
-    The next stride begins in the `first` mode.
-    """
-    parts, numbers = course.parts, failures_by_name(walker)
+def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: Stride) -> Margins:
+    parts, numbers, outcome = course.parts, failures_by_name(walker), stride.outcome
     struck = course.verdict == Outcome.STRIDE
     infinite = jnp.full_like(course.time, jnp.inf)
+    passed: dict[str, Scalar] = {}
 
-    # falls
-    known = [guards_of(part) for part in parts]
-    failed = fall_margin(parts, numbers, known, zero_at(parts[0].start) + walker.unit_of_time())
-    greatest: dict[str, tuple[Scalar, Guard]] = {}
+    def lower(of: str, value: Scalar) -> None:
+        """Lower the margin of a failure to a value, if that is smaller."""
+        passed[of] = jnp.minimum(passed[of], value) if of in passed else value
+
+    # falls, and ends that lead to the section
+    unit, failed, pulled = walker.unit_of_time(), infinite * jnp.nan, jnp.asarray(False)
+    for part in parts:
+        known = guards_of(part)
+        failed = fall_margin(part, known, numbers, unit, failed)
+        for i, one in enumerate(known):
+            if one.guard.leads_to in numbers:
+                greatest = jnp.maximum(one.before, jnp.where(part.taken == i, -jnp.inf, one.end))
+                lower(one.guard.leads_to, guard_margin(one.guard, greatest, part.followed))
+            elif one.guard.leads_to == SECTION:
+                lower(Outcome.FORWARD.name, strike_margin(part, one, i))
+        for one in part.mode.conditions:
+            if one.at_start:
+                here = ~pulled & part.reached & (part.begun == numbers[one.leads_to])
+                failed = jnp.where(here, one.value(part.start), failed)
+                pulled |= here
     following = walker.begin(course.entries[SECTION].state)
-    for guard in reversed([one for one in failing(first, numbers) if one.at_once]):
-        value = guard.value(following)
-        ends = struck & (outcome == numbers[guard.leads_to]) & (value >= 0)
-        failed = jnp.where(ends, -guard.measure(-value), failed)
-        value = jnp.where(outcome == Outcome.STRIDE, value, -infinite)
-        before, _ = greatest.get(guard.leads_to, (-infinite, guard))
-        greatest[guard.leads_to] = jnp.maximum(before, value), guard
-    for part, each in zip(parts, known, strict=True):
-        for i, guard in enumerate(part.mode.guards):
-            if guard.leads_to not in numbers:
-                continue
-            value, _ = greatest.get(guard.leads_to, (-infinite, guard))
-            at_end = jnp.where(part.taken == i, -jnp.inf, each.end[i])
-            here = jnp.where(part.followed, jnp.maximum(each.before[i], at_end), -jnp.inf)
-            greatest[guard.leads_to] = jnp.maximum(value, here), guard
-    passed = {of: margin_of(guard, value) for of, (value, guard) in greatest.items()}
-    for part, each in zip(parts, known, strict=True):
-        if part.mode.guards[-1].leads_to == SECTION:
-            lesser(passed, Outcome.FORWARD.name, strike_margin(part, each))
+    for guard in reversed(first.guards):
+        if guard.at_once and guard.leads_to in numbers:
+            value = guard.value(following)
+            ends = struck & (outcome == numbers[guard.leads_to]) & (value >= 0)
+            failed = jnp.where(ends, -guard.measure(-value), failed)
+            lower(guard.leads_to, guard_margin(guard, value, outcome == Outcome.STRIDE))
 
     # conditions
     violated = jnp.asarray(False)
     for of in sorted(course.violated, key=numbers.__getitem__, reverse=True):
         broken = course.violated[of]
-        least, before = least_value(parts, of)
-        lesser(passed, of, jnp.where(struck, least, infinite))
+        least, before = least_value(parts, of, numbers)
+        lower(of, jnp.where(struck, least, infinite))
         ends = struck & broken & (outcome == numbers[of])
         failed = jnp.where(ends, jnp.maximum(least, before), failed)
         violated |= broken
-    pulled, force = conditions_at_start(parts, numbers)
-    failed = jnp.where(pulled, force, failed)
 
     # after guards
     least = infinite
-    for of, asked, value in judged_ends(parts):
-        lesser(passed, of, jnp.where(asked & ~violated & (value > 0), value, infinite))
-        ends = asked & (outcome == numbers[of]) & (value <= 0)
-        least = jnp.minimum(least, jnp.where(ends, value, infinite))
+    for part in parts:
+        for i, guard in enumerate(part.mode.guards):
+            for one in guard.must_hold:
+                value, asked = one.value(part.end.state), part.taken == i
+                holds = asked & ~violated & (value > 0)
+                lower(one.leads_to, jnp.where(holds, value, infinite))
+                ends = asked & (outcome == numbers[one.leads_to]) & (value <= 0)
+                least = jnp.minimum(least, jnp.where(ends, value, infinite))
     failed = jnp.where(jnp.isfinite(least), least, failed)
 
+    # A failed margin is above zero by rounding alone, which has no part in its derivatives.
+    failed -= lax.stop_gradient(jnp.maximum(failed, 0))
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
-    return margins_by_name(walker, passed, failed, began, outcome)
-
-
-def failing(mode: Mode, numbers: Numbers) -> list[Guard]:
-    """Return the guards of a mode that lead to failures."""
-    return [guard for guard in mode.guards if guard.leads_to in numbers]
-
-
-def lesser(margins: dict[str, Scalar], of: str, value: Scalar) -> None:
-    """Lower the margin of a failure to a value, if that is smaller."""
-    margins[of] = jnp.minimum(margins[of], value) if of in margins else value
-
-
-def margins_by_name(
-    walker: HybridSystem,
-    passed: dict[str, Scalar],
-    failed: Scalar,
-    began: Bool[Array, ""],
-    outcome: Int[Array, ""],
-) -> dict[str, Scalar]:
-    """Return the margins by name, from those of passed failures and that of the failed one.
-
-    They are NaN for failures that the stride cannot have had. If it never `began`, only the margin
-    of the failure that happened is known.
-    """
-    margins = {"own": jnp.full_like(failed, jnp.nan)}
-    for of, number in failures_by_name(walker).items():
-        if number >= OWN and of not in passed:
-            continue
-        name = WAYS.get(Outcome(number), "own" if number >= OWN else None)
-        if name is None:
-            continue
-        value = passed.get(of, jnp.full_like(failed, jnp.inf))
+    for of, value in passed.items():
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
-        value = jnp.where(outcome == number, not_above_zero(failed), value)
-        margins[name] = lesser_known(margins[name], value) if name in margins else value
-    return margins
+        passed[of] = jnp.where(outcome == numbers[of], failed, value)
+    fails = (outcome != Outcome.STRIDE) & (outcome != Outcome.UNDECIDED)
+    return Margins(stride, jnp.where(fails, failed, jnp.nan), passed)
 
 
-def lesser_known(one: Scalar, other: Scalar) -> Scalar:
-    """Return the smaller of two margins; either may be NaN."""
-    return jnp.where(jnp.isnan(one) | (other < one), other, one)
+class GuardEnds(NamedTuple):
+    """A guard at the two ends of a part of a stride."""
 
-
-class Guards(NamedTuple):
-    """The guards of a part of a stride, at its two ends; each field has an entry for each guard."""
-
-    start: list[Scalar]
+    guard: Guard
+    start: Scalar
     """Value at the start."""
-    before: list[Scalar]
+    before: Scalar
     """Greatest value before the end, where the guard is admitted."""
-    end: list[Scalar]
+    end: Scalar
     """Value at the end; minus infinity where the guard is not admitted."""
-    rates: list[Scalar]
+    rate: Scalar
     """Rate at the end."""
-    admits: list[Scalar]
+    admits: Scalar
     """Least of the functions that admit the guard at the end; infinite if there are none."""
 
 
-def guards_of(part: Part) -> Guards:
-    def look(state):
-        """Return values, and the least of the functions that admit each."""
-        values, admits = [], []
-        for guard in part.mode.guards:
-            values.append(guard.value(state))
-            least = jnp.full_like(values[-1], jnp.inf)
+def guards_of(part: Part) -> list[GuardEnds]:
+    state, found = part.end.state, []
+    for guard, nearest in zip(part.mode.guards, part.end.misses.nearest, strict=True):
+
+        def look(state, guard=guard):
+            """Return the value, and the least of the functions that admit it."""
+            value = guard.value(state)
+            least = jnp.full_like(value, jnp.inf)
             for one in (*guard.admits, *guard.admits_at_rise):
                 least = jnp.minimum(least, one(state))
-            admits.append(least)
-        return values, admits
+            return value, least
 
-    def below(values, admits):
-        """Return values of guards that are admitted and have not risen."""
-        both = zip(values, admits, strict=True)
-        return [jnp.where((value < 0) & (admit > 0), value, -jnp.inf) for value, admit in both]
+        # A value counts where it is admitted and has not risen.
+        below = lambda value, admit: jnp.where((value < 0) & (admit > 0), value, -jnp.inf)
+        start, admit = look(part.start)
+        (end, admits), (rate, _) = jax.jvp(look, (state,), (part.mode.rates(state),))
+        before = jnp.maximum(nearest, below(start, admit))
+        found.append(GuardEnds(guard, start, before, below(end, admits), rate, admits))
+    return found
 
-    start, admits = look(part.start)
-    before = list(map(jnp.maximum, part.end.misses.nearest, below(start, admits)))
-    state = part.end.state
-    (end, admits), (rates, _) = jax.jvp(look, (state,), (part.mode.rates(state),))
-    return Guards(start, before, below(end, admits), rates, admits)
+
+def guard_margin(guard: Guard, greatest: Scalar, known: Bool[Array, ""]) -> Scalar:
+    """Return the margin of a guard that has not risen; infinite unless its value is `known`."""
+    known &= jnp.isfinite(greatest)
+    return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
 def fall_margin(
-    parts: tuple[Part, ...], numbers: Numbers, guards: list[Guards], unit: Scalar
+    part: Part, known: list[GuardEnds], numbers: Numbers, unit: Scalar, margin: Scalar
 ) -> Scalar:
-    """Return the margin of the fall that ended a stride before heel strike; NaN if none did.
+    """Return the margin of the fall that ended a part of a stride, or else the given margin.
 
     It is the least change that would have prevented the fall. The guard of the fall would not have
     risen if its rate were zero: -(rate unit)^2 / 2; nor if the rise were not admitted. The mode
     would have ended before if a guard that leads on had risen at its nearest miss, or rose now. A
-    stride that starts with a fall, or has one after an impact, has minus the guard's value.
+    mode that begins with a fall has minus the guard's value.
     """
-    margin = jnp.full_like(unit, jnp.nan)
-    for part, known in zip(parts, guards, strict=True):
-        late = jnp.full_like(unit, -jnp.inf)
-        for i, guard in enumerate(part.mode.guards):
-            if guard.leads_to not in numbers:
-                late = jnp.maximum(late, jnp.maximum(part.end.misses.nearest[i], known.end[i]))
-        for i, guard in enumerate(part.mode.guards):
-            if guard.leads_to not in numbers:
-                continue
-            begins = part.reached & (part.begun == numbers[guard.leads_to])
-            margin = jnp.where(begins, -guard.measure(-known.start[i]), margin)
-            over = jnp.maximum(-((known.rates[i] * unit) ** 2) / 2, -known.admits[i])
-            margin = jnp.where(part.taken == i, jnp.maximum(over, late), margin)
+    late = jnp.full_like(margin, -jnp.inf)
+    for one, nearest in zip(known, part.end.misses.nearest, strict=True):
+        if one.guard.leads_to not in numbers:
+            late = jnp.maximum(late, jnp.maximum(nearest, one.end))
+    for i, one in enumerate(known):
+        if (of := one.guard.leads_to) not in numbers:
+            continue
+        begins = part.reached & (part.begun == numbers[of]) & one.guard.at_once & (one.start >= 0)
+        due = jnp.fmin(margin, -one.guard.measure(-one.start))  # the least of several
+        over = jnp.maximum(-((one.rate * unit) ** 2) / 2, -one.admits)
+        margin = jnp.where(begins, due, margin)
+        margin = jnp.where(part.taken == i, jnp.maximum(over, late), margin)
     return margin
 
 
-def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
-    """Return the margin of a guard that has not risen; infinite if nothing is known of it."""
-    known = jnp.isfinite(greatest)
-    return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
+def strike_margin(part: Part, known: GuardEnds, number: int) -> Scalar:
+    """Return the margin by which a guard has ended a mode; infinite if it has not.
 
-
-def strike_margin(swing: Part, known: Guards) -> Scalar:
-    """Return the margin by which the last guard of a mode has ended it; infinite if it has not.
-
-    It would not have happened if the foot had not passed the contact before, or had not been ahead;
-    or if the foot came up again at once and had not come down as deep.
+    It would not have risen if the foot had not passed the contact before, or had not been ahead; or
+    if the foot came up again at once and had not come down as deep.
     """
-    depth, height = swing.end.misses.depth, swing.end.misses.height
+    depth, height = part.end.misses.depth[number], part.end.misses.height[number]
     passed = jnp.where(depth > 0, depth, jnp.inf)
-    margin = jnp.minimum(jnp.minimum(passed, height), known.admits[-1])
-    return jnp.where(swing.taken == len(swing.mode.guards) - 1, margin, jnp.inf)
+    margin = jnp.minimum(jnp.minimum(passed, height), known.admits)
+    return jnp.where(part.taken == number, margin, jnp.inf)
 
 
-def least_value(parts: tuple[Part, ...], of: str) -> tuple[Scalar, Scalar]:
+def least_value(parts: tuple[Part, ...], of: str, numbers: Numbers) -> tuple[Scalar, Scalar]:
     """Return the least value of a condition up to heel strike, and the miss nearest to zero.
 
-    The miss is one of the last guard of a mode before the condition was violated.
+    The miss is one of a guard that leads on, before the condition was violated.
     """
     infinite = zero_at(parts[0].start) + jnp.inf
     least, before, broken = infinite, -infinite, jnp.asarray(False)
     for part in parts:
+        misses, guards = part.end.misses, part.mode.guards
         for condition in part.mode.conditions:
             if condition.leads_to != of:
                 continue
-            value, ends = part.end.misses.least[of], (part.start, part.end.state)
-            for state, is_zero in zip(ends, condition.zero_at_ends, strict=True):
-                value = value if is_zero else jnp.minimum(value, condition.value(state))
+            value, at_end = misses.least[of], condition.value(part.end.state)
+            if not condition.zero_at_start:
+                value = jnp.minimum(value, condition.value(part.start))
+            for i, guard in enumerate(guards):
+                if of in guard.makes_zero:
+                    at_end = jnp.where(part.taken == i, jnp.inf, at_end)
+            value = jnp.minimum(value, at_end)
             least = jnp.where(part.followed, jnp.minimum(least, value), least)
-            before = jnp.where(broken, before, jnp.maximum(before, part.end.misses.before[of]))
+            for guard, nearest in zip(guards, misses.before[of], strict=True):
+                if guard.leads_to not in numbers:
+                    before = jnp.where(broken, before, jnp.maximum(before, nearest))
             broken |= part.end.violated[of]
     return least, before
-
-
-def conditions_at_start(
-    parts: tuple[Part, ...], numbers: Numbers
-) -> tuple[Bool[Array, ""], Scalar]:
-    """Return whether a stride is over at once since a condition is negative, and its value then."""
-    value, pulled = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
-    for part in parts:
-        for one in part.mode.conditions:
-            if one.at_start:
-                here = ~pulled & part.reached & (part.begun == numbers[one.leads_to])
-                value = jnp.where(here, one.value(part.start), value)
-                pulled |= here
-    return pulled, value
-
-
-def not_above_zero(margin: Scalar) -> Scalar:
-    """Remove the positive rounding error of a failed margin, and keep the derivative."""
-    return margin - lax.stop_gradient(jnp.maximum(margin, 0))

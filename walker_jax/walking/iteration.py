@@ -28,12 +28,20 @@ from walker_jax.kernels.primitive import nan_allowed, vary_together
 from walker_jax.systems.angles import Turns, difference, turns_of
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
-from walker_jax.systems.system import AnySystem, System, numbers_of
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.systems.system import AnySystem, System
+from walker_jax.systems.trees import (
+    in_dtype,
+    is_many,
+    leaves_of,
+    map_leaves,
+    own_shape,
+    select,
+    with_static_functions,
+)
 from walker_jax.walkers.parameters import Parameter, described_by, with_values
 from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
-from walker_jax.walking.stride import follow_step, follow_stride
+from walker_jax.walking.stride import check_ground, follow_step, follow_stride
 
 ROUNDS = 4, 16, 64
 """Number of strides in each round of an iteration; the last number holds for all later rounds. Only
@@ -142,16 +150,19 @@ def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
 
     Parameters of another dtype would be compiled anew.
     """
-    many = any(np.ndim(leaf) for leaf in jax.tree.leaves(walker))
+    walker = with_static_functions(walker)
+    many = is_many(walker)
     if many:
         check_parameter_arrays(walker, n)
         return broadcast_parameters(walker, n, dtype), many
-    return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), walker), many
+    return in_dtype(walker, dtype), many
 
 
 def broadcast_parameters(walker: AnySystem, n: int, dtype) -> AnySystem:
-    """Return a walker, or n of them, with every parameter as an array of n."""
-    return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
+    """Return a walker, or n of them, with n of every parameter."""
+    shape = lambda leaf, rank: (n, *own_shape(leaf, rank))
+    walker = in_dtype(walker, dtype)
+    return map_leaves(lambda leaf, rank: np.broadcast_to(leaf, shape(leaf, rank)), walker)
 
 
 def with_parameters(
@@ -164,18 +175,21 @@ def with_parameters(
 
 def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) -> AnySystem:
     """Return some of many walkers; the single one, if all starts share it."""
-    return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
+    return select(walker, indices)
 
 
 def check_parameter_arrays(walker: System, n: int) -> None:
-    """Raise `WrongUse` for parameters that are neither one number nor n, or out of range."""
-    for name, values in numbers_of(walker).items():
-        if np.shape(values) not in ((), (n,)):
-            raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
+    """Raise `WrongUse` for parameters that are not for one walker or for n, or out of range."""
+    ranks = dict(walker.array_ranks)
+    for name, values in leaves_of(walker).items():
+        shape, rank = np.shape(values), ranks.get(name, 0)
+        if shape[: len(shape) - rank] not in ((), (n,)) or len(shape) < rank:
+            one = f"an array of rank {rank}" if rank else "one number"
+            raise WrongUse(f"{name} must be {one} or {n}, not of shape {shape}")
     for one in described_by(walker, Parameter):
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
-            one.convert(value)
+            one._replace(shape=()).convert(value)
 
 
 def walk(
@@ -206,7 +220,7 @@ def walk(
     if ground is None:
         with nan_allowed():
             return follow_walk(walker, x, n, integrator)
-    walker = check_planar(walker)
+    check_ground(walker)
     steps = as_floating(ground, "ground").astype(x.dtype)
     if steps.shape != (n,):
         raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
@@ -227,8 +241,8 @@ def follow_walk(
     """Follow n strides; on rough ground, each onto its own height above the last."""
     walker, start = vary_together((walker, x))
     step = lambda x, _: follow_stride(walker, x, integrator)
-    if isinstance(walker, Walker) and ground is not None:
-        x = jnp.stack(walker.lift(start))
+    if isinstance(walker, HybridSystem) and ground is not None:
+        x = jnp.stack(jax.tree.leaves(walker.lift(start)))
         start = nan_unless(walker.feasible(start), x)
         step = lambda x, i: follow_step(walker, x, ground[i], integrator)
     _, made = scan_strides(step, start, n, record=lambda stride: stride)

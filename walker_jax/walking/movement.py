@@ -1,9 +1,6 @@
 """Walks as motions: angles and places at many times, over consecutive strides.
 
-They serve pictures and films. Places are along the slope and normal to it, relative to the stance
-foot of the first stride when its leg is upright. In space they are along the slope, to the left and
-normal to it, relative to the first place. There, every other stride is that of a walker in a mirror
-(`SpatialWalker`), which is undone here.
+They serve pictures and films of systems that have a `picture`.
 """
 
 from __future__ import annotations
@@ -20,35 +17,26 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
+from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import failures_by_name
 from walker_jax.systems.outcomes import Outcome, join_names
-from walker_jax.walkers.model import State, Walker, check_planar
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.phase import legs
-from walker_jax.walkers.rolling_stance import SpatialState
-from walker_jax.walkers.spatial import SpatialWalker, on_ground
-from walker_jax.walking.courses import follow_modes, follow_one
+from walker_jax.walking.courses import follow_modes
 from walker_jax.walking.iteration import walk
-from walker_jax.walking.raised_ground import raise_ground
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import follow_to_step, modes_from, start_course
+from walker_jax.walking.stride import modes_from, start_course
 from walker_jax.walking.trajectories import trajectory
-
-FALL_TIME = 40.0
-"""Time after which a failing walker is on the ground, for legs of length 1."""
-SHOWN_IN_SPACE = 6.0
-"""Time for which a failing walker is followed, for legs of length 1: most are down before."""
-PLACES = "stance", "swing", "stance_hip", "swing_hip", "axle"
-ANGLES = SpatialState._fields[2:6]
 
 
 @refuses_tracers()
 def motion(
-    walker: Walker,
+    walker: System,
     x: Float[ArrayLike, " section"] | Sequence[Any],
     strides: int,
     *,
@@ -70,7 +58,7 @@ def motion(
 
     **Arguments:**
 
-    - `walker`, `tolerance`: as in `stride`.
+    - `walker`, `tolerance`: as in `stride`; the walker, or other system, has a `picture`.
     - `x`: a feasible start, on the section.
     - `strides`: most strides.
     - `step`: time between frames, approximately, in the unit of time.
@@ -100,8 +88,9 @@ def motion(
     if not 0 < step < np.inf:
         raise WrongUse(f"step must be above 0, not {step}")
     check_whole("strides", strides)
-    if not isinstance(walker, SpatialWalker) or ground is not None:
-        check_planar(walker)
+    check_kind("walker", walker, System)
+    if (picture := walker.picture()) is None:
+        raise WrongUse(f"walker must be a system with a picture, unlike {walker.label()}")
     made = walk(walker, x, strides, ground=ground, tolerance=tolerance)
     outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
     if outcomes[0] == Outcome.OUTSIDE:
@@ -110,22 +99,15 @@ def motion(
     count = int(failed.argmax()) + 1 if failed.any() else len(outcomes)
     outcomes, durations = outcomes[:count], durations[:count]
     starts = np.asarray(made.states)[: count + (not failed.any())]
-    in_space = isinstance(walker, SpatialWalker)
-    leg = (float(walker.leg_length), 0.0) if in_space else leg_shape(walker)
-    longest = (SHOWN_IN_SPACE if in_space else FALL_TIME) * float(np.sqrt(sum(leg)))
     steps_up = [None] * count if ground is None else np.asarray(ground, float).tolist()
     columns: defaultdict[str, list] = defaultdict(list)
-    foot, begins, feet = np.zeros(3 if in_space else 2), 0.0, []
+    foot, begins, feet = np.zeros(picture.axes), 0.0, []
     for k, height in zip(range(count), steps_up, strict=False):
         feet.append(foot)
         made = Outcome(int(outcomes[k])), float(durations[k])
-        how = {"longest": longest, "height": height, "tolerance": tolerance}
+        how = {"longest": picture.longest(), "height": height, "tolerance": tolerance}
         times, states = frames_of_stride(walker, starts[k], made, step, **how)
-        if in_space:
-            shown, places, foot = move_in_space(walker, states, foot, k)
-        else:
-            shown, places = states._asdict(), leg_positions(walker, states, foot, *leg)
-            foot = foot + step_ahead(walker, states, height, bool(failed[k]))
+        shown, places, foot = picture.move(states, foot, k, height, bool(failed[k]))
         parts = {"time": begins + times, "stride": np.full(len(times), k)} | shown | places
         for name, values in parts.items():
             columns[name].append(np.asarray(values))
@@ -133,20 +115,19 @@ def motion(
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
     variables = {name: (("frame", "axis")[: x.ndim], x) for name, x in joined.items()}
     if ground is not None:
+        planar: Any = walker
         variables["footholds"] = ("foothold", "axis"), np.array([*feet, foot])
-        starts = np.array([walker.project(walker.state(*row)) for row in starts])
+        starts = np.array([planar.project(planar.state(*row)) for row in starts])
     variables["states"] = ("start", "coordinate"), starts
     variables |= {"outcome": ("made", outcomes), "duration": ("made", durations)}
     about = {"walker": type(walker).__name__, **attributes_of(walker)}
     about |= {"section": join_names(walker.section)}
-    about |= {"version": f"walker-jax {version('walker-jax')}"}
-    if not in_space:
-        about |= dict(zip(("leg_length", "foot_radius"), leg, strict=True))
+    about |= {"version": f"walker-jax {version('walker-jax')}"} | picture.sizes()
     return xr.Dataset(variables, attrs=about)
 
 
 def frames_of_stride(
-    walker: Walker,
+    walker: Any,
     x: Float[np.ndarray, " coordinates"],
     stride: tuple[Outcome, float],
     step: float,
@@ -195,22 +176,11 @@ def ends_of_modes(
     The picture ends where the swing foot comes down, or the walker is on the ground.
     """
     walker = during_stride(walker, x)
-    modes = {
-        name: to_the_ground(one) for name, one in modes_from(walker, x, to_the_end=True).items()
-    }
-    *phases, last = modes
-    course = start_course(walker, modes, x)
-    before = {name: modes[name] for name in phases}
-    if step is not None:
-        before = {name: raise_ground(one, step) for name, one in before.items()}
-    if before:
-        course = follow_modes(walker, before, course, integrator)
-    times = [jnp.where(one.passed, one.time + one.end.time, jnp.inf) for one in course.parts]
-    if step is not None:
-        course = follow_to_step(walker, last, modes[last], course, step, integrator)
-    else:
-        swing, numbers = {last: modes[last]}, failures_by_name(walker)
-        course = follow_one(last, swing, numbers, course, integrator, False, bool(phases))
+    modes = modes_from(walker, x, step, to_the_end=True)
+    modes = {name: to_the_ground(one) for name, one in modes.items()}
+    course = follow_modes(walker, modes, start_course(walker, modes, x), integrator)
+    before = course.parts[: len(walker.modes()) - 1]
+    times = [jnp.where(one.passed, one.time + one.end.time, jnp.inf) for one in before]
     end = jnp.where(course.verdict == Outcome.UNDECIDED, jnp.inf, course.time)
     return jnp.stack([*times, end])
 
@@ -249,68 +219,3 @@ def frames_shown(
                 value = jax.vmap(one.value)(jax.tree.map(jnp.asarray, at))
                 violated |= here & (np.asarray(value) < 0)
     return max(1, int(violated.argmax())) if violated.any() else len(swings)
-
-
-def step_ahead(
-    walker: Walker, states: Any, height: float | None, failed: bool
-) -> Float[np.ndarray, "2"]:
-    """Return the way from the stance foot to the next foothold; one step, after a failure."""
-    shown = lambda i: jax.tree.map(lambda values: jnp.asarray(values[i]), legs(states))
-    ahead = float(walker.reach(shown(-1)))
-    if failed and height is not None:
-        ahead = abs(float(walker.reach(walker.exchange_legs(shown(0)))))
-    return np.array([ahead, height or 0.0])
-
-
-def leg_shape(walker: Walker) -> tuple[float, float]:
-    """Return the length from hip to the centre of the foot's arc, and its radius, or 0.
-
-    They follow from the way of the swing foot as legs turn by half a turn from being parallel, the
-    stance leg from upright. That way is twice the length down, and half the arc's circumference
-    along.
-    """
-    half, zero = jnp.asarray(np.pi), jnp.asarray(0.0)
-    turned = State(half, half, zero, zero)
-    length, radius = -walker.clearance(turned) / 2, -walker.reach(turned) / np.pi
-    return float(length), max(0.0, round(float(radius), 12))
-
-
-def leg_positions(
-    walker: Walker, states: Any, foot: Float[np.ndarray, "2"], length: float, radius: float
-) -> dict[str, Float[np.ndarray, "frames 2"]]:
-    """Return stance foot, hip and swing foot, or the arcs' centres; and a swing knee."""
-    along = lambda angle: np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    theta, phi = np.asarray(states.theta), np.asarray(states.phi)
-    stance = foot + np.stack([-radius * theta, np.full(len(theta), radius)], axis=1)
-    hip = stance + length * along(theta)
-    bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
-    if bent is None:
-        return {"stance": stance, "hip": hip, "swing": hip - length * along(theta - phi)}
-    knee, end = np.moveaxis(np.asarray(bent), 1, 0)
-    return {"stance": stance, "hip": hip, "swing": hip + end, "swing_knee": hip + knee}
-
-
-def move_in_space(
-    walker: SpatialWalker, states: SpatialState, foot: Float[np.ndarray, " 3"], number: int
-) -> tuple[dict[str, Float[np.ndarray, " n"]], dict[str, Float[np.ndarray, "n 3"]], Any]:
-    """Return angles and places in a stride of some number, and the place of the next foot."""
-    found, sole = map(np.asarray, jax.vmap(places_of, (None, 0))(walker, states))
-    mirror = np.array([1, (-1) ** number, 1])
-    places = {name: foot + mirror * found[:, i] for i, name in enumerate(PLACES)}
-    places["axle"] = mirror * found[:, PLACES.index("axle")]
-    angles = {name: np.asarray(getattr(states, name)) for name in ANGLES}
-    return angles, places, foot + mirror * sole[-1]
-
-
-@kernel
-def places_of(
-    walker: SpatialWalker, state: SpatialState
-) -> tuple[Float[jax.Array, "places 3"], Float[jax.Array, " 3"]]:
-    """Return both discs' centres, the axle's ends and direction; and the swing disc's sole."""
-    q, shank = on_ground(jnp.stack(state[:6])), walker.leg_length - walker.disc_radius
-    discs = [walker.disc(q, swing) for swing in (False, True)]
-    ends = [
-        disc + shank * walker.rotation(q, swing)[:, 2]
-        for disc, swing in zip(discs, (False, True), strict=True)
-    ]
-    return jnp.stack([*discs, *ends, walker.axle(q)[:, 1]]), walker.sole(q, True)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
@@ -13,6 +12,7 @@ from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import AnySystem, System, check_single
+from walker_jax.systems.trees import in_dtype, with_static_functions
 
 
 def prepare(
@@ -23,6 +23,7 @@ def prepare(
 ) -> tuple[AnySystem, Float[Array, " coordinates"], Integrator]:
     """Return walker, start and integrator, checked, in the dtype of the start."""
     check_kind("walker", walker, System)
+    walker = with_static_functions(walker)
     check_single(walker)
     x = as_floating(x)
     sizes = sizes_of_starts(walker)
@@ -34,7 +35,7 @@ def prepare(
             + f"not {x.shape}"
         )
     integrator = integrator_of(x.dtype, tolerance, solver).in_dtype(x.dtype)
-    walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
+    walker = in_dtype(walker, x.dtype, jnp.asarray)
     return walker, x, integrator
 
 

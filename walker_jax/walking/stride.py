@@ -7,9 +7,9 @@ or in a fall (`courses`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
+from typing import Any, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -21,29 +21,18 @@ from walker_jax.hybrid.graphs import entered_again
 from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator
-from walker_jax.integrators.roots import Real
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
-from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
-from walker_jax.systems.outcomes import Outcome, Stride, make_stride
+from walker_jax.systems.hybrid_system import HybridSystem, has_ground, modes_of
+from walker_jax.systems.outcomes import Stride, make_stride
 from walker_jax.systems.system import System, apply_map
-from walker_jax.walkers.model import Scalar, Walker, check_planar
 from walker_jax.walking.courses import (
     Course,
-    Entry,
     begin_course,
     end_course,
     follow_graph,
-    follow_modes,
-    follow_one,
-    method_of,
-    take_guard,
 )
-from walker_jax.walking.raised_ground import height_of_step, onto_step, raise_ground
 from walker_jax.walking.starts import during_stride, on_section, prepare
-
-ROUNDING = 100
-"""Largest height of a step that counts as level, over the spacing of floating-point numbers at
-1."""
 
 
 def stride(
@@ -91,36 +80,56 @@ def stride(
     walker, x, integrator = prepare(walker, x, tolerance, solver)
     if step is None:
         return follow_stride(walker, x, integrator)
-    return follow_step(check_planar(walker), x, height_of_step(step, x.dtype), integrator)
+    return follow_step(check_ground(walker), x, height_of_step(step, x.dtype), integrator)
+
+
+def check_ground(walker: System) -> HybridSystem:
+    """Raise `WrongUse` for a system without ground that may be raised."""
+    if not has_ground(walker):
+        raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
+    return cast("HybridSystem", walker)
+
+
+def height_of_step(step: Any, dtype) -> Float[Array, ""]:
+    """Return a step's height, checked."""
+    if not isinstance(step, Tracer):
+        check_number("step", step)
+        if not abs(step) <= np.finfo(float).max:
+            raise WrongUse(f"step must be one finite number, not {short(step)}")
+    return jnp.asarray(step, dtype)
 
 
 @kernel
 def follow_stride(
     walker: System, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Stride:
+    walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return apply_map(walker, x)
-    walker = during_stride(walker, x)
     modes = modes_from(walker, x)
     course = follow_graph(walker, modes, start_course(walker, modes, x), integrator)
     return end_course(walker, first_of(modes), course)
 
 
 def modes_from(
-    walker: HybridSystem, x: Float[Array, " coordinates"], *, to_the_end: bool = False
+    walker: HybridSystem,
+    x: Float[Array, " coordinates"],
+    step: Scalar | None = None,
+    *,
+    to_the_end: bool = False,
 ) -> dict[str, Mode]:
-    """Return the modes of the stride from x.
+    """Return the modes of the stride from x, on level ground or onto a `step`.
 
     A launched walker, which did not start on the section, is followed to the end of a fall.
     """
-    modes = modes_of(walker)
+    modes = modes_of(walker, step)
     for mode in modes.values():
         check_whole("most_steps", mode.most_steps)
     launched = not on_section(walker, x)
     if launched or to_the_end:
         modes = {name: one._replace(foregone=None) for name, one in modes.items()}
     if launched:
-        anywhere = lambda one: one._replace(zero_at_ends=(False, one.zero_at_ends[1]))
+        anywhere = lambda one: one._replace(zero_at_start=False)
         first, *_ = modes
         conditions = tuple(map(anywhere, modes[first].conditions))
         modes[first] = modes[first]._replace(conditions=conditions)
@@ -154,7 +163,7 @@ def start_course(
 
 
 def step_down(
-    walker: Walker,
+    walker: HybridSystem,
     x: Float[ArrayLike, " coordinates"] | Sequence[Any],
     drop: Real,
     *,
@@ -180,78 +189,19 @@ def step_down(
 
 @kernel
 def follow_step(
-    walker: Walker, x: Float[Array, " coordinates"], step: Float[Array, ""], integrator: Integrator
+    walker: HybridSystem,
+    x: Float[Array, " coordinates"],
+    step: Float[Array, ""],
+    integrator: Integrator,
 ) -> Stride:
     """Make one stride to ground higher by `step`; the result's state is a full state."""
     walker = during_stride(walker, x)
-    modes, course = follow_to_contact(walker, x, step, integrator)
-    return end_step(walker, modes, course)[1]
+    modes = modes_from(walker, x, step)
+    course = follow_graph(walker, modes, start_course(walker, modes, x), integrator)
+    return with_full_state(end_course(walker, first_of(modes), course), course)
 
 
-def end_step(walker: Walker, modes: dict[str, Mode], course: Course) -> tuple[Course, Stride]:
-    """Return the course of a step after its heel strike, and its stride, whose state is full."""
-    strike = modes[[*modes][-1]].guards[-1]
-    take = with_fast_sincos(partial(take_guard, strike, failures_by_name(walker)))
-    held, following = take(course.entries[SECTION].state)
-    landed = {SECTION: course.entries[SECTION]._replace(state=following)}
-    course = course._replace(entries=landed, held=held)
-    stride = end_course(walker, first_of(modes), course)
-    return course, make_stride(jnp.stack(following), stride.outcome, course.time)
-
-
-def follow_to_contact(
-    walker: Walker,
-    x: Float[Array, " coordinates"],
-    step: Scalar,
-    integrator: Integrator,
-    measured: bool = False,
-) -> tuple[dict[str, Mode], Course]:
-    """Return the modes of a stride to ground higher by `step`, and its course to heel strike."""
-    modes = modes_from(walker, x, to_the_end=measured)
-    *phases, last = modes
-    course = start_course(walker, modes, x)
-    if raised := {name: raise_ground(modes[name], step) for name in phases}:
-        course = follow_modes(walker, raised, course, integrator, measured)
-    course = follow_to_step(walker, last, modes[last], course, step, integrator, measured)
-    # On even ground no swing is left, but its derivative with respect to the step is.
-    contact = lambda state: step - walker.clearance(state)
-    state = course.entries[SECTION].state
-    state, delay = method_of(modes[last], state, integrator).refine_event(contact, state)
-    entries = {SECTION: course.entries[SECTION]._replace(state=state)}
-    return modes, course._replace(entries=entries, time=course.time + delay)
-
-
-def follow_to_step(
-    walker: Walker,
-    name: str,
-    swing: Mode,
-    course: Course,
-    step: Scalar,
-    integrator: Integrator,
-    measured: bool = False,
-) -> Course:
-    """Follow the swing on even ground, and on to ground that is higher by `step`, to its strike.
-
-    A foot that goes below the ground has passed its level first, ahead of the other: the legs may
-    pass each other below the level, and that is no heel strike.
-    """
-    # A step within rounding counts as level: its foot may be there already, or have been there as
-    # the legs passed each other.
-    rounding = ROUNDING * jnp.finfo(step.dtype).eps
-    passed, numbers = step > rounding, failures_by_name(walker)
-    if walker.phases():  # a foot in front may be below the level as a knee strikes
-        state = course.entries[name].state
-        ahead = (state.phi < 0) & (walker.is_ahead(state) > 0)
-        under = with_fast_sincos(walker.clearance)(state) < 0
-        passed |= (step < 0) & ahead & under
-    follow = lambda mode, course, switched: follow_one(
-        name, {name: mode}, numbers, course, integrator, measured, switched
-    )
-    level = follow(onto_step(walker, swing, step, passed), course, bool(walker.phases()))
-    struck = level.entries[SECTION]
-    lower = (level.verdict == Outcome.STRIDE) & (step < -rounding) & ~passed
-    verdict = jnp.where(lower, Outcome.UNDECIDED, level.verdict).astype(jnp.int8)
-    entries = {name: Entry(lower, struck.state), SECTION: struck}
-    return follow(
-        onto_step(walker, swing, step), level._replace(entries=entries, verdict=verdict), True
-    )
+def with_full_state(stride: Stride, course: Course) -> Stride:
+    """Return a stride with the full state after its last reset."""
+    state = jnp.stack(jax.tree.leaves(course.entries[SECTION].state))
+    return make_stride(state, stride.outcome, stride.time)

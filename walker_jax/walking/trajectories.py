@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.hybrid.graphs import in_order
+from walker_jax.hybrid.graphs import in_order, suit_state
 from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real, Scalar
@@ -87,7 +87,8 @@ def state_after(
     result = start = walker.launch(x)
     course = begin_course(order[0], start, jnp.asarray(True))
     for name in order:
-        entry, mode = course.entries[name], modes[name]
+        entry = course.entries[name]
+        mode = suit_state(name, modes[name], entry.state)
         left = time - jnp.where(entry.reached, course.time, jnp.inf)
         later = walker.shown(state_of_motion(mode, entry.state, jnp.maximum(left, 0), integrator))
         if jax.tree.structure(later) != jax.tree.structure(start):
@@ -119,7 +120,7 @@ def phase_times(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Float[Array, " modes"]:
-    """Compute the time at which each mode of a stride ends; the last is the time of `stride`.
+    """Compute the time at which each mode of a stride ends; the latest is the time of `stride`.
 
     Times are in the unit of time, one for each mode, in the order of `modes`. For a kneed walker
     they are the times of knee strike, 0 where the knee locks at once, and of heel strike. They are
@@ -144,11 +145,11 @@ def follow_phase_times(
     check_entered_once(walker, modes, "phase times")
     course = follow_modes(walker, modes, start_course(walker, modes, x), integrator)
     made = end_course(walker, first_of(modes), course)
-    times = []
-    for part in course.parts:
+    times = {}
+    for name, part in zip(in_order(modes), course.parts, strict=True):
         end = part.time + part.end.time
         for i, guard in enumerate(part.mode.guards):
             if guard.leads_to == SECTION:  # or a later stride's failure, known at its end
                 end = jnp.where(part.taken == i, made.time, end)
-        times.append(nan_unless(part.passed, end))
-    return jnp.stack(times)
+        times[name] = nan_unless(part.passed, end)
+    return jnp.stack([times[name] for name in modes])

@@ -1,0 +1,179 @@
+"""The bounding quadruped, against an integration with SciPy and the runner of one leg."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from by_differences import assert_gait, differences
+from scipy.integrate import solve_ivp
+
+import walker_jax as wj
+
+BOUNDER = wj.BoundingQuadruped()
+STARTS = {
+    (1.04, 0.7, 0.0): "flight, on rear, flight after rear, on front after rear, last flight",
+    (1.03, -0.7, 0.01): "flight, on front, flight after front, on rear after front, last flight",
+    (1.13, 0.05, -0.01): "flight, on rear, on both, on front after rear, last flight",
+    (1.13, -0.05, 0.02): "flight, on front, on both, on rear after front, last flight",
+    (1.043, 0.198, -0.114): "flight, on rear, on both, on rear after front, last flight",
+    (1.163, -0.106, 0.09): "flight, on front, on both, on front after rear, last flight",
+}
+"""Starts, and the modes of their strides: all orders that there are."""
+RUNS_AT = {"stiffness": 25.4841997961264, "angle": 1.1868238913561442, "energy": 2.27420998980632}
+
+
+@pytest.fixture(scope="module")
+def gait():
+    return wj.find_gait(BOUNDER, [1.04, 0.7, 0.0])
+
+
+def event(function, direction=1):
+    function.terminal, function.direction = True, direction
+    return function
+
+
+def stride_by_scipy(x, walker=BOUNDER):
+    """The next apex and its time: legs are lines between points, their torque a cross product."""
+    names = "stiffness", "inertia", "hips", "rear_angle", "front_angle", "energy"
+    k, inertia, hips, *angles, energy = (float(getattr(walker, name)) for name in names)
+    height, rate, pitch = x
+    forward = np.sqrt(2 * (energy - height) - inertia * rate**2)
+    y, time = np.array([0, height, pitch, forward, 0, rate]), 0.0
+    feet: dict[int, Any] = {0: None, 1: None}  # of pairs that stand, or have yet to land
+    arm = lambda y, i: (2 * i - 1) * hips * np.exp(1j * y[2])
+    hip = lambda y, i: y[0] + 1j * y[1] + arm(y, i)
+
+    def rates(_, y):
+        force, torque = -1j, 0.0
+        for i, foot in feet.items():
+            if foot is not None:
+                leg = hip(y, i) - foot
+                push = k * (1 - abs(leg)) * leg / abs(leg)
+                force, torque = force + push, torque + (np.conj(arm(y, i)) * push).imag
+        return [*y[3:], force.real, force.imag, torque / inertia]
+
+    while True:
+        pairs, ends = [*feet], []
+        for i in pairs:
+            if feet[i] is None:
+                ends.append(lambda _, y, i=i: np.sin(angles[i]) - hip(y, i).imag)
+            else:
+                ends.append(lambda _, y, i=i: abs(hip(y, i) - feet[i]) - 1)
+        ends = [event(one) for one in ends] or [event(lambda _, y: y[4], -1)]
+        made = solve_ivp(
+            rates, (0, 20), y, "DOP853", events=ends, rtol=1e-13, atol=1e-13, first_step=1e-3
+        )
+        which = next(n for n, one in enumerate(made.t_events) if one.size)
+        y, time = made.y_events[which][0], time + made.t_events[which][0]
+        if not pairs:
+            return np.array([y[1], y[5], y[2]]), time
+        i = pairs[which]
+        if feet[i] is None:
+            feet[i] = hip(y, i).real + np.cos(angles[i])
+        else:
+            del feet[i]
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_a_stride_in_any_order_is_that_of_another_integration(start):
+    made = wj.stride(BOUNDER, start)
+    state, time = stride_by_scipy(start)
+    assert made.outcome == wj.Outcome.STRIDE
+    np.testing.assert_allclose(made.state, state, atol=5e-11)
+    np.testing.assert_allclose(made.time, time, atol=5e-11)
+
+
+def test_modes_follow_the_order_of_footfalls():
+    names = [*BOUNDER.modes()]
+    for start, expected in STARTS.items():
+        times = np.asarray(wj.phase_times(BOUNDER, start))
+        entered = [names[i] for i in np.argsort(times) if np.isfinite(times[i])]
+        assert ", ".join(entered) == expected
+        assert np.nanmax(times) == wj.stride(BOUNDER, start).time
+
+
+def test_bounding_is_stable_and_symmetric_in_time(gait):
+    """Backward in time the rear becomes the front: both stand as long, and the body is level."""
+    assert gait.stable and abs(gait.states[0, 2]) < 1e-12
+    assert_gait(gait, lambda x: stride_by_scipy(x)[0], 1e-3, 1e-7)
+    times = np.sort(wj.phase_times(BOUNDER, gait.states[0]))[:5]
+    down, on_rear, between, on_front, up = np.diff(times, prepend=0.0)
+    assert on_rear == pytest.approx(on_front, abs=1e-11) and between > 0.1
+    assert down == pytest.approx(up, abs=1e-11)
+
+
+@pytest.mark.slow
+def test_every_mode_keeps_the_energy(gait):
+    found = wj.explain(BOUNDER, gait.states[0])
+    assert not found.complaints and len(found.modes) == 5
+    for mode in found.modes:
+        np.testing.assert_allclose(mode.energy, BOUNDER.energy, rtol=1e-12)
+
+
+def test_a_bound_is_the_same_from_the_apex_of_either_flight(gait):
+    other = wj.find_gait(BOUNDER, [1.03, -0.71, 0.0])
+    assert other.states[0, 1] < 0 < gait.states[0, 1]
+    np.testing.assert_allclose(other.multipliers, gait.multipliers, atol=1e-10)
+    np.testing.assert_allclose(other.step_times, gait.step_times, atol=1e-12)
+
+
+def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
+    """All feet land at once and leave at once, and the pitch stays zero."""
+    k, angle, energy = RUNS_AT.values()
+    pronker = wj.BoundingQuadruped(
+        stiffness=k / 2, rear_angle=angle, front_angle=angle, energy=energy
+    )
+    jacobian = jax.jit(jax.jacfwd(lambda x: wj.stride(pronker, x).state))
+    for run in wj.find_gaits(wj.SpringMassRunner(**RUNS_AT)):
+        apex, *_ = run.states[0]
+        made = wj.stride(pronker, (apex, 0.0, 0.0))
+        np.testing.assert_allclose(made.state, np.array([float(apex), 0, 0]), atol=1e-12)
+        np.testing.assert_allclose(made.time, run.step_times[0], atol=1e-12)
+        by_height = jacobian(jnp.array([apex, 0.0, 0.0]))[0, 0]
+        assert by_height == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-10)
+
+
+@pytest.mark.slow
+def test_derivatives_by_parameters_are_those_of_differences(gait):
+    names = "stiffness", "inertia", "hips", "rear_angle", "front_angle", "energy"
+    values = np.array([float(getattr(BOUNDER, name)) for name in names])
+    stride = jax.jit(lambda p: wj.stride(wj.BoundingQuadruped(*p), jnp.array(gait.states[0])).state)
+    expected = differences(lambda many: np.stack([*map(stride, many)]), values, np.full(6, 1e-3))
+    np.testing.assert_allclose(jax.jacfwd(stride)(values), expected, rtol=1e-8, atol=1e-8)
+
+
+def test_starts_near_the_bound_return_to_it_and_others_fall(gait):
+    h, rate, _ = gait.states[0]
+    grid = wj.Grid.plain(
+        height=(h - 0.2, h + 0.2, 12), pitch_rate=(rate - 0.8, rate + 0.8, 12), pitch=0.0
+    )
+    data = wj.basin(BOUNDER, grid, "direct")
+    near = data.sel(height=h, pitch_rate=rate, method="nearest")
+    assert near.fate == wj.Outcome.STRIDE  # the apexes of both flights are attractors
+    reached = data.states.values[int(near.attractor), 0]
+    np.testing.assert_allclose(reached, gait.states[0], atol=1e-9)
+    assert set(np.unique(data.fate)) == {0, wj.Outcome.FORWARD, wj.Outcome.OUTSIDE}
+
+
+@pytest.mark.slow
+def test_margins_have_the_signs_of_outcomes():
+    starts = np.stack([*np.meshgrid([0.9, 1.0, 1.1], [-1.5, 0.0, 0.7, 1.5], [-0.1, 0.05])], -1)
+    found = wj.margins_of_many(BOUNDER, starts.reshape(-1, 3))
+    outcome = np.asarray(found.stride.outcome)
+    falls = outcome == wj.Outcome.FORWARD
+    assert 2 < falls.sum() < (outcome != wj.Outcome.OUTSIDE).sum() - 2
+    inside = outcome != wj.Outcome.OUTSIDE
+    np.testing.assert_array_equal(np.asarray(found.forward)[inside] < 0, falls[inside])
+    assert (np.asarray(found.backward)[outcome == wj.Outcome.STRIDE] > 0).all()
+
+
+def test_wrong_uses_are_refused_and_low_starts_are_outside():
+    with pytest.raises(ValueError, match="stiffness must be finite and above 0, not -1"):
+        wj.BoundingQuadruped(stiffness=-1.0)
+    with pytest.raises(ValueError, match="inertia must be finite and above 0, not 0"):
+        wj.BoundingQuadruped(inertia=0.0)
+    # at this pitch the front feet would be under the ground
+    assert wj.stride(BOUNDER, (1.0, 0.0, -0.3)).outcome == wj.Outcome.OUTSIDE
+    assert wj.explain(BOUNDER, (1.0, 0.0, -0.3)).complaints == ["the start is not feasible"]

@@ -1,0 +1,192 @@
+"""Walkers with networks: every computation, against a walker with a field for each weight."""
+
+from functools import cache
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from networks import NAMES, NetworkWalker, by_scalars, network, pushed
+
+import walker_jax as wj
+from walker_jax.checks import WrongUse
+from walker_jax.explorer.offers import offer
+from walker_jax.figures.text import walker_title
+from walker_jax.storage.places import StoreConflict
+from walker_jax.systems.trees import select
+from walker_jax.walkers.parameters import value_of, with_parameter
+
+WALKER = NetworkWalker(0.009)
+SCALARS = by_scalars(WALKER)
+GRID = wj.Grid.sheared(theta=(0.12, 0.3, 8), sum=(-0.03, 0.01, 8))
+STARTS = np.random.default_rng(0).uniform([0.1, -0.3], [0.3, -0.15], (200, 2))
+WEIGHT = "policy.layers[0].weight[1, 0]"
+"""One of the weights, that of `w10`."""
+
+
+@cache
+def gait() -> wj.Gait:
+    return wj.find_gait(WALKER)
+
+
+def test_strides_equal_those_by_scalars_to_the_bit():
+    of_network, of_scalars = wj.strides(WALKER, STARTS), wj.strides(SCALARS, STARTS)
+    assert len({*of_network.outcome}) > 2
+    for one, other in zip(of_network, of_scalars, strict=True):
+        np.testing.assert_array_equal(one, other)
+    free = wj.strides(wj.SimplestWalker(0.009), STARTS)
+    assert np.nanmax(abs(free.state - of_network.state)) > 1e-3
+
+
+def test_a_population_walks_as_its_members_do():
+    keys = jax.random.split(jax.random.key(5), 4)
+    make = lambda key: NetworkWalker(
+        0.009, policy=eqx.nn.MLP(2, 1, 4, 1, activation=jnp.tanh, key=key)
+    )
+    walkers, xs = eqx.filter_vmap(make)(keys), jnp.asarray(STARTS[:4])
+    one_by_one = [wj.stride(make(key), x) for key, x in zip(keys, xs, strict=True)]
+    mapped = jax.vmap(wj.stride, in_axes=(0, 0))(walkers, xs)
+    for ends in (mapped, wj.strides(walkers, xs)):
+        for i, name in enumerate(ends._fields):
+            expected = np.stack([one[i] for one in one_by_one])
+            np.testing.assert_array_equal(getattr(ends, name), expected)
+    several = jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None))(walkers, xs)
+    np.testing.assert_array_equal(several.state[2], wj.strides(select(walkers, 2), xs).state)
+
+
+def test_gaits_equal_those_by_scalars():
+    here, there = gait(), wj.find_gait(SCALARS)
+    assert here.found
+    np.testing.assert_array_equal(here.states, there.states)
+    np.testing.assert_array_equal(here.multipliers, there.multipliers)
+    by, of_scalar = (
+        wj.gait_derivatives(WALKER, here, WEIGHT),
+        wj.gait_derivatives(SCALARS, there, "w10"),
+    )
+    np.testing.assert_allclose(by.states, of_scalar.states, rtol=1e-10)
+    np.testing.assert_allclose(by.multipliers, of_scalar.multipliers, rtol=1e-9)
+
+
+def test_all_leaves_have_derivatives():
+    """Those of a walker by scalars, forward and in reverse, and by differences."""
+    x = jnp.asarray(gait().states[0]) + 0.002
+    time = lambda walker: wj.stride(walker, x).time
+    back, forward = jax.grad(time)(WALKER), jax.jacfwd(time)(WALKER)
+    own = jax.grad(time)(SCALARS)
+    every = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(back.policy)])
+    np.testing.assert_allclose(every, [getattr(own, name) for name in NAMES], rtol=1e-11)
+    for one, other in zip(*map(jax.tree.leaves, (back, forward)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-16)
+    for name in ("slope", WEIGHT, "policy.layers[1].weight[0, 2]", "policy.layers[0].bias[3]"):
+        step, middle = 1e-4, float(value_of(WALKER, name))
+        values = middle + step * np.array([-2.0, -1.0, 1.0, 2.0])
+        times = wj.strides(with_parameter(WALKER, name, values), np.tile(x, (4, 1))).time
+        by = float(times @ np.array([1.0, -8.0, 8.0, -1.0])) / (12 * step)
+        np.testing.assert_allclose(value_of(back, name), by, rtol=1e-7, atol=1e-9)
+
+
+def test_a_machine_of_tables_solves_its_equation():
+    """Its place after a time of 1 is that of the polynomials of the force; so are derivatives."""
+    machine, x = pushed(), jnp.array([0.2, -0.5])
+    c0, c1, c2 = 0.7, 0.3, -0.2
+
+    def place(gain, pull):
+        return x[0] + x[1] + gain * (c0 / 2 + c1 / 6 + c2 / 12) + pull / 2
+
+    end = wj.stride(machine, x)
+    np.testing.assert_allclose(end.state, [place(2, 0.5), x[1] + 2 * (c0 + c1 / 2 + c2 / 3) + 0.5])
+    real, exact = eqx.partition(machine, eqx.is_inexact_array_like)
+    by = jax.jacfwd(lambda one: wj.stride(eqx.combine(one, exact), x).state[0])(real)
+    np.testing.assert_allclose(by.force["gain"], c0 / 2 + c1 / 6 + c2 / 12, rtol=1e-14)
+    np.testing.assert_allclose(by.force["powers"], [2 / 6, 2 / 12, 2 / 2], rtol=1e-14)
+    np.testing.assert_allclose(by.pulls, [0.5, 0.5], rtol=1e-14)
+    many = jax.vmap(pushed)(jnp.array([2.0, 3.0]))
+    ends = wj.strides(many, np.tile(x, (2, 1))).state[:, 0]
+    np.testing.assert_allclose(ends, [place(2, 0.5), place(3, 0.5)], rtol=1e-15)
+
+
+def test_walks_trajectories_and_explanations():
+    x = gait().states[0]
+    made, same = wj.walk(WALKER, x, 5), wj.walk(SCALARS, x, 5)
+    np.testing.assert_array_equal(made.states, same.states)
+    np.testing.assert_allclose(made.states[-1], x, atol=1e-12)
+    times = np.linspace(0, 1, 5) * float(made.times[0])
+    on_the_way = wj.trajectory(WALKER, x, times)
+    np.testing.assert_array_equal(on_the_way.phi, wj.trajectory(SCALARS, x, times).phi)
+    said = str(wj.explain(WALKER, x))
+    assert "leads to section" in said and "NetworkWalker" in said
+
+
+def test_basins_and_falls_equal_those_by_scalars():
+    one, other = (wj.basin(walker, GRID, progress=False) for walker in (WALKER, SCALARS))
+    assert len(np.unique(one["fate"])) > 1
+    for name in ("fate", "attractor", "strides"):
+        np.testing.assert_array_equal(one[name], other[name])
+    falls = [
+        wj.steps_to_fall(walker, 2e-3, n=40, limit=60, gait=gait()).strides
+        for walker in (WALKER, SCALARS)
+    ]
+    np.testing.assert_array_equal(falls[0], falls[1])
+
+
+@pytest.mark.slow
+def test_robustness_equals_that_by_scalars():
+    settings = {"levels": 0, "check": 500, "progress": False}
+    one, other = (wj.robustness(walker, GRID, **settings) for walker in (WALKER, SCALARS))
+    for name in ("total_area", "least_disturbance", "step_down", "stability"):
+        np.testing.assert_array_equal(one[name], other[name])
+    assert float(one["least_disturbance"]) > 0
+
+
+def test_stores_resume_for_the_same_network_alone(tmp_path: Path):
+    place = tmp_path / "sweep.zarr"
+    over = {WEIGHT: [0.1, 0.3]}
+    settings = {"grid": GRID, "levels": 0, "check": 500, "out": place, "progress": False}
+    made = wj.sweep(WALKER, over, **settings)
+    assert made.sizes[WEIGHT] == 2
+    direct = wj.basin(with_parameter(WALKER, WEIGHT, 0.3), GRID, progress=False)
+    assert float(made["gait_period"][1]) == 1 and direct.sizes["theta"] == 8
+    xr.testing.assert_identical(wj.sweep(WALKER, over, **settings), made)
+    with pytest.raises(StoreConflict, match=r"policy\.layers"):
+        wj.sweep(NetworkWalker(0.009, policy=network(1)), over, **settings)
+    assert made.attrs["walker_policy.layers[1].bias"] == [
+        float(value_of(WALKER, "policy.layers[1].bias[0]"))
+    ]
+    made.to_netcdf(tmp_path / "sweep.nc", engine="scipy")
+    assert walker_title(made).split(",")[:2] == ["NetworkWalker", " slope 0.009 rad"]
+
+
+def test_the_page_takes_the_defaults_of_a_class():
+    assert [one.name for one in offer(WALKER).parameters] == ["slope"]
+    with pytest.raises(WrongUse, match="or the default of the class of NetworkWalker"):
+        offer(NetworkWalker(0.009, policy=network(1)))
+    table = wj.Map(lambda x, a: a * x, ("x", "y"), parameters={"a": np.ones(2)})
+    with pytest.raises(WrongUse, match="a must be a number, or"):
+        offer(table)
+
+
+def test_feedback_and_gradients_keep_networks():
+    gains = {"slope": (0.01, 0.0)}
+    walker = wj.Feedback(WALKER, gait(), gains, {"slope": (0.005, 0.02)})
+    np.testing.assert_allclose(wj.stride(walker, gait().states[0]).state, gait().states[0])
+    found = wj.disturbance_gradient(WALKER, (WEIGHT,), gait(), directions=24)
+    same = wj.disturbance_gradient(SCALARS, ("w10",), gait(), directions=24)
+    np.testing.assert_allclose(found.gradient, same.gradient, rtol=1e-6)
+
+
+@pytest.mark.parametrize("policy", [network(7)])
+def test_command_line_reads_networks(run, tmp_path, policy, monkeypatch):
+    source = Path(__file__).parents[1] / "helpers" / "networks.py"
+    (tmp_path / "own_networks.py").write_text(source.read_text())
+    eqx.tree_serialise_leaves(tmp_path / "policy.eqx", policy)
+    walk = ["walk", "--walker", "own_networks.py:NetworkWalker", "--slope", 0.009]
+    walk += ["--theta", 0.2, "--thetadot", -0.2, "--strides", 1, "--json"]
+    code, _, errors = run(*walk, "--policy", "other.eqx")
+    assert code == 2 and "--policy other.eqx must be a file of such numbers" in errors
+    code, told, errors = run(*walk, "--policy", "policy.eqx")
+    assert code in (0, 1), errors
+    end = wj.stride(NetworkWalker(0.009, policy=policy), [0.2, -0.2])
+    assert f"{float(end.time):.6g}"[:6] in told

@@ -1,0 +1,139 @@
+"""Integrals and largest values along a stride, against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.checks import WrongUse
+
+X = jnp.array([0.7, 2.3])
+BALL = wj.BouncingBall(0.4, 0.8)
+
+
+class Ball(wj.BouncingBall):
+    unit: float | jax.Array = 1.0
+
+    def modes(self):
+        rates = {
+            "climb": lambda y: y.velocity,
+            "effort": lambda y: self.unit * y.velocity**2,
+            "time": lambda y: jnp.ones_like(y.height),
+        }
+        largest = {"height": lambda y: y.height, "speed": lambda y: y.velocity}
+        (flight,) = super().modes().values()
+        return {"flight": flight._replace(integrals=rates, largest=largest)}
+
+
+class Stuck(wj.StickSlip):
+    def modes(self):
+        time = lambda y: jnp.ones_like(y.x)
+        slower = lambda y: self.kinetic * y.v
+        power = {"slower": slower, "stick": lambda y: y.x * y.v, "faster": lambda y: -slower(y)}
+        return {
+            name: mode._replace(integrals={"time": time, "work": power[name]})
+            for name, mode in super().modes().items()
+        }
+
+
+def in_closed_form(x):
+    """Return the same of a ball that flies freely for as long as a stride takes."""
+    time, velocity = wj.stride(BALL, x).time, x[1]
+    end, start = velocity - time, BALL.amplitude * jnp.sin(x[0])
+    return {
+        "climb": velocity * time - time**2 / 2,
+        "effort": (velocity**3 - end**3) / 3,
+        "time": time,
+        "height": start + velocity**2 / 2,
+        "speed": velocity,
+    }
+
+
+@pytest.mark.parametrize("transform", [lambda f: f, jax.jacfwd, jax.jacrev])
+def test_a_free_flight_has_its_integrals_and_largest_values(transform):
+    found = transform(lambda x: wj.integrals(Ball(0.4, 0.8), x))(X)
+    expected = transform(in_closed_form)(X)
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+def test_the_size_of_an_integral_changes_no_other_digit():
+    small, large = (wj.integrals(Ball(0.4, 0.8, unit), X) for unit in (1e-12, 1e12))
+    for name in ("climb", "time", "height"):
+        assert small[name] == large[name]
+    assert large["effort"] == pytest.approx(1e24 * float(small["effort"]), rel=1e-14)
+
+
+def test_parameters_have_derivatives():
+    effort = lambda unit: wj.integrals(Ball(0.4, 0.8, unit), X)["effort"]
+    assert jax.grad(effort)(2.0) == pytest.approx(float(effort(1.0)), rel=1e-14)
+
+
+def test_a_failed_stride_has_none_and_others_keep_theirs():
+    xs = jnp.stack([X, X.at[1].set(-1.0)])
+    found = jax.vmap(lambda x: wj.integrals(Ball(0.4, 0.8), x))(xs)
+    for name, value in wj.integrals(Ball(0.4, 0.8), X).items():
+        assert found[name][0] == value
+        assert np.isnan(found[name][1])
+
+
+def test_modes_that_are_entered_again_add_up():
+    x = wj.find_gait(Stuck()).states[0]
+    works = jax.value_and_grad(lambda x: wj.integrals(Stuck(), x)["work"])
+    work, by = works(x)
+    assert wj.integrals(Stuck(), x)["time"] == pytest.approx(
+        float(wj.stride(Stuck(), x).time), abs=1e-13
+    )
+    # Friction gives the block what it has gained when it turns back: (x'^2 - x^2) / 2.
+    assert work == pytest.approx(0.0, abs=1e-13)
+    assert by[0] == pytest.approx(-float(x[0]), abs=1e-12)  # the next turn is at the same place
+
+
+def test_gravity_does_the_work_that_the_leg_gains():
+    class Weighed(wj.SimplestWalker):
+        def modes(self):
+            gain = lambda y: jnp.sin(y.theta - self.slope) * y.thetadot
+            rates = {"gain": gain}
+            return {name: one._replace(integrals=rates) for name, one in super().modes().items()}
+
+    walker, x = Weighed(0.004), jnp.array([0.15, -0.15])
+    end = wj.trajectory(walker, x, wj.stride(walker, x).time[None])
+    gained = (end.thetadot[0] ** 2 - x[1] ** 2) / 2
+    assert wj.integrals(walker, x)["gain"] == pytest.approx(float(gained), abs=1e-14)
+
+
+def test_solvers_agree():
+    diffrax = pytest.importorskip("diffrax")
+    found = wj.integrals(Ball(0.4, 0.8), X, solver=diffrax.Dopri8())
+    for name, value in wj.integrals(Ball(0.4, 0.8), X).items():
+        assert found[name] == pytest.approx(float(value), rel=1e-9)
+
+
+def test_functions_must_be_named():
+    with pytest.raises(WrongUse, match="as no mode of BouncingBall does"):
+        wj.integrals(BALL, X)
+    with pytest.raises(WrongUse, match="system must name functions"):
+        wj.integrals(wj.Map(lambda x: x / 2, ("x",)), [1.0])
+
+
+def test_an_integral_and_a_largest_value_need_two_names():
+    class Twice(wj.BouncingBall):
+        def modes(self):
+            (flight,) = super().modes().values()
+            of = {"height": lambda y: y.height}
+            return {"flight": flight._replace(integrals=of, largest=of)}
+
+    with pytest.raises(WrongUse, match="unlike 'height'"):
+        wj.integrals(Twice(), X)
+
+
+def test_largest_values_need_modes_that_are_entered_once():
+    class Peak(wj.StickSlip):
+        def modes(self):
+            of = {"stretch": lambda y: y.x}
+            return {name: one._replace(largest=of) for name, one in super().modes().items()}
+
+    with pytest.raises(WrongUse, match="largest values of Peak"):
+        wj.integrals(Peak(), [1.2])

@@ -1,0 +1,41 @@
+"""Equations of motion together with integrals along the motion, which they do not depend on."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+from jaxtyping import PyTree
+
+from walker_jax.integrators.roots import Scalar
+
+
+class WithIntegrals(eqx.Module):
+    """The equations (y, w)' = (f(y), g(y)): integrals w are added up along a motion y.
+
+    The errors of y do not depend on the size of w. The steps of a series are limited by those of y
+    and of each of the functions g (`step_lengths`).
+    """
+
+    motion: Callable[[PyTree], PyTree]
+    rates: dict[str, Callable[[Any], Scalar]]
+
+    def __call__(self, state):
+        y, _ = state
+        return self.motion(y), {name: rate(y) for name, rate in self.rates.items()}
+
+    def functions(self) -> list[Callable[[PyTree], Scalar]]:
+        """Return the functions g of a state with integrals."""
+        return [lambda state, g=g: g(state[0]) for g in self.rates.values()]
+
+
+def motion_of(field: Any, state: PyTree) -> tuple[Any, PyTree]:
+    """Return the equations and the state, or its series, without integrals."""
+    return (field.motion, state[0]) if isinstance(field, WithIntegrals) else (field, state)
+
+
+def beside(field: Any, of_motion: PyTree, state: PyTree, of_integrals: Any) -> PyTree:
+    """Return what is known of the motion's variables, if any is, beside the same of integrals."""
+    if of_motion is None or not isinstance(field, WithIntegrals):
+        return of_motion
+    return of_motion, jax.tree.map(lambda _: of_integrals, state[1])

@@ -1,0 +1,174 @@
+"""Integrals and largest values of functions along a stride, such as work, effort and peak forces.
+
+The modes of a system name the functions (`Mode.integrals`, `Mode.largest`). An integral is one more
+variable of the motion, which neither the equations nor the guards read. A largest value is minus
+the least value of a condition (`hybrid.misses`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from walker_jax.checks import WrongUse
+from walker_jax.hybrid.modes import SECTION, Condition, Function, Guard, Mode
+from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.integrals import WithIntegrals
+from walker_jax.integrators.integrator import AnySolver, Integrator, zero_at
+from walker_jax.integrators.roots import Real, Scalar
+from walker_jax.kernels import kernel
+from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
+from walker_jax.systems.outcomes import Outcome, nan_unless
+from walker_jax.systems.system import System
+from walker_jax.walking.courses import Course, end_course, follow_graph, follow_modes
+from walker_jax.walking.failure_margins import least_value
+from walker_jax.walking.starts import during_stride, prepare
+from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
+
+
+def integrals(
+    system: System,
+    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
+    *,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
+) -> dict[str, Float[Array, ""]]:
+    """Compute the integrals and largest values along the stride from x that a system's modes name.
+
+    ```python
+    class Measured(wj.SpringMassRunner):
+        def modes(self):
+            height = {"height": lambda state: state.y}
+            return {of: mode._replace(integrals=height) for of, mode in super().modes().items()}
+
+    wj.integrals(Measured(), [0.79])["height"]
+    ```
+
+    An integral is over all modes that name the function, in the unit of the function times the unit
+    of time. Values are NaN where the stride fails. First derivatives are exact; largest values have
+    none where the instant of the largest value jumps. Arguments and errors are those of `stride`.
+
+    **Returns** a dictionary by name. Raises `WrongUse` for a system whose modes name no function.
+    """
+    system, x, integrator = prepare(system, x, tolerance, solver)
+    if not isinstance(system, HybridSystem) or not named_functions(system):
+        raise WrongUse(
+            f"system must name functions in Mode.integrals or Mode.largest, as no mode of "
+            f"{system.label()} does"
+        )
+    return follow_integrals(system, x, integrator)
+
+
+def named_functions(system: System) -> list[str]:
+    """Return the names of the functions that the modes of a system name, integrals first."""
+    if not isinstance(system, HybridSystem):
+        return []
+    modes = modes_of(system).values()
+    summed = [name for mode in modes for name in mode.integrals]
+    return [*dict.fromkeys([*summed, *(name for mode in modes for name in mode.largest)])]
+
+
+@kernel
+def follow_integrals(
+    system: HybridSystem, x: Float[Array, " coordinates"], integrator: Integrator
+) -> dict[str, Float[Array, ""]]:
+    system = during_stride(system, x)
+    modes = modes_from(system, x, to_the_end=True)
+    summed = [*dict.fromkeys(name for mode in modes.values() for name in mode.integrals)]
+    peaks = [*dict.fromkeys(name for mode in modes.values() for name in mode.largest)]
+    if both := sorted({*summed} & {*peaks}):
+        raise WrongUse(
+            f"integrals of {system.label()} must have other names than its largest values, unlike "
+            f"{both[0]!r}"
+        )
+    course, found = start_course(system, modes, x), {}
+    if summed:
+        found = sum_along(system, modes, summed, course, integrator)
+    if peaks:
+        check_entered_once(system, modes, "largest values")
+        found |= largest_along(system, modes, peaks, course, integrator)
+    return found
+
+
+def sum_along(
+    system: HybridSystem,
+    modes: dict[str, Mode],
+    names: list[str],
+    course: Course,
+    integrator: Integrator,
+) -> dict[str, Scalar]:
+    """Follow a stride with its integrals as further variables."""
+    first, *_ = modes
+    start = course.entries[first].state
+    begun = start, dict.fromkeys(names, zero_at(start))
+    beginning = course._replace(entries={first: course.entries[first]._replace(state=begun)})
+    longer = {name: with_integrals(mode, names, begun) for name, mode in modes.items()}
+    course = follow_graph(system, longer, beginning, integrator)
+    section = course.entries[SECTION]
+    state, sums = section.state
+    made = end_course(
+        system,
+        first_of(modes),
+        course._replace(entries={SECTION: section._replace(state=state)}, parts=()),
+    )
+    return {name: nan_unless(made.outcome == Outcome.STRIDE, sums[name]) for name in names}
+
+
+def with_integrals(mode: Mode, names: list[str], like: Any) -> Mode:
+    """Return a mode whose states are pairs, of the state and of the integrals by name."""
+    of_state = lambda function: lambda both: function(both[0])
+    every = lambda functions: tuple(map(of_state, functions))
+    conditions = lambda given: tuple(one._replace(value=of_state(one.value)) for one in given)
+
+    def guard(one: Guard) -> Guard:
+        return one._replace(
+            value=of_state(one.value),
+            admits=every(one.admits),
+            admits_at_rise=every(one.admits_at_rise),
+            reset=lambda both: (one.reset(both[0]), both[1]),
+            must_hold=conditions(one.must_hold),
+        )
+
+    nothing = lambda state: zero_at(state)
+    rates = {name: mode.integrals.get(name, nothing) for name in names}
+    field = WithIntegrals(mode.rates, rates)
+    return mode._replace(
+        field=field,
+        guards=tuple(map(guard, mode.guards)),
+        conditions=conditions(mode.conditions),
+        foregone=None,
+        rates_at=None,
+        as_smooth=False,
+    )
+
+
+def largest_along(
+    system: HybridSystem,
+    modes: dict[str, Mode],
+    names: list[str],
+    course: Course,
+    integrator: Integrator,
+) -> dict[str, Scalar]:
+    """Follow a stride, and find where each function is largest in it."""
+
+    def as_condition(name: str, function: Function) -> Condition:
+        return Condition(lambda state: -function(state), name)
+
+    longer = {
+        of: mode._replace(
+            conditions=(*mode.conditions, *(as_condition(*one) for one in mode.largest.items()))
+        )
+        for of, mode in modes.items()
+    }
+    course = follow_modes(system, longer, course, integrator, measured=True)
+    known = {name: flag for name, flag in course.violated.items() if name not in names}
+    made = end_course(system, first_of(modes), course._replace(violated=known))
+    numbers = failures_by_name(system)
+    least = with_fast_sincos(
+        lambda: [least_value(course.parts, name, numbers)[0] for name in names]
+    )()
+    walks = made.outcome == Outcome.STRIDE
+    return {name: nan_unless(walks, -value) for name, value in zip(names, least, strict=True)}
