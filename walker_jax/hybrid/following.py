@@ -5,6 +5,7 @@ end the mode, by cheap bounds: that is its `Event`. Such a step is searched for 
 rise of a guard; if there is none, diffrax goes on from there.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -35,6 +36,8 @@ from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.step_loop import make_steps
 from walker_jax.integrators.taylor import function_series, is_list
+from walker_jax.integrators.transposed_steps import transpose_steps
+from walker_jax.kernels.reverse import reversing, zero_where_unused
 
 FIRST_ORDER = 6
 """Order to which guards are expanded in every step, to exclude a rise. If that does not exclude
@@ -105,7 +108,28 @@ def follow_mode(
     Derivatives of the arrival are exact, of any order; past a kink of the equations, to the third.
     If `measured`, every step is searched, and its misses are recorded.
     """
+    find = partial(find_event, mode, going=going, method=method, measured=measured)
+    if reversing.value and method.is_series and not measured:
+        last, arrive = find_in_reverse(mode, find, start, method)
+    else:
+        last = find(start)
+        arrive = partial(method.refine_event, surface_of(mode, last.guard))
+    refined, delay = zero_where_unused(arrive, last.arrival)
+    ended = has_ended(mode, last.guard)
+    keep = lambda new, old: jnp.where(ended, new, old)
+    arrival = jax.tree.map(keep, refined, last.arrival)
+    violated = dict(last.violated)
+    for condition in mode.conditions:
+        if condition.least_at_ends:  # others were evaluated as the arrival was found
+            violated[condition.leads_to] |= going & condition.is_negative(arrival)
+    time = last.time + keep(delay, zero_at(start))
+    return End(arrival, time, last.guard, violated, last.misses)
 
+
+def find_event(
+    mode: Mode, start: Any, going: Bool[Array, ""], method: Method, measured: bool
+) -> Unfinished:
+    """Make steps to the first event, and find it."""
     mode, begun = begin_following(mode, start, going, method, measured)
 
     def unfinished(now: Unfinished):
@@ -121,18 +145,40 @@ def follow_mode(
         last, count = make_steps(step, now.last, quiet, going, now.count, mode.most_steps)
         return search_step(mode, method, now._replace(last=last, count=count))[0]
 
-    last = lax.while_loop(unfinished, follow, begun)
+    return lax.while_loop(unfinished, follow, begun)
 
-    event = partial(value_of_guard, mode, last.guard, surface=True)
-    refined, delay = method.refine_event(event, last.arrival)
-    ended = (last.guard >= 0) & (last.guard < len(mode.guards))
-    keep = lambda new, old: jnp.where(ended, new, old)
-    arrival = jax.tree.map(keep, refined, last.arrival)
-    violated = dict(last.violated)
-    for condition in mode.conditions:
-        if condition.least_at_ends:  # others were evaluated as the arrival was found
-            violated[condition.leads_to] |= going & condition.is_negative(arrival)
-    return End(arrival, last.time + keep(delay, begun.time), last.guard, violated, last.misses)
+
+def find_in_reverse(
+    mode: Mode, find: Callable, start: Any, method: Method
+) -> tuple[Unfinished, Callable]:
+    """Find the first event so that reverse mode transposes the steps before it.
+
+    Returns the mode as it begins its last step, and a function from there to the event.
+    """
+
+    def find_steps(start):
+        last = find(start)
+        steps = jnp.where(has_ended(mode, last.guard), last.count - 1, 0)
+        return last.last.start, last.last.time, steps, last
+
+    state, time, last = transpose_steps(method, find_steps, start)
+    until = last.time - last.last.time
+
+    def arrive(state):
+        arrival = method.state_at(state, method.expand(state), until)
+        return method.refine_event(surface_of(mode, last.guard), arrival)
+
+    return last._replace(arrival=state, time=time + until), arrive
+
+
+def surface_of(mode: Mode, number: Int[Array, ""]) -> Callable[[Any], Scalar]:
+    """Return the function that is zero where a mode has ended, by which its end has derivatives."""
+    return partial(value_of_guard, mode, number, surface=True)
+
+
+def has_ended(mode: Mode, guard: Int[Array, ""]) -> Bool[Array, ""]:
+    """Return whether a guard has ended a mode."""
+    return (guard >= 0) & (guard < len(mode.guards))
 
 
 def begin_following(

@@ -18,7 +18,24 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from walker_jax.integrators.roots import Scalar
-from walker_jax.integrators.taylor import VariedField, VectorField, with_zeros
+from walker_jax.integrators.taylor import (
+    VariedField,
+    VectorField,
+    evaluate_series,
+    solution_series,
+    with_zeros,
+)
+from walker_jax.kernels.reverse import reversing
+
+
+def arrive(
+    event: Callable[[PyTree], Scalar], field: VectorField, state: PyTree
+) -> tuple[PyTree, Scalar]:
+    """Return the state at the event, and the time to it, which is zero, with all derivatives."""
+    if reversing.value:
+        return arrive_by_newton(event, field, state)
+    time = time_to(event, field, state)
+    return flow(field, state, time), time
 
 
 @eqx.filter_custom_jvp
@@ -49,6 +66,27 @@ def vary_end(primals, tangents):
     if dtime is not None:
         change = jax.tree.map(lambda v, rate: v + rate * dtime, change, field(end))
     return end, change
+
+
+ARRIVAL_ORDER = 3
+"""Order to which derivatives of an adjoint are exact at an event: two Newton steps have these."""
+
+
+def arrive_by_newton(
+    event: Callable[[PyTree], Scalar], field: VectorField, state: PyTree
+) -> tuple[PyTree, Scalar]:
+    """Return `flow` at `time_to` the event, and that time, by operations that JAX can transpose.
+
+    JAX drops a rule for derivatives when it transposes one, and with it how V changes with t. Here
+    two Newton steps, from an event that is zero but for rounding, have the derivatives themselves.
+    """
+    series = solution_series(field, state, ARRIVAL_ORDER)
+    end, time = state, jnp.zeros((), jax.tree.leaves(state)[0].dtype)
+    for _ in range(2):
+        value, rate = jax.jvp(event, (end,), (field(end),))
+        time = time - value / rate
+        end = evaluate_series(series, time)
+    return end, time
 
 
 def vary_flow(field: VectorField, state: PyTree, time: Scalar, dfield, dstate) -> PyTree:

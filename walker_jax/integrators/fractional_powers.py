@@ -19,6 +19,7 @@ from walker_jax.integrators.roots import Real, Scalar, cut_at_switches, derivati
 from walker_jax.integrators.series import evaluate_polynomial, short_log
 from walker_jax.integrators.step_lengths import largest_coefficient
 from walker_jax.integrators.taylor import evaluate_series, is_list, order_of
+from walker_jax.kernels.reverse import reversing
 
 SLOPE_TOLERANCE = 100.0
 """Tolerance of the last terms of the slope near a zero, in units of that of the solution. Without
@@ -70,12 +71,15 @@ def step_near_powers(
         length = halve_until_right(field, constant, length, shortest, tolerance * scale)
         return cut_at_switches(bases, length, distance_behind(length))
 
-    # A loop of one turn, as most steps are far from the zeros, and take none.
-    _, length = lax.while_loop(
-        lambda carry: carry[0],
-        lambda carry: (jnp.zeros_like(carry[0]), shorten(carry[1])),
-        (near | straight, length),
-    )
+    if reversing.value:  # which does not transpose the loop below
+        length = lax.cond(near | straight, shorten, lambda length: length, length)
+    else:
+        # A loop of one turn, as most steps are far from the zeros, and take none.
+        _, length = lax.while_loop(
+            lambda carry: carry[0],
+            lambda carry: (jnp.zeros_like(carry[0]), shorten(carry[1])),
+            (near | straight, length),
+        )
     if not kinks:
         return series, length
     behind = distance_behind(length)

@@ -20,7 +20,7 @@ from jax.core import Tracer
 from jaxtyping import PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
-from walker_jax.integrators.arrivals import flow, time_to
+from walker_jax.integrators.arrivals import arrive
 from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.expansion import with_fast_sincos, without_derivatives
 from walker_jax.integrators.integrals import beside, motion_of
@@ -396,5 +396,4 @@ class Method(eqx.Module):
 
         convert = lambda function: convert_closure(with_fast_sincos(function), state)
         field, event = convert(rates), convert(event)
-        time = time_to(event, field, state)
-        return flow(field, state, time), time
+        return arrive(event, field, state)

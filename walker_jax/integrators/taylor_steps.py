@@ -61,9 +61,33 @@ def taylor_step(
     than the root of the tolerance, relative to |y| or |y'|.
     """
     series = solution_series(vector_field, state, order)
+    length = smooth_length(vector_field, state, series, tolerance, watched, limits)
+    return end_at_kink(vector_field, series, length, tolerance, *others)
+
+
+def smooth_length(
+    vector_field: VectorField,
+    state: PyTree,
+    series: PyTree[list],
+    tolerance: Real,
+    watched: tuple[Callable[[PyTree], Scalar], ...],
+    limits: StepLimits,
+) -> Scalar:
+    """Return the length of a step from a state, if it meets no kink; constant to derivatives."""
     length = longest_step(vector_field, state, series, tolerance, limits)
     for function in watched:
         length = cut_for_function(function, lax.stop_gradient(series), length, tolerance)
+    return length
+
+
+def end_at_kink(
+    vector_field: VectorField,
+    series: PyTree[list],
+    length: Scalar,
+    tolerance: Real,
+    *others: Callable[[PyTree], PyTree],
+) -> tuple[PyTree[list], Scalar]:
+    """Return the series and the length of a step that ends just behind the first kink."""
     found = [series_of_switches(f, series) for f in (vector_field, *others)]
     switches, bases = (
         [one for part in parts for one in part] for parts in zip(*found, strict=True)

@@ -30,6 +30,7 @@ goes through a solver in reverse mode. Programs are compiled for the processor o
 kept on disk (`object_cache`), and so are the results of tracing (`program_cache`).
 """
 
+from walker_jax.kernels import transposes  # noqa: F401  # reverse mode of all that follows
 from walker_jax.kernels.decorator import kernel, why_not
 
 __all__ = ["kernel", "why_not"]

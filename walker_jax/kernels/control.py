@@ -15,8 +15,10 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, subjaxprs
 from llvmlite import ir
 
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.shortcuts import is_known
 from walker_jax.kernels.stored import Stored
+from walker_jax.kernels.tape_memory import memory_of
 
 MAX_UNROLLED_TURNS = 16
 """Most turns of an unrolled loop: room for the 14 stages of Dopri8."""
@@ -56,9 +58,18 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
             ]
             return merge_lanes(emitter, flags, runs, avals)
 
+    tapes = {i: array for i, array in enumerate(carry) if memory_of(array)}  # written in place
+    others = [i for i in range(len(carry)) if i not in tapes]
+    avals = [avals[i] for i in others]
     buffers = emitter.new_buffers(avals)
-    emitter.fill(buffers, carry)
-    flat, kinds = emitter.flatten(carry, avals)
+    emitter.fill(buffers, [carry[i] for i in others])
+
+    def with_tapes(entries: list) -> list:
+        found = zip(others, emitter.unflatten(entries, avals, buffers), strict=True)
+        found = tapes | dict(found)
+        return [found[i] for i in range(len(carry))]
+
+    flat, kinds = emitter.flatten([carry[i] for i in others], avals)
     initial = [emitter.vector(x, dtype) for x, dtype in zip(flat, kinds, strict=True)]
     before = builder.block
     head = builder.append_basic_block("head")
@@ -72,7 +83,7 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
 
     known, lanes = len(emitter.known), emitter.active
     used = emitter.used_memory()
-    values = emitter.unflatten(phis, avals, buffers)
+    values = with_tapes(phis)
     (flags,) = emitter.interpret(condition, [*of_condition, *values])
     flags = [emitter.vector(flag, bool) for flag in np.ravel(emitter.in_registers(flags))]
     if lanes is not None:
@@ -83,6 +94,9 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     builder.position_at_end(turn)
     emitter.active = going
     following = emitter.interpret(body, [*of_body, *values])
+    if any(memory_of(following[i]) is not memory_of(tape) for i, tape in tapes.items()):
+        raise UnsupportedPrimitive("a loop that replaces a tape")
+    following = [following[i] for i in others]
     results, _ = emitter.flatten(following, avals)
     emitter.fill(buffers, following, flags)
     # Entries of a mapped loop come first in each value.
@@ -95,7 +109,7 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     builder.position_at_end(done)
     emitter.active = lanes
     forget_terms(emitter, known, used)
-    return emitter.unflatten(phis, avals, buffers)
+    return with_tapes(phis)
 
 
 @no_type_check

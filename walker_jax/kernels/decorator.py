@@ -34,9 +34,9 @@ def kernel(
     same function.
 
     All transformations of JAX apply: `jit`, `vmap`, `jvp`, `vjp`, `grad`, `scan`, `shard_map` and
-    others. Reverse mode multiplies by the Jacobian, which is computed in forward mode. So it works
-    through a `lax.while_loop`, and suits functions of few numbers. A function that calls a
-    `jax.custom_vjp` has no derivatives.
+    others. Reverse mode by few numbers, or through a `lax.while_loop`, multiplies by the Jacobian,
+    which is computed in forward mode. By many it transposes the function, if JAX can. A function
+    that calls a `jax.custom_vjp` has no derivatives in forward mode.
 
     **Arguments:**
 

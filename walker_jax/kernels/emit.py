@@ -12,7 +12,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
-from walker_jax.kernels import control, indexing
+from walker_jax.kernels import control, indexing, tape_memory
 from walker_jax.kernels.builder import FAST, Builder
 from walker_jax.kernels.entries import Unrolling
 from walker_jax.kernels.jaxprs import (
@@ -328,6 +328,9 @@ LLVMEmitter.rules = {
     **Unrolling.rules,
     **dict.fromkeys(CALLS_WITH_DERIVATIVES, LLVMEmitter.call),
     **dict.fromkeys(REDUCTIONS, LLVMEmitter.reduce),
+    "new_tape": tape_memory.new_tape,
+    "write_row": tape_memory.write_row,
+    "read_row": tape_memory.read_row,
 }
 
 

@@ -10,9 +10,10 @@ independent, so if they are sharded, each device computes its own. `jax.export` 
 XLA, since other processes and machines run them.
 
 The derivative of a function of one cell along directions is again a function of one cell, linear in
-the directions. It has a kernel of its own, and so have derivatives of any higher order. Reverse
-mode computes the Jacobian in forward mode, column by column, and multiplies it by the cotangents,
-so no loop runs backwards. This suits functions of few numbers.
+the directions. It has a kernel of its own, and so have derivatives of any higher order. By few
+numbers, reverse mode computes the Jacobian in forward mode, column by column, and multiplies it by
+the cotangents, so no loop runs backwards. By many it is a program of its own, the adjoint, if the
+function's loops can be transposed (`reverse`).
 """
 
 import functools
@@ -39,6 +40,7 @@ from walker_jax.kernels.program import (
     nan_allowed,
     tracing_for_kernel,
 )
+from walker_jax.kernels.reverse import reversing
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
 MAX_OPERATIONS = 4000, 20000
@@ -69,7 +71,7 @@ def call_program(program: Program, leaves: Sequence[jax.Array]) -> list[jax.Arra
     """Call a program by its primitive; within another kernel, evaluate its own equations."""
     leaves = vary_alike(list(map(without_weak_type, leaves)))
     if tracing_for_kernel.value:
-        return program.function(*leaves)
+        return (program.function_in_reverse if reversing.value else program.function)(*leaves)
     return kernel_p.bind(*leaves, program=program, mapped=(0,) * len(leaves))
 
 
@@ -317,80 +319,3 @@ def replace_some(operands: Sequence, places: Sequence[int], values: Sequence) ->
     for i, value in zip(places, values, strict=True):
         replaced[i] = value
     return replaced
-
-
-def pull_back(cotangents, *operands, program: Program, mapped: tuple[int, ...]):
-    """Apply reverse mode: the cotangents of linear operands are those of the results times J."""
-    with apply_settings(program.settings):
-        return pull_back_derivative(cotangents, operands, program, mapped)
-
-
-def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[int, ...]):
-    """Return the cotangents of a derivative's directions, by the Jacobian of its program."""
-    wanted = [i for i, x in enumerate(operands) if ad.is_undefined_primal(x)]
-    given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
-    if not given:
-        return [None] * len(operands)
-    if program.origin is None or not program.linear.issuperset(wanted):
-        return pull_back_linear(cotangents, operands, wanted, program, mapped)
-    origin, by, _ = program.origin
-    count = len(origin.operands)
-    point = operands[:count]
-    some = tuple(by[i - count] for i in wanted)
-    avals = [origin.operands[i] for i in some]
-    shapes = [aval.shape for aval in avals]
-    sizes = [math.prod(shape) for shape in shapes]
-    cells, own = max(mapped), max(mapped[:count])  # axes of cells: of all, and of the point
-    lacking = range(own, cells)
-
-    def along(direction):
-        """Differentiate each cell's results along one direction of all operands."""
-        parts = jnp.split(direction, np.cumsum(sizes)[:-1])
-        changes = kernel_p.bind(
-            *point,
-            *(
-                part.reshape(1, *aval.shape).astype(aval.dtype)
-                for part, aval in zip(parts, avals, strict=True)
-            ),
-            program=origin.derivative(some),
-            mapped=(*mapped[:count], *[0] * len(parts)),
-        )
-        changes = [jnp.squeeze(changes[i], own).astype(dtype) for i in given]
-        return [jnp.expand_dims(change, lacking) for change in changes]
-
-    dtype = np.result_type(*(aval.dtype for aval in (*avals, *program.results)))
-    columns = jax.vmap(along)(jnp.eye(sum(sizes), dtype=dtype))  # column, *cells, result
-    total: Any = 0.0
-    for i, column in zip(given, columns, strict=True):
-        ct = cotangents[i].astype(dtype)  # *cells, direction, result
-        result = math.prod(column.shape[1 + cells :])
-        column = column.reshape(*column.shape[: 1 + cells], result)
-        ct = ct.reshape(*ct.shape[: 1 + cells], result)
-        # A zero cotangent drops a derivative, even if that is NaN.
-        column = jnp.where((ct == 0).all(axis=-2), 0, column)
-        total = total + jnp.einsum("c...r,...kr->...kc", column, ct, precision="highest")
-    found: list[Any] = [None] * len(operands)
-    ends = np.cumsum(sizes)
-    for i, end, width, shape in zip(wanted, ends, sizes, shapes, strict=True):
-        part = total[..., end - width : end]
-        if not mapped[i]:
-            part = part.sum(axis=range(cells))
-        lead = part.shape[:-1]
-        found[i] = part.reshape(*lead, *shape).astype(program.operands[i].dtype)
-    return found
-
-
-def pull_back_linear(cotangents, operands, wanted: list[int], program: Program, mapped):
-    """Return the cotangents of a linear function, which is its own derivative."""
-
-    def of_wanted(*some):
-        values = replace_some(operands, wanted, some)
-        return kernel_p.bind(*values, program=program, mapped=mapped)
-
-    anywhere = [jnp.zeros(operands[i].aval.shape, operands[i].aval.dtype) for i in wanted]
-    _, pull = jax.vjp(of_wanted, *anywhere)
-    parts = dict(zip(wanted, pull(list(map(ad.instantiate_zeros, cotangents))), strict=True))
-    return [parts.get(i) for i in range(len(operands))]
-
-
-ad.primitive_transposes[kernel_p] = pull_back

@@ -35,6 +35,7 @@ from walker_jax.kernels.program_cache import (
     user_system_in,
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
+from walker_jax.kernels.reverse import reversing
 from walker_jax.kernels.stored import is_long, multiplies_long_matrices
 from walker_jax.kernels.unused import without_unused
 
@@ -75,6 +76,9 @@ class Program:
         self.linear = frozenset(range(first, len(self.operands)))
         """Operands in which the function is jointly linear: a derivative's directions."""
         self.derivatives: dict[tuple, Program] = {}
+        self.adjoints: dict[tuple, Program | None] = {}
+        self.adjoint_of: tuple[Program, tuple[int, ...], tuple[int, ...]] | None = None
+        """For an adjoint: the program, and the operands and results that `adjoint` was given."""
         self.on_gpu: dict[tuple, Ptx | None] = {}
         """Programs of threads by the arguments of `ptx`; None if there is none."""
         self.tree: Any = self.traced.tree if self.traced else None
@@ -143,6 +147,13 @@ class Program:
         return jaxpr_as_fun(self.closed)
 
     @functools.cached_property
+    def function_in_reverse(self) -> Callable[..., list]:
+        """The function with loops that reverse mode can transpose."""
+        settings = apply_settings(self.settings)
+        with settings, tracing_for_kernel(True), reversing(True), without_garbage_collection():
+            return jaxpr_as_fun(self.trace())
+
+    @functools.cached_property
     def size(self) -> int:
         """The number of operations of one cell."""
         return self.traced.size if self.traced else count_operations(self.closed.jaxpr)
@@ -181,6 +192,54 @@ class Program:
             program = Program(along, like, self.settings, origin, name, avals)
             self.derivatives[by, directions] = program
         return self.derivatives[by, directions]
+
+    def adjoint(self, by: tuple[int, ...], of: tuple[int, ...]) -> "Program | None":
+        """Return the program of the cotangents of the operands `by`; None if there is none.
+
+        Its operands are those of this program, followed by the cotangents of the results `of`.
+        Loops of a user's own, and those within derivatives, have no transpose.
+        """
+        if (by, of) not in self.adjoints:
+            self.adjoints[by, of] = self.make_adjoint(by, of)
+        return self.adjoints[by, of]
+
+    def make_adjoint(self, by: tuple[int, ...], of: tuple[int, ...]) -> "Program | None":
+        count = len(self.operands)
+        # By all real operands, so that nothing of the program is left untransposed, which could not
+        # be differentiated again. Only what `by` needs is kept.
+        real = [i for i, aval in enumerate(self.operands) if is_real(aval)]
+
+        def pull(*values):
+            point, cotangents = list(values[:count]), list(values[count:])
+
+            def of_some(*some):
+                for i, value in zip(real, some, strict=True):
+                    point[i] = value
+                results = self.function_in_reverse(*point)
+                return [results[i] for i in of]
+
+            results, transposed = jax.vjp(of_some, *(point[i] for i in real))
+            # A result without a cotangent has no part, even if its derivative is NaN. Any other
+            # that is NaN has no derivatives.
+            some = lambda flags: jnp.any(jnp.stack([*map(jnp.any, flags)]))
+            used = some(ct != 0 for ct in cotangents)
+            lost = some((ct != 0) & jnp.isnan(x) for ct, x in zip(cotangents, results, strict=True))
+            known = lambda ct: jnp.where(used, jnp.where(lost, jnp.nan, ct), 0)
+            found = dict(zip(real, transposed(cotangents), strict=True))
+            return [known(found[i]) for i in by]
+
+        operands = [*self.operands, *(self.results[i] for i in of)]
+        avals = operands, [self.operands[i] for i in by]
+        name = sha256_of((self.name, "adjoint", by, of)) if self.name else None
+        program = Program(pull, list(map(shape_dtype, operands)), self.settings, None, name, avals)
+        program.linear = frozenset(range(count, len(operands)))
+        program.adjoint_of = self, by, of
+        try:
+            usable = program.compiled is not None or self.compiled is None
+            _ = usable and program.size  # traced, so that it is known to exist
+        except (NotImplementedError, TypeError, ValueError):
+            return None
+        return program if usable else None
 
 
 def count_operations(

@@ -34,6 +34,7 @@ from walker_jax.integrators.integrals import WithIntegrals
 from walker_jax.integrators.integrator import Integrator, Method, zero_at
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.step_lengths import StepLimits, has_sharp_features
+from walker_jax.kernels.reverse import with_transposed_turns, zero_where_unused
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, Stride, make_stride
 
@@ -123,7 +124,11 @@ def follow_graph(
         found = follow_modes(system, modes, course, integrator, again=again)
         return found._replace(entries=waiting | found.entries, parts=()), passes + 1
 
-    return lax.while_loop(goes_on, follow, (course, jnp.asarray(0)))[0]
+    def find(course):
+        return *lax.while_loop(goes_on, follow, (course, jnp.asarray(0))), ()
+
+    turn = lambda course, _: follow((course, 0))[0]
+    return with_transposed_turns(find, lambda _: (), turn, course)[0]
 
 
 def follow_modes(
@@ -187,7 +192,7 @@ def follow_one(
             verdict = jnp.where(took, numbers[guard.leads_to], verdict)
             continue
         take = with_fast_sincos(partial(take_guard, guard, numbers))
-        holds, state = take(end.state)
+        holds, state = zero_where_unused(take, end.state)
         if guard.leads_to == SECTION:
             verdict = jnp.where(took, Outcome.STRIDE, verdict)
             held = jnp.where(took, holds, held).astype(jnp.int8)
@@ -311,4 +316,4 @@ def end_course(system: HybridSystem, first: Mode, course: Course) -> Stride:
 
     state = course.entries[SECTION].state
     judged = course._replace(entries={}, parts=())
-    return with_fast_sincos(judge)(system, state, judged)
+    return zero_where_unused(with_fast_sincos(judge), system, state, judged)
