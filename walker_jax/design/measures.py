@@ -118,6 +118,7 @@ def gait_measures(
     largest = complex(gait.multipliers[0])
     radius = abs(largest) ** (1 / period)
     growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
+    growing = growth / abs(largest) ** 2 if largest else np.full(len(parameters), np.nan)
     cost = Measure(np.nan, np.full(len(parameters), np.nan))
     if steps and cost_is_known(walker):
         slope, steeper = float(vars(walker)["slope"]), [float(n == "slope") for n in parameters]
@@ -130,7 +131,7 @@ def gait_measures(
     return {
         "step-length": Measure(length, longer),
         "speed": Measure(length / time, (longer - slower * length / time) / time),
-        "spectral-radius": Measure(radius, radius * growth / abs(largest) ** 2 / period),
+        "spectral-radius": Measure(radius, radius * growing / period),
         "cost-of-transport": cost,
         **{
             name: Measure(float(mean(walker, jnp.asarray(states))), changes_of(mean))
