@@ -255,22 +255,22 @@ def combine(rule: Callable, left: Series, right) -> Series:
 
 def plus(k: int, operands: list[Series], bind: Callable = operator.add) -> Any:
     left, right = operands[0][k], operands[1][k]
-    one = right if left is None else left
-    return as_sum(one, operands) if left is None or right is None else apply_once(bind, left, right)
+    if left is None or right is None:
+        return right if left is right else as_sum(right if left is None else left, operands)
+    return apply_once(bind, left, right)
 
 
 def minus(k: int, operands: list[Series], bind: Callable = operator.sub) -> Any:
     left, right = operands[0][k], operands[1][k]
-    if left is not None and right is not None:
-        return apply_once(bind, left, right)
-    return as_sum(left if right is None else apply_once(operator.neg, right), operands)
+    if left is None:
+        return None if right is None else as_sum(apply_once(operator.neg, right), operands)
+    return as_sum(left, operands) if right is None else apply_once(bind, left, right)
 
 
 def as_sum(coefficient: Any, operands: list[Series]) -> Any:
-    """Return a coefficient of one operand in the shape of the sum: a number may add to an array."""
+    """Return a coefficient in the shape of the sum: a number may add to an array."""
     shape = np.broadcast_shapes(*(np.shape(one[0]) for one in operands))
-    alike = coefficient is None or np.shape(coefficient) == shape
-    return coefficient if alike else jnp.broadcast_to(coefficient, shape)
+    return coefficient if np.shape(coefficient) == shape else jnp.broadcast_to(coefficient, shape)
 
 
 def bilinear(k: int, operands: list[Series], bind: Callable) -> Any:
