@@ -62,7 +62,7 @@ def test_gait_from_a_guess_and_of_a_longer_period(run):
         (["--guess", "3", "3"], "no stride"),
         (["--guess", "0.2", "-0.5"], "no stride"),
         (["--period", "2", "--guess", "0.1534", "-0.1561"], "shorter period"),
-        (["--slope", "0.5"], "no gait of period 1 found for SimplestWalker, slope 0.5: the walker"),
+        (["--slope", "0.5"], "no gait of period 1 found for SimplestWalker, slope 0.5: it makes"),
         (["--slope", "0.5", "--period", "2"], "none of the searches from 1983 starts that make"),
         (["--guess", "0.2", "-0.4"], "another --guess, or another --slope"),
     ],

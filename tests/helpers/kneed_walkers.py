@@ -41,9 +41,7 @@ START = np.array([0.2482, -0.3581, -0.2933])
 
 
 def changed(walker, **values):
-    return KneedWalker(
-        **{one.name: getattr(walker, one.name) for one in dataclasses.fields(walker)} | values
-    )
+    return dataclasses.replace(walker, **values)
 
 
 def starts(count, seed=0):

@@ -125,7 +125,9 @@ def test_an_integral_and_a_largest_value_need_two_names():
             of = {"height": lambda y: y.height}
             return {"flight": flight._replace(integrals=of, largest=of)}
 
-    with pytest.raises(WrongUse, match="unlike 'height'"):
+    with pytest.raises(
+        WrongUse, match="must have other names than its largest values, unlike 'height'"
+    ):
         wj.integrals(Twice(), X)
 
 

@@ -57,8 +57,8 @@ def remake(kind: type[System], names: tuple[str, ...], values: dict[str, Any]) -
 def with_fields(kind: type[System], values: dict[str, Any]) -> Any:
     """Make a system of a class from values of its fields, which are not checked again."""
     made = object.__new__(kind)
-    for field in dataclasses.fields(kind):
-        object.__setattr__(made, field.name, values[field.name])
+    for name in {field.name for field in dataclasses.fields(kind)} & values.keys():
+        object.__setattr__(made, name, values[name])
     return made
 
 

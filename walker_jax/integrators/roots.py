@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.kernels.products import sum_of_products
 
@@ -144,21 +145,22 @@ def first_of_many(
 
     def unfinished(carry):
         time, steps, *_ = carry
-        return (time < length) & (jnp.min(steps) > resolution)
+        return (time < length) & (least(steps) > resolution)
 
     def advance(carry):
         time, steps, *known = carry
-        step = jnp.min(steps)
+        step = least(steps)
         time, known = time + step, shifted(known, jnp.broadcast_to(step, steps.shape))
         return time, length_without_zero(known, length - time), *known
 
+    least = lambda steps: -largest(-steps)
     exact, length = series, lax.stop_gradient(length)
     series = lax.stop_gradient(series)
     sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
     series = [sign * c for c in series]
     first = jnp.zeros_like(length), length_without_zero(series, length), *series
     time, steps, *_ = lax.while_loop(unfinished, advance, first)
-    share = (steps == jnp.min(steps)).astype(length.dtype)
+    share = (steps == least(steps)).astype(length.dtype)
     share = share / jnp.sum(share)
     return time, [jnp.sum(share * c) for c in exact]
 

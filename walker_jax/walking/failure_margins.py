@@ -192,7 +192,8 @@ def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: St
         passed[of] = jnp.minimum(passed[of], value) if of in passed else value
 
     # falls, and ends that lead to the section
-    unit, failed, pulled = walker.unit_of_time(), infinite * jnp.nan, jnp.asarray(False)
+    unit = zero_at(parts[0].start) + walker.unit_of_time()
+    failed, pulled = infinite * jnp.nan, jnp.asarray(False)
     for part in parts:
         known = guards_of(part)
         failed = fall_margin(part, known, numbers, unit, failed)
