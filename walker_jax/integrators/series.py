@@ -269,7 +269,7 @@ def minus(k: int, operands: list[Series], bind: Callable = operator.sub) -> Any:
 
 def as_sum(coefficient: Any, operands: list[Series]) -> Any:
     """Return a coefficient in the shape of the sum: a number may add to an array."""
-    shape = np.broadcast_shapes(*(np.shape(one[0]) for one in operands))
+    shape = np.broadcast_shapes(*map(np.shape, (coefficient, *(one[0] for one in operands))))
     return coefficient if np.shape(coefficient) == shape else jnp.broadcast_to(coefficient, shape)
 
 
