@@ -43,9 +43,14 @@ def find_walker(name: str) -> type[Walker]:
     installed = installed_walkers()
     if name in installed:
         return load_installed(installed[name])
-    similar = " or ".join(difflib.get_close_matches(name, (*WALKERS, *installed)))
-    raise WrongUse(
-        "walker must be one that walker-jax --list-walkers shows, or FILE.py:CLASS, not "
+    raise not_listed("walker", name, "FILE.py:CLASS", (*WALKERS, *installed))
+
+
+def not_listed(noun: str, name: str, of_file: str, known: Sequence[str]) -> WrongUse:
+    """Return the error of a name that nothing has, with names like it."""
+    similar = " or ".join(difflib.get_close_matches(name, known))
+    return WrongUse(
+        f"{noun} must be one that walker-jax --list-walkers shows, or {of_file}, not "
         f"{short(name)[1:-1]}{f': did you mean {similar}?' if similar else ''}"
     )
 
@@ -59,9 +64,7 @@ def find_system(name: str) -> type[System] | System:
         choice = choose_from(systems_in(load_file(Path(name), "system")), name)
         raise WrongUse(f"system {name} must name a system, or a class of systems: {choice}")
     if not place:
-        raise WrongUse(
-            f"system must be one of {', '.join(SYSTEMS)}, or FILE.py:NAME, not {short(name)[1:-1]}"
-        )
+        raise not_listed("system", name, "FILE.py:NAME", (*SYSTEMS,))
     module = load_place(place, "system")
     value = vars(module).get(attribute)
     if isinstance(value, System):
