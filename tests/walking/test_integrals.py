@@ -19,7 +19,7 @@ class Ball(wj.BouncingBall):
         rates = {
             "climb": lambda y: y.velocity,
             "effort": lambda y: self.unit * y.velocity**2,
-            "time": lambda y: jnp.ones_like(y.height),
+            "time": lambda y: 1,
         }
         largest = {"height": lambda y: y.height, "speed": lambda y: y.velocity}
         (flight,) = super().modes().values()

@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from walker_jax.integrators.roots import Scalar
@@ -21,12 +22,15 @@ class WithIntegrals(eqx.Module):
     rates: dict[str, Callable[[Any], Scalar]]
 
     def __call__(self, state):
-        y, _ = state
-        return self.motion(y), {name: rate(y) for name, rate in self.rates.items()}
+        return self.motion(state[0]), {name: g(state) for name, g in self.functions().items()}
 
-    def functions(self) -> list[Callable[[PyTree], Scalar]]:
-        """Return the functions g of a state with integrals."""
-        return [lambda state, g=g: g(state[0]) for g in self.rates.values()]
+    def functions(self) -> dict[str, Callable[[PyTree], Scalar]]:
+        """Return the functions g of a state with integrals, by name."""
+
+        def of_motion(name, g):
+            return lambda state: jnp.asarray(g(state[0]), state[1][name].dtype)
+
+        return {name: of_motion(name, g) for name, g in self.rates.items()}
 
 
 def motion_of(field: Any, state: PyTree) -> tuple[Any, PyTree]:

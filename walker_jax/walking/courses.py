@@ -288,7 +288,7 @@ def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     sharp = tuple(one.value for one in mode.conditions if has_sharp_features(one.value, start))
     watched = sharp if mode.as_smooth else (*functions, *sharp)
     if isinstance(mode.field, WithIntegrals):
-        watched = *watched, *mode.field.functions()
+        watched = *watched, *mode.field.functions().values()
     conditions = tuple(one.value for one in mode.conditions if not one.least_at_ends)
     limits = StepLimits(mode.scales, mode.longest_step)
     return integrator.method(

@@ -105,7 +105,7 @@ def sum_along(
     start = course.entries[first].state
     begun = start, dict.fromkeys(names, zero_at(start))
     beginning = course._replace(entries={first: course.entries[first]._replace(state=begun)})
-    longer = {name: with_integrals(mode, names, begun) for name, mode in modes.items()}
+    longer = {name: with_integrals(mode, names) for name, mode in modes.items()}
     course = follow_graph(system, longer, beginning, integrator)
     section = course.entries[SECTION]
     state, sums = section.state
@@ -117,7 +117,7 @@ def sum_along(
     return {name: nan_unless(made.outcome == Outcome.STRIDE, sums[name]) for name in names}
 
 
-def with_integrals(mode: Mode, names: list[str], like: Any) -> Mode:
+def with_integrals(mode: Mode, names: list[str]) -> Mode:
     """Return a mode whose states are pairs, of the state and of the integrals by name."""
     of_state = lambda function: lambda both: function(both[0])
     every = lambda functions: tuple(map(of_state, functions))
@@ -130,18 +130,16 @@ def with_integrals(mode: Mode, names: list[str], like: Any) -> Mode:
             admits_at_rise=every(one.admits_at_rise),
             reset=lambda both: (one.reset(both[0]), both[1]),
             must_hold=conditions(one.must_hold),
+            surface=one.surface and of_state(one.surface),
         )
 
-    nothing = lambda state: zero_at(state)
-    rates = {name: mode.integrals.get(name, nothing) for name in names}
-    field = WithIntegrals(mode.rates, rates)
     return mode._replace(
-        field=field,
+        field=WithIntegrals(
+            mode.rates, {name: mode.integrals.get(name, zero_at) for name in names}
+        ),
         guards=tuple(map(guard, mode.guards)),
         conditions=conditions(mode.conditions),
-        foregone=None,
         rates_at=None,
-        as_smooth=False,
     )
 
 
