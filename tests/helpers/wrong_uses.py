@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 import xarray as xr
+from part_of_swing import PartOfSwing
 from starlette.requests import Request
 
 import walker_jax as wj
@@ -118,23 +119,11 @@ class Kicking(wj.SimplestWalker):
         return lifted, after._replace(phidot=after.phidot + 0.1)
 
 
-class Opening(wj.Phase):
-    """A phase in which the legs move as in the swing, up to mid-stance."""
-
-    def begin(self, state):
-        return state
-
-    def vector_field(self, state):
-        return self.walker.vector_field(state)
-
-    def contact_force(self, state):
-        return self.walker.contact_force(state)
+class Opening(PartOfSwing):
+    """A phase up to mid-stance."""
 
     def event(self, state):
         return -state.theta
-
-    def end(self, state):
-        return state
 
 
 class Phased(wj.SimplestWalker):

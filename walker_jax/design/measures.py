@@ -83,29 +83,11 @@ def gait_measures(
     changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
     states, period = np.asarray(gait.states), len(gait.states)
 
-    def mean_step_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
-        """Average the lengths of the steps, each measured at the heel strike that ends it."""
-        lengths: list[Any] = [step_length(walker, x) for x in states]
-        return jnp.mean(jnp.stack(lengths))
-
-    def work_per_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
-        """Return the motors' work per unit of weight and of distance."""
-        works = [
-            walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x))
-            for x in states
-        ]
-        known = jnp.stack([work for work in works if work is not None])
-        return jnp.mean(known) / mean_step_length(walker, states)
-
-    def mean_integral(name: str, walker: Any, states: Float[Array, "period section"]) -> Scalar:
-        found = [integrals(walker, x, tolerance=tolerance)[name] for x in states]
-        return jnp.mean(jnp.stack(found))
-
     def along(measure, name: str, dx: Float[np.ndarray, "period section"]) -> float:
         way = along_parameter(walker, name), jnp.asarray(dx)
         return float(jax.jvp(measure, (walker, jnp.asarray(states)), way)[1])
 
-    steps = step_length(walker, jnp.asarray(states[0])) is not None
+    steps = jax.eval_shape(step_length, walker, jnp.asarray(states[0])) is not None
     length = float(mean_step_length(walker, jnp.asarray(states))) if steps else np.nan
     time = float(np.mean(gait.step_times))
 
@@ -127,7 +109,7 @@ def gait_measures(
             work = float(work_per_length(walker, jnp.asarray(states)))
             by = by + changes_of(work_per_length)
         cost = Measure(float(np.sin(slope)) + work, by)
-    means = {name: partial(mean_integral, name) for name in named}
+    means = {name: partial(mean_integral, name, tolerance) for name in named}
     return {
         "step-length": Measure(length, longer),
         "speed": Measure(length / time, (longer - slower * length / time) / time),
@@ -138,6 +120,28 @@ def gait_measures(
             for name, mean in means.items()
         },
     }
+
+
+def mean_step_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
+    """Average the lengths of the steps, each measured at the heel strike that ends it."""
+    lengths: list[Any] = [step_length(walker, x) for x in states]
+    return jnp.mean(jnp.stack(lengths))
+
+
+def work_per_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
+    """Return the motors' work per unit of weight and of distance."""
+    works = [
+        walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x)) for x in states
+    ]
+    known = jnp.stack([work for work in works if work is not None])
+    return jnp.mean(known) / mean_step_length(walker, states)
+
+
+def mean_integral(
+    name: str, tolerance: float | None, walker: Any, states: Float[Array, "period section"]
+) -> Scalar:
+    """Average an integral, or a largest value, over the strides of a gait."""
+    return jnp.mean(jnp.stack([integrals(walker, x, tolerance=tolerance)[name] for x in states]))
 
 
 def step_length(walker: System, x: Float[Array, " section"]) -> Scalar | None:

@@ -58,6 +58,15 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
             ]
             return merge_lanes(emitter, flags, runs, avals)
 
+    return emit_loop(emitter, condition, body, of_condition, of_body, carry)
+
+
+@no_type_check
+def emit_loop(
+    emitter, condition: ClosedJaxpr, body: ClosedJaxpr, of_condition, of_body, carry
+) -> list[np.ndarray]:
+    """Emit the blocks of a loop whose number of turns is not known before it."""
+    builder, avals = emitter.builder, [variable.aval for variable in body.jaxpr.outvars]
     tapes = {i: array for i, array in enumerate(carry) if memory_of(array)}  # written in place
     others = [i for i in range(len(carry)) if i not in tapes]
     avals = [avals[i] for i in others]

@@ -13,7 +13,7 @@ all systems alike (`hybrid.misses`):
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.modes import SECTION, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator, zero_at
 from walker_jax.integrators.roots import Real, Scalar
@@ -228,14 +228,10 @@ def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: St
 
     # after guards
     least = infinite
-    for part in parts:
-        for i, guard in enumerate(part.mode.guards):
-            for one in guard.must_hold:
-                value, asked = one.value(part.end.state), part.taken == i
-                holds = asked & ~violated & (value > 0)
-                lower(one.leads_to, jnp.where(holds, value, infinite))
-                ends = asked & (outcome == numbers[one.leads_to]) & (value <= 0)
-                least = jnp.minimum(least, jnp.where(ends, value, infinite))
+    for one, asked, value in judged_at_ends(parts):
+        lower(one.leads_to, jnp.where(asked & ~violated & (value > 0), value, infinite))
+        ends = asked & (outcome == numbers[one.leads_to]) & (value <= 0)
+        least = jnp.minimum(least, jnp.where(ends, value, infinite))
     failed = jnp.where(jnp.isfinite(least), least, failed)
 
     # A failed margin is above zero by rounding alone, which has no part in its derivatives.
@@ -246,6 +242,16 @@ def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: St
         passed[of] = jnp.where(outcome == numbers[of], failed, value)
     fails = (outcome != Outcome.STRIDE) & (outcome != Outcome.UNDECIDED)
     return Margins(stride, jnp.where(fails, failed, jnp.nan), passed)
+
+
+def judged_at_ends(
+    parts: tuple[Part, ...],
+) -> Iterator[tuple[Condition, Bool[Array, ""], Scalar]]:
+    """Yield what must hold after each guard, whether that guard has risen, and its value then."""
+    for part in parts:
+        for i, guard in enumerate(part.mode.guards):
+            for one in guard.must_hold:
+                yield one, part.taken == i, one.value(part.end.state)
 
 
 class GuardEnds(NamedTuple):
