@@ -54,7 +54,7 @@ def numbered(acts):
 
 def area(walker, grid, acts, pushes) -> float:
     choose = interpolate_actions(grid, numbered(acts), pushes[:, None])
-    return sum(wj.basin(steer(walker, ("push_off",), choose, 1e-12), grid, "direct").attrs["area"])
+    return sum(wj.basin(steer(walker, ("push_off",), choose), grid, "direct").attrs["area"])
 
 
 def polish(grid, acts, pushes):

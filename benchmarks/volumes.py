@@ -45,6 +45,12 @@ RADII = 0.18, 0.22
 LEVELS, STARTS = 2, 2_000_000
 
 
+def whole_grid(walker):
+    axes = whole_section(walker)
+    assert axes is not None
+    return grid_along(axes)
+
+
 def main(step: str = "all", levels: int = 3) -> None:
     jax.config.update("jax_enable_x64", True)
     if step == "level":
@@ -73,7 +79,7 @@ def main(step: str = "all", levels: int = 3) -> None:
 def differentiate_by_radius() -> None:
     """Print the derivative of a volume on ever finer grids, and a difference of volumes."""
     walker = wj.RoundFootWalker(0.01)
-    grid = grid_along(whole_section(walker))
+    grid = whole_grid(walker)
     for level in range(LEVELS + 1):
         found = wj.area_gradient(walker, grid, ("foot_radius",), levels=level)
         print(f"level {level}: {found.gradient[0]:.4f} +- {found.error[0]:.4f}", flush=True)
@@ -89,7 +95,7 @@ def integrate_gradient(name: str, kind: type) -> None:
     low, high = SLOPES[0], SLOPES[-1]
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     slopes = (low + high) / 2 + (high - low) / 2 * nodes
-    grid = grid_along(whole_section(kind(low)))
+    grid = whole_grid(kind(low))
     found = [wj.area_gradient(kind(slope), grid, levels=1, check=50_000) for slope in slopes]
     rates = np.array([one.gradient[0] for one in found])
     errors = np.array([one.error[0] for one in found])
@@ -107,7 +113,7 @@ def integrate_gradient(name: str, kind: type) -> None:
 def measure_level(level: int) -> None:
     """Print what one level of refinement takes."""
     walker = wj.RoundFootWalker(0.01)
-    grid = grid_along(whole_section(walker))
+    grid = whole_grid(walker)
     wj.refine(walker, grid, 0, check=1000)  # compiles
     peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     before, cpu, wall = peak(), time.process_time(), time.perf_counter()
@@ -123,7 +129,7 @@ def measure_level(level: int) -> None:
 
 def compare(name: str, walker: wj.Walker) -> None:
     """Print the volume of a basin by refinement, by random starts, and by a uniform grid."""
-    grid = grid_along(whole_section(walker))
+    grid = whole_grid(walker)
     data = wj.refine(walker, grid, LEVELS)
     volume, error = float(data.total_area), float(data.total_area_error)
     gait = wj.find_gait(walker)

@@ -275,9 +275,10 @@ def test_a_blade_thinner_than_a_cell_grows_within_its_error(monkeypatch, walks_i
 
 
 def test_the_whole_section_is_in_units_of_the_leg():
-    assert whole_section(WALKER)["phidot"][:2] == pytest.approx(WHOLE_SECTION["phidot"][:2])
     short = wj.RoundFootWalker(0.01, leg_length=0.25, com_from_hip=0.1, foot_radius=0.05)
-    axes = whole_section(short)
+    own, axes = whole_section(WALKER), whole_section(short)
+    assert own is not None and axes is not None
+    assert own["phidot"][:2] == pytest.approx(WHOLE_SECTION["phidot"][:2])
     assert axes["phidot"] == (pytest.approx(-5), pytest.approx(2), WHOLE_SECTION["phidot"][2])
     # the same rates, twice as high, at either end of theta
     low, high = (rate - 1.4 for rate in WHOLE_SECTION["sum"][:2])
@@ -375,7 +376,9 @@ def box_of(data):
 @pytest.mark.slow
 def test_the_volume_of_a_walker_on_round_feet():
     """Against every cell of a uniform grid, and random starts; and its change with the radius."""
-    grid = grid_along(whole_section(WALKER))
+    axes = whole_section(WALKER)
+    assert axes is not None
+    grid = grid_along(axes)
     found = wj.refine(WALKER, grid, 1)
     volume, error = float(found.total_area), float(found.total_area_error)
     uniform = wj.basin(WALKER, refinement.finer(grid, 1), "direct")
