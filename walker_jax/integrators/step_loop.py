@@ -35,11 +35,12 @@ def make_steps(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
         # diffrax asks for the types of a step's results several times; so it is traced once, and
         # is called as a function of all that it closes over.
-        OneByOne(eqx.filter_jit(convert_closure(step, last)), goes_on),
-        made.astype(float),
+        OneByOne(eqx.filter_jit(convert_closure(step, last)), goes_on, (most - made).astype(float)),
+        # Numbers that are known while a kernel is made: diffrax computes with them in every call.
+        0.0,
         float(most),
         None,
-        going.astype(float),
+        (going & (made < most)).astype(float),
         stepsize_controller=EachOfLengthOne(),
         event=diffrax.Event(lambda t, y, args, **_: y == 0),
         saveat=diffrax.SaveAt(solver_state=True),
@@ -70,6 +71,8 @@ class OneByOne(diffrax.AbstractSolver):
 
     make: Callable[[PyTree], PyTree]
     goes_on: Callable[[PyTree], Bool[Array, ""]]
+    most: Scalar
+    """Number of steps after which none goes on."""
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = NoInterpolation
@@ -85,8 +88,8 @@ class OneByOne(diffrax.AbstractSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         step = jax.tree.map(jnp.asarray, self.make(solver_state))
-        going = self.goes_on(step).astype(y0.dtype)
-        return going, None, {}, step, diffrax.RESULTS.successful
+        going = self.goes_on(step) & (t1 < self.most)
+        return going.astype(y0.dtype), None, {}, step, diffrax.RESULTS.successful
 
 
 class EachOfLengthOne(diffrax.AbstractStepSizeController):
