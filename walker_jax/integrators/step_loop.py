@@ -17,6 +17,9 @@ from jaxtyping import Array, Bool, Int, PyTree
 from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.roots import Scalar
 
+MOST_AT_ONCE = 2**24
+"""Most steps of one call, after which its caller goes on: single precision counts no further."""
+
 
 def make_steps(
     step: Callable[[PyTree], PyTree],
@@ -29,7 +32,7 @@ def make_steps(
     """Make step after step until one does not go on; return the last and how many were made.
 
     `step` maps each step to the next one, and `going` says whether to make any. There are at most
-    `most`, together with those that were `made` before.
+    `most`, together with those that were `made` before, and at most `MOST_AT_ONCE`.
     """
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
@@ -38,7 +41,7 @@ def make_steps(
         OneByOne(eqx.filter_jit(convert_closure(step, last)), goes_on, (most - made).astype(float)),
         # Numbers that are known while a kernel is made: diffrax computes with them in every call.
         0.0,
-        float(most),
+        float(min(most, MOST_AT_ONCE)),
         None,
         (going & (made < most)).astype(float),
         stepsize_controller=EachOfLengthOne(),
@@ -46,7 +49,7 @@ def make_steps(
         saveat=diffrax.SaveAt(solver_state=True),
         adjoint=diffrax.ForwardMode(),
         solver_state=last,
-        max_steps=int(most),  # single precision counts to 2^24 only
+        max_steps=None,  # time ends it
         throw=False,
     )
     return solution.solver_state, made + solution.stats["num_steps"]
