@@ -23,6 +23,7 @@ from walker_jax.identity import sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
 from walker_jax.kernels.directions import mapping_directions
+from walker_jax.kernels.gathered_sums import with_gathered_sums
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.products import sum_of_products_p
 from walker_jax.kernels.program_cache import (
@@ -60,6 +61,8 @@ class Program:
         self.settings = settings
         """Contexts and their values, under which the function and its derivatives are traced."""
         self.trace = lambda: jax.make_jaxpr(function)(*operands)
+        self.adjoint_of: tuple[Program, tuple[int, ...], tuple[int, ...]] | None = None
+        """For an adjoint: the program, and the operands and results that `adjoint` was given."""
         self.name = name
         """Name of its trace on disk; None if it cannot be kept there."""
         self.traced = recall_trace(name)
@@ -77,8 +80,6 @@ class Program:
         """Operands in which the function is jointly linear: a derivative's directions."""
         self.derivatives: dict[tuple, Program] = {}
         self.adjoints: dict[tuple, Program | None] = {}
-        self.adjoint_of: tuple[Program, tuple[int, ...], tuple[int, ...]] | None = None
-        """For an adjoint: the program, and the operands and results that `adjoint` was given."""
         self.on_gpu: dict[tuple, Ptx | None] = {}
         """Programs of threads by the arguments of `ptx`; None if there is none."""
         self.tree: Any = self.traced.tree if self.traced else None
@@ -94,6 +95,8 @@ class Program:
         settings = apply_settings(self.settings)
         with settings, tracing_for_kernel(True), without_garbage_collection():
             closed = without_unused(self.trace())
+            if self.adjoint_of is not None:
+                closed = with_gathered_sums(closed)
         if is_traced(closed.consts):
             raise WrongUse(
                 "a kernel must depend on its arguments alone: make the traced value that its "
