@@ -8,7 +8,12 @@ from jax import lax
 
 from walker_jax.kernels import kernel, transposes
 from walker_jax.kernels.program import program_of
-from walker_jax.kernels.reverse import ROWS, with_transposed_turns, zero_where_unused
+from walker_jax.kernels.reverse import (
+    ROWS,
+    reversing,
+    with_transposed_turns,
+    zero_where_unused,
+)
 
 MOST = 3 * ROWS + 5
 TURNS = jnp.array([0, 3, ROWS, ROWS + 1, MOST])
@@ -90,3 +95,24 @@ def test_unused_results_have_no_part():
         return jnp.where(x > 0, root, 2 * x)
 
     np.testing.assert_allclose(jax.vmap(jax.grad(root_if))(jnp.array([0.0, 4.0])), [2, 0.25])
+
+
+def test_loops_within_derivatives_are_differentiated_by_columns():
+    """By a function that makes a derivative of such a loop: it has no adjoint."""
+
+    def slope(f):
+        return lambda x: jax.jvp(lambda x: f(A, x, 3), (x,), (jnp.ones(2),))[1].sum()
+
+    found, expected = jax.grad(kernel(slope(by_loop)))(XS[0]), jax.grad(slope(by_scan))(XS[0])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_faults_are_not_taken_for_a_loop_without_a_transpose():
+    @kernel
+    def fails(x):
+        if reversing.value:
+            raise ValueError("a fault of the function")
+        return 2 * x
+
+    with pytest.raises(ValueError, match="a fault of the function"):
+        jax.grad(fails)(1.0)

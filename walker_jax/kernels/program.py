@@ -36,7 +36,7 @@ from walker_jax.kernels.program_cache import (
     user_system_in,
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
-from walker_jax.kernels.reverse import reversing
+from walker_jax.kernels.reverse import reversing, says_no_transpose
 from walker_jax.kernels.stored import is_long, multiplies_long_matrices
 from walker_jax.kernels.unused import without_unused
 
@@ -240,7 +240,9 @@ class Program:
         try:
             usable = program.compiled is not None or self.compiled is None
             _ = usable and program.size  # traced, so that it is known to exist
-        except (NotImplementedError, TypeError, ValueError):
+        except (NotImplementedError, TypeError, ValueError) as error:
+            if not says_no_transpose(error):
+                raise
             return None
         return program if usable else None
 

@@ -22,6 +22,15 @@ ROWS = 64
 """Rows of a tape. Modes of a stride take some 16 steps; few take more than these. Tapes of a vector
 of cells then fit in the second cache of a core."""
 
+NO_TRANSPOSE = (
+    "Reverse-mode differentiation does not work",
+    "can't apply forward-mode autodiff (jvp) to a custom_vjp",
+    "Differentiation rule for 'custom_lin'",
+    "Transpose rule",
+)
+"""How JAX's errors begin for a loop of a user's own, for a loop of this module within a derivative
+(twice), and for a primitive without a transpose."""
+
 reversing = jax.make_user_context(False)
 """True while the function is traced that an adjoint transposes."""
 
@@ -213,6 +222,11 @@ def zero_where_unused(function: Callable[..., PyTree], *args: PyTree) -> PyTree:
 
     evaluate.defvjp(lambda values: (compute(values), values), backward)
     return jax.tree.unflatten(traced.structure, evaluate([*traced.consts, *leaves]))
+
+
+def says_no_transpose(error: Exception) -> bool:
+    """Return whether an error says that a function cannot be transposed, rather than is wrong."""
+    return any(map(str(error).lstrip().startswith, NO_TRANSPOSE))
 
 
 def is_real(x: Any) -> bool:
