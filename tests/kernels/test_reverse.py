@@ -24,13 +24,29 @@ def turn(a, x):
     return a * x + 0.1 * jnp.sin(x)
 
 
-@kernel
-def by_loop(a, x, turns):
-    def find(start):
-        following = lambda now: (now[0] + 1, turn(a, now[1]))
-        return lax.while_loop(lambda now: now[0] < turns, following, (0, start))[1], turns, ()
+def by_turns(a, x, turns, writes):
+    def find(start, writer):
+        def following(now):
+            i, x, tapes = now
+            tapes = writer.put(tapes, i, x) if writer is not None and writes else tapes
+            return i + 1, turn(a, x), tapes
+
+        begun = jnp.zeros_like(turns), start, writer and writer.tapes
+        _, end, tapes = lax.while_loop(lambda now: now[0] < turns, following, begun)
+        return end, turns, (), tapes if writes else None
 
     return with_transposed_turns(find, lambda x: (), lambda x, _: turn(a, x), x)[0]
+
+
+@kernel
+def by_loop(a, x, turns):
+    return by_turns(a, x, turns, True)
+
+
+@kernel
+def by_loop_again(a, x, turns):
+    """The same; it is made again in reverse, as it does not write the starts of its turns."""
+    return by_turns(a, x, turns, False)
 
 
 def by_scan(a, x, turns):
@@ -58,12 +74,12 @@ DERIVATIVES = {
 }
 
 
+@pytest.mark.parametrize("loop", [by_loop, by_loop_again])
 @pytest.mark.parametrize("name", DERIVATIVES)
-def test_turns_are_transposed(name):
+def test_turns_are_transposed(name, loop):
     """More turns than a tape has rows, and none, in one vector of cells."""
     found, expected = (
-        jax.jit(jax.vmap(DERIVATIVES[name](f), (None, 0, 0)))(A, XS, TURNS)
-        for f in (by_loop, by_scan)
+        jax.jit(jax.vmap(DERIVATIVES[name](f), (None, 0, 0)))(A, XS, TURNS) for f in (loop, by_scan)
     )
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12 * np.abs(b).max())
