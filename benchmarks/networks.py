@@ -48,7 +48,7 @@ AHEAD = -0.3
 WAYS = ("walker_jax", "diffrax", "XLA")
 IN_A_ROW = 3
 """Strides of a walk that is differentiated."""
-FEWER = 8
+FEWER = 2
 """So many times fewer walks are differentiated than strides made."""
 
 
