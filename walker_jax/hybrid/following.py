@@ -34,10 +34,10 @@ from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
 from walker_jax.integrators.integrator import Memory, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.step_loop import make_steps
+from walker_jax.integrators.step_loop import make_steps, write_steps
 from walker_jax.integrators.taylor import function_series, is_list
 from walker_jax.integrators.transposed_steps import transpose_steps
-from walker_jax.kernels.reverse import reversing, zero_where_unused
+from walker_jax.kernels.reverse import Writer, reversing, zero_where_unused
 
 FIRST_ORDER = 6
 """Order to which guards are expanded in every step, to exclude a rise. If that does not exclude
@@ -112,7 +112,7 @@ def follow_mode(
     if reversing.value and method.is_series and not measured:
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
-        last = find(start)
+        last, _ = find(start)
         arrive = partial(method.refine_event, surface_of(mode, last.guard))
     refined, delay = zero_where_unused(arrive, last.arrival)
     ended = has_ended(mode, last.guard)
@@ -127,30 +127,49 @@ def follow_mode(
 
 
 def find_event(
-    mode: Mode, start: Any, going: Bool[Array, ""], method: Method, measured: bool
-) -> Unfinished:
-    """Find the first event of a mode that begins in a state."""
+    mode: Mode,
+    start: Any,
+    going: Bool[Array, ""],
+    method: Method,
+    measured: bool,
+    writer: Writer | None = None,
+) -> tuple[Unfinished, list | None]:
+    """Find the first event of a mode that begins in a state; return the tapes of a writer too."""
     mode, begun = begin_following(mode, start, going, method, measured)
-    return follow_on(mode, method, begun, measured=measured)
+    return follow_on(mode, method, begun, measured=measured, writer=writer)
 
 
-def follow_on(mode: Mode, method: Method, begun: Unfinished, *, measured: bool) -> Unfinished:
+def follow_on(
+    mode: Mode,
+    method: Method,
+    begun: Unfinished,
+    *,
+    measured: bool,
+    writer: Writer | None = None,
+) -> tuple[Unfinished, list | None]:
     """Make steps from some instant of a mode to its first event, and find it."""
 
-    def unfinished(now: Unfinished):
+    def unfinished(carry):
+        now, _ = carry
         finite = jnp.isfinite(now.last.time + now.last.length)
         return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
-    def follow(now: Unfinished) -> Unfinished:
+    def follow(carry):
+        now, tapes = carry
         if measured:
-            return follow_measured(mode, method, now)[0]
+            return follow_measured(mode, method, now)[0], tapes
         step = partial(next_step, mode, method, violated=now.violated)
         quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
         # In a batch, lanes that have ended wait here for the others.
-        last, count = make_steps(step, now.last, quiet, going, now.count, mode.most_steps)
-        return search_step(mode, method, now._replace(last=last, count=count))[0]
+        about = now.last, quiet, going, now.count, mode.most_steps
+        if writer is None:
+            last, count = make_steps(step, *about)
+        else:
+            at = lambda last: (last.end, last.time + last.length)
+            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), at)
+        return search_step(mode, method, now._replace(last=last, count=count))[0], tapes
 
-    return lax.while_loop(unfinished, follow, begun)
+    return lax.while_loop(unfinished, follow, (begun, writer and writer.tapes))
 
 
 def find_in_reverse(
@@ -161,10 +180,10 @@ def find_in_reverse(
     Returns the mode as it begins its last step, and a function from there to the event.
     """
 
-    def find_steps(start):
-        last = find(start)
+    def find_steps(start, writer):
+        last, tapes = find(start, writer=writer)
         steps = jnp.where(has_ended(mode, last.guard), last.count - 1, 0)
-        return last.last.start, last.last.time, steps, last
+        return last.last.start, last.last.time, steps, last, tapes
 
     state, time, last = transpose_steps(method, find_steps, start)
     until = last.time - last.last.time

@@ -12,10 +12,12 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.roots import Scalar
+from walker_jax.kernels.reverse import Writer
 
 MOST_AT_ONCE = 2**24
 """Most steps of one call, after which its caller goes on: single precision counts no further."""
@@ -53,6 +55,29 @@ def make_steps(
         throw=False,
     )
     return solution.solver_state, made + solution.stats["num_steps"]
+
+
+def write_steps(
+    step: Callable[[PyTree], PyTree],
+    last: PyTree,
+    goes_on: Callable[[PyTree], Bool[Array, ""]],
+    going: Bool[Array, ""],
+    made: Int[Array, ""],
+    most: int,
+    writer: Writer,
+    start_of: Callable[[PyTree], PyTree],
+) -> tuple[PyTree, Int[Array, ""], list]:
+    """Make the same steps, and write on tapes where each begins: `start_of` the step before it."""
+
+    def make(now):
+        last, _, made, tapes = now
+        tapes = writer.put(tapes, made, start_of(last))
+        last = jax.tree.map(jnp.asarray, step(last))
+        return last, goes_on(last), made + 1, tapes
+
+    unfinished = lambda now: now[1] & (now[2] < most)
+    last, _, made, tapes = lax.while_loop(unfinished, make, (last, going, made, writer.tapes))
+    return last, made, tapes
 
 
 class NoInterpolation(diffrax.AbstractLocalInterpolation):

@@ -126,8 +126,15 @@ def follow_graph(
         found = follow_modes(system, modes, course, integrator, again=again)
         return found._replace(entries=waiting | found.entries, parts=()), passes + 1
 
-    def find(course):
-        return *lax.while_loop(goes_on, follow, (course, jnp.asarray(0))), ()
+    def find(course, writer):
+        def make(carry):
+            course, passes, tapes = carry
+            tapes = tapes if writer is None else writer.put(tapes, passes, course)
+            return *follow((course, passes)), tapes
+
+        begun = course, jnp.asarray(0), writer and writer.tapes
+        course, passes, tapes = lax.while_loop(lambda now: goes_on(now[:2]), make, begun)
+        return course, passes, (), tapes
 
     turn = lambda course, _: follow((course, 0))[0]
     return with_transposed_turns(find, lambda _: (), turn, course)[0]

@@ -354,7 +354,7 @@ def follow_steps(name: str, mode: Mode, method: Method, begun: Followed) -> Foll
         greatest = [max(known, float(value)) for known, value in zip(greatest, values, strict=True)]
         way.append((time + length, now.last.end))
     if int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
-        now = kernel(lambda now: follow_on(mode, method, now, measured=False))(now)
+        now = kernel(lambda now: follow_on(mode, method, now, measured=False)[0])(now)
         time = float(now.last.time)
         if not np.isfinite(time + float(now.last.length)):
             reason = why_it_stops(mode, method, now.last.start, time)
