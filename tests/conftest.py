@@ -7,6 +7,7 @@ optimises, as most of what it compiles is called once, to compare with; kernels 
 run; `pytest --hypothesis-profile=explore` draws others.
 """
 
+import atexit
 import gc
 import os
 import sys
@@ -32,6 +33,7 @@ settings.register_profile("explore", deadline=None)
 settings.load_profile("repeatable")
 
 gc.set_threshold(100_000, 50, 1000)  # tracing makes many objects that stay: looking finds little
+atexit.register(gc.freeze)  # nor at the end
 
 WORTH_KEEPING = 0.1
 """Seconds of compilation from which on a program is kept."""
