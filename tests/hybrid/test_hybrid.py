@@ -23,8 +23,6 @@ from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor_steps import SERIES_ORDER, Taylor
 from walker_jax.kernels import kernel
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 TOLERANCE = 1e-12
 COEFFICIENTS, ROWS = 7, 256
 
