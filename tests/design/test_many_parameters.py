@@ -83,7 +83,7 @@ def test_margins_in_reverse_equal_those_forward(monkeypatch):
     monkeypatch.setattr(margin_changes, "MANY", 1000)
     forward = differentiate_margins(DISC, x, made, np.eye(2), NAMES, 1e-12)
     np.testing.assert_allclose(back, forward, rtol=1e-11, atol=1e-16 * abs(forward).max())
-    step = 1e-5 * MIX[3]
+    step = 1e-6 * MIX[3]
     ends = [
         margin_changes.margins_after(disc(WEIGHTS + one), x, made, 1e-12) for one in (-step, step)
     ]
@@ -135,9 +135,7 @@ def test_areas_grow_by_minibatches(monkeypatch):
     assert area(after) > 1.3 * area(before)
     assert int((found.stage == 0).sum()) == 7
     kept = []
-    again = wj.optimise(
-        DISC, None, "area", parameters="w", steps=6, known=found, keep=kept.append, **how
-    )
+    again = wj.optimise(DISC, None, "area", known=found, keep=kept.append, **how)
     np.testing.assert_array_equal(again["optimum"], after)
     assert not kept
 
