@@ -1,5 +1,7 @@
 """Pareto fronts and objectives that are functions, against fronts known in closed form."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -90,7 +92,9 @@ def test_a_front_of_one_point_and_wrong_fronts():
 
 @pytest.mark.parametrize("free", ["bounds", "parameters"])
 def test_a_function_is_maximised_with_bounds_and_without(free):
-    given = {"bounds": BOUNDS} if free == "bounds" else {"parameters": lambda one: (one.p, one.q)}
+    given: Any = (
+        {"bounds": BOUNDS} if free == "bounds" else {"parameters": lambda one: (one.p, one.q)}
+    )
     found = wj.optimise(POINT, objective=near_one, starts=1, progress=False, **given)
     assert bool(found.converged)
     np.testing.assert_allclose(found.optimum, [1, 1], atol=0.004)
