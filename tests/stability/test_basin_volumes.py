@@ -51,10 +51,12 @@ def test_the_basin_of_a_map_in_four_dimensions():
     found = wj.basin_volume(system, one, region, samples=64, moves=4, strides=40, progress=False)
     assert abs(found.value - 9) < 3 * found.error < 7
     assert found.share == pytest.approx(found.value / (2 * 3**0.5) ** 4, rel=1e-12)
-    with pytest.raises(ValueError, match="attractor must be a cycle"):
-        wj.basin_volume(system, all_motions(one.states), region)
-    with pytest.raises(ValueError, match="attractor must be a cycle"):
-        wj.basin_volume(system, one._replace(states=one.states + 9), region)
-    saddle = one._replace(states=0 * one.states)
+    far, saddle = one._replace(states=one.states + 9), one._replace(states=0 * one.states)
+    for wrong in (all_motions(one.states), far, saddle):
+        with pytest.raises(ValueError, match="attractor must be a stable cycle"):
+            wj.basin_volume(system, wrong, region)
+
+
+def test_a_set_that_fills_no_ball_is_told():
     with pytest.raises(wj.ComputationFailed, match="no ball around the attractor"):
-        wj.basin_volume(system, saddle, region, samples=64, strides=40, progress=False)
+        grow(lambda y: y[:, 0] > 2, np.full(2, 0.5), np.random.default_rng(0), 8, 1)

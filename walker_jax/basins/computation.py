@@ -101,8 +101,8 @@ def basin(
     Over the attractors it has `period` (0 where the motion does not repeat itself) and `states`
     (NaN after the period), and for the basin within the grid `cells` and `area` (rad^2 per unit of
     time; over three dimensions a volume). Attractors are numbered by period, then by the angle of
-    their first state, which is their smallest one. `at_border` counts the basins' cells at the border of the grid: the basin
-    may go on beyond. Attributes say what was computed.
+    their first state, which is their smallest one. `at_border` counts the basins' cells at the
+    border of the grid: the basin may go on beyond. Attributes say what was computed.
 
     The attractors of a cell map are those to which walkers converge from the centres of the cells
     in its cycles. If walkers from most of the centres of a cycle converge to one attractor, the

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor_search import attracts
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
@@ -120,12 +121,13 @@ def basin_volume(
     states = np.asarray(attractor.states)
     check_precision(states.dtype)
     place = (region.place(states[0]) + 0.5) / region.shape if attractor.period else np.array([-1.0])
-    if not ((place > 0) & (place < 1)).all():
+    integrator = integrator_of(states.dtype, tolerance)
+    if not ((place > 0) & (place < 1)).all() or not attracts(system, states, integrator):
         raise WrongUse(
-            "attractor must be a cycle whose first state is in the region, "
+            "attractor must be a stable cycle whose first state is in the region, "
             f"not one at {short(states[0].tolist())}"
         )
-    mapper = Mapper(system, [attractor], integrator_of(states.dtype, tolerance), strides, 0)
+    mapper = Mapper(system, [attractor], integrator, strides, 0)
     mapper = with_capture_boxes(mapper)
 
     def inside(shares: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
@@ -179,7 +181,7 @@ def fill(
             pairs = zip(points.reshape(GROUPS, each, -1), found, strict=True)
             return radius, [group[mine] for group, mine in pairs]
         radius /= 2
-    raise ComputationFailed("no ball around the attractor is in its basin: give its stable cycle")
+    raise ComputationFailed("no ball around the attractor is mostly in its basin")
 
 
 def move(
