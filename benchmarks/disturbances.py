@@ -38,7 +38,7 @@ DIRECTIONS, RINGS = 20_000, 2e-4
 def brute_force(walker: wj.Walker, gait: wj.Gait, size: float) -> float:
     """The first distance on a fine polar grid at which a walker does not come back."""
     states = np.asarray(gait.states)
-    mapper = with_capture_boxes(Mapper(walker, [Attractor(1, states)], Integrator(1e-12), 500))
+    mapper = with_capture_boxes(Mapper(walker, [Attractor(states)], Integrator(1e-12), 500))
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for radius in np.arange(0.9, 1.01, RINGS) * size:

@@ -107,7 +107,7 @@ def measure_extents(mapper, x: np.ndarray) -> None:
 
 def without_boxes(walker: wj.SpatialWalker, gait: wj.Gait) -> Mapper:
     """The mapper to a gait that follows walkers until they are there: boxes would cost more."""
-    attractor = Attractor(1, np.asarray(gait.states))
+    attractor = Attractor(np.asarray(gait.states))
     return Mapper(walker, [attractor], Integrator(1e-12), STRIDES)
 
 

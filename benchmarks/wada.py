@@ -32,9 +32,8 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.integrators.integrator import Integrator
 
 SLOPES = 0.004, 0.006, 0.007, 0.0075, 0.0078, 0.009, 0.012, 0.015, 0.018
@@ -76,7 +75,8 @@ def main() -> None:
     coarse = wj.Grid.sheared(**{name: (*ends, 200) for name, ends in WINDOW.items()})
     for slope in SLOPES:
         walker = wj.SimplestWalker(slope)
-        mapper = with_capture_boxes(mapper_of_grid(walker, coarse, Integrator(1e-12), 300))
+        starts = coarse.centres(np.arange(0, coarse.size, 4))
+        mapper = survey(walker, starts, Integrator(1e-12), 300, boxes=True).mapper
         fate = mapper(grid.centres(np.arange(grid.size))).fate.reshape(grid.shape)
         label = np.where(np.isin(fate, FATES), fate, -1)
         entropy, merged = wj.basin_entropy(label), wj.merge_regions(label)

@@ -1,9 +1,13 @@
 """The public names; `__init__.py` loads each from here on its first use."""
 
+from walker_jax.basins.attractor import Attractor as Attractor
+from walker_jax.basins.attractor_search import find_attractors as find_attractors
 from walker_jax.basins.computation import basin as basin
 from walker_jax.basins.computation import compare_methods as compare_methods
 from walker_jax.basins.edge_states import EdgeState as EdgeState
 from walker_jax.basins.edge_states import edge_state as edge_state
+from walker_jax.basins.labels import Label as Label
+from walker_jax.basins.labels import label as label
 from walker_jax.basins.refinement import refine as refine
 from walker_jax.basins.stable_manifolds import stable_manifold as stable_manifold
 from walker_jax.basins.volumes import slice_basin as slice_basin
@@ -60,6 +64,8 @@ from walker_jax.proofs.doubling_proofs import prove_doubling as prove_doubling
 from walker_jax.proofs.gait_proofs import ProvedGait as ProvedGait
 from walker_jax.proofs.gait_proofs import prove_gait as prove_gait
 from walker_jax.stability.basin_fractions import continue_basins as continue_basins
+from walker_jax.stability.basin_volumes import BasinVolume as BasinVolume
+from walker_jax.stability.basin_volumes import basin_volume as basin_volume
 from walker_jax.stability.boundaries import boundary as boundary
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance as LeastDisturbance

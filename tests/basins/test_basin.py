@@ -14,7 +14,8 @@ from reference import DATA
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.basins import attractor, methods
-from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor import Attractor, all_motions
+from walker_jax.basins.attractor_search import search
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.schema import Basins
 from walker_jax.cellmaps import resolve
@@ -39,7 +40,7 @@ def mapped():
 
 def test_within_reach_of_several_attractors_the_nearest_counts():
     places = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
-    cycles = [Attractor(1, place[None]) for place in places]
+    cycles = [Attractor(place[None]) for place in places]
     points = np.array([[0.11, 0.01], [0.16, 0], [0.24, 0], [0.9, 0]])
     assert attractor.match_attractor(points, cycles, within=0.5).tolist() == [0, 1, 1, -1]
     assert attractor.match_attractor(points, cycles[::-1], within=0.5).tolist() == [2, 1, 1, -1]
@@ -128,7 +129,7 @@ def test_the_period_is_right_close_to_the_doubling_at_0_01509(slope, period):
 @pytest.mark.slow
 def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
     """Beyond the cascade of doublings: survivors are on one attractor, without a period."""
-    monkeypatch.setattr("walker_jax.basins.attractor.PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
     grid = wj.Grid.sheared(theta=(0.2, 0.3, 12), sum=(-0.01, 0.0, 12))
     data = wj.basin(wj.SimplestWalker(0.0186), grid, "direct", strides=60)
     assert data.period.values.tolist() == [0]
@@ -175,9 +176,9 @@ def test_cells_of_basins_at_the_border_of_the_grid_are_counted(direct):
 
 def test_attractors_are_numbered_by_period_then_angle():
     def cycle(*angles):
-        return Attractor(len(angles), np.array([[angle, -0.2] for angle in angles]))
+        return Attractor(np.array([[angle, -0.2] for angle in angles]))
 
-    wandering = Attractor(None, np.array([[0.05, -0.2]]))
+    wandering = all_motions(np.array([[0.05, -0.2]]))
     found = [cycle(0.1, 0.3), wandering, cycle(0.2), cycle(0.15)]
     cells = np.array([0, 1, 2, 3, -1, 0])
     ordered = Basins(cells * 0, cells, cells * 0, found).sorted()
@@ -212,7 +213,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     outcome = REFERENCE["outcome"].ravel()[::97]
     assert (single.outcome == outcome).mean() > 0.99
     walking = xs[direct.fate.values.ravel()[::97] == 0].astype(np.float32)
-    found = attractor.find_attractors(wj.SimplestWalker(0.004), walking, Integrator(1e-6))
+    found = search(wj.SimplestWalker(0.004), walking, Integrator(1e-6))
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
@@ -332,8 +333,8 @@ def test_a_cycle_of_cells_belongs_to_where_most_centres_lead(slope, joined):
 
 def test_a_cycle_of_cells_may_belong_to_one_without_a_period(monkeypatch):
     """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
-    monkeypatch.setattr("walker_jax.basins.attractor.PATIENCE", 2)
-    monkeypatch.setattr("walker_jax.basins.attractor.ATTEMPTS", 1)
+    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor_search.ATTEMPTS", 1)
     monkeypatch.setattr("walker_jax.basins.methods.PATIENCE", 2)
     data = wj.basin(wj.SimplestWalker(0.0188), wj.Grid.sheared(**PAPER))
     assert data.period.values.tolist() == [0] and not data.artefact.any()

@@ -9,22 +9,21 @@ import pytest
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.basins import edge_states
-from walker_jax.basins.capture_boxes import with_capture_boxes
-from walker_jax.basins.edge_tracking import bring_together, follow_edge
-from walker_jax.basins.methods import mapper_of_grid
+from walker_jax.basins.attractor_search import survey
+from walker_jax.basins.edge_tracking import follow_edge
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.stable_manifolds import Image, follow_manifold
-from walker_jax.basins.zooms import bisect_to_last_digit
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import OUTCOMES
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
+CENTRES = GRID.centres(np.arange(GRID.size))
 
 
 @pytest.fixture(scope="module")
 def mapper():
-    return with_capture_boxes(mapper_of_grid(WALKER, GRID, Integrator(1e-12), 300))
+    return survey(WALKER, CENTRES, Integrator(1e-12), 300, boxes=True).mapper
 
 
 @pytest.fixture(scope="module")
@@ -109,18 +108,6 @@ def test_an_edge_that_the_map_tears_ends_there():
         image, lambda x: (x[:, 0] > 0).astype(int), np.ones(1), -np.ones(1), rounds=9, longest=4
     )
     assert track.torn and len(track.path) == 1 and abs(track.path[0, 0]) < 1e-12
-
-
-def test_a_third_label_is_told_and_a_direct_change_preferred():
-    three = lambda x: np.digitize(x[:, 0], [0.3, 0.31])
-    pair, labels = bring_together(three, np.array([[0.0], [1.0]]))
-    assert labels == (0, 1) and pair[0, 0] == pytest.approx(0.3, abs=1e-12)
-    # 0 to 1 to 0 to 2: the last change is a direct one
-    several = lambda x: np.array([0, 1, 0, 2])[np.digitize(x[:, 0], [0.3, 0.5, 0.8])]
-    pair, labels = bring_together(several, np.array([[0.0], [1.0]]))
-    assert labels == (0, 2) and pair[0, 0] == pytest.approx(0.8, abs=1e-12)
-    with pytest.raises(wj.ComputationFailed, match="both ends have one label"):
-        bring_together(three, np.array([[0.0], [0.2]]))
 
 
 @pytest.mark.parametrize(("push", "fall"), [(-0.02, Outcome.FORWARD), (0.02, Outcome.BACKWARD)])
@@ -241,11 +228,6 @@ def test_a_boundary_point_is_one_rounding_from_another_fate(mapper, gait):
         wj.boundary_point(WALKER, wj.Grid.sheared(theta=(0.05, 0.06, 3), sum=(-0.03, -0.02, 3)))
 
 
-def test_a_boundary_that_rounding_loses_is_told():
-    with pytest.raises(wj.ComputationFailed, match="rounding loses the boundary"):
-        bisect_to_last_digit(lambda x: np.zeros(len(x), int), np.array([[0.1, 0.2], [0.2, 0.2]]))
-
-
 STEEP = wj.SimplestWalker(0.009)
 CENTRE = np.array([0.20093538234311084, -0.21084184410879986])
 """Of the fractal boundary, to the last digit."""
@@ -254,7 +236,7 @@ CENTRE = np.array([0.20093538234311084, -0.21084184410879986])
 def test_a_window_by_its_centre_has_the_fates_of_its_starts():
     """Where float64 still tells starts apart: 5e-10 wide, on the fractal boundary at 0.009."""
     window = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.03, 0.02, 60)).zoom(CENTRE, 8e8)
-    steep = with_capture_boxes(mapper_of_grid(STEEP, GRID, Integrator(1e-12), 300))
+    steep = survey(STEEP, CENTRES, Integrator(1e-12), 300, boxes=True).mapper
     followed, made = follow_window(STEEP, window, Integrator(1e-12), 300)
     assert made >= 1 and followed.shape == window.shape
     cells = np.arange(window.size)

@@ -6,7 +6,9 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basins.attractor import CLOSE, Attractor, find_attractors, lasting_motions
+from walker_jax.basins.attractor import Attractor, all_motions
+from walker_jax.basins.attractor_search import label_and_find, lasting_motions, search, seen
+from walker_jax.basins.labels import CLOSE
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import attractors_of_cycles
 from walker_jax.cellmaps import resolve
@@ -95,8 +97,8 @@ def test_a_walk_ends_at_the_target_that_it_reaches_first(starts, far):
 
 
 def test_the_mapper_labels_starts_by_their_attractors(starts):
-    cycle = Attractor(1, GAIT)
-    wandering = Attractor(None, np.array([[0.2, -0.3]]))
+    cycle = Attractor(GAIT)
+    wandering = all_motions(np.array([[0.2, -0.3]]))
     labels = Mapper(WALKER, [wandering, cycle], Integrator(1e-12), 200)(starts)
     _, outcome = walks_of(starts, 200)
     np.testing.assert_array_equal(labels.converged, outcome == Outcome.STRIDE)
@@ -110,7 +112,7 @@ def test_walkers_that_remain_get_attractors_found_from_them(starts):
     mapper = Mapper(WALKER, [], Integrator(1e-12), 20)
     labels = mapper(starts)
     assert len(labels.remaining) > 5 and not labels.converged.any()
-    labels, mapper = mapper.label_all(starts)
+    labels, mapper, _ = label_and_find(mapper, starts)
     (found,) = mapper.attractors
     assert found.period == 1
     np.testing.assert_allclose(found.states, GAIT, rtol=0, atol=1e-9)
@@ -124,10 +126,10 @@ CHAOTIC = 0.01017
 def test_a_motion_that_passes_close_to_a_gait_is_not_the_gait():
     walker = wj.SimplestWalker(CHAOTIC)
     gait = np.asarray(wj.find_gait(walker).states)
-    mapper = Mapper(walker, [Attractor(1, gait)], Integrator(1e-12), 200)
+    mapper = Mapper(walker, [Attractor(gait)], Integrator(1e-12), 200)
     grid = wj.Grid.sheared(theta=(0.1, 0.35, 120), sum=(-0.04, 0.01, 120))
-    labels = mapper(grid.centres(np.arange(grid.size)))
-    remaining = labels.states[labels.remaining]
+    labels = mapper.follow(grid.centres(np.arange(grid.size)))
+    remaining = labels.state[labels.remaining]
     assert len(remaining) > 3
     # One that passes by, seen at all times of its way: close to the gait, and never on it.
     states = orbits(walker, remaining[:1], 2000, Integrator(1e-12))[0][0]
@@ -141,7 +143,7 @@ def test_a_slow_approach_is_one():
     for slope in (0.01508, 0.0151):
         walker = wj.SimplestWalker(slope)
         start = np.asarray(wj.find_gait(walker).states)[:1] + 1e-4
-        (found,) = find_attractors(walker, start, Integrator(1e-12))
+        (found,) = search(walker, start, Integrator(1e-12))
         assert found.period == (1 if slope < 0.01509 else 2)
         mapper = Mapper(walker, [found], Integrator(1e-12), 50)
         np.testing.assert_array_equal(mapper(found.states + 2e-4).attractor, 0)
@@ -154,18 +156,18 @@ def test_an_unstable_gait_that_repeats_attracts_nothing():
     walker = wj.SimplestWalker(0.0152)
     gait = wj.find_gait(walker)
     assert gait.found and not gait.stable
-    assert find_attractors(walker, np.asarray(gait.states), Integrator(1e-12)) == []
+    assert search(walker, np.asarray(gait.states), Integrator(1e-12)) == []
 
 
 def test_a_transient_is_no_attractor():
     """Above the crisis walkers take some hundred strides to fall, below it they go on."""
     grid = wj.Grid.sheared(theta=(0.15, 0.3, 60), sum=(-0.02, 0.005, 60))
     x = grid.centres(np.arange(grid.size))
-    (chaos,) = find_attractors(wj.SimplestWalker(0.0189), x, Integrator(1e-12))
+    (chaos,) = search(wj.SimplestWalker(0.0189), x, Integrator(1e-12))
     assert chaos.period is None
     walker = wj.SimplestWalker(0.0191)
-    assert find_attractors(walker, x, Integrator(1e-12)) == []
-    labels, mapper = Mapper(walker, [], Integrator(1e-12), 200).label_all(x)
+    assert search(walker, x, Integrator(1e-12)) == []
+    labels, mapper, _ = label_and_find(Mapper(walker, [], Integrator(1e-12), 200), x)
     assert len(labels.remaining) > 0 and mapper.attractors == []
 
 
@@ -188,25 +190,26 @@ def test_a_transient_that_ends_at_a_gait_is_no_attractor(slope, periods):
 
 
 def test_a_motion_without_a_period_is_listed_if_walkers_stay():
-    wandering = Attractor(None, np.array([[0.2, -0.3]]))
-    mapper = Mapper(WALKER, [Attractor(1, GAIT), wandering], Integrator(1e-12), 5)
+    wandering = all_motions(np.array([[0.2, -0.3]]))
+    mapper = Mapper(WALKER, [Attractor(GAIT), wandering], Integrator(1e-12), 5)
     starts = REGION.centres(np.arange(REGION.size))
-    few, all_of_few = mapper.label_all(starts)
-    listed = all_of_few.without_unseen_motion(few.attractor).attractors
+    few = mapper(starts)
+    listed = seen(mapper.attractors, few.attractor)
     assert (few.attractor == 1).any() and len(listed) == 2
-    many, all_of_many = mapper._replace(strides=300).label_all(starts)
-    listed = all_of_many.without_unseen_motion(many.attractor).attractors
+    many = mapper._replace(strides=300)(starts)
+    listed = seen(mapper.attractors, many.attractor)
     assert (many.attractor == 0).any() and [one.period for one in listed] == [1]
 
 
 def test_an_attractor_without_a_cycle_of_cells_is_not_listed():
     """Of a cycle of three cells, one centre leads to the gait: the cycle is an artefact."""
-    labels = Mapper(WALKER, [Attractor(1, GAIT)], Integrator(1e-12), 300)(
+    labels = Mapper(WALKER, [Attractor(GAIT)], Integrator(1e-12), 300)(
         REGION.centres(np.arange(REGION.size))
     )
     cycle = [int(labels.converged.argmax()), *np.flatnonzero(labels.fallen)[:2].tolist()]
     image = np.full(REGION.size, REGION.size + Outcome.FORWARD)
     image[cycle] = np.roll(cycle, -1)
     ends = resolve(image, sinks=OUTCOMES)
-    (artefact,), number = attractors_of_cycles(WALKER, REGION, ends, Integrator(1e-12))
-    assert artefact.artefact and artefact.period == 3 and number.tolist() == [0]
+    (artefact,), number, counts = attractors_of_cycles(WALKER, REGION, ends, Integrator(1e-12))
+    assert counts.artefact.tolist() == [True] and counts.falling.tolist() == [2]
+    assert artefact.period == 3 and number.tolist() == [0]

@@ -8,7 +8,7 @@ from reference import read_values
 import walker_jax as wj
 from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.mapper import Labels
+from walker_jax.basins.labels import Label
 from walker_jax.basins.matching import match_cycles, number_alike
 from walker_jax.gaits.cycles import cycle_distance
 from walker_jax.identity import code_fingerprint
@@ -168,8 +168,8 @@ def test_a_sweep_keeps_states_of_attractors_and_their_numbers():
 
 
 def test_two_gaits_of_a_turning_branch_have_the_sum_of_shares():
-    gaits = [Attractor(1, np.array([[theta, -0.2]])) for theta in (0.2, 0.3)]
-    labels = Labels(
+    gaits = [Attractor(np.array([[theta, -0.2]])) for theta in (0.2, 0.3)]
+    labels = Label(
         np.zeros(100, np.int8),
         np.repeat([0, 1], [70, 30]),
         np.ones(100, np.int32),

@@ -6,7 +6,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.basins.matching import match_clouds
-from walker_jax.basins.motions import Clouds, distinct_motions, is_same_motion
+from walker_jax.basins.motions import clouds_of, distinct_motions, is_same_motion, nearest_motion
 from walker_jax.walkers.parameters import with_parameter
 
 CUBIC = wj.Map(
@@ -118,7 +118,8 @@ def test_walks_share_a_motion_wherever_they_are_on_it():
     found = distinct_motions(walks, [], 9)
     assert [one[0, 0] > 0 for one in found] == [True, False]
     assert [len(distinct_motions(walks, found[:count], 9)) for count in (1, 2)] == [1, 0]
-    nearest, near = Clouds(found).nearest(np.stack([walks[3, 1000:1005], walks[4, :5] + [0, 1]]))
+    states = np.stack([walks[3, 1000:1005], walks[4, :5] + [0, 1]])
+    nearest, near = nearest_motion(clouds_of(found), states)
     assert nearest.tolist() == [0, 1] and near.tolist() == [True, False]
     assert match_clouds([walks[4], walks[3]], found) == [1, 0]
     assert sorted(match_clouds([walks[4], walks[2]], found)) == [0, 1]  # each is taken once

@@ -7,7 +7,8 @@ import walker_jax as wj
 from walker_jax import Outcome, figures
 from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.labels import Label
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.refinement import finer, refine
 from walker_jax.design.area_gradients import integrate_over_basin
 from walker_jax.grids import edge
@@ -152,11 +153,11 @@ def refined_by(number_of, monkeypatch, levels=2, check=4000, seed=0):
         asked.append(x)
         number = number_of(x).astype(np.int32)
         fate = np.where(number >= 0, Outcome.STRIDE, Outcome.FORWARD).astype(np.int8)
-        return Labels(fate, number, np.ones(len(x), np.int32), x)
+        return Label(fate, number, np.ones(len(x), np.int32), x)
 
-    mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))] * 2, Integrator(1e-12), 10)
+    mapper = Mapper(WALKER, [Attractor(np.zeros((1, 2)))] * 2, Integrator(1e-12), 10)
     monkeypatch.setattr(Mapper, "follow", labels_of)
-    monkeypatch.setattr(refinement, "mapper_of_scouts", lambda *_: mapper)
+    monkeypatch.setattr(refinement, "mapper_of_scouts", lambda *_, boxes: mapper)
     options = {"strides": 10, "check": check, "seed": seed, "tolerance": None}
     return refinement.refine_cells(WALKER, SQUARE, levels, **options), asked
 

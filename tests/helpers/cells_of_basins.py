@@ -9,7 +9,8 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.labels import Label
+from walker_jax.basins.mapper import Mapper
 
 
 def check_cells(
@@ -32,24 +33,24 @@ def check_cells(
     return data
 
 
-def labels_where(walks: np.ndarray, x: np.ndarray) -> Labels:
+def labels_where(walks: np.ndarray, x: np.ndarray) -> Label:
     """Those of starts x, from some of which walkers walk; the others fall in the first stride."""
     number = np.where(walks, 0, -1).astype(np.int32)
     fate = np.where(walks, wj.Outcome.STRIDE, wj.Outcome.FORWARD).astype(np.int8)
-    return Labels(fate, number, np.ones(len(x), np.int32), x)
+    return Label(fate, number, np.ones(len(x), np.int32), x)
 
 
 def let_walk(
     monkeypatch: pytest.MonkeyPatch, inside: Callable, gait: np.ndarray
 ) -> list[np.ndarray]:
     """Let walkers walk from a set alone, `inside(walker, x)`; gives all points asked for."""
-    asked, cycle = [], Attractor(1, gait[None])
+    asked, cycle = [], Attractor(gait[None])
 
     def labels_of(mapper, x, *, progress=None):
         asked.append(x)
         return labels_where(inside(mapper.walker, x), x)
 
-    mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
+    mapper = lambda walker, grid, *limits, boxes: Mapper(walker, [cycle], *limits)
     monkeypatch.setattr(Mapper, "follow", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_scouts", mapper)
     return asked

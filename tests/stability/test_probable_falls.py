@@ -59,7 +59,7 @@ def test_flatness_is_that_of_curved_boundaries():
 
 
 def made_up_walks(*deviations: float) -> DisturbedWalks:
-    mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))], Integrator(1e-10), 10)
+    mapper = Mapper(WALKER, [Attractor(np.zeros((1, 2)))], Integrator(1e-10), 10)
     return DisturbedWalks(mapper, np.zeros(4), np.array(deviations), 4, None)
 
 

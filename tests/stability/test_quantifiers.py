@@ -234,7 +234,7 @@ def test_transitions_of_a_map_whose_basins_are_known():
 def test_a_gait_may_jump_to_an_end_that_no_start_has():
     """Of two starts near attractor 0, one ends at attractor 1 and one falls; the gait itself ends
     at attractor 2."""
-    attractors = [Attractor(1, np.full((1, 2), 0.1 * number)) for number in range(3)]
+    attractors = [Attractor(np.full((1, 2), 0.1 * number)) for number in range(3)]
     before, after = (Mapper(WALKER, attractors[:count], Integrator(1e-10), 10) for count in (1, 3))
     fallen = FAILURES + int(Outcome.FORWARD)
     ends = Ends(np.array([0, 0, fallen]), np.array([1, fallen, fallen]), [np.array([2])])

@@ -85,7 +85,7 @@ def test_the_boundary_is_normal_to_the_least_disturbance(gait, least):
 
 def test_walkers_come_to_their_gait_from_the_whole_of_its_box(gait):
     """Also from between the starts that the box was found by, and from twice as far off."""
-    mapper = Mapper(WALKER, [Attractor(1, np.asarray(gait.states))], Integrator(1e-12), 300)
+    mapper = Mapper(WALKER, [Attractor(np.asarray(gait.states))], Integrator(1e-12), 300)
     (cycle,) = with_capture_boxes(mapper).attractors
     assert cycle.capture_boxes is not None
     rng = np.random.default_rng(5)
@@ -418,7 +418,7 @@ def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
     assert own.capture_boxes is not None
     states = np.array([own.states[0], [0.16, -0.165]])
     boxes = np.tile(own.capture_boxes, (2, 1, 1))
-    mapper = mapper._replace(attractors=[Attractor(2, states, boxes)])
+    mapper = mapper._replace(attractors=[Attractor(states, boxes)])
     for module in ("disturbances", "steps_down"):
         monkeypatch.setattr(f"walker_jax.stability.{module}.mapper_of_gait", lambda *_: mapper)
     steps = iter([[0.03, 0.0], [0.0, -0.02]])

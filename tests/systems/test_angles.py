@@ -146,7 +146,7 @@ def test_cycles_are_compared_across_the_cut():
     assert cycle_distance(one, other) > 3 and cycle_distance(one, other, turns) < 3 * e
     twice = np.stack([one[0], other[1]])[None]
     assert not has_shorter_period(twice)[0] and has_shorter_period(twice, turns)[0]
-    known = [Attractor(2, one)]
+    known = [Attractor(one)]
     assert match_attractor(other[1:], known, 1e-6).tolist() == [-1]
     assert match_attractor(other[1:], known, 1e-6, turns).tolist() == [0]
     gait = wj.Gait(one, np.zeros(2, complex), np.ones(2), *np.array([True, 0.0, True], object))

@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import Attractor, capture_radius, sample_indices
+from walker_jax.basins.attractor import all_motions, capture_radius
+from walker_jax.basins.attractor_search import sample_indices, with_attractors_from
 from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.cycles import Gait, cycle_distance
 from walker_jax.gaits.search import search_gait
@@ -43,9 +44,9 @@ def gait_of_grid(walker: System, grid: Grid, strides: int, tolerance: float | No
     for count in STARTS:
         starts = grid.centres(sample_indices(grid.size, count))
         # The first attractor stands for all motions without a period, whether they last or not.
-        mapper = Mapper(walker, [Attractor(None, starts[:1])], integrator, strides)
-        mapper = mapper.with_attractors_from(starts)
-        labels = mapper(starts)
+        mapper = Mapper(walker, [all_motions(starts[:1])], integrator, strides)
+        mapper = with_attractors_from(mapper, starts)
+        labels = mapper.follow(starts)
         sizes = np.bincount(labels.attractor[labels.converged], minlength=2)
         if sizes.any():
             largest = mapper.attractors[int(sizes.argmax())].states

@@ -7,12 +7,9 @@ and not proved; so a box is half as large as the largest from which the whole sa
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import SCOUTS, Attractor, add_cycles, sample_indices
+from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
-from walker_jax.grids import Grid
-from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.angles import difference, turns_of
-from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate
 
 HALF_EDGES = 1e-5 * 1.5 ** np.arange(20)
@@ -29,19 +26,6 @@ STARTS_IN_SPACE, PLAIN_SECTION = 300, 3
 then cost about what they save to a few thousand walks."""
 SETTLING_PERIODS = 8
 """Periods after which walkers are left in the directions along which they approach a cycle last."""
-
-
-def mapper_of_scouts(
-    walker: System, grid: Grid, integrator: Integrator, strides: int
-) -> Mapper | None:
-    """Return the mapper to the cycles that scouts find, from a few of a grid's cells, with boxes.
-
-    It is for labelling all cells, which finds the other attractors. None if scouts find no cycle.
-    """
-    scouts = grid.centres(sample_indices(grid.size, SCOUTS))
-    cycles: list[Attractor] = []
-    add_cycles(walker, scouts, cycles, integrator)
-    return with_capture_boxes(Mapper(walker, cycles, integrator, strides)) if cycles else None
 
 
 def with_capture_boxes(mapper: Mapper) -> Mapper:
@@ -80,7 +64,7 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
 
         def count_converging(tried: Float[np.ndarray, "tried period section section"]) -> int:
             starts = (cycle[:, None] + u @ tried).reshape(-1, size)
-            found = mapper._replace(attractors=attractors)(starts).attractor
+            found = mapper._replace(attractors=attractors).follow(starts).attractor
             converge = (found == number).reshape(len(tried), -1).all(axis=1)
             return int(np.logical_and.accumulate(converge).sum())
 

@@ -9,6 +9,7 @@ walkers from the centres of each cycle's cells are also followed, to the attract
 converge to.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from walker_jax.basins.methods import METHODS, compute_in_pieces
+from walker_jax.basins.methods import METHODS, DirectIteration, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import (
     WrongUse,
@@ -48,6 +49,7 @@ def basin(
     strides: int = 200,
     tolerance: float | None = None,
     solver: AnySolver | None = None,
+    label: Callable | None = None,
     progress: bool = True,
     out: Path | str | None = None,
     request: dict | None = None,
@@ -72,6 +74,10 @@ def basin(
     - `strides`: number of strides for which direct iteration follows a walker. Undecided walks
       continue for some 16,000 more, if a cycle is known, only to identify their attractor.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
+    - `label`: for direct iteration in memory, your own label of a walk that has made all its
+      strides: a JAX function of its last state, whose result, a whole number from 0 on or -1 for
+      none, takes the place of the attractor. No attractor is then looked for; `states` has one such
+      state for each label.
     - `progress`: whether to show a progress bar on a terminal, after a second.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece. Only
       one piece is in memory at a time, but the cell map takes 12 bytes for each cell at the end. An
@@ -95,9 +101,8 @@ def basin(
     Over the attractors it has `period` (0 where the motion does not repeat itself) and `states`
     (NaN after the period), and for the basin within the grid `cells` and `area` (rad^2 per unit of
     time; over three dimensions a volume). Attractors are numbered by period, then by the angle of
-    their first state, which is their smallest one. Attractors found only from walkers still going
-    at the end come last. `at_border` counts the basins' cells at the border of the grid: the basin
-    may go on beyond. Attributes say what was computed.
+    their first state, which is their smallest one. `at_border` counts the basins' cells at the
+    border of the grid: the basin may go on beyond. Attributes say what was computed.
 
     The attractors of a cell map are those to which walkers converge from the centres of the cells
     in its cycles. If walkers from most of the centres of a cycle converge to one attractor, the
@@ -128,6 +133,13 @@ def basin(
                 f"solver must not be given with a cluster, unlike {solver!r}: leave out one of them"
             )
     work = METHODS[method](walker, grid, settings, integrator)
+    if label is not None:
+        if not isinstance(work, DirectIteration) or out is not None or not callable(label):
+            raise WrongUse(
+                f"label must be a function, with method 'direct' and no out, not {short(label)}"
+            )
+        settings["label"] = getattr(label, "__name__", type(label).__name__)
+        return to_dataset(walker, grid, work.labelled(label, progress), settings)
     if out is not None:
         return compute_in_pieces(
             work,

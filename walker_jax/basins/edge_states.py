@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.edge_tracking import follow_edge
-from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.runs import label_of
 from walker_jax.checks import (
     WrongUse,
@@ -118,15 +117,9 @@ def edge_state(
             raise WrongUse(f"{name} must be a feasible start, not {end.tolist()}")
     integrator = integrator_of(float, tolerance)
     share = np.linspace(0, 1, SAMPLE)[:, None]
-    mapper = Mapper(walker, [], integrator, strides)
-    mapper = mapper.with_attractors_from((1 - share) * ends[0] + share * ends[1])
-    mapper = with_capture_boxes(mapper)
-
-    def label_starts(x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        nonlocal mapper
-        found, mapper = mapper.label_all(x)
-        return label_of(found.fate, found.attractor)
-
+    between = (1 - share) * ends[0] + share * ends[1]
+    mapper = survey(walker, between, integrator, strides, boxes=True).mapper
+    label_starts = lambda x: label_of(*mapper(x)[:2])
     first, second = label_starts(np.stack(ends)).tolist()
     if first == second:
         fate = explain_fate(first, walker.failures)

@@ -11,13 +11,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from walker_jax.checks import ComputationFailed
+from walker_jax.segments import LabelOf, close_in
 
-POINTS = 33
-"""Number of points of a segment that are labelled at once; the next segment joins two
-neighbours."""
+HALVINGS = 5
+"""Halvings of a segment in one call: 31 points take hardly longer than one."""
 TOGETHER = 1e-13
 """Largest distance, in every coordinate, of two points brought together: some hundred rounding
 errors."""
@@ -28,7 +27,6 @@ REPEATED = 1e-6
 """Distance at which a path that repeats itself may have come to a cycle, from which Newton's
 iteration converges. Each time that the path has not, the distance becomes a tenth."""
 
-LabelOf = Callable[[Float[np.ndarray, "n d"]], Int[np.ndarray, " n"]]
 Map = Callable[[Float[np.ndarray, "n d"]], Float[np.ndarray, "n d"]]
 
 
@@ -66,7 +64,8 @@ def follow_edge(
     """
     path, pair, within = [], np.stack([a, b]), REPEATED
     for _ in range(rounds):
-        pair, labels = bring_together(label_of, pair)
+        (pair,), ((first, last),) = close_in(label_of, pair, TOGETHER, HALVINGS)
+        labels = int(first), int(last)
         path.append(pair.mean(axis=0))
         back = [np.abs(path[-1] - one).max() for one in path[-2 : -2 - longest : -1]]
         repeated = np.flatnonzero(np.array(back) < within)
@@ -80,34 +79,3 @@ def follow_edge(
             return Track(np.array(path), pair, labels, 0, torn=True)
         pair = images
     return Track(np.array(path), pair, labels, 0, torn=False)
-
-
-def bring_together(
-    label_of: LabelOf, pair: Float[np.ndarray, "2 d"]
-) -> tuple[Float[np.ndarray, "2 d"], tuple[int, int]]:
-    """Return two points on both sides of the boundary on a segment, and their labels.
-
-    Of several changes of label it takes the first one between the labels of the two ends. If there
-    is none, another label lies in between everywhere; it then takes the first change from the label
-    of the first end.
-    """
-    share = np.linspace(0, 1, POINTS)[:, None]
-    while True:
-        points = (1 - share) * pair[0] + share * pair[1]
-        labels = label_of(points)
-        first, last = int(labels[0]), int(labels[-1])
-        if first == last:
-            raise ComputationFailed(
-                f"both ends have one label, {first}: no boundary to follow at {pair[0].tolist()}"
-            )
-        at = first_change(labels, first, last)
-        pair = points[at : at + 2]
-        if np.abs(pair[1] - pair[0]).max() < TOGETHER:
-            return pair, (int(labels[at]), int(labels[at + 1]))
-
-
-def first_change(labels: Int[np.ndarray, " n"], first: int, last: int) -> int:
-    """Return the first change from the first label to the last; without one, to any label."""
-    leaves: Bool[np.ndarray, " n-1"] = (labels[:-1] == first) & (labels[1:] != first)
-    direct = leaves & (labels[1:] == last)
-    return int((direct if direct.any() else leaves).argmax())

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from walker_jax.basins.motions import SPARSE, Clouds
+from walker_jax.basins.motions import SPARSE, clouds_of, distances_from
 from walker_jax.gaits.cycles import cycle_distance
 from walker_jax.systems.angles import Turns
 
@@ -40,11 +40,11 @@ def match_clouds(
     """Find the index of the nearest known cloud of each cloud, each taken once; -1 for none."""
     if not clouds or not known:
         return [NONE] * len(clouds)
-    apart = Clouds(known)
+    apart = clouds_of(known)
     pairs = [
         (distance, i, k)
         for i, cloud in enumerate(clouds)
-        for k, distance in enumerate(apart.distances(cloud[None, SPARSE])[0])
+        for k, distance in enumerate(distances_from(apart, cloud[SPARSE]).tolist())
     ]
     return match_pairs(pairs, len(clouds))
 

@@ -1,30 +1,34 @@
 """Cell mapping and direct iteration of a grid, at once in memory or piece by piece into a store."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Array, Int
 
 from walker_jax import storage
-from walker_jax.basins.attractor import (
-    LONGEST_PERIOD,
+from walker_jax.basins.attractor import Attractor, all_motions, in_order, sorted_numbers
+from walker_jax.basins.attractor_search import (
     PATIENCE,
-    Attractor,
-    sample,
-    sample_indices,
-    sorted_numbers,
+    complete,
+    label_and_find,
+    mapper_of_scouts,
+    scouts_among,
+    seen,
 )
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.labels import LONGEST_PERIOD, Label
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.schema import (
     ARRAYS,
     Basins,
+    CellCycles,
     add_attractors,
     arrays_to_compute,
     constant_array,
@@ -33,6 +37,7 @@ from walker_jax.basins.schema import (
     request_of,
 )
 from walker_jax.cellmaps import CellMap, cell_image, resolve
+from walker_jax.checks import WrongUse, short
 from walker_jax.execution.tiles import map_cells, order_of_cells
 from walker_jax.execution.workers import missing_pieces, open_workers
 from walker_jax.grids import Grid
@@ -56,6 +61,14 @@ class Block(NamedTuple):
         return slice(self.first, self.first + math.prod(self.shape))
 
 
+class Finished(NamedTuple):
+    """The attractors of a basin in pieces, and the values known only at the end."""
+
+    attractors: list[Attractor]
+    cell_cycles: CellCycles | None
+    pieces: Iterator[dict[str, np.ndarray]]
+
+
 class CellMapping(NamedTuple):
     """Cell mapping: pieces of the map, then the labels of all cells at the end."""
 
@@ -68,8 +81,10 @@ class CellMapping(NamedTuple):
         """Compute all cells in memory."""
         image = cell_map(self.walker, self.grid, self.integrator, progress=progress)
         ends = resolve(image, sinks=OUTCOMES)
-        attractors, number = attractors_of_cycles(self.walker, self.grid, ends, self.integrator)
-        return Basins(*labels_of_cells(ends, number), attractors)
+        attractors, number, counts = attractors_of_cycles(
+            self.walker, self.grid, ends, self.integrator
+        )
+        return Basins(*labels_of_cells(ends, number), attractors, counts)
 
     def arrays(self) -> dict[str, xr.Variable]:
         """Return the arrays that are stored until the end, besides those of the result."""
@@ -83,18 +98,18 @@ class CellMapping(NamedTuple):
         """Compute the values of arrays over a piece."""
         return {"image": cell_map(self.walker, self.grid, self.integrator, block)}
 
-    def finish(
-        self, place: storage.Pieces
-    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
+    def finish(self, place: storage.Pieces) -> Finished:
         """Return the attractors, and the remaining values of each piece."""
         ends = resolve(self.image(place), sinks=OUTCOMES)
-        attractors, number = attractors_of_cycles(self.walker, self.grid, ends, self.integrator)
+        attractors, number, counts = attractors_of_cycles(
+            self.walker, self.grid, ends, self.integrator
+        )
 
         def piece(cells: slice) -> dict[str, np.ndarray]:
             return dict(zip(ARRAYS, labels_of_cells(ends.part(cells), number), strict=True))
 
         pieces = (piece(block_at(self.grid, place, i).cells) for i in range(place.count))
-        return attractors, pieces
+        return Finished(attractors, counts, pieces)
 
     def image(self, place: storage.Pieces) -> Int[np.ndarray, " n"]:
         """Return the cell, or the sink, to which each cell is sent."""
@@ -105,7 +120,7 @@ class CellMapping(NamedTuple):
 
 
 class DirectIteration(NamedTuple):
-    """Direct iteration: attractors before all pieces, then those of the remaining walkers."""
+    """Direct iteration: cycles of scouts before all pieces, then those of the remaining walkers."""
 
     walker: System
     grid: Grid
@@ -115,42 +130,56 @@ class DirectIteration(NamedTuple):
     def at_once(self, progress: bool = False) -> Basins:
         """Compute all cells in memory."""
         window = self.window()
-        notes = self.notes_in(*window)
-        labels = self.labels(notes, *window, progress=progress)
-        labels, mapper = self.mapper(notes).complete_labels(labels)
-        attractors = mapper.without_unseen_motion(labels.attractor).attractors
+        labels, mapper = self.labels(self.notes_in(*window), *window, progress=progress)
+        left = labels.remaining
+        rest = complete(mapper, window[0].centres(left), labels.state[left])
+        labels.attractor[left], labels.strides[left] = rest.attractor, rest.strides + window[1]
+        attractors = seen(rest.mapper.attractors, labels.attractor)
+        return Basins(labels.fate, labels.attractor, labels.strides, attractors).sorted()
+
+    def labelled(self, label: Callable, progress: bool = False) -> Basins:
+        """Compute all cells in memory, with a user's own label of the end of each walk."""
+        labels, _ = self.labels({"cycles": []}, *self.window(), progress=progress)
+        left = labels.remaining
+        x = labels.state[left]
+        number = np.asarray(jax.vmap(label)(jnp.asarray(x)))
+        if number.shape != (len(x),) or number.dtype.kind not in "biu" or (number < -1).any():
+            raise WrongUse(
+                "label must return a whole number from 0 on for each state, or -1 for none, not "
+                f"{short(number)}"
+            )
+        labels.attractor[left] = number
+        first = [np.flatnonzero(number == i)[:1] for i in range(number.max(initial=-1) + 1)]
+        states = [x[one] if len(one) else np.full_like(x[:1], np.nan) for one in first]
+        attractors = [all_motions(one) for one in states]
         return Basins(labels.fate, labels.attractor, labels.strides, attractors)
 
     def arrays(self) -> dict[str, xr.Variable]:
         """Return the arrays that are stored until the end, besides those of the result."""
         dtype = jnp.asarray(0.0).dtype
-        return {"ends": constant_array(self.grid, np.nan, dtype, None, "coordinate")}
+        return {
+            "ends": constant_array(self.grid, np.nan, dtype, None, "coordinate"),
+            "reached": constant_array(self.grid, -1, np.int32),
+        }
 
     def notes(self) -> dict:
         """Return the results that are computed and stored before all pieces."""
         return self.notes_in(*self.window())
 
     def notes_in(self, window: Grid, made: int) -> dict:
-        """Return the attractors of the grid that is followed after some strides."""
-        strides = self.settings["strides"] - made
-        mapper = mapper_of_grid(self.walker, window, self.integrator, strides)
-        found = mapper.with_sorted_attractors().attractors
-        as_list = lambda values: None if values is None else values.tolist()
-        return {
-            "attractors": [[one.period, one.states.tolist(), as_list(one.cloud)] for one in found]
-        }
+        """Return the cycles that scouts find in the grid that is followed after some strides."""
+        scouts = window.centres(scouts_among(window.size))
+        found = mapper_of_scouts(self.walker, scouts, self.integrator, self.settings["strides"])
+        return {"cycles": [one.states.tolist() for one in found.attractors]}
 
     def window(self) -> tuple[Grid, int]:
         """Return the grid that is followed, and the strides made up to there."""
         return follow_window(self.walker, self.grid, self.integrator, self.settings["strides"])
 
-    def mapper(self, notes: dict, made: int = 0) -> Mapper:
-        """Return the mapper to the stored attractors, for walkers that have made some strides."""
+    def mapper(self, notes: dict, made: int) -> Mapper:
+        """Return the mapper to the stored cycles, for walkers that have made some strides."""
         dtype = jnp.asarray(0.0).dtype
-        known = [
-            Attractor(period, np.array(states, dtype), cloud=cloud and np.array(cloud, dtype))
-            for period, states, cloud in notes["attractors"]
-        ]
+        known = [Attractor(np.array(states, dtype)) for states in notes["cycles"]]
         strides = self.settings["strides"] - made
         return Mapper(self.walker, known, self.integrator, strides)
 
@@ -162,37 +191,49 @@ class DirectIteration(NamedTuple):
         block: Block | None = None,
         *,
         progress: bool = False,
-    ) -> Labels:
+    ) -> tuple[Label, Mapper]:
         """Follow the centres of the cells of a block, or of all cells, from `window` on."""
-        labels = map_block(self.mapper(notes, made), window, block, progress=progress)
-        return labels._replace(strides=labels.strides + np.int32(made))
+        mapper = self.mapper(notes, made)
+        labels = map_block(mapper, window, block, progress=progress)
+        return labels._replace(strides=labels.strides + np.int32(made)), mapper
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
-        """Compute the values of arrays over a piece; `ends` are states of walkers that remain."""
-        labels = self.labels(notes, *self.window(), block)
-        ends, remaining = np.full_like(labels.states, np.nan), labels.remaining
-        ends[remaining] = labels.states[remaining]
-        return dict(zip(ARRAYS, labels, strict=False)) | {"ends": ends}
+        """Compute the values of arrays over a piece; `ends` are states of walkers that remain.
 
-    def finish(
-        self, place: storage.Pieces
-    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
+        The numbers of the attractors that walkers have `reached` change at the end.
+        """
+        labels, _ = self.labels(notes, *self.window(), block)
+        ends, remaining = np.full_like(labels.state, np.nan), labels.remaining
+        ends[remaining] = labels.state[remaining]
+        found = {"fate": labels.fate, "strides": labels.strides}
+        return found | {"reached": labels.attractor, "ends": ends}
+
+    def finish(self, place: storage.Pieces) -> Finished:
         """Return the attractors, and the remaining values of each piece."""
-        remaining, ends = [], []
+        (window, made), remaining, ends = self.window(), [], []
         for i in range(place.count):
             x = place.read("ends", i).reshape(-1, self.grid.coordinates)
             remaining.append(np.flatnonzero(np.isfinite(x[:, 0])))
             ends.append(x[remaining[-1]])
-        number, mapper = self.mapper(place.notes).label_remaining(np.concatenate(ends))
-        numbers = np.split(number, np.cumsum([len(cells) for cells in remaining])[:-1])
+        firsts = [block_at(self.grid, place, i).first for i in range(place.count)]
+        cells = [first + mine for first, mine in zip(firsts, remaining, strict=True)]
+        mapper = self.mapper(place.notes, made)
+        rest = complete(mapper, window.centres(np.concatenate(cells)), np.concatenate(ends))
+        attractors, number = in_order(seen(rest.mapper.attractors, rest.attractor))
+        parts = np.cumsum([len(mine) for mine in remaining])[:-1]
+        late = zip(
+            np.split(rest.attractor, parts), np.split(rest.strides + made, parts), strict=True
+        )
 
         def pieces():
-            for i, (cells, mine) in enumerate(zip(remaining, numbers, strict=True)):
-                attractor = place.read("attractor", i).ravel()
-                attractor[cells] = mine
-                yield {"attractor": attractor}
+            for i, (mine, (reached, count)) in enumerate(zip(remaining, late, strict=True)):
+                attractor, strides = (
+                    place.read(name, i).ravel() for name in ("reached", "strides")
+                )
+                attractor[mine], strides[mine] = reached, count
+                yield {"attractor": number[attractor], "strides": strides}
 
-        return mapper.without_unseen_motion(number).attractors, pieces()
+        return Finished(attractors, None, pieces())
 
 
 METHODS = {"cell-map": CellMapping, "direct": DirectIteration}
@@ -236,14 +277,14 @@ def compute_in_pieces(
         compute, block_of = partial(method.piece, place.notes), partial(block_at, grid, place)
         for i, values in missing_pieces(place, each, compute, block_of, "pieces", progress):
             place.write(i, values, done=True)
-        attractors, pieces = method.finish(place)
+        attractors, cell_cycles, pieces = method.finish(place)
         cells, at_border = np.zeros(len(attractors), int), 0
         for i, values in enumerate(pieces):
             place.write(i, values)
             reached = values["attractor"]
             cells += np.bincount(reached[reached >= 0], minlength=len(cells))
             at_border += count_at_border(grid, reached, block_at(grid, place, i).first)
-        place.finish(add_attractors(about, grid, attractors, cells, at_border))
+        place.finish(add_attractors(about, grid, attractors, cells, at_border, cell_cycles))
     return storage.open_dataset(out)
 
 
@@ -309,47 +350,41 @@ def labels_of_cells(
 
 def attractors_of_cycles(
     walker: System, grid: Grid, ends: CellMap, integrator: Integrator
-) -> tuple[list[Attractor], Int[np.ndarray, " cycles"]]:
+) -> tuple[list[Attractor], Int[np.ndarray, " cycles"], CellCycles]:
     """Find the attractors and artefacts of a cell map, in order, and the owner of each cycle.
 
     A cycle belongs to an attractor if walkers converge to it from most of its cells' centres.
     """
-    if not ends.attractors:
-        return [], np.zeros(0, np.int32)
-    lengths = np.array([len(cycle) for cycle in ends.attractors])
-    x = grid.centres(np.concatenate(ends.attractors))
-    mapper = Mapper(walker, [], integrator, PATIENCE * LONGEST_PERIOD)
-    labels, mapper = mapper.with_attractors_from(sample(x)).label_all(x)
-    cycle = np.repeat(np.arange(len(lengths)), lengths)
-    falls = np.bincount(cycle, labels.fallen).astype(int)
-    number = np.full(len(lengths), -1, np.int32)
+    lengths = np.array([len(cycle) for cycle in ends.attractors], int)
+    cycle, number = np.repeat(np.arange(len(lengths)), lengths), np.full(len(lengths), -1, np.int32)
+    x = grid.centres(np.concatenate([np.zeros(0, int), *ends.attractors]))
+    scouts = x[scouts_among(len(x))]
+    scouted = mapper_of_scouts(walker, scouts, integrator, PATIENCE * LONGEST_PERIOD)
+    labels, mapper, _ = label_and_find(scouted, x)
+    falls = np.bincount(cycle, labels.fallen, len(lengths)).astype(int)
     for i in range(len(mapper.attractors)):
-        number[2 * np.bincount(cycle, labels.attractor == i) > lengths] = i
-    attractors = [
-        one._replace(cycles=int((number == i).sum()), falling=int(falls[number == i].sum()))
-        for i, one in enumerate(mapper.attractors)
-    ]
-    for i in np.flatnonzero(number < 0):
-        number[i] = len(attractors)
-        attractors.append(Attractor(int(lengths[i]), x[cycle == i], None, 1, int(falls[i]), True))
-    order = [i for i in sorted_numbers(attractors) if attractors[i].cycles]
-    place = np.zeros(len(attractors), np.int32)
-    place[order] = np.arange(len(order))
-    return [attractors[i] for i in order], place[number]
-
-
-def mapper_of_grid(walker: System, grid: Grid, integrator: Integrator, strides: int) -> Mapper:
-    """Return the mapper to the attractors that a sample of a grid's cells converges to."""
-    starts = grid.centres(sample_indices(grid.size))
-    return Mapper(walker, [], integrator, strides).with_attractors_from(starts)
+        number[2 * np.bincount(cycle, labels.attractor == i, len(lengths)) > lengths] = i
+    real = [i for i in sorted_numbers(mapper.attractors) if (number == i).any()]
+    made_up = {i: Attractor(x[cycle == i]) for i in np.flatnonzero(number < 0).tolist()}
+    alone = [[*made_up][i] for i in sorted_numbers([*made_up.values()])]
+    owned = [*(np.flatnonzero(number == i) for i in real), *([i] for i in alone)]
+    for place, cycles in enumerate(owned):
+        number[cycles] = place
+    counts = CellCycles(
+        cycles=np.array([len(cycles) for cycles in owned], np.int32),
+        falling=np.array([falls[cycles].sum() for cycles in owned], np.int32),
+        artefact=np.arange(len(owned)) >= len(real),
+    )
+    attractors = [*(mapper.attractors[i] for i in real), *(made_up[i] for i in alone)]
+    return attractors, number, counts
 
 
 def map_block(
     mapper: Mapper, grid: Grid, block: Block | None = None, *, progress: bool = False
-) -> Labels:
-    """Return the labels of the centres of the cells of a block, in the order of the cells."""
+) -> Label:
+    """Follow the centres of the cells of a block; labels are in the order of the cells."""
     order, cells = order_in_block(grid, block)
-    labels = mapper(grid.centres(cells), progress="cells" if progress else None)
+    labels = mapper.follow(grid.centres(cells), progress="cells" if progress else None)
     place = np.empty_like(order)
     place[order] = np.arange(order.size, dtype=order.dtype)
-    return Labels(*(values[place] for values in labels))
+    return Label(*(values[place] for values in labels))

@@ -6,9 +6,16 @@ are in extents of the clouds, coordinate by coordinate.
 """
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from walker_jax.execution.tiles import map_cells
 
 APART = 4.0
 """Typical distances between the points of a cloud, beyond which a walk is not on its motion. Two
@@ -18,58 +25,88 @@ RESOLUTION = 1e-3
 points of a cycle too long to be recognised lie on each other."""
 LEAST_EXTENT = 0.01
 """Least extent of clouds in a coordinate: along others walks may still be settling."""
-WALKS_AT_ONCE = 2**16
-"""Number of walks whose distances are computed together, which bounds the memory."""
 SPARSE = slice(None, None, 16)
 """Points of a long walk whose distances are computed: enough for a median."""
 
-Points = Float[np.ndarray, "points section"]
+Points = Float[Any, "points section"]
 
 
-class Clouds:
+class Clouds(NamedTuple):
     """The clouds of several motions, for the distances of walks from them."""
 
-    def __init__(self, clouds: Sequence[Points]):
-        from scipy.spatial import KDTree
+    points: Float[Any, "points clouds section"]
+    """In extents."""
+    extent: Float[Any, " section"]
+    reach: Float[Any, " clouds"]
+    """Distance within which a walk is on each motion."""
 
-        self.extent = np.maximum(np.ptp(np.concatenate(clouds), axis=0), LEAST_EXTENT)
-        self.trees = [KDTree(cloud / self.extent) for cloud in clouds]
-        self.reach = np.array([self.reach_of(tree) for tree in self.trees])
-        """Distance within which a walk is on each motion."""
 
-    @staticmethod
-    def reach_of(tree) -> float:
-        """Return the reach of a cloud, from the distances of its points to their neighbours."""
-        apart = tree.query(tree.data[SPARSE], k=2)[0][:, 1]
-        return max(APART * float(np.median(apart)), RESOLUTION)
+def clouds_of(points: Sequence[Points]) -> Clouds:
+    """Return the clouds of motions with their reach; arrays of JAX or of NumPy, as the points."""
+    return compare_clouds(points)[0]
 
-    def distances(
-        self, walks: Float[np.ndarray, "n states section"]
-    ) -> Float[np.ndarray, "n clouds"]:
-        """Return the median distance of each walk's states from each cloud; NaN does not count."""
-        found = np.empty((len(walks), len(self.trees)))
-        for first in range(0, len(walks), WALKS_AT_ONCE):
-            part = walks[first : first + WALKS_AT_ONCE] / self.extent
-            known = np.isfinite(part).all(axis=2)
-            each = np.full(known.shape, np.nan)
-            for i, tree in enumerate(self.trees):
-                each[known] = tree.query(part[known])[0]
-                found[first : first + WALKS_AT_ONCE, i] = np.nanmedian(each, axis=1)
-        return found
 
-    def nearest(
-        self, walks: Float[np.ndarray, "n states section"]
-    ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-        """Return the nearest motion of each walk, and whether the walk is within its reach."""
-        distances = self.distances(walks)
-        return distances.argmin(axis=1), np.any(distances <= self.reach, axis=1)
+def compare_clouds(points: Sequence[Points]) -> tuple[Clouds, Float[Any, "clouds states clouds"]]:
+    """Return clouds, and the distances of some points of each from all of them."""
+    xp = points[0].__array_namespace__()
+    clouds, count = xp.stack(points, axis=1), len(points)
+    extent = xp.maximum(clouds.max(axis=(0, 1)) - clouds.min(axis=(0, 1)), LEAST_EXTENT)
+    clouds = clouds / extent
+    states = xp.moveaxis(clouds[SPARSE], 1, 0).reshape(-1, len(extent))
+    nearest, second = (one.reshape(count, -1, count) for one in two_nearest(clouds, states))
+    own = second[np.arange(count), :, np.arange(count)]  # each point is nearest to itself
+    reach = xp.maximum(APART * xp.median(own, axis=1), RESOLUTION)
+    return Clouds(clouds, extent, reach), nearest
+
+
+def two_nearest(
+    clouds: Float[Any, "points clouds section"], x: Float[Any, "n section"]
+) -> tuple[Float[Any, "n clouds"], Float[Any, "n clouds"]]:
+    """Return the distances of states from the nearest point of each cloud, and from the second."""
+    if isinstance(x, np.ndarray):
+        return map_cells(two_nearest_to, (clouds, x))
+    return jax.vmap(partial(two_nearest_to, clouds))(x)
+
+
+def two_nearest_to(
+    clouds: Float[Array, "points clouds section"], x: Float[Array, " section"]
+) -> tuple[Float[Array, " clouds"], Float[Array, " clouds"]]:
+    """Return the distances of one state from the nearest points of each cloud."""
+
+    clouds = jnp.asarray(clouds)
+
+    def nearer(i: Int[Array, ""], least: tuple) -> tuple:
+        apart = jnp.sum((clouds[i] - x) ** 2, axis=1)
+        first, second = least
+        return jnp.minimum(first, apart), jnp.minimum(second, jnp.maximum(first, apart))
+
+    far = jnp.full(clouds.shape[1], jnp.inf, x.dtype)
+    first, second = lax.fori_loop(0, len(clouds), nearer, (far, far))
+    return jnp.sqrt(first), jnp.sqrt(second)
+
+
+def distances_from(
+    clouds: Clouds, walks: Float[Any, "*n states section"]
+) -> Float[Any, "*n clouds"]:
+    """Return the median distance of each walk's states from each cloud; NaN does not count."""
+    states = (walks / clouds.extent).reshape(-1, walks.shape[-1])
+    nearest, _ = two_nearest(clouds.points, states)
+    found = nearest.reshape(*walks.shape[:-1], clouds.points.shape[1])
+    return walks.__array_namespace__().nanmedian(found, axis=-2)
+
+
+def nearest_motion(
+    clouds: Clouds, walks: Float[Any, "*n states section"]
+) -> tuple[Int[Any, "*n"], Bool[Any, "*n"]]:
+    """Return the nearest motion of each walk, and whether the walk is within its reach."""
+    distances = distances_from(clouds, walks)
+    return distances.argmin(axis=-1), (distances <= clouds.reach).any(axis=-1)
 
 
 def is_same_motion(one: Points, other: Points) -> bool:
     """Return whether two long walks are on one motion: each within the reach of the other."""
-    clouds = Clouds([one, other])
-    apart = clouds.distances(np.stack([one[SPARSE], other[SPARSE]]))
-    return bool((apart <= clouds.reach).all())
+    clouds, distances = compare_clouds([one, other])
+    return bool((np.median(distances, axis=1) <= clouds.reach).all())
 
 
 def distinct_motions(

@@ -8,8 +8,9 @@ dimensions as in three.
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from walker_jax.basins.capture_boxes import with_capture_boxes
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.attractor_search import label_and_find
+from walker_jax.basins.labels import Label
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
 from walker_jax.checks import check_memory
 from walker_jax.grids import Grid, edge
@@ -66,7 +67,7 @@ class RefinedCells:
 
     def map(
         self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n axes"] | None = None
-    ) -> Labels:
+    ) -> Label:
         """Label cells by points at some places within them, or by their centres."""
         parts = []
         for first in range(0, max(1, len(cells)), CELLS_TOGETHER):
@@ -75,21 +76,15 @@ class RefinedCells:
             places = places + (0.5 if within is None else within[part])
             x = self.grid.points_at(places / np.array(self.runs.shape))
             labels = self.label(x)
-            parts.append(labels._replace(states=labels.states[:0]))  # the states are not needed
-        return Labels(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+            parts.append(labels._replace(state=labels.state[:0]))  # the states are not needed
+        return Label(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
-    def label(self, x: Float[np.ndarray, "n section"]) -> Labels:
+    def label(self, x: Float[np.ndarray, "n section"]) -> Label:
         """Label points, and find new attractors among them."""
-        labels, mapper = self.mapper.label_all(x, progress=self.progress)
-        self.total_strides += labels.total_strides
-        new = range(len(self.mapper.attractors), len(mapper.attractors))
-        if new:
-            self.mapper = with_capture_boxes(mapper)
-            # Walks to new cycles went on beyond the boxes, so their strides are counted again.
-            late = np.isin(labels.attractor, [i for i in new if mapper.attractors[i].period])
-            again, _ = self.mapper.label_all(x[late])
-            self.total_strides += again.total_strides
-            labels.strides[late] = again.strides
+        labels, self.mapper, made = label_and_find(
+            self.mapper, x, boxes=True, progress=self.progress
+        )
+        self.total_strides += made
         return labels
 
     def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:

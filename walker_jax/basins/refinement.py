@@ -14,10 +14,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from walker_jax.basins.capture_boxes import mapper_of_scouts, with_capture_boxes
+from walker_jax.basins.attractor_search import mapper_of_scouts, scouts_among, seen
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.refined_cells import REDRAWN, RefinedCells
 from walker_jax.basins.runs import Runs
 from walker_jax.basins.schema import (
@@ -203,9 +202,8 @@ def refine_cells(
     warn_if_rounded(walker)
     integrator = integrator_of(dtype, tolerance)
     finest = check_finest(walker, grid, levels)
-    mapper = mapper_of_scouts(walker, grid, integrator, strides)
-    if mapper is None:
-        mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))
+    scouts = grid.centres(scouts_among(grid.size))
+    mapper = mapper_of_scouts(walker, scouts, integrator, strides, boxes=True)
     label = "cells" if progress else None
     cells = RefinedCells(grid, levels, by_centres, mapper, np.random.default_rng(seed), label)
     followed, boundary = [], []
@@ -223,7 +221,8 @@ def refine_cells(
     depth = cells.runs.levels_of(drawn)
     weight = cells.inherited() / np.maximum(counts, 1)
     missing = (weight[depth] * excess)[excess != 0]
-    walks = cells.runs.attractor >= 0
+    walks_to = cells.runs.attractor
+    walks = walks_to >= 0
     area = (cells.runs.lengths[walks].sum() + missing.sum()) * finest.cell_area
     # Searches for an optimum often ask for areas by centres, and need only a rough error.
     measured = not by_centres or len(grid.names) > 2
@@ -237,7 +236,7 @@ def refine_cells(
         runs=cells.runs,
         cells=cells.cells,
         made=cells.strides,
-        mapper=cells.mapper.without_unseen_motion(cells.runs.attractor),
+        mapper=cells.mapper._replace(attractors=seen(cells.mapper.attractors, walks_to)),
         area=float(area),
         area_error=float(np.sqrt(variance)),
         followed=followed,

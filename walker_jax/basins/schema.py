@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Int
 
-from walker_jax.basins.attractor import Attractor, sorted_numbers
+from walker_jax.basins.attractor import Attractor, in_order
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.systems.outcomes import names_in, names_of_outcomes
 from walker_jax.systems.system import System
@@ -30,6 +30,18 @@ def attributes_of_arrays(failures: Sequence[str]) -> dict[str, dict[str, Any]]:
     }
 
 
+class CellCycles(NamedTuple):
+    """What cell mapping knows of each attractor, or artefact of cells."""
+
+    cycles: Int[np.ndarray, " number"]
+    """Number of cycles of cells that belong to it, or make up this artefact."""
+    falling: Int[np.ndarray, " number"]
+    """Number of centres of those cells from which a walker falls."""
+    artefact: Bool[np.ndarray, " number"]
+    """Whether it is a cycle of cells alone: walkers from most of its centres do not converge to one
+    attractor. Its states are those centres."""
+
+
 class Basins(NamedTuple):
     """The label of each cell of a grid, in the order of their indices, and the attractors."""
 
@@ -37,13 +49,11 @@ class Basins(NamedTuple):
     attractor: Int[np.ndarray, " n"]
     strides: Int[np.ndarray, " n"]
     attractors: list[Attractor]
+    cell_cycles: CellCycles | None = None
 
     def sorted(self) -> "Basins":
         """Return the basins with attractors numbered in order."""
-        order = sorted_numbers(self.attractors)
-        number = np.full(len(order) + 1, -1, np.int32)  # the last stands for no attractor
-        number[order] = np.arange(len(order))
-        attractors = [self.attractors[i] for i in order]
+        attractors, number = in_order(self.attractors)
         return self._replace(attractor=number[self.attractor], attractors=attractors)
 
 
@@ -63,7 +73,7 @@ def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr
     }
     data = describe(walker, grid, settings).assign(arrays)
     at_border = count_at_border(grid, basins.attractor)
-    return add_attractors(data, grid, basins.attractors, cells, at_border)
+    return add_attractors(data, grid, basins.attractors, cells, at_border, basins.cell_cycles)
 
 
 def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
@@ -97,6 +107,7 @@ def add_attractors(
     attractors: list[Attractor],
     cells: Int[np.ndarray, " number"],
     at_border: int,
+    cell_cycles: CellCycles | None = None,
 ) -> xr.Dataset:
     """Add the attractors to a data set, with the cells of each basin and those at the border."""
     longest = max((len(one.states) for one in attractors), default=0)
@@ -111,12 +122,8 @@ def add_attractors(
         "area": ("number", area),
         "at_border": at_border,
     }
-    if data.attrs["method"] == "cell-map":
-        found |= {
-            "artefact": ("number", np.array([one.artefact for one in attractors], bool)),
-            "cycles": ("number", np.array([one.cycles for one in attractors], np.int32)),
-            "falling": ("number", np.array([one.falling for one in attractors], np.int32)),
-        }
+    if cell_cycles is not None:
+        found |= {name: ("number", values) for name, values in cell_cycles._asdict().items()}
     data = data.assign(found).assign_coords(number=np.arange(len(attractors)))
     return data.assign_attrs(area=area.tolist())
 

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.attractor_search import label_and_find, sample_indices, survey
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.edge_states import check_state
-from walker_jax.basins.edge_tracking import POINTS
+from walker_jax.basins.edge_tracking import HALVINGS
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.runs import label_of
 from walker_jax.basins.schema import describe
@@ -31,6 +30,7 @@ from walker_jax.checks import (
 from walker_jax.execution.progress import track
 from walker_jax.grids import Grid, edge, steps_around
 from walker_jax.integrators.integrator import integrator_of
+from walker_jax.segments import close_in
 from walker_jax.systems.system import System, check_single
 
 
@@ -78,16 +78,16 @@ def checked_mapper(
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, needed_by)
-    mapper = mapper_of_grid(walker, grid, integrator_of(dtype, tolerance), strides)
-    return with_capture_boxes(mapper.with_sorted_attractors())
+    starts = grid.centres(sample_indices(grid.size))
+    return survey(walker, starts, integrator_of(dtype, tolerance), strides, boxes=True).mapper
 
 
 def find_boundary_point(
     mapper: Mapper, grid: Grid, near: Float[np.ndarray, " section"] | None = None
 ) -> Float[np.ndarray, " section"]:
     """Find `boundary_point`, by a mapper."""
-    labels, mapper = mapper.label_all(grid.centres(np.arange(grid.size)))
-    label_starts = lambda x: label_of(*mapper.label_all(x)[0][:2])
+    labels, mapper, _ = label_and_find(mapper, grid.centres(np.arange(grid.size)))
+    label_starts = lambda x: label_of(*mapper(x)[:2])
     label = label_of(*labels[:2]).reshape(grid.shape)
     on_edge = np.argwhere(edge(label))
     if len(on_edge) == 0:
@@ -101,31 +101,7 @@ def find_boundary_point(
     beside = beside[((beside >= 0) & (beside < shape)).all(axis=1)]
     other = beside[(label[tuple(beside.T)] != label[tuple(cell)]).argmax()]
     ends = grid.points_at((np.stack([cell, other]) + 0.5) / shape)
-    return bisect_to_last_digit(label_starts, ends)
-
-
-def bisect_to_last_digit(
-    label_starts: Callable[[Float[np.ndarray, "n section"]], Int[np.ndarray, " n"]],
-    ends: Float[np.ndarray, "2 section"],
-) -> Float[np.ndarray, " section"]:
-    """Bisect a segment; return the first point with another label than its first end.
-
-    Raises `ComputationFailed` where both ends have one label, and all points between.
-    """
-    while True:
-        share = np.linspace(0, 1, POINTS)[:, None]
-        points = np.unique((1 - share) * ends[0] + share * ends[1], axis=0)
-        points = points[np.argsort(np.abs(points - ends[0]).sum(axis=1), kind="stable")]
-        label = label_starts(points)
-        at = int((label != label[0]).argmax())
-        if at == 0:
-            raise ComputationFailed(
-                f"rounding loses the boundary: all points between {ends[0].tolist()} and "
-                f"{ends[1].tolist()} have one label"
-            )
-        if len(points) < POINTS:
-            return points[at]
-        ends = points[at - 1 : at + 1]
+    return close_in(label_starts, ends, 0.0, HALVINGS).ends[0, 1]
 
 
 @refuses_tracers()
@@ -181,7 +157,7 @@ def zoom(
     fate, attractor, ahead = [], [], []
     for followed, made in track(ahead_of[::-1], "windows", progress):
         left = mapper._replace(strides=strides - made)
-        found, mapper = left.label_all(followed.centres(cells))  # all frames share its numbers
+        found, mapper, _ = label_and_find(left, followed.centres(cells))  # frames share its numbers
         fate.append(found.fate.reshape(grid.shape))
         attractor.append(found.attractor.reshape(grid.shape))
         ahead.append(made)

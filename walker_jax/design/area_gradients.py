@@ -20,12 +20,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.computation import check_grid
-from walker_jax.basins.mapper import Labels
+from walker_jax.basins.labels import Label
 from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.checks import WrongUse, numbers, refuses_tracers, short
 from walker_jax.design.grid_lines import boundary_pairs, compare_lines, inverse_chances
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
+from walker_jax.segments import Segments, narrow
 from walker_jax.stability.margin_changes import differentiate_margins, margins_after
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
@@ -320,18 +321,18 @@ def integrate_along_boundary(
     crossings, lost, unknown_count, made = 0, 0, 0, 0
     limits = MAX_WEIGHTS[len(shape)]
 
-    def follow(places: Float[np.ndarray, "n axes"]) -> Labels:
+    def follow(places: Float[np.ndarray, "n axes"]) -> Label:
         nonlocal made
-        labels, _ = found.mapper.label_all(fine.points_at(places / shape))
+        labels = found.mapper(fine.points_at(places / shape))
         made += labels.total_strides
         return labels
 
     for axis in range(len(shape)):
-        inside, outside = boundary_pairs(found, axis)
+        ends = np.stack(boundary_pairs(found, axis), axis=1)
+        segments = Segments(ends, np.tile([True, False], (len(ends), 1)))
         for _ in range(BISECTIONS):
-            middle = (inside + outside) / 2
-            stays = follow(middle).converged[:, None]
-            inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
+            segments = narrow(lambda places: follow(places).converged, segments)
+        outside = segments.ends[:, 1]
         x = fine.points_at(outside / shape)
         labels = follow(outside)
         beyond = labels.strides

@@ -18,8 +18,8 @@ from jaxtyping import Float
 
 from walker_jax import storage
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basins
-from walker_jax.basins.attractor import LONGEST_PERIOD
 from walker_jax.basins.computation import basin, check_grid
+from walker_jax.basins.labels import LONGEST_PERIOD
 from walker_jax.basins.matching import number_alike
 from walker_jax.basins.refinement import FINEST, refine
 from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of

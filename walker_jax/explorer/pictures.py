@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor import Attractor, in_order
+from walker_jax.basins.attractor_search import label_and_find, with_attractors_from
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import CellMapping
 from walker_jax.explorer.lattice import (
@@ -67,8 +68,8 @@ def find_attractors(subject: Subject) -> Known:
     grid = home.grid(subject, Rectangle(0, (0, 0), HOME_CELLS), at)
     shares = (np.indices(SAMPLE).reshape(2, -1).T + 0.5) / SAMPLE
     mapper = Mapper(subject.walker, [], INTEGRATOR, STRIDES, further=0)  # a page does not wait
-    mapper = mapper.with_attractors_from(grid.points_at(shares))
-    return Known(mapper.with_sorted_attractors(), at)
+    mapper = with_attractors_from(mapper, grid.points_at(shares))
+    return Known(mapper._replace(attractors=in_order(mapper.attractors)[0]), at)
 
 
 def plane_of(subject: Subject) -> tuple[float, ...]:
@@ -112,21 +113,22 @@ def label_cells(
     home, (mapper, at) = home_of(subject.offer, subject.section), before
     grids = [home.grid(subject, cells_of(tile), at) for tile in tiles]
     indices = np.arange(TILE * TILE)
-    labels = mapper.follow(np.concatenate([grid.centres(indices) for grid in grids]))
+    starts = np.concatenate([grid.centres(indices) for grid in grids])
     few = LATER_SAMPLE if len(mapper.attractors) < MAX_ATTRACTORS else 0
-    labels, mapper = mapper.complete_labels(labels, few)
+    labels, mapper, _ = label_and_find(mapper, starts, most=few)
     label, strides = in_bytes(labels.fate, labels.attractor, labels.strides)
     pairs = zip(np.split(label, len(tiles)), np.split(strides, len(tiles)), strict=True)
     return [one.tobytes() + its_strides.tobytes() for one, its_strides in pairs], Known(mapper, at)
 
 
-def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attractor]]:
-    """Compute the bytes of a rectangle of cells by cell mapping; return its attractors too."""
+def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[dict]]:
+    """Compute the bytes of a rectangle of cells by cell mapping; describe its attractors too."""
     home, at = home_of(subject.offer, subject.section), plane_of(subject)
     grid = home.grid(subject, cells, at)
     found = CellMapping(subject.walker, grid, {}, INTEGRATOR).at_once()
     label, strides = in_bytes(found.fate, found.attractor, found.strides)
-    return label.tobytes() + strides.tobytes(), found.attractors
+    artefacts = found.cell_cycles.artefact.tolist() if found.cell_cycles else None
+    return label.tobytes() + strides.tobytes(), describe_attractors(found.attractors, artefacts)
 
 
 def in_bytes(
@@ -139,9 +141,12 @@ def in_bytes(
     return label.astype(np.uint8), np.minimum(strides, MOST_STRIDES).astype(np.uint8)
 
 
-def describe_attractors(attractors: Sequence[Attractor]) -> list[dict]:
+def describe_attractors(
+    attractors: Sequence[Attractor], artefacts: Sequence[bool] | None = None
+) -> list[dict]:
     """Describe the attractors for the page; a motion without a period has one state."""
+    made_up = artefacts or [False] * len(attractors)
     return [
-        {"period": one.period, "states": one.states.tolist(), "artefact": one.artefact}
-        for one in attractors[:MAX_ATTRACTORS]
+        {"period": one.period, "states": one.states.tolist(), "artefact": artefact}
+        for one, artefact in zip(attractors[:MAX_ATTRACTORS], made_up, strict=False)
     ]

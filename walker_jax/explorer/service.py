@@ -157,7 +157,7 @@ class Service:
                 found, attractors = await self.workers.ask(*asked, long=True, keep=False)
             else:
                 found, attractors = await self.quick.run(*asked)
-            yield frame(WORDS, {"attractors": pictures.describe_attractors(attractors), "at": []})
+            yield frame(WORDS, {"attractors": attractors, "at": []})
             yield frame(CELLS, struct.pack("<I", i) + found)
 
     async def walk(self, request: Request) -> Response:

@@ -18,9 +18,11 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import Attractor, sample
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor_search import label_and_find
 from walker_jax.basins.computation import check_grid
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.labels import Label
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.matching import NONE, match_clouds, match_cycles
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers
 from walker_jax.execution.progress import track
@@ -60,7 +62,7 @@ class Found(NamedTuple):
     names: list[int]
     """Number of each attractor, the same over all values."""
     attractors: list[Attractor]
-    labels: Labels
+    labels: Label
 
 
 @refuses_tracers()
@@ -169,13 +171,9 @@ class Family:
                 states = np.asarray(gait.states)
                 names.append(name)
                 states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
-                known.append(Attractor(len(states), states))
+                known.append(Attractor(states))
         mapper = Mapper(there, known, self.integrator, strides)
-        labels = mapper(starts)
-        left = labels.states[labels.remaining]
-        if len(left):  # first, as a new cycle may pass close to a known one
-            mapper = mapper.with_attractors_from(sample(left))
-        labels, mapper = mapper.complete_labels(labels)
+        labels, mapper, _ = label_and_find(mapper, starts)
         names += self.names_of(value, mapper.attractors[len(known) :], names)
         self.without_period = {
             name: one
@@ -250,7 +248,7 @@ def assemble(
     samples: int,
 ) -> xr.Dataset:
     """Make the data set that `continue_basins` returns."""
-    count, size = len(branches), found[0].labels.states.shape[1]
+    count, size = len(branches), found[0].labels.state.shape[1]
     longest = max((len(one.states) for each in found for one in each.attractors), default=1)
     period = np.zeros(count, int)
     states = np.full((len(values), count, longest, size), np.nan)

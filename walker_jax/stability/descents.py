@@ -16,6 +16,7 @@ from walker_jax.stability.rays import (
     Fails,
     Gradient,
     bisect,
+    first_failures,
     first_on_ray,
     scan,
     spread_directions,
@@ -94,10 +95,5 @@ def shorten(
     halvings: int = FINE,
 ) -> Float[np.ndarray, " n"]:
     """Find the first failure on each ray up to its own length; infinite where there is none."""
-    gaps = lengths / NEARER
-    places = np.arange(1, NEARER + 1) * gaps[:, None]
-    points = places[:, :, None] * rays[:, None]
-    failed = fails(points.reshape(-1, rays.shape[1])).reshape(places.shape)
-    number = failed.argmax(axis=1)
-    first = np.where(failed.any(axis=1), places[np.arange(len(rays)), number], np.inf)
-    return bisect(fails, rays, first, gaps, halvings)
+    first = first_failures(fails, rays, 0.0, lengths, NEARER)
+    return bisect(fails, rays, first, lengths / NEARER, halvings)

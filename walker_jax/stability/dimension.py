@@ -11,9 +11,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
-from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.computation import check_grid
-from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
 from walker_jax.execution.progress import bar
@@ -89,11 +88,11 @@ def boundary_dimension(
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
     integrator = integrator_of(dtype, tolerance)
-    mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))
 
     shape = np.array(grid.shape)
     with bar("dimension of the boundary", progress, len(apart) + 1) as update:
-        labels, _ = mapper.label_all(grid.centres(np.arange(grid.size)))
+        centres = grid.centres(np.arange(grid.size))
+        labels, mapper, _ = survey(walker, centres, integrator, strides, boxes=True)
         update(1)
         on_edge = np.argwhere(edge(labels.attractor.reshape(grid.shape)))
         if len(on_edge) == 0:
@@ -102,7 +101,7 @@ def boundary_dimension(
 
         def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
             order = np.argsort(flat_index((share * shape).astype(int).T, grid.shape))
-            labels, _ = mapper.label_all(grid.points_at(share[order]))  # fastest among neighbours
+            labels = mapper(grid.points_at(share[order]))  # fastest among neighbours
             found = np.empty_like(labels.attractor)
             found[order] = labels.attractor
             update(next(done))

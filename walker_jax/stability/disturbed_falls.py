@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.basins.mapper import Mapper, targets_of
+from walker_jax.basins.attractor import targets_of
+from walker_jax.basins.mapper import Mapper
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins

@@ -7,8 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.attractor import Attractor, capture_radius
+from walker_jax.basins.attractor_search import with_attractors_from
 from walker_jax.basins.capture_boxes import with_capture_boxes
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.labels import Label
+from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
 from walker_jax.gaits.cycles import Gait, check_cycle, check_found
 from walker_jax.gaits.selection import require_gait
@@ -48,7 +50,7 @@ def mapper_of_gait(
     ends = np.asarray(take_strides(walker, states, **by).state)
     check_cycle(walker, states, ends, capture_radius(states.dtype))
     integrator = integrator_of(states.dtype, tolerance, solver)
-    return with_capture_boxes(Mapper(walker, [Attractor(len(states), states)], integrator, strides))
+    return with_capture_boxes(Mapper(walker, [Attractor(states)], integrator, strides, 0))
 
 
 def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:
@@ -56,14 +58,14 @@ def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> 
 
     Walkers that converge to one of these need not be followed to their last stride.
     """
-    found = mapper.with_attractors_from(starts)
+    found = with_attractors_from(mapper, starts)
     gaits = [one for one in found.attractors if one.period]
     if len(gaits) == 1:
         return mapper
     return with_capture_boxes(found._replace(attractors=gaits))
 
 
-def failure_test(fall: bool) -> Callable[[Labels], Bool[np.ndarray, " n"]]:
+def failure_test(fall: bool) -> Callable[[Label], Bool[np.ndarray, " n"]]:
     """Return a test of labels: whether walkers fall or, unless `fall`, do not return."""
     check_kind("fall", fall, bool)
     return lambda labels: labels.fallen if fall else labels.attractor != 0

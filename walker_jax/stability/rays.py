@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.checks import ComputationFailed
+from walker_jax.segments import Segments, narrow
 
 RAYS, RADII = 720, 128
 """Directions in two dimensions, and distances along each, of the first scan."""
@@ -189,10 +190,12 @@ def first_failures(
     fails: Callable, rays: Float[np.ndarray, "n size"], low: Any, high: Any, count: int
 ) -> Float[np.ndarray, " n"]:
     """Return the first failing distance along each ray; infinite where none fails."""
-    distances = np.linspace(low, high, count + 1)[1:]
-    points = distances[:, None] * rays[:, None]
+    distances = np.linspace(low, high, count + 1, axis=-1)[..., 1:]
+    distances = np.broadcast_to(distances, (len(rays), count))
+    points = distances[..., None] * rays[:, None]
     failed = fails(points.reshape(-1, rays.shape[1])).reshape(len(rays), count)
-    return np.where(failed.any(axis=1), distances[failed.argmax(axis=1)], np.inf)
+    found = distances[np.arange(len(rays)), failed.argmax(axis=1)]
+    return np.where(failed.any(axis=1), found, np.inf)
 
 
 def turned_rays(
@@ -239,47 +242,24 @@ def bisect_nearest(
 
     A ray is dropped once it is known to be longer than another of the m, or than the `least`.
     """
-    below, above = high - gap, high.copy()
+    ends = np.stack([high - gap, high], axis=2)[..., None]
+    segments = Segments(ends, np.broadcast_to([False, True], (*high.shape, 2)).copy())
     while times:
+        below, above = np.moveaxis(segments.ends[..., 0], 2, 0)
         going = below < np.minimum(above.min(axis=1), least)[:, None]
         if not going.any():
             break
         halvings = min(halvings_at_once(int(going.sum())), times)
-        below[going], above[going] = narrow(
-            fails, rays[going], below[going], above[going], halvings
-        )
+        along = np.repeat(rays[going], 2**halvings - 1, axis=0)
+        closer = narrow(lambda t, along=along: fails(t * along), segments.part(going), halvings)
+        segments.ends[going], segments.labels[going] = closer
         times -= halvings
-    return above
+    return segments.ends[:, :, 1, 0]
 
 
 def halvings_at_once(count: int) -> int:
     """Return how many times to halve distances on so many rays in one call."""
     return min(max(1, math.floor(math.log2(AT_ONCE / count + 1))), MOST_HALVINGS)
-
-
-def narrow(
-    fails: Callable,
-    rays: Float[np.ndarray, "n size"],
-    below: Float[np.ndarray, " n"],
-    above: Float[np.ndarray, " n"],
-    halvings: int,
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Halve the distances around the boundary some times, in one call for all points between.
-
-    Of several boundaries it takes the first that these points show. The points are those of single
-    halvings, to the last bit.
-    """
-    distances = np.stack([below, above], axis=1)
-    for _ in range(halvings):
-        finer = np.empty((len(rays), 2 * distances.shape[1] - 1))
-        finer[:, ::2] = distances
-        finer[:, 1::2] = (distances[:, :-1] + distances[:, 1:]) / 2
-        distances = finer
-    points = distances[:, 1:-1, None] * rays[:, None]
-    failed = fails(points.reshape(-1, rays.shape[1])).reshape(points.shape[:2])
-    first = np.where(failed.any(axis=1), failed.argmax(axis=1), failed.shape[1])
-    each = np.arange(len(rays))
-    return distances[each, first], distances[each, first + 1]
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:

@@ -225,7 +225,7 @@ def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
     if trial.within is None:
         return *counts, *6 * (np.nan,), *shock
     close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, trial.within))])
-    closer = close.follow(starts[labels.converged])
+    closer = close.walk(starts[labels.converged])
     made = np.where(closer.converged, closer.strides, np.inf)
     late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)
     beyond = shocks > 0  # a start at the gait itself has no pace

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.labels import Label
+from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
@@ -89,7 +90,7 @@ def least_step_down(
 
 def labels_after_step(
     mapper: Mapper, x: Float[np.ndarray, "n section"], drops: Float[np.ndarray, " n"]
-) -> Labels:
+) -> Label:
     """Label walkers that step down by `drops` from x; the stride down counts."""
     walker, integrator = mapper.walker, mapper.integrator
     arguments = (
@@ -105,4 +106,4 @@ def labels_after_step(
     fate = np.where(down.outcome == Outcome.STRIDE, fate, down.outcome)
     made = [(one.outcome == Outcome.STRIDE).astype(np.int32) for one in (down, after)]
     attractor = np.where(fate == Outcome.STRIDE, rest.attractor, -1)
-    return Labels(fate, attractor, rest.strides + sum(made), rest.states)
+    return Label(fate, attractor, rest.strides + sum(made), rest.state)

@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.computation import check_grid
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.labels import Label
+from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import (
     WrongUse,
     check_confidence,
@@ -122,18 +123,15 @@ def tipping_probability(
         )
     rng = np.random.default_rng(seed)
     starts = draw_starts(walker, "region", region, rng, samples).astype(dtype)
-    found = []
-    for one in (walker, with_parameter(walker, parameter, float(value))):
-        mapper = Mapper(one, [], integrator, strides).with_attractors_from(starts)
-        mapper = with_capture_boxes(mapper.with_sorted_attractors())
-        found.append(mapper.label_all(starts))
-    (labels_before, mapper_before), (labels_after, mapper_after) = found
-    jumped = []
-    for attractor in mapper_before.attractors:
-        labels, mapper_after = mapper_after.label_all(states_on(mapper_before, attractor))
-        jumped.append(ends_of(labels))
-    ends = Ends(ends_of(labels_before), ends_of(labels_after), jumped)
-    return assemble_tipping(ends, mapper_before, mapper_after, confidence)
+    labels_before, before, _ = survey(walker, starts, integrator, strides, boxes=True)
+    jumped = [states_on(before, attractor) for attractor in before.attractors]
+    other = with_parameter(walker, parameter, float(value))
+    labels, after, _ = survey(
+        other, np.concatenate([starts, *jumped]), integrator, strides, boxes=True
+    )
+    own, *others = np.split(ends_of(labels), np.cumsum([samples, *map(len, jumped)])[:-1])
+    ends = Ends(ends_of(labels_before), own, others)
+    return assemble_tipping(ends, before, after, confidence)
 
 
 class Ends(NamedTuple):
@@ -173,7 +171,7 @@ def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: floa
     )
 
 
-def ends_of(labels: Labels) -> Int[np.ndarray, " n"]:
+def ends_of(labels: Label) -> Int[np.ndarray, " n"]:
     """Return the ends of walks: the number of an attractor, or `FAILURES` + `Outcome` for none."""
     return np.where(labels.converged, labels.attractor, FAILURES + labels.fate.astype(int))
 
