@@ -291,7 +291,7 @@ def test_the_command_says_the_same(run):
         said = said.replace(name, word)
     assert report == said
     assert "mode swing: " in said and "steps, the end: falls backward\n" in said
-    assert conclusion.startswith("The walk ends here (falls backward)")
+    assert conclusion == "Next: walker-jax basin shows which starts go on."
     data = json.loads(answer)
     assert data["outcome"] == "BACKWARD" and data["state"] is None
     assert data["modes"][0]["rises"][0]["time"] == expected.modes[0].rises[0].time

@@ -15,6 +15,7 @@ from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.identity import code_fingerprint, sha256_of
 from walker_jax.systems.outcomes import join_names
 from walker_jax.systems.parameter import Described, description
+from walker_jax.systems.parameter import Option as Option
 from walker_jax.systems.parameter import Parameter as Parameter
 from walker_jax.systems.system import (
     AnySystem,
@@ -38,6 +39,7 @@ from walker_jax.systems.trees import (
     told_by,
     zeros_like,
 )
+from walker_jax.walkers.parameter_table import SLOPE as SLOPE
 
 
 def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
@@ -90,18 +92,6 @@ def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[
     """Return the descriptions of one kind among a walker's fields."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
-
-
-class Option(NamedTuple):
-    """A static field: a check of a walker's strides that is on or off."""
-
-    name: str
-    meaning: str
-
-    def convert(self, value: object) -> bool:
-        """Return the value; raise `WrongUse` for one that is not true or false."""
-        check_kind(self.name, value, bool)
-        return bool(value)
 
 
 def options(walker: type[System] | System) -> tuple[Option, ...]:
@@ -232,7 +222,6 @@ def space_decimals(low: float, high: float, count: int) -> list[float]:
     ]
 
 
-SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2, span=(0.001, 0.022))
 UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
