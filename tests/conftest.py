@@ -17,6 +17,7 @@ import jax
 import pytest
 from hypothesis import settings
 from matplotlib.figure import Figure
+from waiting import Waiting
 from xdist.scheduler import LoadFileScheduling
 
 QUICK = "--xla_backend_optimization_level=0"
@@ -88,6 +89,15 @@ class FromBothEnds(LoadFileScheduling):
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log) -> LoadFileScheduling | None:
     return FromBothEnds(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    plugins = session.config.pluginmanager
+    reporter = plugins.get_plugin("terminalreporter")
+    if reporter is not None and not hasattr(session.config, "workerinput"):
+        waiting = Waiting(reporter)
+        plugins.register(waiting)
+        waiting.start()
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -15,8 +15,6 @@ from walker_jax.kernels.gathered_sums import with_gathered_sums
 from walker_jax.kernels.jaxprs import equations_in
 from walker_jax.kernels.running_sums import take_out_sums
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 RNG = np.random.default_rng(3)
 CELLS = 11
 W, BIAS, POINTS = RNG.normal(size=(18, 18)) / 4, RNG.normal(size=18), RNG.normal(size=(CELLS, 3))

@@ -59,6 +59,19 @@ def test_a_population_walks_as_its_members_do():
     np.testing.assert_array_equal(several.state[2], wj.strides(select(walkers, 2), xs).state)
 
 
+def test_gaits_change_with_a_weight_as_their_derivatives_say():
+    here, step, middle = gait(), 1e-3, float(value_of(WALKER, WEIGHT))
+    by = wj.gait_derivatives(WALKER, here, WEIGHT)
+    changed = (with_parameter(WALKER, WEIGHT, middle + side * step) for side in (-2, -1, 1, 2))
+    gaits = [wj.find_gait(walker, here.states[0]) for walker in changed]
+    rate = np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
+    for name in ("states", "multipliers"):
+        values = np.stack([getattr(one, name) for one in gaits])
+        expected = np.einsum("i,i...->...", rate, values)
+        np.testing.assert_allclose(getattr(by, name), expected, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.slow
 def test_gaits_equal_those_by_scalars():
     here, there = gait(), wj.find_gait(SCALARS)
     assert here.found
