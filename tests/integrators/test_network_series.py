@@ -16,8 +16,6 @@ from scipy.special import expit, ndtr
 import walker_jax as wj
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 RNG = np.random.default_rng(0)
 W, U = RNG.normal(size=(16, 4)) / 2, RNG.normal(size=(17, 16)) / 4
 BIAS, LAST = RNG.normal(size=16) / 10, RNG.normal(size=17) / 20

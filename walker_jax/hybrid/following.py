@@ -134,8 +134,20 @@ def find_event(
     measured: bool,
     writer: Writer | None = None,
 ) -> tuple[Unfinished, list | None]:
-    """Make steps to the first event, and find it; return the tapes of a writer too."""
+    """Find the first event of a mode that begins in a state; return the tapes of a writer too."""
     mode, begun = begin_following(mode, start, going, method, measured)
+    return follow_on(mode, method, begun, measured=measured, writer=writer)
+
+
+def follow_on(
+    mode: Mode,
+    method: Method,
+    begun: Unfinished,
+    *,
+    measured: bool,
+    writer: Writer | None = None,
+) -> tuple[Unfinished, list | None]:
+    """Make steps from some instant of a mode to its first event, and find it."""
 
     def unfinished(carry):
         now, _ = carry
@@ -243,7 +255,7 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
     may, ends = ~jnp.isfinite(length), []
     known = along(mode, jax.tree.map(lambda c: c[: FIRST_ORDER + 1], series, is_leaf=is_list))
     for guard, side, polynomials in zip(mode.guards, sides, known, strict=True):
-        rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
+        rises, ends_below = rises_perhaps(guard, method, side, polynomials, length, end)
         may |= rises
         ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
     seen = []
@@ -273,9 +285,9 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     last = now.last
     series = method.series_of(last.start, last.memory)
     crossings = []
-    ends = zip(last.sides, last.ends, along(mode, series, whole=True), strict=True)
-    for side, end, (value, admits) in ends:
-        below = is_below(side, value)
+    ends = zip(mode.guards, last.sides, last.ends, along(mode, series, whole=True), strict=True)
+    for guard, side, end, (value, admits) in ends:
+        below = is_below(guard, side, value)
         may = may_rise(value, admits, last.length, below, end < 0)
         crossings.append(Crossing(value, admits, below, end < 0, may))
     number, when = first_rise(crossings, last.length)
@@ -351,24 +363,27 @@ def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:
         side = jnp.where(on_zero, ON_ZERO, side)
     if method.is_series:
         return side
-    return jnp.where(is_below(side, method.series(guard.value, start, 2)), -1, 1) + zero_at(start)
+    below = is_below(guard, side, method.series(guard.value, start, 2))
+    return jnp.where(below, -1, 1) + zero_at(start)
 
 
-def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
+def is_below(guard: Guard, side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
     """Return whether a guard is below zero as a step begins, by its side or first value."""
-    falls = begins_below([jnp.zeros_like(value[0]), *value[1:]])
-    first = jnp.where(side == ON_ZERO, falls, begins_below(value))
-    return jnp.where(jnp.abs(side) < 1, first, side < 0)
+    below = jnp.where(side == 0, begins_below(value), side < 0)
+    if guard.at_once:
+        return below
+    return jnp.where(side == ON_ZERO, begins_below([jnp.zeros_like(side), *value[1:]]), below)
 
 
 def rises_perhaps(
-    guard: Guard, side: Scalar, polynomials: tuple, length: Scalar, end: Any
+    guard: Guard, method: Method, side: Scalar, polynomials: tuple, length: Scalar, end: Any
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
     """Return whether a guard may rise in a step, and whether it ends below zero."""
     value, admits = polynomials
-    below = is_below(side, value)
-    # A step that its method rejects has no length, and changes no side.
-    ends_below = jnp.where(length == 0, below, value_at(guard.value, end) < 0)
+    below = is_below(guard, side, value)
+    ends_below = value_at(guard.value, end) < 0
+    if not method.is_series:  # which may reject a step: it then has no length, and changes no side
+        ends_below = jnp.where(length == 0, below, ends_below)
     if not guard.persists:
         return may_rise(value, admits, length, below, ends_below), ends_below
     slope = evaluate_polynomial(derivative_of(value), length)

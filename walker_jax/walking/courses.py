@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Int
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.graphs import (
     check_one_kind,
+    check_state,
     entered_again,
     in_order,
     kind_of,
@@ -92,6 +93,7 @@ class Course(NamedTuple):
 
 def begin_course(name: str, state: Any, feasible: Bool[Array, ""]) -> Course:
     """Return the course of a stride that begins in a mode; it is over unless it is `feasible`."""
+    check_state(name, state)
     zero, stride = zero_at(state), jnp.asarray(Outcome.STRIDE, jnp.int8)
     verdict = jnp.where(feasible, Outcome.UNDECIDED, Outcome.OUTSIDE).astype(jnp.int8)
     return Course({name: Entry(jnp.asarray(True), state)}, zero, verdict, stride, {})
