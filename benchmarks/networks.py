@@ -20,7 +20,8 @@ On a machine of two cores, which others used too, walker_jax made five times the
 at 49 weights, 2.3 times at 369, and 1.5 times at 4,545, and five, four and 1.9 times the gradients.
 The gradient costs 2.5 to 5 strides. In one run of 64 walks of the widest network diffrax missed the
 heel strike of the third stride in four: states were off by 0.9, and gradients by factors of 88 to
-2,354, which the last column shows. Other gradients were off by 2e-8 at the median and 4e-6 at most, where forward and reverse derivatives of walker_jax agreed to 1.4e-12.
+2,354, which the last column shows. Other gradients were off by 2e-8 at the median and 4e-6 at most,
+where forward and reverse derivatives of walker_jax agreed to 1.4e-12.
 
                                              walker_jax                               diffrax
     2 x 64  within   2.3 s   10572/s   10.8 s   1750/s |   4.0 s    7154/s   16.8 s    926/s | 1e+02
