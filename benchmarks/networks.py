@@ -16,7 +16,16 @@ Every way runs in a process of its own with an empty cache, and with all starts 
 near the gait. The last column is the largest difference of diffrax's gradient from walker_jax's,
 relative to the largest derivative.
 
-ANSWER
+On a machine of two cores, which others used too, walker_jax made five times the strides of diffrax
+at 49 weights, 2.3 times at 369, and 1.5 times at 4,545, and five, four and 1.9 times the gradients.
+The gradient costs 2.5 to 5 strides. In one run of 64 walks of the widest network diffrax missed the
+heel strike of the third stride in four: states were off by 0.9, and gradients by factors of 88 to
+2,354, which the last column shows. Other gradients were off by 2e-8 at the median and 4e-6 at most,
+where forward and reverse derivatives of walker_jax agreed to 1.4e-12.
+
+                                             walker_jax                               diffrax
+    2 x 64  within   2.3 s   10572/s   10.8 s   1750/s |   4.0 s    7154/s   16.8 s    926/s | 1e+02
+    2 x 16  within   2.4 s   49060/s   10.6 s  10086/s |   3.8 s   21571/s   16.4 s   2515/s | 2e+02
 
     python benchmarks/networks.py [WIDTHS [LAYERS [STARTS [WAYS]]]]
 """
@@ -186,7 +195,7 @@ def report(width: int, layers: int, within: bool, starts: int, ways: list[str]) 
     known = dict(zip(ways, gradients, strict=True))
     own, other = (known.get(way, np.array([np.nan])) for way in WAYS[:2])
     wrong = np.max(np.abs(other - own)) / np.max(np.abs(own))
-    print(f"    {layers} x {width:<3} {where:7}" + " |".join(cells) + f" | {wrong:.0e}", flush=True)
+    print(f"    {layers} x {width:<3} {where:6}" + " |".join(cells) + f" | {wrong:.0e}", flush=True)
 
 
 if __name__ == "__main__":
@@ -198,7 +207,7 @@ if __name__ == "__main__":
         given = [*sys.argv[1:], *["8,16,32,64", "1,2", "512", ",".join(WAYS)][len(sys.argv) - 1 :]]
         widths, sizes = ([int(x) for x in one.split(",")] for one in given[:2])
         ways = given[3].split(",")
-        print(" " * 18 + "".join(f"{way:>38}" for way in ways))
+        print(" " * 17 + "".join(f"{way:>38}" for way in ways))
         for within in (True, False):
             for layers in sizes:
                 for width in widths:
