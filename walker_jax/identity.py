@@ -22,8 +22,11 @@ import os
 import re
 import secrets
 import sys
+import threading
 import types
+from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Sequence
+from contextvars import ContextVar
 from importlib.machinery import all_suffixes
 from pathlib import Path
 from typing import Any
@@ -43,7 +46,7 @@ LARGEST = 2**16
 """Bytes of the largest array that is compared by its values; a larger one equals only itself."""
 MOST = 4096
 """Size of each cache of descriptions: of codes, trees, modules and files."""
-PARTS = "__wrapped__ __func__ __self__ fget func args keywords fun jvp fwd bwd".split()
+PARTS = "__wrapped__ __func__ __self__ fget func args keywords fn fun jvp fwd bwd".split()
 """Attributes that hold the parts of an object made of functions."""
 DERIVED = set(
     "__dict__ __weakref__ __doc__ _abc_impl __annotations__ __module__ __annotate_func__ "
@@ -52,9 +55,11 @@ DERIVED = set(
 )
 """Attributes of classes that Python derives from the others, or from the lines of a file."""
 DEFINED = types.FunctionType | type
+STATE = OrderedDict, ContextVar, type(threading.Lock())
+"""Types of variables on which no result depends: caches, values for a call alone, and locks."""
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
-token_of_process = secrets.token_hex()
+token_of_process = functools.cache(secrets.token_hex)
 """Identifies this process, for objects that cannot be described in another one."""
 
 
@@ -199,7 +204,7 @@ def hash_of_code(code: types.CodeType) -> str:
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
     """Return the globals that a function reads, also as attributes of modules.
 
-    Left out are installed modules, which do not change, and this package's lower-case variables.
+    Left out are installed modules, which do not change, and what this package keeps in `STATE`.
     """
     found, own, inside = {}, is_own(home_of(function)), names_used(function.__code__)
     read = names_used(function.__code__, *READING) if own else inside
@@ -210,7 +215,7 @@ def globals_of(function: types.FunctionType) -> dict[str, Any]:
                 changes = is_own(value) or top_of(value) == PACKAGE
                 if changes and all(vars(value) is not one for _, one, _ in spaces):
                     spaces.append((f"{place}{name}.", vars(value), inside))
-            elif own or name.isupper() or isinstance(value, DEFINED) or parts_of(value):
+            elif own or not isinstance(value, STATE):
                 found[f"{place}{name}"] = value
     return found
 
@@ -335,7 +340,7 @@ class StoreDescriber(Describer):
         try:
             return self.words(value.__reduce_ex__(2))
         except Exception:  # whatever its class raises
-            return token_of_process, id(value)
+            return token_of_process(), id(value)
 
     def add_file_of(self, definition: Any) -> bool:
         """Add the file of a definition that is described; return whether there is one."""
@@ -360,7 +365,7 @@ class StoreDescriber(Describer):
                     self.add_file(other, root)
 
 
-kept: dict[Path, tuple[object, bytes]] = {}
+kept: OrderedDict[Path, tuple[object, bytes]] = OrderedDict()
 """Contents of files, and the spec of their modules at that time: a file in use may be edited."""
 
 
