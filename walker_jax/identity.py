@@ -9,8 +9,7 @@ the code that computed it. Each is used again only while the code is the same, w
 - for containers, arrays and plain values, their contents.
 
 All this holds for a user's own code; code of Python, of this package or installed counts by name.
-`Describer` serves programs of this process, `StoreDescriber` stores, and
-`program_cache.ReachedCode` programs on disk.
+`Describer` serves programs of this process, `StoreDescriber` stores, `ReachedCode` traces on disk.
 """
 
 import ast
@@ -22,7 +21,6 @@ import os
 import re
 import secrets
 import sys
-import threading
 import types
 from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Sequence
@@ -55,8 +53,8 @@ DERIVED = set(
 )
 """Attributes of classes that Python derives from the others, or from the lines of a file."""
 DEFINED = types.FunctionType | type
-STATE = OrderedDict, ContextVar, type(threading.Lock())
-"""Types of variables on which no result depends: caches, values for a call alone, and locks."""
+STATE = OrderedDict, ContextVar
+"""Types of variables on which no result depends: caches, and values for a call alone."""
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 token_of_process = functools.cache(secrets.token_hex)
@@ -174,8 +172,8 @@ class Describer:
 def parts_of(value: Any) -> list[Any]:
     """Return the parts of an object that is made of functions; none of any other."""
     parts = [getattr(value, name, None) for name in PARTS]
-    made = any(part is not None for part in parts) and any(map(callable, (value, *parts)))
-    return parts if made else []
+    made = any(part is not None for part in parts)
+    return parts if made and any(map(callable, (value, *parts))) else []
 
 
 def values_in(value: Any, largest: int) -> Hashable:
@@ -235,8 +233,7 @@ def home_of(definition: Any) -> types.ModuleType | None:
     if isinstance(definition, types.ModuleType):
         return definition
     name = getattr(definition, "__module__", None)
-    # A decorated function has the name of another module.
-    if isinstance(definition, types.FunctionType):
+    if isinstance(definition, types.FunctionType):  # if decorated, it names another module
         name = definition.__globals__.get("__name__")
     return sys.modules.get(str(name)) or sys.modules.get(str(name).partition(".")[0])
 
@@ -264,8 +261,7 @@ def root_of(home: types.ModuleType, path: Path) -> Path:
 def is_own(home: types.ModuleType | None) -> bool:
     """Return whether a module is the user's own: neither known nor installed."""
     path = file_of(home)
-    installed = home is not None and path is not None and holds_packages(root_of(home, path))
-    return not is_known_module(home) and not installed
+    return not (is_known_module(home) or (home and path and holds_packages(root_of(home, path))))
 
 
 def is_known_module(home: types.ModuleType | None) -> bool:
