@@ -83,7 +83,7 @@ def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None
     if pictures.figure is not None:
         from walker_jax import figures
 
-        draw(figures.probable_fall(found), pictures.figure, request)
+        draw(figures.probable_fall(found, walker), pictures.figure, request)
     if pictures.animate is not None:
         draw_film(walker, found, pictures.animate, request)
     answer: dict[str, Any] = {"walker": request["walker"], "deviations": deviations._asdict()}
