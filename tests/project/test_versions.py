@@ -15,8 +15,8 @@ from reference import DATA, ROOT
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.storage.kind import SCHEMA_VERSION
 from walker_jax.storage.requests import check_request
+from walker_jax.storage.schema import SCHEMA_VERSION
 
 
 @pytest.fixture

@@ -81,7 +81,7 @@ def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Fi
     if figure is not None:
         from walker_jax import figures
 
-        draw(figures.probable_fall(found), figure, request)
+        draw(figures.probable_fall(found, walker), figure, request)
     if film is not None:
         draw_film(walker, found, film, request)
     answer: dict[str, Any] = {"walker": request["walker"], "deviations": deviations._asdict()}

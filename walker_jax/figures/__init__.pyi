@@ -18,6 +18,7 @@ from walker_jax.figures.films import check_film as check_film
 from walker_jax.figures.films import film as film
 from walker_jax.figures.films import zoom_film as zoom_film
 from walker_jax.figures.fraction_plots import basin_fractions as basin_fractions
+from walker_jax.figures.layout import Style as Style
 from walker_jax.figures.layout import for_print as for_print
 from walker_jax.figures.metastable_plots import metastability as metastability
 from walker_jax.figures.mode_graphs import modes as modes
