@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
+from walker_jax.hybrid.following import NO_GUARD, Due, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.graphs import (
     check_one_kind,
     entered_again,
@@ -167,7 +167,7 @@ def follow_one(
     mode = suit_state(name, modes[name], entry.state)
     method = method_of(mode, entry.state, integrator)
     going = entry.reached & (course.verdict == Outcome.UNDECIDED)
-    due = guard_due(mode, numbers, method, entry.state, switched)
+    due, rises = guard_due(mode, numbers, method, entry.state, switched)
     begun = failure_at_start(mode, numbers, entry.state, switched)
     for one in mode.conditions:
         if one.at_start:
@@ -178,7 +178,8 @@ def follow_one(
     fallen = going & (begun != Outcome.UNDECIDED)
     at_once = jnp.asarray(False) if due is None else going & ~fallen & (due >= 0)
     followed = going & ~fallen & ~at_once
-    end = follow_mode(mode, entry.state, followed, method, measured=measured)
+    risen = None if due is None else jnp.where(at_once & rises, due, NO_GUARD)
+    end = follow_mode(mode, entry.state, followed, method, risen=risen, measured=measured)
     taken = end.guard if due is None else jnp.where(at_once, due, end.guard)
     verdict = jnp.where(fallen, begun, course.verdict)
     if mode.foregone is not None:
@@ -226,23 +227,23 @@ def either(known: Violated, found: Violated) -> Violated:
 
 def guard_due(
     mode: Mode, numbers: Numbers, method: Method, state: Any, switched: bool | Bool[Array, ""]
-) -> Int[Array, ""] | None:
+) -> tuple[Int[Array, ""] | None, Bool[Array, ""]]:
     """Return the number of the first guard that ends a mode as it begins, but by no failure.
 
     A guard that leads to a mode is due if it does not begin below zero; one that leads to the
     section only if it acts `at_once`. The number is `NO_GUARD` if none is due, and None if none can
-    be.
+    be. Also returns whether it `rises` just then (`Due`).
     """
-    found = None
+    found, rises = None, jnp.asarray(False)
     for i, guard in reversed([*enumerate(mode.guards)]):
         if guard.leads_to in numbers or (guard.leads_to == SECTION and not guard.at_once):
             continue
+        due = is_due(mode, guard, method, state)
         if guard.leads_to == SECTION:
-            due = ends_at_once(mode, guard, state, switched)
-        else:
-            due = is_due(mode, guard, method, state)
-        found = jnp.where(due, i, NO_GUARD if found is None else found).astype(jnp.int32)
-    return found
+            due = Due(ends_at_once(mode, guard, state, switched), due.rises)
+        found = jnp.where(due.ends, i, NO_GUARD if found is None else found).astype(jnp.int32)
+        rises = jnp.where(due.ends, due.rises & switched, rises)
+    return found, rises
 
 
 def leads_on(guard: Guard, numbers: Numbers) -> bool:
