@@ -10,7 +10,7 @@ the section. A stride that starts in tension is over at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
@@ -56,6 +56,7 @@ class Entry(NamedTuple):
 class Part(NamedTuple):
     """A mode on a course."""
 
+    name: str
     mode: Mode
     start: Any
     time: Scalar
@@ -101,9 +102,27 @@ def follow_graph(
     system: HybridSystem, modes: Mapping[str, Mode], begun: Course, integrator: Integrator
 ) -> Course:
     """Follow modes from the first one to the section, or to a failure."""
+    return fold_parts(system, modes, begun, integrator, lambda known, _: known, ())[0]
+
+
+def fold_parts(
+    system: HybridSystem,
+    modes: Mapping[str, Mode],
+    begun: Course,
+    integrator: Integrator,
+    fold: Callable[[Any, Part], Any],
+    known: Any,
+    *,
+    measured: bool = False,
+) -> tuple[Course, Any]:
+    """Follow modes as `follow_graph` does; also return known = fold(known, part) after each part.
+
+    If `measured`, the parts have their misses.
+    """
     again = entered_again(modes)
     if not again:
-        return follow_modes(system, modes, begun, integrator)
+        course = follow_modes(system, modes, begun, integrator, measured)
+        return course, reduce(fold, course.parts, known)
     first, *_ = modes
     kinds = kinds_of_states(modes, begun.entries[first].state)
     never = jnp.asarray(False)
@@ -114,21 +133,24 @@ def follow_graph(
     course = begun._replace(entries=waiting | begun.entries, violated=violated)
 
     def goes_on(carry):
-        course, passes = carry
+        (course, _), passes = carry
         reached = [course.entries[name].reached for name in begun_in]
         going = course.verdict == Outcome.UNDECIDED
         return going & reduce(jnp.logical_or, reached) & (passes < MOST_PASSES)
 
     def follow(carry):
-        course, passes = carry
-        found = follow_modes(system, modes, course, integrator, again=again)
-        return found._replace(entries=waiting | found.entries, parts=()), passes + 1
+        course, known = carry
+        found = follow_modes(system, modes, course, integrator, measured, again)
+        known = reduce(fold, found.parts, known)
+        return found._replace(entries=waiting | found.entries, parts=()), known
 
-    def find(course):
-        return *lax.while_loop(goes_on, follow, (course, jnp.asarray(0))), ()
+    def find(start):
+        turn = lambda carry: (follow(carry[0]), carry[1] + 1)
+        return *lax.while_loop(goes_on, turn, (start, jnp.asarray(0))), ()
 
-    turn = lambda course, _: follow((course, 0))[0]
-    return with_transposed_turns(find, lambda _: (), turn, course)[0]
+    return with_transposed_turns(
+        find, lambda _: (), lambda carry, _: follow(carry), (course, known)
+    )[0]
 
 
 def follow_modes(
@@ -204,7 +226,7 @@ def follow_one(
         known = entries.get(guard.leads_to)
         entries[guard.leads_to] = join(guard.leads_to, known, Entry(took, state))
     violated = either(course.violated, end.violated)
-    part = Part(mode, entry.state, course.time, going, begun, followed, taken, passed, end)
+    part = Part(name, mode, entry.state, course.time, going, begun, followed, taken, passed, end)
     parts = *course.parts, part
     verdict = verdict.astype(jnp.int8)
     return Course(entries, course.time + end.time, verdict, held, violated, parts)
@@ -242,7 +264,7 @@ def guard_due(
         if guard.leads_to == SECTION:
             due = Due(ends_at_once(mode, guard, state, switched), due.rises)
         found = jnp.where(due.ends, i, NO_GUARD if found is None else found).astype(jnp.int32)
-        rises = jnp.where(due.ends, due.rises & switched, rises)
+        rises = jnp.where(due.ends, due.rises, rises)
     return found, rises
 
 

@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
+from walker_jax.hybrid.graphs import check_states
 from walker_jax.hybrid.modes import SECTION, Condition, Function, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrals import WithIntegrals
@@ -23,10 +24,10 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
 from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.systems.system import System
-from walker_jax.walking.courses import Course, end_course, follow_graph, follow_modes
-from walker_jax.walking.failure_margins import least_value
+from walker_jax.walking.courses import Course, end_course, fold_parts, follow_graph
+from walker_jax.walking.failure_margins import add_conditions, nothing_violated
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
+from walker_jax.walking.stride import first_of, modes_from, start_course
 
 
 def integrals(
@@ -85,10 +86,10 @@ def follow_integrals(
             f"{both[0]!r}"
         )
     course, found = start_course(system, modes, x), {}
+    check_states(modes, course.entries[next(iter(modes))].state)
     if summed:
         found = sum_along(system, modes, summed, course, integrator)
     if peaks:
-        check_entered_once(system, modes, "largest values")
         found |= largest_along(system, modes, peaks, course, integrator)
     return found
 
@@ -155,18 +156,19 @@ def largest_along(
     def as_condition(name: str, function: Function) -> Condition:
         return Condition(lambda state: -function(state), name)
 
+    first, *_ = modes
     longer = {
         of: mode._replace(
             conditions=(*mode.conditions, *(as_condition(*one) for one in mode.largest.items()))
         )
         for of, mode in modes.items()
     }
-    course = follow_modes(system, longer, course, integrator, measured=True)
-    known = {name: flag for name, flag in course.violated.items() if name not in names}
-    made = end_course(system, first_of(modes), course._replace(violated=known))
     numbers = failures_by_name(system)
-    least = with_fast_sincos(
-        lambda: [least_value(course.parts, name, numbers)[0] for name in names]
-    )()
+    add = lambda known, part: with_fast_sincos(lambda: add_conditions(known, part, numbers))()
+    known = nothing_violated(longer, zero_at(course.entries[first].state))
+    fold = {"fold": add, "known": known, "measured": True}
+    course, known = fold_parts(system, longer, course, integrator, **fold)
+    violated = {name: flag for name, flag in course.violated.items() if name not in names}
+    made = end_course(system, first_of(modes), course._replace(violated=violated))
     walks = made.outcome == Outcome.STRIDE
-    return {name: nan_unless(walks, -value) for name, value in zip(names, least, strict=True)}
+    return {name: nan_unless(walks, -known.value[name]) for name in names}
