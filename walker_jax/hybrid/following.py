@@ -332,15 +332,13 @@ class Due(NamedTuple):
     ends: Bool[Array, ""]
     """Whether the mode is over at once."""
     rises: Bool[Array, ""]
-    """Whether it is over because the guard rises just then, as another one has: the time between
-    the two, which is zero, has derivatives. A guard that has risen long before has none."""
+    """Whether the guard rises just then, so that the time until then, zero, has derivatives."""
 
 
 def is_due(mode: Mode, guard: Guard, method: Method, start: Any) -> Due:
     """Return whether a mode that begins in a state is over at once, by one of its guards.
 
-    The state may be where the mode before ended, on the same guard but for errors. If the guard
-    then falls, the mode is not over.
+    The state may be on a guard, but for errors, as the mode before ended there: it may then fall.
     """
     value = guard.value
     known = lax.stop_gradient((start, mode.rates(start)))
