@@ -385,7 +385,7 @@ def calls() -> dict[str, dict]:
         "strides": {**of_walker, "xs": np.array([X, X])},
         "margins_of_many": {**of_walker, "xs": np.array([X, X])},
         "walk": {**start, "n": 2},
-        "trajectory": {**start, "times": np.array([0.0, 1.0])},
+        "trajectory": {**start, "times": np.array([0.0, 1.0]), "strides": 2},
         "step_down": {**start, "drop": 0.001},
         "phase_times": start,
         "steps_to_fall": {**of_gait, "ground": 0.001, "n": 2, "limit": 2, "confidence": 0.9},
@@ -493,10 +493,19 @@ def calls() -> dict[str, dict]:
         "sweep": {**of_walker, "over": {"slope": [0.004]}, "grid": grid, "strides": 20, "seed": 0}
         | {"levels": 0, "check": 0, "robust": False},
         "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
+        "fall_gradient": {**of_gait, "parameters": ("slope",), "strides": 1, "directions": 2},
+        "pareto": {
+            **of_walker,
+            "bounds": {"slope": (0.003, 0.01)},
+            "objectives": GOALS,
+            "points": 3,
+        },
     }
 
 
+GOALS = "speed", "spectral-radius"
 HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
+HEAVY |= {"fall_gradient", "pareto"}
 HEAVY |= {"continue_basins", "robustness", "robustness_table"}
 HEAVY |= {"chart", "continue_event", "lyapunov", "most_probable_fall"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""

@@ -5,6 +5,7 @@ standard error. Exit code 0: done; 2: wrong usage; 1: the computation failed; 13
 Ctrl-C; 143: terminated by SIGTERM.
 """
 
+import atexit
 import gc
 import os
 import signal
@@ -32,6 +33,7 @@ class Terminated(BaseException):
 
 def main() -> NoReturn:
     gc.set_threshold(FEW_COLLECTIONS)
+    atexit.register(gc.freeze)  # or Python looks for garbage before it ends, which takes a second
     # Before NumPy is loaded. Matrices are small here: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Notebooks name theirs, which may not be installed here. Pictures are only written to files.

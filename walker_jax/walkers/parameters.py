@@ -293,15 +293,30 @@ def with_values(
 ) -> AnySystem:
     """Return the walker with other values of some parameters, by name, unchecked."""
     leaves, structure = jax.tree.flatten(walker)
-    names = names_in_tree(walker)
+    places, entries = {name: i for i, name in enumerate(names_in_tree(walker))}, {}
     for parameter, value in dict(values).items():
-        if parameter in names:
-            leaves[names.index(parameter)] = value
+        if parameter in places:
+            leaves[places[parameter]] = value
         else:
             name, entry = parse_entry(parameter)
-            i = names.index(name)
-            leaves[i] = with_entry(leaves[i], entry, value)
+            entries.setdefault(places[name], {})[entry] = value
+    for i, changed in entries.items():
+        leaves[i] = with_entries(leaves[i], changed)
     return structure.unflatten(leaves)
+
+
+def with_entries(leaf: Any, entries: Mapping[tuple[int, ...], Any]) -> Any:
+    """Return an array with other numbers at some places, all at once where JAX traces none."""
+    if any(isinstance(one, Tracer) or np.ndim(one) for one in entries.values()) or isinstance(
+        leaf, Tracer
+    ):
+        for entry, value in entries.items():
+            leaf = with_entry(leaf, entry, value)
+        return leaf
+    changed = np.array(leaf)
+    for entry, value in entries.items():
+        changed[(..., *entry)] = value
+    return jnp.asarray(changed) if isinstance(leaf, jax.Array) else changed
 
 
 def parse_entry(parameter: str) -> tuple[str, tuple[int, ...]]:

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Int
 from walker_jax.hybrid.following import NO_GUARD, Due, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.graphs import (
     check_one_kind,
+    check_state,
     entered_again,
     in_order,
     kind_of,
@@ -93,6 +94,7 @@ class Course(NamedTuple):
 
 def begin_course(name: str, state: Any, feasible: Bool[Array, ""]) -> Course:
     """Return the course of a stride that begins in a mode; it is over unless it is `feasible`."""
+    check_state(name, state)
     zero, stride = zero_at(state), jnp.asarray(Outcome.STRIDE, jnp.int8)
     verdict = jnp.where(feasible, Outcome.UNDECIDED, Outcome.OUTSIDE).astype(jnp.int8)
     return Course({name: Entry(jnp.asarray(True), state)}, zero, verdict, stride, {})
@@ -144,9 +146,15 @@ def fold_parts(
         known = reduce(fold, found.parts, known)
         return found._replace(entries=waiting | found.entries, parts=()), known
 
-    def find(start):
-        turn = lambda carry: (follow(carry[0]), carry[1] + 1)
-        return *lax.while_loop(goes_on, turn, (start, jnp.asarray(0))), ()
+    def find(start, writer):
+        def make(carry):
+            now, passes, tapes = carry
+            tapes = tapes if writer is None else writer.put(tapes, passes, now)
+            return follow(now), passes + 1, tapes
+
+        begun = start, jnp.asarray(0), writer and writer.tapes
+        end, passes, tapes = lax.while_loop(lambda now: goes_on(now[:2]), make, begun)
+        return end, passes, (), tapes
 
     return with_transposed_turns(
         find, lambda _: (), lambda carry, _: follow(carry), (course, known)
