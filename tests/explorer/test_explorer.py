@@ -186,6 +186,21 @@ def test_a_walk_is_that_of_the_library(client):
     np.testing.assert_allclose(one["frames"], np.stack(whole, axis=1), atol=1e-7)
 
 
+def test_a_walk_ends_with_the_stride_that_fails():
+    made = wj.walk(wj.SimplestWalker(0.004), (0.1911, -0.1946), 6)
+    made_outcomes = np.asarray(made.outcomes).tolist()
+    whole = made_outcomes.count(wj.Outcome.STRIDE)
+    assert 0 < whole < 6
+    found = walks.follow(subject(), np.array([0.1911, -0.1946]), 6)
+    outcomes, starts, times = (
+        [one[of] for one in found["strides"]] for of in ("outcome", "start", "duration")
+    )
+    assert outcomes == made_outcomes[: whole + 1]
+    np.testing.assert_allclose(starts, made.states[: whole + 1], rtol=1e-12)
+    np.testing.assert_allclose(times[:whole], made.times[:whole], rtol=1e-12)
+    assert found["next"] is None and all(len(one["frames"]) > 8 for one in found["strides"])
+
+
 @pytest.mark.parametrize(("x", "outcome"), [([0.3, -0.5], 1), ([0.3, -0.1], 2), ([-0.1, -0.1], 5)])
 def test_a_fall_is_shown_as_it_happens(client, x, outcome):
     answer = client.ask("/api/walk", SIMPLEST | {"start": x}).json()

@@ -164,7 +164,7 @@ def test_resets_to_different_states_of_one_mode_are_refused(ends):
         lambda y: Waiting(y.place, jnp.zeros(2)),
         lambda y: {"place": y.place, "left": y.time},
     )
-    for follow in (wj.stride, wj.margins) if len(ends) == 1 else (wj.stride,):
+    for follow in (wj.stride, wj.margins):
         for one, other in [(waits, reset) for reset in others] + [(others[0], waits)]:
             said = "resets into 'rest' must return states of one kind, not .* and "
             with pytest.raises(ValueError, match=said) as told:
@@ -194,14 +194,6 @@ def test_a_mode_may_have_states_of_its_own():
         fork(waits, waits, wj.SECTION, shown=shown), jnp.array([0.2]), [0.5, 1.8]
     )
     np.testing.assert_allclose(states.place, [0.7, 2.0], rtol=1e-14)
-
-
-@pytest.mark.parametrize("measure", [wj.margins, wj.phase_times])
-def test_what_modes_entered_again_do_not_have_is_refused(measure):
-    system = fork(lambda y: y, lambda y: y, "move", wj.SECTION)
-    said = "of Made cannot be had: its mode 'move' can be entered again"
-    with pytest.raises(ValueError, match=said):
-        measure(system, jnp.array([0.2]))
 
 
 def test_phases_of_one_name_are_refused():
@@ -277,8 +269,14 @@ def test_numbers_of_any_type_may_stand_in_a_state(time, rate):
     ],
 )
 def test_states_that_cannot_be_integrated_are_refused(system, said):
-    for follow in (wj.stride, wj.margins, wj.trajectory, wj.explain):
+    class Summed(type(system)):
+        def modes(self):
+            unit = {"unit": lambda y: 1.0}
+            return {name: one._replace(integrals=unit) for name, one in super().modes().items()}
+
+    for follow in (wj.stride, wj.margins, wj.trajectory, wj.explain, wj.integrals):
         more = ([0.5],) if follow is wj.trajectory else ()
+        system = Summed() if follow is wj.integrals else system
         with pytest.raises(ValueError, match=re.escape(said)) as told:
             follow(system, X, *more)
         assert "\n" not in str(told.value)

@@ -125,14 +125,20 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
     pronker = wj.BoundingQuadruped(
         stiffness=k / 2, rear_angle=angle, front_angle=angle, energy=energy
     )
-    jacobian = jax.jit(jax.jacfwd(lambda x: wj.stride(pronker, x).state))
+    stride = lambda x: jnp.append((made := wj.stride(pronker, x)).state, made.time)
+    jacobian, stride = jax.jit(jax.jacfwd(stride)), jax.jit(stride)
     for run in wj.find_gaits(wj.SpringMassRunner(**RUNS_AT)):
         apex, *_ = run.states[0]
         made = wj.stride(pronker, (apex, 0.0, 0.0))
         np.testing.assert_allclose(made.state, np.array([float(apex), 0, 0]), atol=1e-12)
         np.testing.assert_allclose(made.time, run.step_times[0], atol=1e-12)
-        by_height = jacobian(jnp.array([apex, 0.0, 0.0]))[0, 0]
-        assert by_height == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-10)
+        x = np.array([apex, 0.0, 0.0])
+        found = np.asarray(jacobian(x))
+        assert found[0, 0] == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-10)
+        # A pitch that turns the other way exchanges the pairs, which differ in nothing then.
+        np.testing.assert_allclose(found[[0, 3], 1:], 0, atol=1e-10)
+        expected = differences(lambda many: np.stack([*map(stride, many)]), x, np.full(3, 1e-4))
+        np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.slow

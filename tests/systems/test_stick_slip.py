@@ -86,9 +86,3 @@ def test_chatter_is_undecided_and_explained():
     assert made.outcome.tolist() == [wj.Outcome.UNDECIDED] * 2
     found = wj.explain(system, [1.0])
     assert "the stride chatters: it has passed 100 modes" in found.complaints
-
-
-def test_margins_of_modes_that_are_entered_again_are_refused():
-    for function in (wj.margins, wj.phase_times):
-        with pytest.raises(ValueError, match="'slower' can be entered again"):
-            function(wj.StickSlip(), [2.0])

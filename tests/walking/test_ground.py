@@ -77,6 +77,21 @@ def test_margins_on_a_step_of_nothing_are_those_of_a_stride():
         np.testing.assert_allclose(values, level.by_name[name], rtol=0, atol=1e-13)
 
 
+def test_margins_on_ground_a_little_lower_are_those_on_level():
+    """On round feet many fall with the swing foot below the level all the time."""
+    walker = jax.tree.map(np.asarray, wj.RoundFootWalker(0.01))
+    rng = np.random.default_rng(1)
+    xs = rng.uniform([0.05, -0.4, -0.1], [0.25, -0.15, 0.0], (300, 3))
+    full = np.stack([np.asarray(jnp.stack(walker.lift(x))) for x in jnp.asarray(xs)])
+    lower: Any = np.full(300, -1e-9), np.zeros(300), np.zeros(300)
+    arguments = walker, full, Disturbance(*lower), INTEGRATOR
+    found = map_cells(follow_disturbed_margins, arguments, (False, True, True, False))
+    level = wj.margins_of_many(walker, full)
+    np.testing.assert_array_equal(found.stride.outcome, level.stride.outcome)
+    assert np.bincount(level.stride.outcome)[1:3].min() > 30
+    np.testing.assert_allclose(found.failed, level.failed, rtol=0, atol=1e-7)
+
+
 def test_a_measured_stride_ends_as_the_stride_does():
     """From starts whose legs begin beside each other, where the margins' stride was another one."""
     starts = np.array(

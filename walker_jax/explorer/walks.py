@@ -22,14 +22,15 @@ from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.kneed import BentState
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.phase import legs
-from walker_jax.walking.iteration import strides
+from walker_jax.walking.iteration import record_walk, strides
 from walker_jax.walking.movement import find_ends, frames_shown, swings_at
 from walker_jax.walking.trajectories import state_after
 
 MAX_STRIDES = 60
 """Most strides in one answer."""
 STRIDES_AT_ONCE = 6
-"""Strides computed before other requests take their turn."""
+"""Strides computed before other requests take their turn; at most `RECORDED`."""
+INTEGRATOR = Integrator(1e-12)
 FRAME = 0.06
 """Time between frames, about 60 in a stride. A cubic through states and rates interpolates them."""
 
@@ -59,10 +60,8 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
     start of the next stride, None after a failure. `leg` has the sizes for drawing the walker.
     """
     made, leg = [], leg_of(subject)
-    for _ in range(count):
-        walker = walker_from(subject, start)
-        stride = strides(walker, start[None])
-        outcome, duration = Outcome(int(stride.outcome[0])), float(stride.time[0])
+    strides_made, following = make_strides(subject, start, count)
+    for walker, start, outcome, duration in strides_made:
         if leg is None or outcome == Outcome.OUTSIDE:
             made.append(end(walker, start, outcome, duration if outcome == Outcome.STRIDE else 0.0))
         elif outcome != Outcome.STRIDE:
@@ -71,10 +70,33 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
             times = np.linspace(0, duration, 1 + max(8, round(duration / FRAME)))
             states = states_at(walker, start, times)
             made.append(end(walker, start, outcome, duration, states))
-        if outcome != Outcome.STRIDE:
-            return {"strides": made, "next": None, "leg": leg}
-        start = np.asarray(stride.state[0])
-    return {"strides": made, "next": start.tolist(), "leg": leg}
+    return {"strides": made, "next": following, "leg": leg}
+
+
+def make_strides(
+    subject: Subject, start: Float[np.ndarray, " coordinates"], count: int
+) -> tuple[list[tuple[System, np.ndarray, Outcome, float]], list[float] | None]:
+    """Return each stride's walker, start, outcome and time, and where the next one starts, if any.
+
+    The first stride may begin in a full state, those after it on the section.
+    """
+    walker, made = walker_from(subject, start), []
+    if len(start) != len(walker.section):
+        first = strides(walker, start[None])
+        outcome = Outcome(int(first.outcome[0]))
+        made.append((walker, start, outcome, float(first.time[0])))
+        start, count, walker = np.asarray(first.state[0]), count - 1, subject.walker
+        if outcome != Outcome.STRIDE or count == 0:
+            return made, start.tolist() if outcome == Outcome.STRIDE else None
+    arguments = in_dtype(walker, float), start[None], np.int32(count), INTEGRATOR.in_dtype(float)
+    (states,), (last,), (times,) = map_cells(record_walk, arguments, (False, True, False, False))
+    last = Outcome(int(last))
+    walked = count if last == Outcome.STRIDE else int(np.isfinite(states[:, 0]).sum()) + 1
+    outcomes = [Outcome.STRIDE] * (walked - 1) + [last]
+    starts = [start, *states]
+    of_each = zip(starts, outcomes, map(float, times), strict=False)
+    made += [(walker, *one) for one in of_each]
+    return made, states[count - 1].tolist() if last == Outcome.STRIDE else None
 
 
 def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> System:
@@ -131,7 +153,7 @@ def states_at(
 ) -> Any:
     """Return the states at times after a start; one program serves any number of times."""
     walker = in_dtype(walker, float)
-    arguments = (walker, start, times, Integrator(1e-12).in_dtype(float))
+    arguments = (walker, start, times, INTEGRATOR.in_dtype(float))
     return map_cells(state_after, arguments, (False, False, True, False))
 
 

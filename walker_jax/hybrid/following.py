@@ -101,14 +101,21 @@ class Unfinished(NamedTuple):
 
 
 def follow_mode(
-    mode: Mode, start: Any, going: Bool[Array, ""], method: Method, *, measured: bool = False
+    mode: Mode,
+    start: Any,
+    going: Bool[Array, ""],
+    method: Method,
+    *,
+    risen: Int[Array, ""] | None = None,
+    measured: bool = False,
 ) -> End:
     """Follow a mode from a state to its end; do nothing unless `going`.
 
     Derivatives of the arrival are exact, of any order; past a kink of the equations, to the third.
-    If `measured`, every step is searched, and its misses are recorded.
+    A guard that has just `risen` as the mode begins ends it there, with the derivatives of that
+    event. If `measured`, every step is searched, and its misses are recorded.
     """
-    find = partial(find_event, mode, going=going, method=method, measured=measured)
+    find = partial(find_event, mode, going=going, method=method, risen=risen, measured=measured)
     if reversing.value and method.is_series and not measured:
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
@@ -131,11 +138,14 @@ def find_event(
     start: Any,
     going: Bool[Array, ""],
     method: Method,
+    risen: Int[Array, ""] | None,
     measured: bool,
     writer: Writer | None = None,
 ) -> tuple[Unfinished, list | None]:
     """Find the first event of a mode that begins in a state; return the tapes of a writer too."""
     mode, begun = begin_following(mode, start, going, method, measured)
+    if risen is not None:
+        begun = begun._replace(guard=jnp.where(risen >= 0, risen, begun.guard))
     return follow_on(mode, method, begun, measured=measured, writer=writer)
 
 
@@ -182,7 +192,7 @@ def find_in_reverse(
 
     def find_steps(start, writer):
         last, tapes = find(start, writer=writer)
-        steps = jnp.where(has_ended(mode, last.guard), last.count - 1, 0)
+        steps = jnp.where(has_ended(mode, last.guard), jnp.maximum(last.count - 1, 0), 0)
         return last.last.start, last.last.time, steps, last, tapes
 
     state, time, last = transpose_steps(method, find_steps, start)
@@ -336,17 +346,28 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
     return pairs
 
 
-def is_due(mode: Mode, guard: Guard, method: Method, start: Any) -> Bool[Array, ""]:
+class Due(NamedTuple):
+    """A guard as a mode begins."""
+
+    ends: Bool[Array, ""]
+    """Whether the mode is over at once."""
+    rises: Bool[Array, ""]
+    """Whether the guard rises just then, so that the time until then, zero, has derivatives."""
+
+
+def is_due(mode: Mode, guard: Guard, method: Method, start: Any) -> Due:
     """Return whether a mode that begins in a state is over at once, by one of its guards.
 
-    The state may be where the mode before ended, on the same guard but for errors. If the guard
-    then falls, the mode is not over.
+    The state may be on a guard, but for errors, as the mode before ended there: it may then fall.
     """
     value = guard.value
     known = lax.stop_gradient((start, mode.rates(start)))
     rounding = rounding_of(value, *known, method.tolerance)
-    due = ~begins_below(method.series(value, start, 2), rounding)
-    return due & guard.admitted(start) if guard.admits or guard.admits_at_rise else due
+    series = method.series(value, start, 2)
+    due = ~begins_below(series, rounding)
+    if guard.admits or guard.admits_at_rise:
+        due &= guard.admitted(start)
+    return Due(due, due & (series[0] <= rounding) & (series[1] > rounding))
 
 
 def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from walker_jax.checks import WrongUse, short
 from walker_jax.hybrid.modes import SECTION, Mode
+from walker_jax.integrators.integrals import WithIntegrals
 from walker_jax.integrators.taylor import VectorField, is_list
 
 Modes = Mapping[str, Mode]
@@ -120,7 +121,12 @@ def suit_state(name: str, mode: Mode, state: Any) -> Mode:
         if not has_shapes(value, jax.ShapeDtypeStruct((), float)):
             raise WrongUse(f"guards of mode {name!r} must be one number, not {in_words(value)}")
     types = {x.dtype for x in jax.tree.leaves((kind, rates))}
-    return mode if len(types) == 1 else mode._replace(field=RatesOfType(mode.field))
+    if len(types) == 1:
+        return mode
+    if isinstance(mode.field, WithIntegrals):
+        typed = WithIntegrals(RatesOfType(mode.field.motion), mode.field.rates)
+        return mode._replace(field=typed)
+    return mode._replace(field=RatesOfType(mode.field))
 
 
 def check_state(name: str, state: Any) -> None:
@@ -138,6 +144,14 @@ def check_state(name: str, state: Any) -> None:
             f"states of mode {name!r} must be floating-point numbers of one type, "
             f"not {in_words(kind)}"
         )
+
+
+def check_states(modes: Modes, start: Any) -> None:
+    """Raise `WrongUse` unless the modes suit the states in which they begin (`suit_state`)."""
+    for name, kind in kinds_of_states(modes, start).items():
+        if name in modes:
+            state = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), kind)
+            suit_state(name, modes[name], state)
 
 
 class RatesOfType(eqx.Module):

@@ -215,29 +215,6 @@ class Method(eqx.Module):
             return SeriesSteps(self.field, order, self.tolerance, self.others)
         return controller_of(self.tolerance, self.limits.longest)
 
-    def solve(self, state: PyTree, t0, t1, most_steps: int = MOST_STEPS) -> diffrax.Solution:
-        """Integrate from `state` at t0 to t1, if that takes at most so many steps."""
-        # diffrax keeps functions, so what these capture must be among their leaves.
-        apart = lambda f: f if isinstance(f, PowerBalance) else convert_closure(f, state)
-        functions = apart(self.field), tuple(map(apart, self.others))
-        self = eqx.tree_at(lambda method: (method.field, method.others), self, functions)
-        solver = self.solver
-        if isinstance(solver, Taylor):
-            solver = Taylor(solver.taylor_order, self.field)
-        return diffrax.diffeqsolve(
-            diffrax.ODETerm(convert_closure(self.terms.vector_field, t0, state, None)),
-            solver,
-            t0,
-            t1,
-            None,
-            state,
-            saveat=diffrax.SaveAt(t1=True),
-            stepsize_controller=self.controller(),
-            adjoint=diffrax.ForwardMode(),
-            max_steps=most_steps,
-            throw=False,
-        )
-
     def begin(self, state: PyTree) -> Memory:
         """Return the memory for the first step, of the same types as those after steps."""
         solver, control, series = self.solver, (), None

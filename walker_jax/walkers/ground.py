@@ -13,6 +13,8 @@ from walker_jax.walkers.phase import is_of_package
 ROUNDING = 100
 """Largest height of a step that counts as level, over the spacing of floating-point numbers at
 1."""
+NEVER = -1e6
+"""Value of what never admits a guard, so far below zero that it is no miss."""
 LOWER = "below the level"
 """The mode of a swing foot that has passed the level of the other foot, to lower ground."""
 PASSES = -2
@@ -39,10 +41,12 @@ def raise_ground(walker: Any, modes: Mapping[str, Mode], step: Scalar) -> dict[s
     own = not is_of_package(type(walker), "is_ahead")
     ahead = (passed, walker.is_ahead) if own else (passed,)
     choose = lambda one, other: lambda state: jnp.where(up, one(state), other(state))
-    unless_down = lambda one: lambda state: jnp.where(down, -1, one(state))
-    if_down = lambda one: lambda state: jnp.where(down, one(state), -1)
+    unless_down = lambda one: lambda state: jnp.where(down, NEVER, one(state))
+    if_down = lambda one: lambda state: jnp.where(down, one(state), NEVER)
 
-    passes = Guard(strike.value, LOWER, (if_down(passed), walker.is_ahead))
+    # As a knee locks the foot may be below the level already; it must have passed the leg then.
+    passes_by = (if_down(passed), walker.is_ahead) if phases else (if_down(walker.is_ahead),)
+    passes = Guard(strike.value, LOWER, passes_by)
     admits = tuple(unless_down(choose(one, walker.is_ahead)) for one in ahead)
     value = choose(above, strike.value)
     onto = strike._replace(value=value, admits=admits, persists=False, surface=above)

@@ -10,7 +10,7 @@ the section. A stride that starts in tension is over at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
+from walker_jax.hybrid.following import NO_GUARD, Due, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.graphs import (
     check_one_kind,
     check_state,
@@ -57,6 +57,7 @@ class Entry(NamedTuple):
 class Part(NamedTuple):
     """A mode on a course."""
 
+    name: str
     mode: Mode
     start: Any
     time: Scalar
@@ -103,9 +104,27 @@ def follow_graph(
     system: HybridSystem, modes: Mapping[str, Mode], begun: Course, integrator: Integrator
 ) -> Course:
     """Follow modes from the first one to the section, or to a failure."""
+    return fold_parts(system, modes, begun, integrator, lambda known, _: known, ())[0]
+
+
+def fold_parts(
+    system: HybridSystem,
+    modes: Mapping[str, Mode],
+    begun: Course,
+    integrator: Integrator,
+    fold: Callable[[Any, Part], Any],
+    known: Any,
+    *,
+    measured: bool = False,
+) -> tuple[Course, Any]:
+    """Follow modes as `follow_graph` does; also return known = fold(known, part) after each part.
+
+    If `measured`, the parts have their misses.
+    """
     again = entered_again(modes)
     if not again:
-        return follow_modes(system, modes, begun, integrator)
+        course = follow_modes(system, modes, begun, integrator, measured)
+        return course, reduce(fold, course.parts, known)
     first, *_ = modes
     kinds = kinds_of_states(modes, begun.entries[first].state)
     never = jnp.asarray(False)
@@ -116,28 +135,30 @@ def follow_graph(
     course = begun._replace(entries=waiting | begun.entries, violated=violated)
 
     def goes_on(carry):
-        course, passes = carry
+        (course, _), passes = carry
         reached = [course.entries[name].reached for name in begun_in]
         going = course.verdict == Outcome.UNDECIDED
         return going & reduce(jnp.logical_or, reached) & (passes < MOST_PASSES)
 
     def follow(carry):
-        course, passes = carry
-        found = follow_modes(system, modes, course, integrator, again=again)
-        return found._replace(entries=waiting | found.entries, parts=()), passes + 1
+        course, known = carry
+        found = follow_modes(system, modes, course, integrator, measured, again)
+        known = reduce(fold, found.parts, known)
+        return found._replace(entries=waiting | found.entries, parts=()), known
 
-    def find(course, writer):
+    def find(start, writer):
         def make(carry):
-            course, passes, tapes = carry
-            tapes = tapes if writer is None else writer.put(tapes, passes, course)
-            return *follow((course, passes)), tapes
+            now, passes, tapes = carry
+            tapes = tapes if writer is None else writer.put(tapes, passes, now)
+            return follow(now), passes + 1, tapes
 
-        begun = course, jnp.asarray(0), writer and writer.tapes
-        course, passes, tapes = lax.while_loop(lambda now: goes_on(now[:2]), make, begun)
-        return course, passes, (), tapes
+        begun = start, jnp.asarray(0), writer and writer.tapes
+        end, passes, tapes = lax.while_loop(lambda now: goes_on(now[:2]), make, begun)
+        return end, passes, (), tapes
 
-    turn = lambda course, _: follow((course, 0))[0]
-    return with_transposed_turns(find, lambda _: (), turn, course)[0]
+    return with_transposed_turns(
+        find, lambda _: (), lambda carry, _: follow(carry), (course, known)
+    )[0]
 
 
 def follow_modes(
@@ -176,7 +197,7 @@ def follow_one(
     mode = suit_state(name, modes[name], entry.state)
     method = method_of(mode, entry.state, integrator)
     going = entry.reached & (course.verdict == Outcome.UNDECIDED)
-    due = guard_due(mode, numbers, method, entry.state, switched)
+    due, rises = guard_due(mode, numbers, method, entry.state, switched)
     begun = failure_at_start(mode, numbers, entry.state, switched)
     for one in mode.conditions:
         if one.at_start:
@@ -187,7 +208,8 @@ def follow_one(
     fallen = going & (begun != Outcome.UNDECIDED)
     at_once = jnp.asarray(False) if due is None else going & ~fallen & (due >= 0)
     followed = going & ~fallen & ~at_once
-    end = follow_mode(mode, entry.state, followed, method, measured=measured)
+    risen = None if due is None else jnp.where(at_once & rises, due, NO_GUARD)
+    end = follow_mode(mode, entry.state, followed, method, risen=risen, measured=measured)
     taken = end.guard if due is None else jnp.where(at_once, due, end.guard)
     verdict = jnp.where(fallen, begun, course.verdict)
     if mode.foregone is not None:
@@ -212,7 +234,7 @@ def follow_one(
         known = entries.get(guard.leads_to)
         entries[guard.leads_to] = join(guard.leads_to, known, Entry(took, state))
     violated = either(course.violated, end.violated)
-    part = Part(mode, entry.state, course.time, going, begun, followed, taken, passed, end)
+    part = Part(name, mode, entry.state, course.time, going, begun, followed, taken, passed, end)
     parts = *course.parts, part
     verdict = verdict.astype(jnp.int8)
     return Course(entries, course.time + end.time, verdict, held, violated, parts)
@@ -235,23 +257,23 @@ def either(known: Violated, found: Violated) -> Violated:
 
 def guard_due(
     mode: Mode, numbers: Numbers, method: Method, state: Any, switched: bool | Bool[Array, ""]
-) -> Int[Array, ""] | None:
+) -> tuple[Int[Array, ""] | None, Bool[Array, ""]]:
     """Return the number of the first guard that ends a mode as it begins, but by no failure.
 
     A guard that leads to a mode is due if it does not begin below zero; one that leads to the
     section only if it acts `at_once`. The number is `NO_GUARD` if none is due, and None if none can
-    be.
+    be. Also returns whether it `rises` just then (`Due`).
     """
-    found = None
+    found, rises = None, jnp.asarray(False)
     for i, guard in reversed([*enumerate(mode.guards)]):
         if guard.leads_to in numbers or (guard.leads_to == SECTION and not guard.at_once):
             continue
+        due = is_due(mode, guard, method, state)
         if guard.leads_to == SECTION:
-            due = ends_at_once(mode, guard, state, switched)
-        else:
-            due = is_due(mode, guard, method, state)
-        found = jnp.where(due, i, NO_GUARD if found is None else found).astype(jnp.int32)
-    return found
+            due = Due(ends_at_once(mode, guard, state, switched), due.rises)
+        found = jnp.where(due.ends, i, NO_GUARD if found is None else found).astype(jnp.int32)
+        rises = jnp.where(due.ends, due.rises, rises)
+    return found, rises
 
 
 def leads_on(guard: Guard, numbers: Numbers) -> bool:

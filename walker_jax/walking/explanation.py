@@ -279,7 +279,7 @@ def record_mode(
     mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
     made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
     fallen = int(fall_of(mode, numbers, state, switched))
-    due = guard_due(mode, numbers, method, state, switched)
+    due, _ = guard_due(mode, numbers, method, state, switched)
     if fallen != Outcome.UNDECIDED:
         led_to = next(of for of, number in numbers.items() if number == fallen) + " at once"
         guard = None

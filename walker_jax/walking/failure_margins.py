@@ -13,7 +13,7 @@ all systems alike (`hybrid.misses`):
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator, zero_at
 from walker_jax.integrators.roots import Real, Scalar
@@ -32,10 +32,10 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, Stride, nan_unless
 from walker_jax.systems.system import System, apply_map
-from walker_jax.walking.courses import Course, Numbers, Part, end_course, follow_modes
+from walker_jax.walking.courses import Course, Numbers, Part, end_course, fold_parts
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import during_stride, on_section, prepare
-from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
+from walker_jax.walking.stride import first_of, modes_from, start_course
 
 WAYS = {
     "BACKWARD": "backward",
@@ -144,10 +144,14 @@ def measure_modes(
     walker: HybridSystem, x: Float[Array, " n"], modes: dict[str, Mode], integrator: Integrator
 ) -> tuple[Margins, Course]:
     """Follow modes from x, and return their margins, and their course."""
-    check_entered_once(walker, modes, "margins")
-    course = follow_modes(walker, modes, start_course(walker, modes, x), integrator, measured=True)
-    stride = end_course(walker, first_of(modes), course)
-    found = measure_stride(walker, first_of(modes), course, stride)
+    begun, first = start_course(walker, modes, x), first_of(modes)
+    (start,) = begun.entries.values()
+    zero = zero_at(start.state)
+    unit, known = zero + walker.unit_of_time(), nothing_measured(walker, modes, zero)
+    measure = lambda known, part: with_fast_sincos(partial(add_part, known, part, walker, unit))()
+    course, known = fold_parts(walker, modes, begun, integrator, measure, known, measured=True)
+    stride = end_course(walker, first, course)
+    found = with_fast_sincos(partial(measure_stride, walker, first, course, known, stride))()
     outside = margin_of_start(walker, x)
     if outside is None:
         return found, course
@@ -176,82 +180,122 @@ def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar |
     return known if known is None or on_section(walker, x) else jnp.sum(x) * jnp.nan
 
 
-def measure_stride(walker: HybridSystem, first: Mode, course: Course, stride: Stride) -> Margins:
+class Leasts(NamedTuple):
+    """Conditions in a stride so far, by their failures."""
+
+    value: dict[str, Scalar]
+    """The least value; infinite at first."""
+    miss: dict[str, Scalar]
+    """The miss nearest to zero of a guard that leads on, before the condition was violated."""
+    violated: dict[str, Bool[Array, ""]]
+
+
+class Measured(NamedTuple):
+    """The modes that a stride has passed."""
+
+    passed: dict[str, Scalar]
+    """Margins of the falls that did not happen, by failure; infinite where none is known."""
+    failed: Scalar
+    """The margin of the fall that happened; NaN if none did."""
+    pulled: Bool[Array, ""]
+    """Whether the stride began with a condition that was violated."""
+    conditions: Leasts
+    held: dict[str, Scalar]
+    """The least of values above zero that had to hold where guards rose, by failure."""
+    lost: dict[str, Scalar]
+    """The least of the others; infinite if all held."""
+
+
+def nothing_violated(modes: dict[str, Mode], zero: Scalar) -> Leasts:
+    """Return the conditions of modes before the first one begins."""
+    names = [*dict.fromkeys(one.leads_to for mode in modes.values() for one in mode.conditions)]
+    above, no = zero + jnp.inf, jnp.asarray(False)
+    return Leasts(*(dict.fromkeys(names, one) for one in (above, -above, no)))
+
+
+def nothing_measured(walker: HybridSystem, modes: dict[str, Mode], zero: Scalar) -> Measured:
+    """Return the margins of a stride before the first of its modes."""
+    numbers, above, every = failures_by_name(walker), zero + jnp.inf, modes.values()
+    guards = [guard for mode in every for guard in mode.guards]
+    ends = [Outcome.FORWARD.name if one.leads_to == SECTION else one.leads_to for one in guards]
+    falls = dict.fromkeys([name for name in ends if name in numbers], above)
+    held = dict.fromkeys([one.leads_to for guard in guards for one in guard.must_hold], above)
+    conditions = nothing_violated(modes, zero)
+    return Measured(falls, above * jnp.nan, jnp.asarray(False), conditions, held, dict(held))
+
+
+def lower(margins: dict[str, Scalar], of: str, value: Scalar) -> None:
+    """Lower the margin of a failure to a value, if that is smaller."""
+    margins[of] = jnp.minimum(margins[of], value) if of in margins else value
+
+
+def add_part(known: Measured, part: Part, walker: HybridSystem, unit: Scalar) -> Measured:
+    """Add a measured mode to the margins of the modes before; `unit` is a typical time."""
+    numbers, guards = failures_by_name(walker), guards_of(part)
+    passed, held, lost = dict(known.passed), dict(known.held), dict(known.lost)
+    failed, pulled = fall_margin(part, guards, numbers, unit, known.failed), known.pulled
+    for i, one in enumerate(guards):
+        took = part.taken == i
+        if one.guard.leads_to in numbers:
+            greatest = jnp.maximum(one.before, jnp.where(took, -jnp.inf, one.end))
+            lower(passed, one.guard.leads_to, guard_margin(one.guard, greatest, part.followed))
+        elif one.guard.leads_to == SECTION:
+            lower(passed, Outcome.FORWARD.name, strike_margin(part, one, i))
+        for held_one in one.guard.must_hold:
+            value = held_one.value(part.end.state)
+            lower(held, held_one.leads_to, jnp.where(took & (value > 0), value, jnp.inf))
+            lower(lost, held_one.leads_to, jnp.where(took & (value <= 0), value, jnp.inf))
+    for one in part.mode.conditions:
+        if one.at_start:
+            here = ~pulled & part.reached & (part.begun == numbers[one.leads_to])
+            failed = jnp.where(here, one.value(part.start), failed)
+            pulled |= here
+    conditions = add_conditions(known.conditions, part, numbers)
+    return Measured(passed, failed, pulled, conditions, held, lost)
+
+
+def measure_stride(
+    walker: HybridSystem, first: Mode, course: Course, known: Measured, stride: Stride
+) -> Margins:
     """Return the margins of a measured stride. The next stride begins in the `first` mode."""
-    return with_fast_sincos(partial(measure_course, walker, first, course, stride))()
-
-
-def measure_course(walker: HybridSystem, first: Mode, course: Course, stride: Stride) -> Margins:
-    parts, numbers, outcome = course.parts, failures_by_name(walker), stride.outcome
+    numbers, outcome = failures_by_name(walker), stride.outcome
     struck = course.verdict == Outcome.STRIDE
     infinite = jnp.full_like(course.time, jnp.inf)
-    passed: dict[str, Scalar] = {}
-
-    def lower(of: str, value: Scalar) -> None:
-        """Lower the margin of a failure to a value, if that is smaller."""
-        passed[of] = jnp.minimum(passed[of], value) if of in passed else value
-
-    # falls, and ends that lead to the section
-    unit = zero_at(parts[0].start) + walker.unit_of_time()
-    failed, pulled = infinite * jnp.nan, jnp.asarray(False)
-    for part in parts:
-        known = guards_of(part)
-        failed = fall_margin(part, known, numbers, unit, failed)
-        for i, one in enumerate(known):
-            if one.guard.leads_to in numbers:
-                greatest = jnp.maximum(one.before, jnp.where(part.taken == i, -jnp.inf, one.end))
-                lower(one.guard.leads_to, guard_margin(one.guard, greatest, part.followed))
-            elif one.guard.leads_to == SECTION:
-                lower(Outcome.FORWARD.name, strike_margin(part, one, i))
-        for one in part.mode.conditions:
-            if one.at_start:
-                here = ~pulled & part.reached & (part.begun == numbers[one.leads_to])
-                failed = jnp.where(here, one.value(part.start), failed)
-                pulled |= here
+    passed, failed = dict(known.passed), known.failed
     following = walker.begin(course.entries[SECTION].state)
     for guard in reversed(first.guards):
         if guard.at_once and guard.leads_to in numbers:
             value = guard.value(following)
             ends = struck & (outcome == numbers[guard.leads_to]) & (value >= 0)
             failed = jnp.where(ends, -guard.measure(-value), failed)
-            lower(guard.leads_to, guard_margin(guard, value, outcome == Outcome.STRIDE))
+            lower(passed, guard.leads_to, guard_margin(guard, value, outcome == Outcome.STRIDE))
 
     # conditions
     violated = jnp.asarray(False)
     for of in sorted(course.violated, key=numbers.__getitem__, reverse=True):
         broken = course.violated[of]
-        least, before = least_value(parts, of, numbers)
-        lower(of, jnp.where(struck, least, infinite))
+        least, before = known.conditions.value[of], known.conditions.miss[of]
+        lower(passed, of, jnp.where(struck, least, infinite))
         ends = struck & broken & (outcome == numbers[of])
         failed = jnp.where(ends, jnp.maximum(least, before), failed)
         violated |= broken
 
     # after guards
     least = infinite
-    for one, asked, value in judged_at_ends(parts):
-        lower(one.leads_to, jnp.where(asked & ~violated & (value > 0), value, infinite))
-        ends = asked & (outcome == numbers[one.leads_to]) & (value <= 0)
-        least = jnp.minimum(least, jnp.where(ends, value, infinite))
+    for of, value in known.held.items():
+        lower(passed, of, jnp.where(violated, infinite, value))
+        ends = outcome == numbers[of]
+        least = jnp.minimum(least, jnp.where(ends, known.lost[of], infinite))
     failed = jnp.where(jnp.isfinite(least), least, failed)
 
     # A failed margin is above zero by rounding alone, which has no part in its derivatives.
     failed -= lax.stop_gradient(jnp.maximum(failed, 0))
-    began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
+    began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~known.pulled
     for of, value in passed.items():
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
         passed[of] = jnp.where(outcome == numbers[of], failed, value)
     fails = (outcome != Outcome.STRIDE) & (outcome != Outcome.UNDECIDED)
     return Margins(stride, jnp.where(fails, failed, jnp.nan), passed)
-
-
-def judged_at_ends(
-    parts: tuple[Part, ...],
-) -> Iterator[tuple[Condition, Bool[Array, ""], Scalar]]:
-    """Yield what must hold after each guard, whether that guard has risen, and its value then."""
-    for part in parts:
-        for i, guard in enumerate(part.mode.guards):
-            for one in guard.must_hold:
-                yield one, part.taken == i, one.value(part.end.state)
 
 
 class GuardEnds(NamedTuple):
@@ -334,28 +378,23 @@ def strike_margin(part: Part, known: GuardEnds, number: int) -> Scalar:
     return jnp.where(part.taken == number, margin, jnp.inf)
 
 
-def least_value(parts: tuple[Part, ...], of: str, numbers: Numbers) -> tuple[Scalar, Scalar]:
-    """Return the least value of a condition up to heel strike, and the miss nearest to zero.
-
-    The miss is one of a guard that leads on, before the condition was violated.
-    """
-    infinite = zero_at(parts[0].start) + jnp.inf
-    least, before, broken = infinite, -infinite, jnp.asarray(False)
-    for part in parts:
-        misses, guards = part.end.misses, part.mode.guards
-        for condition in part.mode.conditions:
-            if condition.leads_to != of:
-                continue
-            value, at_end = misses.least[of], condition.value(part.end.state)
-            if not condition.zero_at_start:
-                value = jnp.minimum(value, condition.value(part.start))
-            for i, guard in enumerate(guards):
-                if of in guard.makes_zero:
-                    at_end = jnp.where(part.taken == i, jnp.inf, at_end)
-            value = jnp.minimum(value, at_end)
-            least = jnp.where(part.followed, jnp.minimum(least, value), least)
-            for guard, nearest in zip(guards, misses.before[of], strict=True):
-                if guard.leads_to not in numbers:
-                    before = jnp.where(broken, before, jnp.maximum(before, nearest))
-            broken |= part.end.violated[of]
-    return least, before
+def add_conditions(known: Leasts, part: Part, numbers: Numbers) -> Leasts:
+    """Add the conditions of a measured mode to those of the modes before."""
+    values, nearest_misses, violated = map(dict, known)
+    misses, guards = part.end.misses, part.mode.guards
+    for condition in part.mode.conditions:
+        of = condition.leads_to
+        value, at_end = misses.least[of], condition.value(part.end.state)
+        if not condition.zero_at_start:
+            value = jnp.minimum(value, condition.value(part.start))
+        for i, guard in enumerate(guards):
+            if of in guard.makes_zero:
+                at_end = jnp.where(part.taken == i, jnp.inf, at_end)
+        value = jnp.minimum(value, at_end)
+        values[of] = jnp.where(part.followed, jnp.minimum(values[of], value), values[of])
+        for guard, nearest in zip(guards, misses.before[of], strict=True):
+            if guard.leads_to not in numbers:
+                miss = nearest_misses[of]
+                nearest_misses[of] = jnp.where(violated[of], miss, jnp.maximum(miss, nearest))
+        violated[of] |= part.end.violated[of]
+    return Leasts(values, nearest_misses, violated)

@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
+from walker_jax.hybrid.graphs import check_states
 from walker_jax.hybrid.modes import SECTION, Condition, Function, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrals import WithIntegrals
@@ -23,10 +24,10 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
 from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.systems.system import System
-from walker_jax.walking.courses import end_course, follow_graph, follow_modes
-from walker_jax.walking.failure_margins import least_value
+from walker_jax.walking.courses import end_course, fold_parts
+from walker_jax.walking.failure_margins import add_conditions, nothing_violated
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
+from walker_jax.walking.stride import first_of, modes_from, start_course
 
 
 def integrals(
@@ -85,6 +86,7 @@ def follow_integrals(
             f"{both[0]!r}"
         )
     course = start_course(system, modes, x)
+    check_states(modes, course.entries[next(iter(modes))].state)
     longer = {of: with_largest(mode) for of, mode in modes.items()}
     if summed:
         first, *_ = modes
@@ -92,16 +94,16 @@ def follow_integrals(
         begun = entry.state, dict.fromkeys(summed, zero_at(entry.state))
         course = course._replace(entries={first: entry._replace(state=begun)})
         longer = {of: with_integrals(mode, summed) for of, mode in longer.items()}
-    if peaks:
-        check_entered_once(system, modes, "largest values")
-        course = follow_modes(system, longer, course, integrator, measured=True)
-    else:
-        course = follow_graph(system, longer, course, integrator)
-    section, numbers = course.entries[SECTION], failures_by_name(system)
+    numbers = failures_by_name(system)
+    add = lambda known, part: with_fast_sincos(lambda: add_conditions(known, part, numbers))()
+    known = nothing_violated(longer, course.time)
+    fold = add if peaks else lambda known, _: known
+    course, known = fold_parts(
+        system, longer, course, integrator, fold, known, measured=bool(peaks)
+    )
+    section = course.entries[SECTION]
     state, sums = section.state if summed else (section.state, {})
-    least = with_fast_sincos(
-        lambda: {name: -least_value(course.parts, name, numbers)[0] for name in peaks}
-    )()
+    least = {name: -known.value[name] for name in peaks}
     made = end_course(
         system,
         first_of(modes),

@@ -360,7 +360,7 @@ def orbits(
             break
         more = min(RECORDED, count - done)
         some = select_walkers(walker, active), states[active, done], np.int32(more)
-        part, ends = map_cells(record_walk, (*some, integrator), (many, True, False, False))
+        part, ends, _ = map_cells(record_walk, (*some, integrator), (many, True, False, False))
         states[active, done + 1 : done + 1 + more], outcome[active] = part[:, :more], ends
         active = active[ends == Outcome.STRIDE]
     return states, outcome
@@ -368,14 +368,15 @@ def orbits(
 
 def record_walk(
     walker: System, x: Float[Array, " section"], limit: Int[Array, ""], integrator: Integrator
-) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
-    """Return the states of `RECORDED` strides, NaN from the end on, and the last outcome."""
+) -> tuple[Float[Array, "strides section"], Int[Array, ""], Float[Array, " strides"]]:
+    """Return the states of `RECORDED` strides, NaN from the end on, the last outcome, and times."""
 
-    def step(state: tuple, number: Int[Array, ""]) -> Stride:
-        x, states = state
+    def step(known: tuple, number: Int[Array, ""]) -> Stride:
+        x, states, times = known
         made = follow_stride(walker, x, integrator)
-        return made._replace(state=(made.state, states.at[number].set(made.state)))
+        states, times = states.at[number].set(made.state), times.at[number].set(made.time)
+        return made._replace(state=(made.state, states, times))
 
     states = jnp.full((RECORDED, *x.shape), jnp.nan, x.dtype)
-    end, _ = scan_strides(step, (x, states), limit)
-    return end.state[1], end.outcome
+    end, _ = scan_strides(step, (x, states, states[:, 0]), limit)
+    return end.state[1], end.outcome, end.state[2]

@@ -17,7 +17,6 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, short
-from walker_jax.hybrid.graphs import entered_again
 from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import AnySolver, Integrator
@@ -134,14 +133,6 @@ def modes_from(
         conditions = tuple(map(anywhere, modes[first].conditions))
         modes[first] = modes[first]._replace(conditions=conditions)
     return modes
-
-
-def check_entered_once(walker: HybridSystem, modes: dict[str, Mode], what: str) -> None:
-    """Raise `WrongUse` for a system some of whose modes can be entered again in a stride."""
-    if again := entered_again(modes):
-        raise WrongUse(
-            f"{what} of {walker.label()} cannot be had: its mode {again[0]!r} can be entered again"
-        )
 
 
 def first_of(modes: dict[str, Mode]) -> Mode:

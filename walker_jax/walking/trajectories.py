@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
+from functools import partial, reduce
+from typing import Any, NamedTuple
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_whole
-from walker_jax.hybrid.graphs import in_order, suit_state
-from walker_jax.hybrid.modes import SECTION, Mode
-from walker_jax.integrators.integrator import AnySolver, Integrator
+from walker_jax.hybrid.graphs import check_states
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
+from walker_jax.integrators.integrator import AnySolver, Integrator, zero_at
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
 from walker_jax.kernels.primitive import nan_allowed
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
-from walker_jax.systems.outcomes import nan_unless
+from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.walking.courses import (
+    Part,
     begin_course,
     end_course,
-    follow_modes,
-    follow_one,
+    fold_parts,
+    follow_graph,
     leads_on,
 )
+from walker_jax.walking.integrals import with_integrals
 from walker_jax.walking.iteration import check_on_section, follow_walk
 from walker_jax.walking.starts import as_floating, during_stride, prepare
-from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
+from walker_jax.walking.stride import first_of, modes_from, start_course
 
 
 def trajectory(
@@ -93,38 +94,47 @@ def state_after(
     time: Scalar,
     integrator: Integrator,
 ) -> Any:
-    """Compute the state a time after the start of a stride; of the first phase, if any."""
+    """Compute the state a time after the start of a stride; of the first phase, if any.
+
+    That is a stride whose section is that time.
+    """
     walker = during_stride(walker, x)
-    modes, numbers = modes_from(walker, x), failures_by_name(walker)
-    check_entered_once(walker, modes, "the trajectory")
-    order = in_order(modes)
-    result = start = walker.launch(x)
-    course = begin_course(order[0], start, jnp.asarray(True))
-    for name in order:
-        entry = course.entries[name]
-        mode = suit_state(name, modes[name], entry.state)
-        left = time - jnp.where(entry.reached, course.time, jnp.inf)
-        later = walker.shown(state_of_motion(mode, entry.state, jnp.maximum(left, 0), integrator))
-        if jax.tree.structure(later) != jax.tree.structure(start):
+    modes, start = modes_from(walker, x), walker.launch(x)
+    check_states(modes, start)
+    kind = jax.tree.structure(start)
+    until = {name: to_time(walker, name, mode, time, kind) for name, mode in modes.items()}
+    both = start, {CLOCK: zero_at(start)}
+    course = begin_course(next(iter(modes)), both, jnp.isfinite(time))
+    course = follow_graph(walker, until, course, integrator)
+    arrived = course.verdict == Outcome.STRIDE
+    return jax.tree.map(partial(nan_unless, arrived), course.entries[SECTION].state)
+
+
+CLOCK = "time"
+"""The integral that tells the time since the start of a stride."""
+
+
+def to_time(walker: HybridSystem, name: str, mode: Mode, time: Scalar, kind: Any) -> Mode:
+    """Return a mode that ends where it leads to another one, or at a time in a state to be shown.
+
+    Its states are pairs, of the state and of the clock.
+    """
+
+    def show(both):
+        shown = walker.shown(both[0])
+        if jax.tree.structure(shown) != kind:
             raise WrongUse(
                 f"the trajectory of {walker.label()} cannot be had: mode {name!r} has a state "
                 "of another kind than the first one, unless shown makes it one"
             )
-        result = jax.tree.map(partial(jnp.where, left >= 0), later, result)
-        onward = tuple(one for one in mode.guards if leads_on(one, numbers))
-        if onward:  # a mode ends by these alone
-            alone = {name: mode._replace(guards=onward, conditions=(), foregone=None)}
-            switched = name != order[0]
-            course = follow_one(name, alone, numbers, course, integrator, False, switched)
-    return result
+        return shown
 
-
-def state_of_motion(mode: Mode, start: Any, time: Scalar, integrator: Integrator) -> Any:
-    """Compute the state a time after another, in one mode."""
-    method = integrator.method(mode.field, start)
-    solution = method.solve(start, jnp.zeros_like(time), time, mode.most_steps)
-    arrived = solution.result == diffrax.RESULTS.successful
-    return jax.tree.map(lambda values: nan_unless(arrived, values[-1]), solution.ys)
+    numbers = failures_by_name(walker)
+    onward = tuple(one for one in mode.guards if leads_on(one, numbers))
+    alone = mode._replace(guards=onward, conditions=(), foregone=None)
+    clocked = with_integrals(alone._replace(integrals={CLOCK: lambda state: 1.0}), [CLOCK])
+    end = Guard(lambda both: both[1][CLOCK] - time, SECTION, at_once=True, reset=show)
+    return clocked._replace(guards=(*clocked.guards, end))
 
 
 def phase_times(
@@ -137,9 +147,9 @@ def phase_times(
     """Compute the time at which each mode of a stride ends; the latest is the time of `stride`.
 
     Times are in the unit of time, one for each mode, in the order of `modes`. For a kneed walker
-    they are the times of knee strike, 0 where the knee locks at once, and of heel strike. They are
-    NaN for modes that lead neither to another one nor to the section. Arguments and errors are
-    those of `stride`.
+    they are the times of knee strike, 0 where the knee locks at once, and of heel strike. A mode
+    that is entered again has the time at which it ends last. Times are NaN for modes that lead
+    neither to another one nor to the section. Arguments and errors are those of `stride`.
 
     ```python
     walker = wj.KneedWalker(0.05)
@@ -156,14 +166,30 @@ def follow_phase_times(
 ) -> Float[Array, " modes"]:
     walker = during_stride(walker, x)
     modes = modes_from(walker, x)
-    check_entered_once(walker, modes, "phase times")
-    course = follow_modes(walker, modes, start_course(walker, modes, x), integrator)
-    made = end_course(walker, first_of(modes), course)
-    times = {}
-    for name, part in zip(in_order(modes), course.parts, strict=True):
+    begun = start_course(walker, modes, x)
+    nan = jnp.full_like(begun.time, jnp.nan)
+
+    def add(known: PhaseEnds, part: Part) -> PhaseEnds:
+        """Add a mode; one that is entered again ends later."""
+        leads = [
+            part.taken == i for i, one in enumerate(part.mode.guards) if one.leads_to == SECTION
+        ]
         end = part.time + part.end.time
-        for i, guard in enumerate(part.mode.guards):
-            if guard.leads_to == SECTION:  # or a later stride's failure, known at its end
-                end = jnp.where(part.taken == i, made.time, end)
-        times[name] = nan_unless(part.passed, end)
-    return jnp.stack([times[name] for name in modes])
+        time = jnp.where(part.passed, end, known.times[part.name])
+        is_last = known.is_last[part.name] | reduce(jnp.logical_or, leads, jnp.asarray(False))
+        return PhaseEnds(known.times | {part.name: time}, known.is_last | {part.name: is_last})
+
+    none = PhaseEnds(dict.fromkeys(modes, nan), dict.fromkeys(modes, jnp.asarray(False)))
+    course, ends = fold_parts(walker, modes, begun, integrator, add, none)
+    made = end_course(walker, first_of(modes), course)
+    walks = made.outcome == Outcome.STRIDE  # or a later stride's failure, known at its end
+    return jnp.stack([nan_unless(~ends.is_last[name] | walks, ends.times[name]) for name in modes])
+
+
+class PhaseEnds(NamedTuple):
+    """Ends of modes, by their names."""
+
+    times: dict[str, Scalar]
+    """When each ended last since the start of the stride; NaN if it led nowhere."""
+    is_last: dict[str, Bool[Array, ""]]
+    """Whether it led to the section."""
