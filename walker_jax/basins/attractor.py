@@ -13,6 +13,9 @@ from jaxtyping import Float, Int
 from walker_jax.systems.angles import Turns
 from walker_jax.walking.iteration import Targets, nearest_target
 
+SAMPLE = 2**14
+"""Number of starts that are followed in search of attractors."""
+
 
 class Attractor(NamedTuple):
     """A cycle of strides, from its state of the smallest angle on; or another attracting set."""

@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.attractor import (
+    SAMPLE,
     Attractor,
     all_motions,
     capture_radius,
@@ -52,8 +53,6 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walking.iteration import iterate, orbits
 
-SAMPLE = 2**14
-"""Number of starts that are followed in search of attractors."""
 SCOUTS = 2**8
 """Number of starts that are followed first; most of the others end on the cycles that these
 find."""
