@@ -6,10 +6,11 @@
 
 For each Python that is found, and for both sets, a fresh environment runs the main job and a quick
 selection of the tests: three of their hundred files, which show whether the package installs and
-does its main job there, not that all of it works. The whole suite is .ci/run's, on the oldest
-Python and on the newest. Then the main job runs on the first Python without what it usually has.
-Its answer must be the same everywhere. The sets are computed from pyproject.toml, anew each time:
-the oldest versions of what it names, and the newest of all. Needs the network for packages alone.
+does its main job there, not that all of it works. The whole suite is .ci/run's, on the newest
+Python, with a part on the oldest. Then the main job runs on the first Python without what it
+usually has. Its answer must be the same everywhere. The sets are computed from pyproject.toml, anew
+each time: the oldest versions of what it names, and the newest of all. Needs the network for
+packages alone.
 """
 
 import argparse

@@ -1,10 +1,13 @@
 """Tests compute in float64, and mixing dtypes without saying so is an error.
 
 What XLA and LLVM compile is kept in pytest's cache, from which the processes of the tests take it,
-those that they start, and the next run: `pytest --cache-clear` begins from nothing. Properties are
-tried on the same inputs in every run; `pytest --hypothesis-profile=explore` draws others.
+those that they start, and the next run: `pytest --cache-clear` begins from nothing. XLA hardly
+optimises, as most of what it compiles is called once, to compare with; kernels do not depend on it.
+`XLA_FLAGS= pytest` tests what XLA makes for users. Properties are tried on the same inputs in every
+run; `pytest --hypothesis-profile=explore` draws others.
 """
 
+import atexit
 import gc
 import os
 import sys
@@ -14,7 +17,14 @@ import jax
 import pytest
 from hypothesis import settings
 from matplotlib.figure import Figure
+from waiting import Waiting
 from xdist.scheduler import LoadFileScheduling
+
+QUICK = "--xla_backend_optimization_level=0"
+"""Flags that halve the time of XLA's compilation."""
+if jax.__version_info__ < (0, 11):  # later versions do not know this one
+    QUICK += " --xla_cpu_use_fusion_emitters=false"
+os.environ.setdefault("XLA_FLAGS", QUICK)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -24,19 +34,12 @@ settings.register_profile("explore", deadline=None)
 settings.load_profile("repeatable")
 
 gc.set_threshold(100_000, 50, 1000)  # tracing makes many objects that stay: looking finds little
+atexit.register(gc.freeze)  # nor at the end
 
 WORTH_KEEPING = 0.1
 """Seconds of compilation from which on a program is kept."""
 HALF_WRITTEN = "ignore:Error reading persistent compilation cache entry"
 """As another process is just writing it, or was killed while it did: it is compiled instead."""
-
-
-@pytest.fixture(scope="module")
-def quick_references() -> Iterator[None]:
-    """XLA hardly optimises: what it compiles is called once, to compare with."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +89,15 @@ class FromBothEnds(LoadFileScheduling):
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log) -> LoadFileScheduling | None:
     return FromBothEnds(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    plugins = session.config.pluginmanager
+    reporter = plugins.get_plugin("terminalreporter")
+    if reporter is not None and not hasattr(session.config, "workerinput"):
+        waiting = Waiting(reporter)
+        plugins.register(waiting)
+        waiting.start()
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -20,6 +20,9 @@ from walker_jax.design.area_gradients import AreaGradient as AreaGradient
 from walker_jax.design.area_gradients import area_gradient as area_gradient
 from walker_jax.design.disturbance_gradients import DisturbanceGradient as DisturbanceGradient
 from walker_jax.design.disturbance_gradients import disturbance_gradient as disturbance_gradient
+from walker_jax.design.fall_gradients import FallGradient as FallGradient
+from walker_jax.design.fall_gradients import fall_gradient as fall_gradient
+from walker_jax.design.fronts import pareto as pareto
 from walker_jax.design.measures import Measure as Measure
 from walker_jax.design.measures import gait_measures as gait_measures
 from walker_jax.design.optimisation import optimise as optimise

@@ -56,13 +56,17 @@ def check_kind(name: str, value: Any, kind: type) -> None:
         raise WrongUse(f"{name} must be a {kind.__name__}{example}, not {short(value)}", of=name)
 
 
-def check_memory(needed: int, subject: str, instead: str) -> None:
-    """Raise `TooLarge` if a subject needs more bytes than there are, and say what to do instead."""
+def check_memory(needed: int, subject: str, instead: str, of: str = "") -> None:
+    """Raise `TooLarge` if a subject needs more bytes than there are, and say what to do instead.
+
+    `of` names the argument that `instead` is about.
+    """
     memory = memory_of_machine()
     if needed > memory:
         raise TooLarge(
             f"{subject} {needed / 2**30:.1f} GiB of memory, and this machine has "
-            f"{memory / 2**30:.1f} GiB: {instead}"
+            f"{memory / 2**30:.1f} GiB: {instead}",
+            of=of,
         )
 
 

@@ -9,8 +9,7 @@ the code that computed it. Each is used again only while the code is the same, w
 - for containers, arrays and plain values, their contents.
 
 All this holds for a user's own code; code of Python, of this package or installed counts by name.
-`Describer` serves programs of this process, `StoreDescriber` stores, and
-`program_cache.ReachedCode` programs on disk.
+`Describer` serves programs of this process, `StoreDescriber` stores, `ReachedCode` traces on disk.
 """
 
 import ast
@@ -23,7 +22,9 @@ import re
 import secrets
 import sys
 import types
+from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Sequence
+from contextvars import ContextVar
 from importlib.machinery import all_suffixes
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ LARGEST = 2**16
 """Bytes of the largest array that is compared by its values; a larger one equals only itself."""
 MOST = 4096
 """Size of each cache of descriptions: of codes, trees, modules and files."""
-PARTS = "__wrapped__ __func__ __self__ fget func args keywords fun jvp fwd bwd".split()
+PARTS = "__wrapped__ __func__ __self__ fget func args keywords fn fun jvp fwd bwd".split()
 """Attributes that hold the parts of an object made of functions."""
 DERIVED = set(
     "__dict__ __weakref__ __doc__ _abc_impl __annotations__ __module__ __annotate_func__ "
@@ -52,9 +53,11 @@ DERIVED = set(
 )
 """Attributes of classes that Python derives from the others, or from the lines of a file."""
 DEFINED = types.FunctionType | type
+STATE = OrderedDict, ContextVar
+"""Types of variables on which no result depends: caches, and values for a call alone."""
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
-token_of_process = secrets.token_hex()
+token_of_process = functools.cache(secrets.token_hex)
 """Identifies this process, for objects that cannot be described in another one."""
 
 
@@ -169,8 +172,8 @@ class Describer:
 def parts_of(value: Any) -> list[Any]:
     """Return the parts of an object that is made of functions; none of any other."""
     parts = [getattr(value, name, None) for name in PARTS]
-    made = any(part is not None for part in parts) and any(map(callable, (value, *parts)))
-    return parts if made else []
+    made = any(part is not None for part in parts)
+    return parts if made and any(map(callable, (value, *parts))) else []
 
 
 def values_in(value: Any, largest: int) -> Hashable:
@@ -199,7 +202,7 @@ def hash_of_code(code: types.CodeType) -> str:
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
     """Return the globals that a function reads, also as attributes of modules.
 
-    Left out are installed modules, which do not change, and this package's lower-case variables.
+    Left out are installed modules, which do not change, and what this package keeps in `STATE`.
     """
     found, own, inside = {}, is_own(home_of(function)), names_used(function.__code__)
     read = names_used(function.__code__, *READING) if own else inside
@@ -210,7 +213,7 @@ def globals_of(function: types.FunctionType) -> dict[str, Any]:
                 changes = is_own(value) or top_of(value) == PACKAGE
                 if changes and all(vars(value) is not one for _, one, _ in spaces):
                     spaces.append((f"{place}{name}.", vars(value), inside))
-            elif own or name.isupper() or isinstance(value, DEFINED) or parts_of(value):
+            elif own or not isinstance(value, STATE):
                 found[f"{place}{name}"] = value
     return found
 
@@ -230,8 +233,7 @@ def home_of(definition: Any) -> types.ModuleType | None:
     if isinstance(definition, types.ModuleType):
         return definition
     name = getattr(definition, "__module__", None)
-    # A decorated function has the name of another module.
-    if isinstance(definition, types.FunctionType):
+    if isinstance(definition, types.FunctionType):  # if decorated, it names another module
         name = definition.__globals__.get("__name__")
     return sys.modules.get(str(name)) or sys.modules.get(str(name).partition(".")[0])
 
@@ -259,8 +261,7 @@ def root_of(home: types.ModuleType, path: Path) -> Path:
 def is_own(home: types.ModuleType | None) -> bool:
     """Return whether a module is the user's own: neither known nor installed."""
     path = file_of(home)
-    installed = home is not None and path is not None and holds_packages(root_of(home, path))
-    return not is_known_module(home) and not installed
+    return not (is_known_module(home) or (home and path and holds_packages(root_of(home, path))))
 
 
 def is_known_module(home: types.ModuleType | None) -> bool:
@@ -335,7 +336,7 @@ class StoreDescriber(Describer):
         try:
             return self.words(value.__reduce_ex__(2))
         except Exception:  # whatever its class raises
-            return token_of_process, id(value)
+            return token_of_process(), id(value)
 
     def add_file_of(self, definition: Any) -> bool:
         """Add the file of a definition that is described; return whether there is one."""
@@ -360,7 +361,7 @@ class StoreDescriber(Describer):
                     self.add_file(other, root)
 
 
-kept: dict[Path, tuple[object, bytes]] = {}
+kept: OrderedDict[Path, tuple[object, bytes]] = OrderedDict()
 """Contents of files, and the spec of their modules at that time: a file in use may be edited."""
 
 

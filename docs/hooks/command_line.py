@@ -3,23 +3,27 @@
 import re
 
 PLACE = "<!-- the options of every command -->"
-WALKER = "Walker"
-"""The theme of the options that describe a walker, the same in every command that takes one."""
 
 
 def on_page_markdown(markdown, *, page, config, files):
     if PLACE not in markdown:
         return markdown
-    from walker_jax.cli.app import COMMANDS, load
+    from walker_jax.cli.app import NAMES, load
+    from walker_jax.cli.help_page import as_typed, meaning
+    from walker_jax.cli.walker_options import DESCRIBED, Chosen, option_for
 
-    commands = [load(name) for name in COMMANDS]
-    walkers = {
-        row: None for command in commands for row in rows(command, lambda theme: theme == WALKER)
-    }
-    parts = ["### Options of the walker", table(walkers)]
-    for command in commands:
-        own = rows(command, lambda theme: theme != WALKER)
-        parts += [f"### walker-jax {command.name}", command.help, table(own)]
+    def table(options):
+        rows = ((as_typed(one), meaning(one)) for one in options)
+        escaped = ([part.replace("|", "\\|") for part in row] for row in rows)
+        rows = [f"| `{flag}` | {text} |" for flag, text in escaped]
+        return "\n".join(["| | |", "|---|---|", *rows])
+
+    parts = ["### Options of the walker", table(Chosen("simplest", ()).options(systems=True))]
+    for walker, described in DESCRIBED.items():
+        parts += [f"`--walker {walker}`:", table(map(option_for, described))]
+    for name in NAMES:
+        command = load(name)
+        parts += [f"### walker-jax {name}", command.help, table(command.params)]
     return markdown.replace(PLACE, "\n\n".join(parts) + "\n")
 
 
@@ -28,19 +32,3 @@ def on_page_content(html, *, page, config, files):
     option = lambda found: f'<span class="option">{found[0]}</span>'
     inline = r"(?<!</span>)<code>[^<]*--[^<]*</code>"
     return re.sub(inline, lambda code: re.sub(r"--[\w-]+", option, code[0]), html)
-
-
-def rows(command, of) -> list[str]:
-    """The rows of a command's arguments and options under themes of its help."""
-    context = command.make_context(command.name, [], resilient_parsing=True)
-    records = [
-        one.get_help_record(context)
-        for one in command.params
-        if of(getattr(one, "rich_help_panel", None))
-    ]
-    escaped = [[text.replace("|", "\\|") for text in record] for record in records if record]
-    return [f"| `{flag}` | {text} |" for flag, text in escaped]
-
-
-def table(lines) -> str:
-    return "\n".join(["| | |", "|---|---|", *lines])

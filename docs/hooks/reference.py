@@ -38,7 +38,8 @@ ROOM = {name: module.split(".")[1] for name, module in NAMES.items()}
 
 def names_beside(room: str) -> dict[str, str]:
     """The names of a room that is imported as it is, and where each is defined."""
-    path = PACKAGE / room / "__init__.py" if (PACKAGE / room).is_dir() else PACKAGE / f"{room}.py"
+    inits = PACKAGE / room / "__init__.pyi", PACKAGE / room / "__init__.py"
+    path = next((one for one in inits if one.exists()), PACKAGE / f"{room}.py")
     found: dict[str, str] = {}
     for statement in ast.parse(path.read_text()).body:
         if isinstance(statement, ast.ImportFrom) and f"walker_jax.{room}" in str(statement.module):

@@ -14,7 +14,7 @@ from walker_jax.basins.cell_classes import (
     walking_cells,
 )
 from walker_jax.basins.schema import describe
-from walker_jax.figures.text import SYMBOLS, basin_note
+from walker_jax.figures.text import NO_BREAK, SYMBOLS, basin_note
 from walker_jax.stability.nearest_starts import circle
 from walker_jax.systems.outcomes import OUTCOMES, Outcome
 
@@ -91,7 +91,7 @@ def test_a_slice_tells_the_coordinates_that_it_holds_fixed():
     )
     for grid, fixed in ((across, {"theta": 0.25}), (plain, {"phidot": -0.125}), (whole, {})):
         assert fixed_coordinates(describe_fates(walker, grid)) == fixed
-    note = basin_note(describe_fates(walker, across))
+    note = basin_note(describe_fates(walker, across)).replace(NO_BREAK, " ")
     assert note.endswith(f"\nin the slice at {SYMBOLS['theta']} = 0.25")
     spatial = wj.SpatialWalker()
     point = dict.fromkeys(spatial.section, 0.5)

@@ -1,5 +1,7 @@
 """Attractors of neighbouring walkers have the same number where they are near."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -140,6 +142,10 @@ def test_the_picture_stacks_what_there_is(followed):
     assert above.get_xlim() == below.get_xlim() == (0.0122, 0.0195)
     top = max(np.max(np.asarray(patch.get_path().vertices)[:, 1]) for patch in below.patches)
     assert top == pytest.approx(float(followed["fraction"].sum("attractor").max()))
+    drawn: Any = below.collections
+    bars = np.concatenate([np.stack(one.get_segments()) for one in drawn])
+    wide = (followed["fraction_high"] - followed["fraction_low"]).values.T
+    np.testing.assert_allclose(np.ptp(bars[:, :, 1], axis=1), wide[wide > 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -16,12 +17,11 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli import app, startup
 from walker_jax.cli.answers import Stopwatch
-from walker_jax.cli.app import COMMANDS
-from walker_jax.cli.examples import DURATIONS, EXAMPLES
-from walker_jax.cli.rewording import message_of, option_of
+from walker_jax.cli.options import message_of, option_of
 from walker_jax.kernels import private_files
 from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.parameters import describe_walker, parameters
+from walker_jax.walkers.parameter_table import DESCRIBED
+from walker_jax.walkers.parameters import describe_walker, options, parameters
 
 
 def test_no_command_is_wrong_usage_in_one_line(run):
@@ -58,21 +58,31 @@ def test_the_help_lists_all_commands(run):
     for option in ("--help", "-h"):
         code, out, err = run(option)
         assert (code, err) == (0, "")
-        assert all(
-            name in out and first_line.split()[0] in out for name, first_line in COMMANDS.items()
-        )
+        words = " ".join(out.split())
+        for name in app.NAMES:
+            assert f"{name} {first_line(name)}" in words
+
+
+def first_line(command):
+    return str(app.load(command).help).partition("\n\n")[0]
 
 
 def test_the_help_of_a_command_begins_as_the_list_of_commands(run):
-    for name, first_line in COMMANDS.items():
+    for name in app.NAMES:
         long, short = run(name, "--help"), run(name, "-h")
         assert long == short and long[0] == 0
-        assert first_line in " ".join(long[1].split())
+        assert first_line(name) in " ".join(long[1].split())
         assert not any("\n" in paragraph for paragraph in str(app.load(name).help).split("\n\n"))
 
 
-def test_every_command_has_examples_and_says_how_long_it_takes():
-    assert {*EXAMPLES} == {*DURATIONS} == {*COMMANDS}
+@pytest.mark.parametrize("name", app.NAMES)
+def test_examples_of_a_command_are_read_as_its_options(name):
+    command = app.load(name)
+    assert command.examples and command.time.endswith(".")
+    for line in command.examples:
+        own, *arguments = shlex.split(line)
+        assert own == name
+        command.make_context(name, arguments)  # refuses misspelt options and wrong values
 
 
 def test_the_page_opens_walkers_in_space_and_a_real_spring(run, monkeypatch):
@@ -97,6 +107,60 @@ def test_a_host_that_cannot_be_one_is_refused(run):
         assert run("explore", "--no-browser", "--host", host) == (2, "", f"walker-jax: {must}\n")
 
 
+@pytest.mark.parametrize(
+    ("shell", "file"),
+    [("bash", ".bashrc"), ("zsh", ".zshrc"), ("fish", ".config/fish/config.fish")],
+)
+def test_completion_is_a_line_in_the_file_of_a_shell(run, tmp_path, monkeypatch, shell, file):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SHELL", f"/bin/{shell}")
+    assert run("--install-completion") == run("--install-completion")
+    assert (tmp_path / file).read_text().count(f"_WALKER_JAX_COMPLETE={shell}_source") == 1
+    monkeypatch.setenv("SHELL", "/bin/csh")
+    code, out, err = run("--install-completion")
+    assert (code, out) == (2, "") and err.endswith("one of bash, zsh, fish, not in csh\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        ("walker-jax ba", {"basin"}),
+        ("walker-jax gait --walker ro", {"round-foot"}),
+        ("walker-jax gait --walker kneed --thigh-m", {"--thigh-mass"}),
+        ("walker-jax basin --method ", {"cell-map", "direct"}),
+        ("walker-jax gait --walker no.py:Walker --pe", {"--period"}),
+    ],
+)
+def test_shells_complete_commands_options_and_values(words, completed):
+    count = len(words.split(" ")) - 1
+    settings = {"COMP_WORDS": words, "COMP_CWORD": str(count)}
+    code, out, err = python("-m", "walker_jax", _WALKER_JAX_COMPLETE="bash_complete", **settings)
+    assert (code, err) == (0, "")
+    assert {line.partition(",")[2] for line in out.splitlines()} == completed
+
+
+INTERRUPTED = """
+import asyncio, os, signal, sys, threading
+import walker_jax as wj
+from walker_jax.cli.main import main
+from zarr.core.sync import sync
+
+async def write_pieces():
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    await asyncio.gather(*(asyncio.sleep(600) for _ in range(9)))
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
+wj.walk = lambda *_, **__: sync(write_pieces())
+sys.argv = ["walker-jax", "walk"]
+main()
+"""
+
+
+def test_an_interruption_of_writes_is_one_line():
+    """Not one for each piece that zarr was writing."""
+    assert python("-c", INTERRUPTED) == (130, "", "walker-jax: interrupted\n")
+
+
 def test_the_package_is_run_as_the_command():
     code, out, err = python("-m", "walker_jax", "--help")
     assert (code, err) == (0, "") and "basin" in out
@@ -105,14 +169,41 @@ def test_the_package_is_run_as_the_command():
     assert (code, out, err) == (2, "", said)
 
 
-@pytest.mark.parametrize(("settings", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
-def test_help_has_colours_unless_no_color_is_set(settings, coloured, monkeypatch):
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    monkeypatch.setenv("TERM", "xterm-256color")
-    code, out, _ = python("-m", "walker_jax", "--help", FORCE_COLOR="1", **settings)
-    codes = {number for found in re.findall(r"\x1b\[([\d;]*)m", out) for number in found.split(";")}
-    assert code == 0 and codes
-    assert any(30 <= int(number or 0) <= 48 for number in codes) == coloured
+@pytest.mark.parametrize(
+    "line, code",
+    [
+        ("--help", 0),
+        ("basin --help", 0),
+        ("gait --walker kneed -h", 0),
+        ("basin --slpe 3", 2),
+        ("basin --method guess", 2),
+        ("walk --theta x", 2),
+        ("walk --slope -1", 2),
+        ("walk --foot-radius 0.3", 2),
+        ("optimise --strides", 2),
+        ("basin --zoom 4 --levels 2", 2),
+        ("gait --walker simplest --system henon", 2),
+    ],
+)
+def test_help_and_typos_load_no_jax(line, code):
+    program = (
+        "import sys\n"
+        f"sys.argv = {['walker-jax', *line.split()]}\n"
+        "from walker_jax.cli.main import main\n"
+        "try:\n"
+        "    main()\n"
+        "finally:\n"
+        "    loaded = {name.split('.')[0] for name in sys.modules}\n"
+        "    assert not loaded & {'jax', 'numpy', 'equinox', 'matplotlib', 'xarray', 'zarr'}\n"
+    )
+    done, _, err = python("-c", program)
+    assert done == code and "Traceback" not in err and bool(err) == (code == 2)
+
+
+def test_the_table_has_the_parameters_of_all_walkers():
+    assert DESCRIBED.keys() == WALKERS.keys()
+    for name, kind in WALKERS.items():
+        assert (*parameters(kind), *options(kind)) == DESCRIBED[name]
 
 
 def test_messages_name_options():
@@ -194,7 +285,7 @@ def test_importing_sets_no_flag_and_loads_no_drawing():
         "import walker_jax\n"
         "assert before == dict(jax.config.values)\n"
         "walker_jax.find_gait, walker_jax.SimplestWalker, walker_jax.strides\n"
-        "late = {'matplotlib', 'dask', 'zarr', 'typer', 'xarray', 'scipy.stats'}\n"
+        "late = {'matplotlib', 'dask', 'zarr', 'click', 'xarray', 'scipy.stats'}\n"
         "assert not late & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
@@ -274,7 +365,7 @@ def test_help_of_many_parameters_names_the_other_options(run, name, monkeypatch)
     assert len(run(name, "--walker", "kneed", "--help")[1].splitlines()) <= len(lines)
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", app.NAMES)
 def test_help_begins_with_examples_and_is_short(run, name, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = run(name, "--help")[1].splitlines()

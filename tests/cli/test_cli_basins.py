@@ -16,7 +16,7 @@ from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.cli import answers, basin_command, optimise_command, sweep_command
+from walker_jax.cli import answers, app, basin_command, optimise_command, sweep_command
 from walker_jax.paper import numbers
 
 
@@ -135,26 +135,24 @@ def test_what_is_said_of_cycles_of_cells():
 
 @pytest.mark.parametrize(
     ("over", "values"),
-    [("slope=1e-14:2e-14:2", [1e-14, 2e-14]), ("hip-stiffness=0:0.3:4", [0.0, 0.1, 0.2, 0.3])],
+    [((1e-14, 2e-14, 2), [1e-14, 2e-14]), ((0.0, 0.3, 4), [0.0, 0.1, 0.2, 0.3])],
 )
 def test_values_are_as_written(over, values):
-    (found,) = sweep_command.values_of([over]).values()
-    assert found == values
+    assert sweep_command.values_of({"slope": over}) == {"slope": values}
 
 
 def test_names_of_parameters_have_hyphens_or_underscores():
-    hyphens, underscores = ["hip-stiffness"], ["hip_stiffness"]
-    walker = wj.SpringWalker(0.004)
-    for names in (hyphens, underscores):
-        assert [*sweep_command.values_of([f"{names[0]}=0:1:2"])] == underscores
-        for others in (hyphens, underscores):
-            bounds = optimise_command.bounds_of(walker, names, [f"{others[0]}=0:1"])
-            assert bounds == {"hip_stiffness": (0.0, 1.0)}
-    assert optimise_command.objective_of(["least_disturbance"]) == "least-disturbance"
-    assert optimise_command.objective_of(["step_length=2"]) == {"step-length": 2.0}
-    for names in (hyphens, underscores):
+    walker, read = wj.SpringWalker(0.004), app.load("optimise").make_context
+    for over in ("hip-stiffness", "hip_stiffness"):
+        for bound in ("hip-stiffness=0:1", "hip_stiffness=0:1"):
+            given = read(None, ["--walker", "spring", "--over", over, "--bound", bound]).params
+            assert given["bound"] == {"hip_stiffness": (0.0, 1.0)}
+            problem = optimise_command.Problem(over=given["over"], bound=given["bound"])
+            assert problem.bounds(walker) == {"hip_stiffness": (0.0, 1.0)}
         with pytest.raises(ValueError, match=r"^--bound is required for hip-stiffness: hip-stiff"):
-            optimise_command.bounds_of(walker, names, [])
+            optimise_command.Problem(over=[over]).bounds(walker)
+    assert optimise_command.objective_of(("least_disturbance",)) == "least-disturbance"
+    assert optimise_command.objective_of(("step_length=2",)) == {"step-length": 2.0}
 
 
 def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypatch):

@@ -71,7 +71,7 @@ def test_an_optimisation_that_is_out_of_time_goes_on(run, monkeypatch):
     assert whole["optimum"]["slope"] == pytest.approx(0.012, abs=1e-10)
     assert run(*FASTEST, "--seconds", "1e-9")[1].count("converged") == 1  # there is no more to do
     code, out, err = run(*FASTEST, "--seconds", "0", "--overwrite")
-    assert (code, out, err) == (2, "", "walker-jax: --seconds must be above 0, not 0.0\n")
+    assert (code, out, err) == (2, "", "walker-jax: --seconds must be above 0, not 0\n")
 
 
 def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):

@@ -102,7 +102,7 @@ def test_gaits_from_a_start_and_of_any_period(run):
     expected = wj.find_gait(own(1.1), [0.5, 0.2])
     np.testing.assert_array_equal(found["states"], expected.states)
     code, out, _ = run("gait", "--system", "my_maps.py:system", "--period", "2", "--a", "0.8")
-    assert code == 0 and out.startswith("stable gait of period 2 of henon, multipliers")
+    assert code == 0 and out.startswith("stable cycle of period 2 of henon, multipliers")
 
 
 def test_slices_fix_any_coordinate(run):
@@ -153,7 +153,7 @@ def test_walks_of_a_system(run):
     np.testing.assert_allclose(made["states"], expected.states, rtol=1e-15)
     assert made["outcomes"] == ["STRIDE"] * 3 and made["times"] == [1.0] * 3
     code, out, err = run(*command)
-    assert code == 0 and out.split()[:4] == ["stride", "x", "y", "time"], err
+    assert code == 0 and out.split()[:4] == ["stride", "x", "y", "outcome"], err
     code, out, err = run("walk", "--system", "bouncing-ball", "--strides", "2")
     assert code == 0 and "3.141593" in out, err
     for option in ("--ground", "0.1"), ("--animate", "film.gif"), ("--theta", "0.2"):
@@ -211,7 +211,7 @@ def test_other_commands_take_systems_too(run):
     code, out, err = run(
         "explain", "--system", "my_maps.py:system", "--start", "x=0.5", "--start", "y=0"
     )
-    assert code == 0 and out.startswith("henon from (0.5, 0): walks\n"), err
+    assert code == 0 and out.startswith("henon from (0.5, 0): goes on\n"), err
     over = ("--over", "a=0.9:1.0:2")
     code, out, err = run(
         "sweep", "--system", "my_maps.py:system", *over, *SQUARE, "--check", "2000", "--json"

@@ -1,6 +1,6 @@
 """Pictures of robustness, sweeps and metastable walking, and what all pictures have in common."""
 
-from inspect import signature
+from inspect import isfunction, signature
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -28,7 +28,10 @@ from matplotlib.legend import Legend
 from matplotlib.text import Text
 from parts_of_pictures import extents, figure_of, labels, legend
 
+import walker_jax as wj
 from walker_jax import Grid, Outcome, figures
+from walker_jax.figures.text import NO_BREAK, walker_title
+from walker_jax.walkers.parameters import attributes_of
 
 # Robustness
 
@@ -358,13 +361,15 @@ def test_an_edge_state_says_where_it_leads_whatever_the_failure():
 
 
 def test_every_picture_on_given_axes_has_the_same_options():
-    takes = {
-        name: signature(one).parameters for name, one in vars(figures).items() if callable(one)
-    }
+    public = {name: getattr(figures, name) for name in dir(figures)}
+    takes = {name: signature(one).parameters for name, one in public.items() if isfunction(one)}
     assert {name for name, found in takes.items() if "ax" in found} == set(GIVEN_AXES)
     for name in GIVEN_AXES:
-        only = [one.name for one in takes[name].values() if one.kind is one.KEYWORD_ONLY]
-        assert only == PARTS, name
+        only = [one.name for one in takes[name].values() if one.kind is one.VAR_KEYWORD]
+        assert only == ["style"], name
+    assert PARTS == [*figures.Style.__annotations__]
+    with pytest.raises(ValueError, match="style must be of title, subtitle, legend, labels, not t"):
+        figures.basin(every_fate(), **{"tilte": True})  # pyright: ignore[reportArgumentType]
 
 
 PAIRS = [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES, "robustness_measures"][1::2], strict=True)]
@@ -372,8 +377,8 @@ OTHER_PAIRS = [pytest.param(pair, marks=pytest.mark.slow) for pair in PAIRS[1:-1
 
 
 @pytest.mark.parametrize("names", [PAIRS[0], *OTHER_PAIRS, PAIRS[-1]], ids=" and ".join)
-def test_two_pictures_stay_in_their_halves_of_a_small_figure(names):
-    figure = Figure(figsize=(7, 2.6), layout="constrained")
+def test_two_pictures_stay_in_their_halves_of_a_figure(names):
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
     halves = [[ax] for ax in figure.subplots(1, 2)]
     for name, half in zip(names, halves, strict=True):
         known = {*figure.axes}
@@ -401,6 +406,41 @@ def test_each_part_of_a_picture_can_be_left_out(name):
     own = draw(title="My own", subtitle=False, legend=False)
     assert own.get_title(loc="left") == "My own" and own.get_xlabel() == every.get_xlabel()
     assert not legend(own) and len(own.texts) < len(every.texts)
+
+
+def test_titles_have_parameters_that_differ_from_defaults():
+    for walker, words in (
+        (wj.PoweredWalker(slope=0.004, hip_stiffness=8.0), "slope 0.004 rad, hip stiffness 8"),
+        (wj.KneedWalker(slope=0.05), "slope 0.05 rad"),
+    ):
+        name = type(walker).__name__
+        title = walker_title(xr.Dataset(attrs={"walker": name} | attributes_of(walker)))
+        assert title.replace(NO_BREAK, " ") == f"{name}, {words}"
+
+
+def test_the_largest_value_inside_a_range_is_marked():
+    area, least, *_ = figures.robustness_table(table()).axes
+    assert "largest at slope 0.008" in [one.get_text() for one in least.texts]
+    assert not any("largest" in one.get_text() for one in area.texts)  # it is at an end
+
+
+def test_a_proof_shows_its_disc_its_gait_and_the_whole_trap():
+    ax = figures.proof(PROVED.assign_attrs(radius=0.1))
+    named = {str(one.get_label()): np.asarray(one.get_xydata()) for one in ax.lines}
+    disc = named["starts within 0.1 of the gait"]
+    away = disc - [0.15, -0.01]  # theta and theta + thetadot of the trap's centre
+    away[:, 1] -= away[:, 0]
+    np.testing.assert_allclose(np.linalg.norm(away, axis=1), 0.1, rtol=1e-12)
+    np.testing.assert_allclose(named["gait"], [[0.15, -0.01]], atol=1e-15)
+    for values, (low, high) in zip(named["trap"].T, (ax.get_xlim(), ax.get_ylim()), strict=True):
+        assert low < values.min() and values.max() < high
+    assert "gait" in legend(figures.proof(PROVED)) and len(figures.proof(PROVED).lines) == 3
+
+
+def test_a_sweep_ends_at_its_values():
+    assert figures.sweep(swept(3, 2)).get_xlim() == pytest.approx((0.002, 0.006))
+    low, high = figures.sweep(swept(3)).get_xlim()
+    assert (low, high) == pytest.approx((0.002, 0.006), abs=2e-4)
 
 
 def test_sizes_of_text_are_those_of_rcparams():

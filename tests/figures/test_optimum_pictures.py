@@ -147,7 +147,7 @@ def test_basins_before_and_after_have_the_colours_of_a_basin():
             (colour,) = np.unique(colours(ax)[data[name].values == fate], axis=0)
             np.testing.assert_array_equal(colour, np.round(255 * np.array(to_rgb(expected[fate]))))
     assert start.get_title(loc="left") == "Start: slope 0.01 rad, hip stiffness 1"
-    assert best.get_title(loc="left") == "Optimum: slope 0.003 rad, hip stiffness 2"
+    assert best.get_title(loc="left").split() == "Optimum: slope 0.003 rad, hip stiffness 2".split()
     (below,) = figure.legends
     told = [text.get_text() for text in below.get_texts()]
     assert {"basin of attraction", "converges to no known attractor", "runs"} < set(told)
@@ -161,7 +161,7 @@ def test_the_area_of_basins_is_told_where_it_was_optimised():
         assert words(figures.basins_before_and_after(optimum(objective=objective)).axes[0]) == []
     region = '{"theta": [0, 0.4, 80], "sum": [-0.04, 0.01, 60], "phidot": -0.1}'
     (note,) = words(figures.basins_before_and_after(optimum(region=region)).axes[0])
-    assert note.endswith("; in the slice at $\\dot{\\varphi}$ = −0.1")
+    assert " ".join(note.split()).endswith("; in the slice at $\\dot{\\varphi}$ = −0.1")
 
 
 def test_an_optimisation_is_one_picture_without_overlaps(tmp_path):
@@ -178,7 +178,7 @@ def test_an_optimisation_is_one_picture_without_overlaps(tmp_path):
         assert one is not None and other is not None and not one.overlaps(other)
     keys = [key for key in slope.get_children() if isinstance(key, Legend)]
     extents = [slope.bbox, *(key.get_window_extent() for key in keys)]
-    assert len(extents) == 4
+    assert len(extents) == 3
     for one, other in combinations(extents, 2):
         assert not one.overlaps(other)
     assert len(figures.optimum(optimum().isel(parameter=[0])).axes) == 3

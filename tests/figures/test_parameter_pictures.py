@@ -115,6 +115,7 @@ def test_a_line_stands_where_walking_is_lost():
     (label,) = annotations(ax, "walking is lost between 0.01800 and 0.01820")
     figure_of(ax).draw_without_rendering()
     assert box(label).y0 > ax.bbox.y1
+    assert legend(ax) == ["attractor", "unstable gait", "walking is lost"]
     for lost in ((0.02, np.nan), (np.nan, 0.01)):
         ax = figures.bifurcation_diagram(diagram(lost=lost))
         assert not any("lost" in text for text in words(ax))

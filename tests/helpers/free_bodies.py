@@ -1,5 +1,6 @@
 """An independent solution: legs and upper body as free bodies, held by forces at joints."""
 
+import jax
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -144,15 +145,14 @@ class Bodies:
 
 def a_family(cls, count, seed):
     """Walkers of random parameters, with none far from those that walk."""
-    rng = np.random.default_rng(seed)
     near = dict(leg_length=1.2, slope=0.02)
-    walkers = []
-    for _ in range(count):
-        values = {}
-        for parameter in parameters(cls):
-            value = near.get(parameter.name, parameter.default)
-            spread = 0.05 if value == 0 else 0.3 * value
-            low = 0.0 if parameter.low == 0 else -np.inf
-            values[parameter.name] = max(low, value + spread * rng.uniform(-1, 1))
-        walkers.append(cls(**values))
-    return walkers
+    known = parameters(cls)
+    drawn = np.random.default_rng(seed).uniform(-1, 1, (count, len(known)))
+    values = {}
+    for parameter, random in zip(known, drawn.T, strict=True):
+        value = near.get(parameter.name, parameter.default)
+        spread = 0.05 if value == 0 else 0.3 * value
+        low = 0.0 if parameter.low == 0 else -np.inf
+        values[parameter.name] = np.maximum(low, value + spread * random)
+    many = jax.tree.map(np.asarray, jax.vmap(lambda one: cls(**one))(values))
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], many) for i in range(count)]

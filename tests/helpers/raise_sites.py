@@ -11,7 +11,7 @@ import walker_jax
 PACKAGE = Path(walker_jax.__file__).parent
 SIGNALS = {
     *("Busy", "Failure", "Interrupted", "Terminated", "TooLong", "Unknown", "UnsupportedPrimitive"),
-    *("KeyboardInterrupt", "CancelledError", "ClientDisconnect", "ImportError", "typer.Exit"),
+    *("KeyboardInterrupt", "CancelledError", "ClientDisconnect", "ImportError"),
     "self.failure",
 }
 """Exceptions that the package catches itself, or that end it: nobody is told their text."""

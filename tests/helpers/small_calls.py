@@ -43,6 +43,10 @@ class Measured(wj.SimplestWalker):
         return {name: one._replace(integrals=turn) for name, one in super().modes().items()}
 
 
+def place_of(machine, gait):
+    return gait.states[0, 0]
+
+
 @cache
 def gait() -> wj.Gait:
     return wj.find_gait(WALKER)
@@ -141,6 +145,10 @@ CALLS: dict[str, Callable[[], Any]] = {
         MAP, ("a",), fixed_point(), directions=90, strides=50
     ),
     "area_gradient": lambda: wj.area_gradient(MAP, PLANE, ("a",), levels=0, check=9, strides=20),
+    "fall_gradient": lambda: wj.fall_gradient(WALKER, (), gait(), strides=1, directions=2),
+    "pareto": lambda: wj.pareto(
+        MAP, {"a": (0.1, 0.3)}, ("spectral-radius", place_of), starts=1, points=3, **QUIET
+    ),
     "optimise": lambda: wj.optimise(MAP, {"a": (0.1, 0.3)}, "spectral-radius", starts=1, **QUIET),
     "viable": lambda: wj.viable(MAP, PLANE, {"a": [0.1, 0.3]}, **QUIET),
     "Policy": lambda: wj.stride(

@@ -259,6 +259,7 @@ def test_numbers_of_any_type_may_stand_in_a_state(time, rate):
             "states of mode 'turn' must be of tuples rather than lists",
         ),
         (turning(PAIR, True), "must be floating-point numbers of one type, not (f64[2], bool[])"),
+        (turning(lambda *y: (), 0.0), "must be floating-point numbers of one type, not ()"),
         (turning(PAIR, np.zeros(0)), "floating-point numbers of one type, not (f64[2], f64[0])"),
         (
             turning(PAIR, 0.0, lambda y: [y[1], -y[0]]),

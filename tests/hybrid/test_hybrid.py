@@ -23,8 +23,6 @@ from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor_steps import SERIES_ORDER, Taylor
 from walker_jax.kernels import kernel
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 TOLERANCE = 1e-12
 COEFFICIENTS, ROWS = 7, 256
 
@@ -365,6 +363,19 @@ def test_a_motion_of_many_steps_has_its_end():
     given_up = few.outcome == wj.Outcome.UNDECIDED
     assert 0 < given_up.sum() < 30
     np.testing.assert_array_equal(few.state[~given_up], ends.state[~given_up])
+
+
+def test_a_motion_that_leaves_a_fixed_point_slowly_has_its_end():
+    """Two orders agree on a return after 23,000 turns about a point of imaginary eigenvalues.
+
+    The dynamo is symmetric: (x, y, z) moves as (-x, -y, z) does.
+    """
+    start, finest = np.array([-0.28834352, 1.80538149]), 1e-14
+    made = wj.strides(Rikitake(), np.stack([start, -start]), tolerance=finest)
+    other = wj.stride(Rikitake(), start, solver=Taylor(20), tolerance=finest)
+    assert other.time > 80_000
+    np.testing.assert_allclose(made.time, float(other.time), rtol=1e-10)
+    np.testing.assert_allclose(made.state, np.stack([other.state, -other.state]), rtol=2e-5)
 
 
 class Hurried(wj.SimplestWalker):

@@ -25,8 +25,6 @@ from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import with_parameter
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 SLOPE, LIMIT = 0.004, 0.1
 STARTS = np.array([[0.2, -0.21], [0.2, -0.2158], [0.25, -0.26], [0.1, -0.12], [0.3, -0.31]])
 

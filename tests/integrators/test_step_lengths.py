@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
+from walker_jax.integrators import own_sizes
 from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.step_lengths import has_sharp_features, may_have_clocks
 from walker_jax.walking.starts import prepare
@@ -425,3 +426,21 @@ def test_variables_whose_errors_are_relative_to_themselves():
     assert proportional_variables(swings, (1.0, 0.5)) is None
     flies = lambda y: (y[1], 0.0 * jnp.ones_like(y[0]))
     assert proportional_variables(flies, (1.0, 0.5)) is None
+
+
+@pytest.mark.parametrize("width", [64, 128])
+def test_numbers_of_large_arrays_are_not_examined_one_by_one(width, monkeypatch):
+    """Numbers that grow by a network are found all the same: their own factor shows it."""
+    first, second = np.ones((width, 2)), np.ones((width, width))
+
+    def field(y):
+        hidden = jnp.tanh(second @ jnp.tanh(first @ jnp.stack(y)))
+        return y[0] * hidden[0], y[1] * hidden[1] + hidden[2]
+
+    examined = []
+    one = own_sizes.Zeros.term
+    monkeypatch.setattr(
+        own_sizes.Zeros, "term", lambda self, *of: examined.append(0) or one(self, *of)
+    )
+    assert proportional_variables(field, (1.0, 0.5)) == (np.array(True), np.array(False))
+    assert len(examined) < 40 * width

@@ -11,14 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import typer
 from fake_card import STREAM, a_card
 from jax import lax
 from test_primitive_calls import A_FUNCTION, ON_DEVICES, ON_MESHES
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli.version import print_version
+from walker_jax.cli.information import versions
 from walker_jax.execution import tiles
 from walker_jax.kernels import decorator, gpu, kernel, launcher, machine, ptx, why_not
 
@@ -217,19 +216,15 @@ def test_the_first_route_that_works_is_taken(switched_on):
     assert gpu.in_words().startswith("in use, by XLA's foreign function interface")
 
 
-def test_what_is_in_use_is_said(switched_on, monkeypatch, capsys):
+def test_what_is_in_use_is_said(switched_on, monkeypatch):
     """In a report of a bug, and of a function."""
     gpu.route_in_use()
     a_gpu = SimpleNamespace(platform="gpu", device_kind="a card")
     monkeypatch.setattr(jax, "devices", lambda: [a_gpu])
-    with pytest.raises(typer.Exit):
-        print_version(True)
-    assert "kernels are in use, by XLA's foreign function interface" in capsys.readouterr().out
+    assert "kernels are in use, by XLA's foreign function interface" in " ".join(versions())
     monkeypatch.setattr(jax, "devices", jax.local_devices)
     monkeypatch.setenv(machine.VARIABLE, "cpu")
-    with pytest.raises(typer.Exit):
-        print_version(True)
-    assert f"compiled for {machine.processor()[0]}\n" in capsys.readouterr().out
+    assert f"  kernels are in use, compiled for {machine.processor()[0]}" in versions()
     monkeypatch.delenv(machine.VARIABLE)
     there = SimpleNamespace(devices=lambda: [SimpleNamespace(platform="gpu")])
     monkeypatch.setattr(decorator.jnp, "zeros", lambda _: there)

@@ -10,8 +10,6 @@ from test_kernels import assert_same, of_all, run
 
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 RNG = np.random.default_rng(0)
 INDICES = np.arange(-9, 10).astype(np.int32)
 """Indices within an axis of 5, from its end, and beyond either end."""

@@ -17,8 +17,6 @@ from test_kernels import run
 from walker_jax.integrators.taylor_steps import Taylor
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 TIMES = jnp.linspace(0.0, 6.0, 7)
 CELLS = np.random.default_rng(0).uniform(-1.5, 1.5, (101, 2))
 # a rest position, one that is never left, and no number

@@ -8,7 +8,12 @@ from jax import lax
 
 from walker_jax.kernels import kernel, transposes
 from walker_jax.kernels.program import program_of
-from walker_jax.kernels.reverse import ROWS, with_transposed_turns, zero_where_unused
+from walker_jax.kernels.reverse import (
+    ROWS,
+    reversing,
+    with_transposed_turns,
+    zero_where_unused,
+)
 
 MOST = 3 * ROWS + 5
 TURNS = jnp.array([0, 3, ROWS, ROWS + 1, MOST])
@@ -19,13 +24,29 @@ def turn(a, x):
     return a * x + 0.1 * jnp.sin(x)
 
 
-@kernel
-def by_loop(a, x, turns):
-    def find(start):
-        following = lambda now: (now[0] + 1, turn(a, now[1]))
-        return lax.while_loop(lambda now: now[0] < turns, following, (0, start))[1], turns, ()
+def by_turns(a, x, turns, writes):
+    def find(start, writer):
+        def following(now):
+            i, x, tapes = now
+            tapes = writer.put(tapes, i, x) if writer is not None and writes else tapes
+            return i + 1, turn(a, x), tapes
+
+        begun = jnp.zeros_like(turns), start, writer and writer.tapes
+        _, end, tapes = lax.while_loop(lambda now: now[0] < turns, following, begun)
+        return end, turns, (), tapes if writes else None
 
     return with_transposed_turns(find, lambda x: (), lambda x, _: turn(a, x), x)[0]
+
+
+@kernel
+def by_loop(a, x, turns):
+    return by_turns(a, x, turns, True)
+
+
+@kernel
+def by_loop_again(a, x, turns):
+    """The same; it is made again in reverse, as it does not write the starts of its turns."""
+    return by_turns(a, x, turns, False)
 
 
 def by_scan(a, x, turns):
@@ -53,12 +74,12 @@ DERIVATIVES = {
 }
 
 
+@pytest.mark.parametrize("loop", [by_loop, by_loop_again])
 @pytest.mark.parametrize("name", DERIVATIVES)
-def test_turns_are_transposed(name):
+def test_turns_are_transposed(name, loop):
     """More turns than a tape has rows, and none, in one vector of cells."""
     found, expected = (
-        jax.jit(jax.vmap(DERIVATIVES[name](f), (None, 0, 0)))(A, XS, TURNS)
-        for f in (by_loop, by_scan)
+        jax.jit(jax.vmap(DERIVATIVES[name](f), (None, 0, 0)))(A, XS, TURNS) for f in (loop, by_scan)
     )
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12 * np.abs(b).max())
@@ -90,3 +111,24 @@ def test_unused_results_have_no_part():
         return jnp.where(x > 0, root, 2 * x)
 
     np.testing.assert_allclose(jax.vmap(jax.grad(root_if))(jnp.array([0.0, 4.0])), [2, 0.25])
+
+
+def test_loops_within_derivatives_are_differentiated_by_columns():
+    """By a function that makes a derivative of such a loop: it has no adjoint."""
+
+    def slope(f):
+        return lambda x: jax.jvp(lambda x: f(A, x, 3), (x,), (jnp.ones(2),))[1].sum()
+
+    found, expected = jax.grad(kernel(slope(by_loop)))(XS[0]), jax.grad(slope(by_scan))(XS[0])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_faults_are_not_taken_for_a_loop_without_a_transpose():
+    @kernel
+    def fails(x):
+        if reversing.value:
+            raise ValueError("a fault of the function")
+        return 2 * x
+
+    with pytest.raises(ValueError, match="a fault of the function"):
+        jax.grad(fails)(1.0)

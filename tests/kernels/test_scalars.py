@@ -13,8 +13,6 @@ from walker_jax.kernels import kernel
 from walker_jax.kernels.entries import EXACT
 from walker_jax.kernels.scalars import unroll
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 SYMMETRIC = np.array([[3.0, 1.0, 0.5], [1.0, 4.0, -1.0], [0.5, -1.0, 5.0]])
 V = jnp.array([0.3, -1.2, 0.8])
 A = jnp.array([[1.5, 0.2, -0.4], [0.7, -2.0, 1.1], [0.3, 0.9, 0.6]])

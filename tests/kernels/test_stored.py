@@ -12,8 +12,6 @@ from walker_jax.kernels import compiled, kernel, store, why_not
 from walker_jax.kernels.compiled import source_of
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 RNG = np.random.default_rng(0)
 CELLS = 11
 W, U, BIAS = RNG.normal(size=(21, 3)), RNG.normal(size=(18, 21)) / 5, RNG.normal(size=21)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import click
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,16 +44,8 @@ WORDS += ["slope=0.003:0.004:2", "slope=0.001:0.02:9999999", "slope=1e-14:2e-14:
 WORDS += ["slope=0.001:0.02", "slope=0.02:0.001", "slope=nan:1", "slope=", "=", "", "ä\n", "--json"]
 PLACES = ["a.zarr", "a.png", "b.svg", "c.xyz", "w.gif", "no/a.zarr", ".", "..", "/", "", "\0.zarr"]
 PLACES += ["taken", "taken/a.zarr", "file.txt", "file.txt/a.png", "broken.zarr", "held.zarr"]
-PLACES += [
-    "held.nc",
-    "b.nc",
-    "held.png",
-    "n" * 250 + ".zarr",
-    "n" * 300,
-    "/proc/a.zarr",
-    "/proc/a.png",
-    "ä b.zarr",
-]
+PLACES += ["held.nc", "b.nc", "held.png", "n" * 250 + ".zarr", "n" * 300, "/proc/a.zarr"]
+PLACES += ["/proc/a.png", "ä b.zarr"]
 AXES = [("0.05", "0.35", "6"), ("-0.03", "0.01", "6"), ("0", "0.4", "46000"), ("0.4", "0", "6")]
 GOOD = {
     "boundary": ["--theta", *AXES[0], "--sum", *AXES[1]],
@@ -70,7 +63,7 @@ QUICK = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 LONG = settings(QUICK, max_examples=5000)
-COMMANDS = {name: app.load(name).params for name in app.COMMANDS}
+COMMANDS = {name: app.load(name).get_params(click.Context(app.load(name))) for name in app.NAMES}
 
 
 @st.composite
@@ -385,7 +378,7 @@ def calls() -> dict[str, dict]:
         "strides": {**of_walker, "xs": np.array([X, X])},
         "margins_of_many": {**of_walker, "xs": np.array([X, X])},
         "walk": {**start, "n": 2},
-        "trajectory": {**start, "times": np.array([0.0, 1.0])},
+        "trajectory": {**start, "times": np.array([0.0, 1.0]), "strides": 2},
         "step_down": {**start, "drop": 0.001},
         "phase_times": start,
         "steps_to_fall": {**of_gait, "ground": 0.001, "n": 2, "limit": 2, "confidence": 0.9},
@@ -493,10 +486,19 @@ def calls() -> dict[str, dict]:
         "sweep": {**of_walker, "over": {"slope": [0.004]}, "grid": grid, "strides": 20, "seed": 0}
         | {"levels": 0, "check": 0, "robust": False},
         "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
+        "fall_gradient": {**of_gait, "parameters": ("slope",), "strides": 1, "directions": 2},
+        "pareto": {
+            **of_walker,
+            "bounds": {"slope": (0.003, 0.01)},
+            "objectives": GOALS,
+            "points": 3,
+        },
     }
 
 
+GOALS = "speed", "spectral-radius"
 HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
+HEAVY |= {"fall_gradient", "pareto"}
 HEAVY |= {"continue_basins", "robustness", "robustness_table"}
 HEAVY |= {"chart", "continue_event", "lyapunov", "most_probable_fall"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""

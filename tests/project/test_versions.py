@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -14,8 +15,8 @@ from reference import DATA, ROOT
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.storage.kind import SCHEMA_VERSION
 from walker_jax.storage.requests import check_request
+from walker_jax.storage.schema import SCHEMA_VERSION
 
 
 @pytest.fixture
@@ -79,6 +80,19 @@ def test_the_version_and_the_pythons_are_the_same_everywhere():
     assert rf'{{python-version: "{tried[-1]}\n{tried[0]}"}}' in workflow  # for .ci/run
     actions = re.findall(r"uses: (?!actions/)\S+@(\S+)", workflow)  # of others than the host
     assert actions and all(re.fullmatch(r"[0-9a-f]{40}", one) for one in actions)
+
+
+def test_the_oldest_python_has_tests_of_each_room():
+    """`.ci/run` names folders and files of tests, which exist."""
+    show = r"""eval "$(sed -n '/^on_oldest=(/,/^)/p' .ci/run)"; printf '%s\n' "${on_oldest[@]}" """
+    said = subprocess.run(
+        ["bash", "-c", show], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    named = [ROOT / one for one in said.stdout.split()]
+    assert all(one.is_dir() or one.name.startswith("test_") for one in named)
+    assert all(one.exists() for one in named)
+    rooms = {one if one.is_dir() else one.parent for one in named}
+    assert rooms == {one.parent for one in (ROOT / "tests").glob("*/test_*.py")}
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,9 @@ def test_the_picture_has_the_sequence_the_path_and_the_law(fall):
     np.testing.assert_allclose(np.asarray(actions.lines[0].get_ydata()), fall.actions)
     assert path.get_xlabel() and law.get_yscale() == "log"
     assert not figures.probable_fall(fall, title=False).get_suptitle()
+    named = figures.probable_fall(fall, WALKER).get_suptitle()
+    assert named.startswith("SpringWalker, slope 0.01 rad, hip stiffness 0.2\n")
+    assert sequence.get_ylabel() == "height of the step (l)"
 
 
 @pytest.mark.parametrize(

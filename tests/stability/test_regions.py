@@ -99,8 +99,10 @@ def test_three_attractors_and_a_failure_are_four_regions():
     assert (label.ravel()[beginning] == -1).all()  # no feasible start
 
 
-def test_a_start_on_the_boundary_itself_is_in_no_region():
-    """A column of starts on the stable manifold of a saddle is no third region."""
+def test_a_start_on_the_boundary_itself_is_in_no_region(monkeypatch):
+    """A column of starts on the stable manifold of a saddle, x = 0, is no third region."""
+    begin = partial(wj.stable_manifold, points=20)
+    monkeypatch.setattr("walker_jax.stability.boundaries.stable_manifold", begin)
     cubic = wj.Map(lambda x: jnp.stack([1.5 * x[0] - x[0] ** 3, 0.3 * x[1]]), ("x", "y"))
     grid = wj.Grid.plain(x=(-1.4, 1.4, 41), y=(-1, 1, 12))
     label = label_regions(cubic, grid, wj.basin(cubic, grid, "direct"))
@@ -109,6 +111,8 @@ def test_a_start_on_the_boundary_itself_is_in_no_region():
     assert not even.boundary_fractal and even.edge_kind.values.tolist() == ["saddle"]
     np.testing.assert_allclose(even.edge_saddle.values[0, 0], 0, atol=1e-9)
     np.testing.assert_allclose(even.edge_multipliers.values[0, :, 0], [1.5, 0.3], atol=1e-9)
+    assert even.stable_manifold.shape == (1, 2, 20, 2)
+    np.testing.assert_allclose(even.stable_manifold.values[..., 0], 0, atol=1e-9)
 
 
 def test_checks_of_refined_cells_find_tails_of_attractors():

@@ -87,7 +87,7 @@ def test_where_no_gait_is_found_what_makes_it_needless_is_named():
 
 
 def test_a_command_names_the_options_that_make_a_gait_needless():
-    from walker_jax.cli.rewording import message_of
+    from walker_jax.cli.options import message_of
 
     with pytest.raises(wj.ComputationFailed) as error:
         selection.require_gait(wj.SimplestWalker(0.5), ("theta", "sum"))

@@ -9,10 +9,11 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import WrongUse
-from walker_jax.storage.kind import SECTION, WALKER, Variable
 from walker_jax.storage.schema import (
+    COMMON,
     KINDS,
     TYPES,
+    Variable,
     attributes_of_kind,
     check_dataset,
     variables_of_kind,
@@ -121,10 +122,10 @@ def described(kind: str, name: str) -> tuple[str, str] | None:
 
 def attributes(kind: str) -> list[str]:
     """The table of attributes, but those that the page describes once for all kinds."""
-    common, own = WALKER | SECTION, KINDS[kind].attributes
-    rows = [f"| `{name}` | {about} |" for name, about in own.items() if common.get(name) != about]
+    own = KINDS[kind].attributes
+    rows = [f"| `{name}` | {about} |" for name, about in own.items() if COMMON.get(name) != about]
     lines = ["| attribute | |", "|---|---|", *rows, ""] if rows else []
-    missing = [f"`{name}`" for name in common if name not in attributes_of_kind(kind)]
+    missing = [f"`{name}`" for name in COMMON if name not in attributes_of_kind(kind)]
     return [*lines, f"No attribute {' or '.join(missing)}.", ""] if missing else lines
 
 

@@ -16,7 +16,7 @@ from zarr.storage import LocalStore
 from walker_jax import storage
 from walker_jax.checks import NotWritten
 from walker_jax.storage import places, requests
-from walker_jax.storage.kind import SCHEMA_VERSION
+from walker_jax.storage.schema import SCHEMA_VERSION
 
 REQUEST = {"command": "basin", "slope": 0.004}
 

@@ -154,7 +154,6 @@ def test_gait_has_the_multipliers_of_differences(gait):
     np.testing.assert_allclose(order(gait.multipliers), multipliers, rtol=0, atol=1e-9)
 
 
-@pytest.mark.usefixtures("quick_references")
 def test_motors_alone_change_the_energy():
     system = BIPED.system()
 
@@ -190,7 +189,6 @@ def test_walks_into_a_gait_whose_impact_takes_the_work():
     assert work > 5
 
 
-@pytest.mark.usefixtures("quick_references")
 def test_momentum_at_heel_strike():
     """Of the whole about the foot that strikes, and of what is beyond each joint about that."""
     for q, w in some_states():

@@ -12,7 +12,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli.walker_options import names_that_begin
+from walker_jax.cli.walker_options import walkers_that_begin
 from walker_jax.walkers import references
 from walker_jax.walkers.parameters import describe_in_words, describe_walker, parameters
 from walker_jax.walkers.references import find_walker
@@ -189,7 +189,8 @@ def test_packages_add_walkers_which_are_listed(run, monkeypatch):
     assert (code, err) == (0, "")
     assert "torque (of torque_walker): The simplest walker with a PD torque" in out
     assert "broken (of no_such_module): walker broken (no_such_module:W) cannot be loaded" in out
-    assert names_that_begin("to") == ["torque"] and names_that_begin("sim") == ["simplest"]
+    assert walkers_that_begin(None, None, "to") == ["torque"]
+    assert walkers_that_begin(None, None, "sim") == ["simplest"]
     code, out, _ = run(
         "walk",
         "--walker",

@@ -24,8 +24,6 @@ LEVEL = wj.TorsoWheel()
 DOWNHILL = wj.TorsoWheel(0.08, 0.3, 0.7, 0.4, 0.05, 2.0, 0.3, 0.1)
 WHEELS = {"level": LEVEL, "downhill": DOWNHILL}
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 
 # A reference, in angles from the vertical
 

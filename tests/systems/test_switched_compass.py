@@ -18,8 +18,6 @@ from walker_jax.systems.switched_compass import CompassState, after_strike
 NAMES = "slope leg_mass com_from_hip torque switch_angle".split()
 DRIVEN = wj.SwitchedCompass(0.04)
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 
 # A reference, in the angles s and n of stance and swing leg from the vertical
 

@@ -142,6 +142,23 @@ def test_ranks_come_from_the_class_or_from_vmap():
     assert not is_many(pushed()) and is_many(jax.vmap(pushed)(jnp.ones(3)))
 
 
+def test_a_parameter_with_a_span_is_one_number():
+    """Without an annotation of its shape too; any other undescribed field has its array's rank."""
+
+    class Spanned(wj.System):
+        growth: jax.Array
+        shifts: jax.Array
+        section, spans = ("x",), {"growth": (1.0, 2.0)}
+
+        def advance(self, x):
+            return self.growth * x + jnp.sum(self.shifts), wj.Outcome.STRIDE, 1.0
+
+    values = jnp.array([1.5, 2.5])
+    assert dict(Spanned(values, values).array_ranks) == {"shifts": 1}
+    ends = wj.strides(Spanned(values, values), np.ones((2, 1)))
+    np.testing.assert_array_equal(ends.state[:, 0], [5.5, 6.5])
+
+
 def test_many_systems_are_those_one_by_one():
     coefficients = np.array([[0.1, 0.2, -0.3, 0.5], [1.0, 0.0, 0.5, 0.0], [0.0, 0.0, 2.0, 1.0]])
     many, xs = Curve(coefficients, 0.25), np.array([[0.3], [0.5], [-0.5]])

@@ -24,9 +24,6 @@ from walker_jax import BentState, Outcome, RoundFootWalker, State
 from walker_jax.walkers.kneed import begin_bent, stance_knee_moment
 from walker_jax.walkers.model import toppling_rate
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
-
 # Mechanics
 
 

@@ -30,9 +30,6 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.kneed import FreeKnee, stance_knee_moment
 from walker_jax.walkers.parameters import parameters
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
-
 # Gaits
 
 

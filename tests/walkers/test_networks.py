@@ -1,5 +1,6 @@
 """Walkers with networks: every computation, against a walker with a field for each weight."""
 
+import pickle
 from functools import cache
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from networks import NAMES, NetworkWalker, by_scalars, network, pushed
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
+from walker_jax.design.sweeps import empty_row
 from walker_jax.explorer.offers import offer
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.places import StoreConflict
@@ -57,6 +59,19 @@ def test_a_population_walks_as_its_members_do():
     np.testing.assert_array_equal(several.state[2], wj.strides(select(walkers, 2), xs).state)
 
 
+def test_gaits_change_with_a_weight_as_their_derivatives_say():
+    here, step, middle = gait(), 1e-3, float(value_of(WALKER, WEIGHT))
+    by = wj.gait_derivatives(WALKER, here, WEIGHT)
+    changed = (with_parameter(WALKER, WEIGHT, middle + side * step) for side in (-2, -1, 1, 2))
+    gaits = [wj.find_gait(walker, here.states[0]) for walker in changed]
+    rate = np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
+    for name in ("states", "multipliers"):
+        values = np.stack([getattr(one, name) for one in gaits])
+        expected = np.einsum("i,i...->...", rate, values)
+        np.testing.assert_allclose(getattr(by, name), expected, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.slow
 def test_gaits_equal_those_by_scalars():
     here, there = gait(), wj.find_gait(SCALARS)
     assert here.found
@@ -156,7 +171,30 @@ def test_stores_resume_for_the_same_network_alone(tmp_path: Path):
         float(value_of(WALKER, "policy.layers[1].bias[0]"))
     ]
     made.to_netcdf(tmp_path / "sweep.nc", engine="scipy")
-    assert walker_title(made).split(",")[:2] == ["NetworkWalker", " slope 0.009 rad"]
+    assert walker_title(made).split()[:4] == ["NetworkWalker,", "slope", "0.009", "rad"]
+
+
+def test_an_interrupted_sweep_over_a_weight_goes_on(tmp_path, monkeypatch):
+    """Each row is computed once; a pickled copy of the walker resumes, another network does not."""
+    computed, path = [], tmp_path / "sweep.zarr"
+
+    def counted(walker, plan):
+        computed.append(float(value_of(walker, WEIGHT)))
+        if len(computed) == 2:
+            raise KeyboardInterrupt
+        return {name: np.full(np.shape(x), computed[-1]) for name, x in empty_row(plan).items()}
+
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", counted)
+    over = {WEIGHT: [0.1, 0.3, 0.5]}
+    settings = {"grid": GRID, "levels": 0, "check": 500, "out": path, "progress": False}
+    with pytest.raises(KeyboardInterrupt):
+        wj.sweep(WALKER, over, **settings)
+    with pytest.raises(StoreConflict, match=r"policy\.layers"):
+        wj.sweep(NetworkWalker(0.009, policy=network(1)), over, **settings)
+    again = pickle.loads(pickle.dumps(WALKER))
+    found = wj.sweep(again, over, **settings)
+    np.testing.assert_array_equal(found["total_area"], over[WEIGHT])
+    assert computed == [0.1, 0.3, 0.3, 0.5]
 
 
 def test_the_page_takes_the_defaults_of_a_class():

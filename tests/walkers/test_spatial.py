@@ -18,8 +18,6 @@ from walker_jax.storage.schema import check_dataset, variables_of_kind
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.spatial import all_coordinates, on_ground
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 TOY = read_values("toy_in_space")
 WALKER = wj.SpatialWalker()
 FIELDS = ["slope", "leg_mass", "leg_length", "hip_width", "disc_radius", "com_forward"]

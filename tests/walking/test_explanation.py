@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.walking import explanation
 
 WALKER = wj.SimplestWalker(0.009)
 
@@ -290,7 +291,7 @@ def test_the_command_says_the_same(run):
         said = said.replace(name, word)
     assert report == said
     assert "mode swing: " in said and "steps, the end: falls backward\n" in said
-    assert conclusion.startswith("The walk ends here (falls backward)")
+    assert conclusion == "Next: walker-jax basin shows which starts go on."
     data = json.loads(answer)
     assert data["outcome"] == "BACKWARD" and data["state"] is None
     assert data["modes"][0]["rises"][0]["time"] == expected.modes[0].rises[0].time
@@ -305,3 +306,13 @@ def test_a_map_is_explained_too():
     np.testing.assert_allclose(found.jacobian, [[-0.28, 1.0], [0.3, 0.0]], rtol=1e-14)
     with pytest.raises(ValueError, match="must not be traced"):
         jax.jit(lambda x: wj.explain(wj.HenonMap(), x))(jnp.zeros(2))
+
+
+@pytest.mark.parametrize("system", [Decaying(), Slow(), Vanishing()], ids=lambda one: one.label())
+def test_after_the_steps_that_are_recorded_the_end_is_found(system, monkeypatch):
+    x = jnp.array([0.2])
+    (whole,), of_whole = (found := wj.explain(system, x)).modes, found.complaints
+    monkeypatch.setattr(explanation, "MOST_RECORDED", 2)
+    (part,), of_part = (found := wj.explain(system, x)).modes, found.complaints
+    assert (part.steps, part.led_to, of_part) == (whole.steps, whole.led_to, of_whole)
+    assert part.steps > 2 and part.time == whole.time and part.rises == whole.rises

@@ -16,8 +16,6 @@ from walker_jax.walkers.spatial import LEAST_STEP
 from walker_jax.walking.failure_margins import Margins
 from walker_jax.walking.iteration import iterate
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 WALKER = wj.SpatialWalker()
 GAIT = np.array(
     [0.09866765, 0.16016583, 0.29424124, -0.13220966, -0.01990962, -0.47124237, -0.39255917]

@@ -301,3 +301,44 @@ def test_no_outcome_depends_on_when_a_fall_is_given_up():
     wild = rng.uniform([-1.5, -3, -1.6, -3], [1.5, 3, 0, 3], (4000, 4))
     patient = wj.strides(PatientWalker(0.0165), wild)
     np.testing.assert_array_equal(patient.outcome, strides(0.0165, wild).outcome)
+
+
+def test_a_trajectory_over_many_strides_is_that_of_each_stride():
+    """With derivatives by the start and the slope, and on after the last stride."""
+    walker, x = SimplestWalker(0.004), jnp.array([0.2, -0.2])
+    made = wj.walk(walker, x, 3)
+    ends = np.cumsum(made.times)
+    times = np.array([0.5, ends[0] + 0.7, float(ends[0]), ends[1] + 1.1, 0.0, ends[2] + 0.2])
+    found = wj.trajectory(walker, x, times, strides=3)
+    number = np.array([0, 1, 1, 2, 0, 2])
+    for i, k in enumerate(number):
+        begin = np.append(0.0, ends)[k]
+        expected = wj.trajectory(walker, made.states[k], times[i : i + 1] - begin)
+        for one, other in zip(found, expected, strict=True):
+            assert one[i] == pytest.approx(float(other[0]), abs=1e-15)
+    angle = lambda slope, x: wj.trajectory(SimplestWalker(slope), x, times[[1, 3]], strides=3).phi
+    by_slope, by_start = jax.jacfwd(angle, (0, 1))(0.004, x)
+    back = jax.jacrev(angle, (0, 1))(0.004, x)
+    np.testing.assert_allclose(back[0], by_slope, rtol=1e-10)
+    np.testing.assert_allclose(back[1], by_start, rtol=1e-10)
+    step = 1e-6
+    by = (angle(0.004 + step, x) - angle(0.004 - step, x)) / (2 * step)
+    np.testing.assert_allclose(by_slope, by, rtol=1e-7)
+    by = (
+        angle(0.004, x + step * jnp.array([1.0, 0.0]))
+        - angle(0.004, x - step * jnp.array([1.0, 0.0]))
+    ) / 2
+    np.testing.assert_allclose(by_start[:, 0], by / step, rtol=1e-7)
+
+
+def test_a_trajectory_ends_with_the_stride_that_fails():
+    """Its motion goes on as after one stride; nothing follows it."""
+    walker, x = SimplestWalker(0.004), jnp.array([0.2, -0.23])
+    assert wj.stride(walker, x).outcome == Outcome.FORWARD
+    one, several = (wj.trajectory(walker, x, [0.3, 2.0], strides=n) for n in (1, 4))
+    for alone, among in zip(one, several, strict=True):
+        np.testing.assert_array_equal(alone, among)
+    with pytest.raises(ValueError, match="strides must be"):
+        wj.trajectory(walker, x, [0.3], strides=0)
+    with pytest.raises(ValueError, match="x must be on the section"):
+        wj.trajectory(walker, [0.2, 0.4, -0.2, 0.0], [0.3], strides=2)

@@ -5,22 +5,13 @@ import math
 import sys
 import time
 from collections.abc import Callable, Container, Iterable, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax
-import numpy as np
-
-from walker_jax import storage
-from walker_jax.checks import WrongPlace
-from walker_jax.cli.groups import option
-from walker_jax.execution.progress import bar
-from walker_jax.identity import code_fingerprint
-from walker_jax.systems.system import System, code_of
-from walker_jax.walkers.parameters import describe_walker
+import walker_jax as wj
+from walker_jax.cli.options import Group, Place, option, place, whole
+from walker_jax.refusals import WrongPlace
 
 if TYPE_CHECKING:
     import xarray
@@ -31,12 +22,16 @@ PICTURES = (".png", ".svg", ".pdf")
 
 
 def request_for(
-    command: str, system: System, /, *, without: Container[str] = (), **asked: Any
+    command: str, system: "wj.System", /, *, without: Container[str] = (), **asked: Any
 ) -> dict[str, Any]:
     """Return all that the answer of a command about a system depends on.
 
     The description of the system is `without` the parameters that the command varies.
     """
+    from walker_jax.identity import code_fingerprint
+    from walker_jax.systems.system import code_of
+    from walker_jax.walkers.parameters import describe_walker
+
     about = {name: one for name, one in describe_walker(system).items() if name not in without}
     code = code_fingerprint(type(system), code_of(system))
     asked = {"walker": about} | asked | ({"code": code} if code else {})
@@ -54,36 +49,69 @@ def check_suffix(figure: Path) -> None:
         raise WrongPlace(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
 
 
-def check_figure(path: Path, request: dict, *, overwrite: bool) -> None:
-    """Refuse a place where a picture cannot go."""
-    check_suffix(path)
-    storage.check_picture(path, request, overwrite=overwrite)
-
-
-def check_film(path: Path, request: dict, *, overwrite: bool) -> None:
-    """Refuse a place where a film cannot go."""
-    from walker_jax import figures
-
-    figures.check_film(path)
-    storage.check_picture(path, request, overwrite=overwrite, argument="animate")
-
-
-def draw(axes, path: Path, request: dict) -> None:
+def draw(axes: Any, path: Path, request: dict) -> None:
     """Save the picture of these axes, signed with the request."""
+    from walker_jax import storage
+
     picture = axes.get_figure(root=True)
     with storage.atomic_file(path) as draft:
         picture.savefig(draft, dpi=150, metadata={"Title": storage.signature(request)})
 
 
-@dataclass(frozen=True)
-class Output:
+OVERWRITE: Any = option(False, "Replace what is there.")
+AS_JSON: Any = option(False, "Print the answer as JSON.", "--json")
+
+
+class Answers:
+    """Printing answers, and checks of their files, for groups with these options."""
+
+    as_json: bool
+    overwrite: bool
+
+    def tell(self, answer: dict, lines: Iterable[str]) -> None:
+        """Print an answer as JSON, or in words, line by line."""
+        if self.as_json:
+            print(json.dumps(jsonable(answer), allow_nan=False))
+        else:
+            print(*lines, sep="\n")
+
+    def check_figure(self, path: Path | None, request: dict) -> None:
+        """Refuse a place where a picture cannot go."""
+        from walker_jax import storage
+
+        if path is not None:
+            check_suffix(path)
+            storage.check_picture(path, request, overwrite=self.overwrite)
+
+    def check_film(self, path: Path | None, request: dict) -> None:
+        """Refuse a place where a film cannot go."""
+        from walker_jax import figures, storage
+
+        if path is not None:
+            figures.check_film(path)
+            storage.check_picture(path, request, overwrite=self.overwrite, argument="animate")
+
+
+class Json(Answers, Group, theme="Output"):
+    """The form of an answer."""
+
+    as_json: bool = AS_JSON
+
+
+class Files(Answers, Group, theme="Output"):
+    """The form of an answer, and whether its files replace others."""
+
+    overwrite: bool = OVERWRITE
+    as_json: bool = AS_JSON
+
+
+class Output(Answers, Group, theme="Output"):
     """The places of a command's data set and picture, and the form of its answer."""
 
-    theme = "Output"
-    out: Path = option(Path(), "Where the data set goes.")
-    figure: Path | None = option(None, "Where the picture goes (default: beside it, .png).")
-    overwrite: bool = option(False, "Replace what is there.")
-    as_json: bool = option(False, "Print the answer as JSON.", "--json")
+    out: Path = option(Path(), "Where the data set goes.", type=Place())
+    figure: Path | None = place("Where the picture goes (default: beside it, .png).")
+    overwrite: bool = OVERWRITE
+    as_json: bool = AS_JSON
 
     @property
     def picture(self) -> Path:
@@ -92,6 +120,8 @@ class Output:
 
     def check(self) -> None:
         """Refuse places without a name or with a wrong ending, and one place for both."""
+        from walker_jax import storage
+
         if not self.out.name:
             raise WrongPlace(
                 f"--out {self.out} is not the name of a data set: give one, such as a.zarr"
@@ -103,12 +133,13 @@ class Output:
 
     def find(self, request: dict) -> "xarray.Dataset | None":
         """Find the data set that the same command has completed; refuse places that are taken."""
+        from walker_jax import storage
+
         self.check()
-        found = storage.find(
-            self.out, request, overwrite=self.overwrite
-        )  # first, as it says what differs
+        how: Any = {"overwrite": self.overwrite}
+        found = storage.find(self.out, request, **how)  # first, as it says what differs
         earlier = request if found is None else storage.request_in(found.attrs)
-        storage.check_picture(self.picture, request, earlier, overwrite=self.overwrite)
+        storage.check_picture(self.picture, request, earlier, **how)
         if earlier["version"] != request["version"]:
             print(f"{self.out} was computed by version {earlier['version']}", file=sys.stderr)
         return found
@@ -132,6 +163,9 @@ class Output:
 
         `picture` is the name of a function in `figures`. With `kept`, `compute` itself saves.
         """
+        from walker_jax import storage
+        from walker_jax.execution.progress import bar
+
         data = self.find(request)
         if data is None:
             with bar(request["command"], True):
@@ -145,14 +179,31 @@ class Output:
     def tell(self, answer: dict, lines: Iterable[str], film: Path | None = None) -> None:
         """Print the answer and the places of the files."""
         shot = f", film {film}" if film is not None else ""
-        places = f"  data set {self.out}, picture {self.picture}{shot}"
-        tell(answer, chain(lines, [places]), as_json=self.as_json)
+        super().tell(answer, [*lines, f"  data set {self.out}, picture {self.picture}{shot}"])
+
+
+class Pieces(Group, theme="Processes"):
+    """The processes that compute the pieces of a data set."""
+
+    workers: int | None = whole(
+        None, "Processes that share the cores (Dask).", excludes=("scheduler",)
+    )
+    scheduler: str | None = option(
+        None, "Scheduler of a Dask cluster, to compute pieces there.", metavar="ADDRESS"
+    )
+
+    @property
+    def cluster(self) -> int | str | None:
+        """The number of workers or the scheduler's address; None stands for this process."""
+        return self.scheduler if self.workers is None else self.workers
 
 
 class Stopwatch:
     """Wall-clock time, and the part of it that JAX spent on tracing and compiling."""
 
     def __init__(self):
+        import jax
+
         self.compiling: list[tuple[float, float]] = []
         self.start = time.perf_counter()
         jax.monitoring.register_event_duration_secs_listener(self.record)
@@ -171,25 +222,36 @@ class Stopwatch:
         return {"compile": total, "run": time.perf_counter() - self.start - total}
 
 
-def tell(answer: dict, lines: Iterable[str], *, as_json: bool) -> None:
-    """Print an answer as JSON, or in words, line by line."""
-    if as_json:
-        print(json.dumps(jsonable(answer), allow_nan=False))
-    else:
-        print(*lines, sep="\n")
-
-
 def jsonable(value: Any) -> Any:
     """Convert a value to the types of JSON; NaN and infinities become null."""
     if isinstance(value, dict):
         return {key: jsonable(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return jsonable(value.tolist())
     if isinstance(value, list | tuple):
         return [jsonable(item) for item in value]
+    if hasattr(value, "dtype"):  # an array
+        return jsonable(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
+
+
+def is_walker(system: "wj.System") -> bool:
+    """Return whether a system is a walker, which has gaits and walks."""
+
+    return isinstance(system, wj.Walker)
+
+
+def is_map(system: "wj.System", times: Any) -> bool:
+    """Return whether steps of these times are those of a map, which take none."""
+    return not isinstance(system, wj.HybridSystem) and all(time == 1 for time in times)
+
+
+def in_words(outcome: str, system: "wj.System") -> str:
+    """Write the name of an outcome in words; only a walker walks."""
+    from walker_jax.systems.outcomes import outcome_in_words
+
+    goes_on = outcome == "STRIDE" and not is_walker(system)
+    return "goes on" if goes_on else outcome_in_words(outcome)
 
 
 def listed(numbers: Iterable[Any], form: str = ".6f") -> str:

@@ -1,69 +1,75 @@
 """`walker-jax basin`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+import click
 
 import walker_jax as wj
-from walker_jax import storage
-from walker_jax.basins.basin_summary import Tally, summarise_basin, tally
-from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units
-from walker_jax.basins.windows import fill_around_gait, grid_along, whole_section
-from walker_jax.checks import WrongUse, is_number
 from walker_jax.cli.answers import (
     Output,
+    Pieces,
     Stopwatch,
-    check_film,
+    in_words,
     listed,
     points_listed,
     request_for,
     slope_of,
 )
-from walker_jax.cli.conclusions import conclude_basin
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, refuse
-from walker_jax.cli.section import AXIS, Axis, Window, check_section
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.execution.progress import bar
-from walker_jax.systems.outcomes import outcome_in_words
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import write_description
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import (
+    Axis,
+    Choice,
+    Group,
+    Number,
+    axis_option,
+    number,
+    option,
+    place,
+    refuse,
+    whole,
+)
+from walker_jax.cli.section import PHIDOT, SlicedWindow, check_section
+from walker_jax.refusals import WrongUse
 
 if TYPE_CHECKING:
     import xarray
+
+    from walker_jax.basins.basin_summary import Tally
 
 UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 """Units of the sizes of basins."""
 
 
-@dataclass(frozen=True)
-class BasinWindow(Window):
+class BasinWindow(SlicedWindow):
     """A window of two dimensions or three, sheared or plain."""
 
-    at_phidot: float | None = option(None, "A slice of such a section (default: at the gait).")
-    thetadot: Axis | None = option(
-        None, "The plain section: thetadot in the place of --sum.", **AXIS
+    at_phidot: float | None = number(None, "A slice of such a section (default: at the gait).")
+    thetadot: Axis | None = axis_option(
+        "The plain section: thetadot in the place of --sum.", excludes=("sum",)
     )
-    phidot: Axis | None = option(None, f"{PHIDOT_HELP}: a grid of three dimensions.", **AXIS)
+    phidot: Axis | None = axis_option(
+        f"{PHIDOT}: a grid of three dimensions.", excludes=("at_phidot",)
+    )
 
-    def check(self, walker: System) -> None:
+    def check(self, walker: "wj.System") -> None:
         check_section(walker, self.axis)
         super().check(walker)
 
-    def whole(self, walker: System, axes: dict[str, Any]) -> dict[str, Any]:
+    def whole(self, walker: "wj.System", axes: dict[str, Any]) -> dict[str, Any]:
         """Return the axes; on a three-dimensional section, missing ones cover the whole section.
 
         For a slice they stay as they are.
         """
+        from walker_jax.basins.windows import whole_section
+
         known = whole_section(walker)
         if self.axis or self.at_phidot is not None or known is None:
             return axes
         return {name: known[name] if axis is None else axis for name, axis in axes.items()}
 
-    def own_axes(self, walker: System) -> dict[str, Any]:
+    def own_axes(self, walker: "wj.System") -> dict[str, Any]:
         axes: dict[str, Any] = {"theta": self.theta}
         axes |= {"sum": self.sum} if self.thetadot is None else {"thetadot": self.thetadot}
         if "phidot" in walker.section:
@@ -71,32 +77,31 @@ class BasinWindow(Window):
         return axes
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Method"
-    method: Literal["cell-map", "direct"] | None = option(
-        None, "How (default: cell-map; a slice is always direct)."
+class Method(Group, theme="Method"):
+    method: str | None = option(
+        None,
+        "How (default: cell-map; a slice is always direct).",
+        type=Choice("cell-map", "direct"),
     )
-    strides: int | None = option(None, "Strides at most, direct only (default: 200).", min=1)
-    levels: int | None = option(
+    strides: int | None = whole(None, "Strides at most, direct only (default: 200).")
+    levels: int | None = whole(
         None,
         "Halve boundary cells this many times: area or volume with its error.",
-        min=0,
-        max=8,
+        least=0,
+        most=8,
     )
-    seed: int | None = option(None, "Seed of random numbers, --levels only (default: 0).", min=0)
-    zoom: float | None = option(
-        None,
-        "A window on the boundary, narrowed by this factor, up to 1e14.",
-        min=1,
+    seed: int | None = whole(None, "Seed of random numbers, --levels only (default: 0).", least=0)
+    zoom: float | None = number(
+        None, "A window on the boundary, narrowed by this factor, up to 1e14.", excludes=("levels",)
     )
     near: tuple[float, float] | None = option(
         None,
         "Zoom to the boundary's point nearest to this one.",
+        type=click.Tuple([Number(), Number()]),
         metavar="X Y",
     )
-    animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
-    frames: int = option(120, "Pictures of the film.", min=2)
+    animate: Path | None = place("Where a film of the zoom goes, .gif or .mp4.")
+    frames: int = whole(120, "Pictures of the film.", least=2)
 
     def check(self, window: BasinWindow) -> None:
         """Refuse options that need another option, which is not given."""
@@ -108,8 +113,6 @@ class Options:
             raise WrongUse(
                 "--near and --animate are for a window of two dimensions: leave out --phidot"
             )
-        for value in self.near or ():
-            check_finite(near=value)
 
     def settings(self, window: BasinWindow, axes: dict[str, Any]) -> dict[str, Any]:
         """Return the method and its settings on these axes."""
@@ -118,7 +121,7 @@ class Options:
             direct = "with --levels, not cell-map"
         elif self.zoom is not None:
             direct = "with --zoom, as walkers leave its window: leave out --method"
-        elif any(is_number(at) or (at is None and name == "phidot") for name, at in axes.items()):
+        elif is_slice(axes):
             whole = "a range for each --axis" if window.axis else "--phidot"
             direct = f"for a slice, as walkers leave it: leave out --method, or give {whole}"
         method = self.method or ("direct" if direct else "cell-map")
@@ -132,13 +135,25 @@ class Options:
         return settings | ({} if self.zoom is None else {"zoom": self.zoom, "near": self.near})
 
 
-@takes_walker(systems=True)
+def is_slice(axes: dict[str, Any]) -> bool:
+    """Return whether an axis is a single value, or will be that of the gait."""
+    return any(
+        isinstance(at, float) or (at is None and name == "phidot") for name, at in axes.items()
+    )
+
+
+@command(
+    *(BasinWindow, Method, Pieces, Output(Path("basin.zarr"))),
+    examples=(
+        "basin",
+        "basin --method direct --slope 0.009 --out steep.zarr",
+        "basin --walker round-foot --foot-radius 0.3",
+        "basin --system henon --a 1.02 --method direct",
+    ),
+    time="Five seconds for the paper's grid, and a second for each further million cells.",
+)
 def basin(
-    walker: System,
-    window: BasinWindow,
-    options: Options,
-    pieces: Pieces,
-    output: Output = Output(Path("basin.zarr")),
+    walker: "wj.System", window: BasinWindow, asked: Method, pieces: Pieces, output: Output
 ) -> None:
     """Compute and draw the basin of attraction of a walker's gait.
 
@@ -146,18 +161,19 @@ def basin(
     4. For another walker the window is around its gait. With --levels a
     section of three dimensions is taken whole. The same command resumes an interrupted run.
     """
-    options.check(window)
-    axes, cluster = window.axes(walker, 3 if options.zoom is None else 2), pieces.cluster()
-    if options.levels is not None:
+    from walker_jax.basins.basin_summary import summarise_basin, tally
+
+    asked.check(window)
+    axes, cluster = window.axes(walker, 3 if asked.zoom is None else 2), pieces.cluster
+    if asked.levels is not None:
         if cluster is not None:
             raise WrongUse(
                 "--workers and --scheduler are for pieces, not for --levels: leave them out"
             )
         axes = window.whole(walker, axes)
-    request = request_for("basin", walker, axes=axes, **options.settings(window, axes))
-    shots, film = request | {"frames": options.frames}, options.animate
-    if film is not None:
-        check_film(film, shots, overwrite=output.overwrite)
+    request = request_for("basin", walker, axes=axes, **asked.settings(window, axes))
+    shots, film = request | {"frames": asked.frames}, asked.animate
+    output.check_film(film, shots)
     data = output.find(request)
     kept = f"taken from {output.out}, computed before" if data is not None else ""
     resumed = not kept and output.out.exists() and not output.overwrite
@@ -174,16 +190,22 @@ def basin(
     answer |= {"seconds": seconds, "walker": request["walker"]}
     if resumed:
         kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
-    lines = [*basin_in_words(data, answer, counts, request)]
+    lines = [*basin_in_words(walker, data, answer, counts, request)]
     lines.append(f"  {kept or effort(data, answer, counts)}")
-    lines.append(f"  {conclusion(answer, request)}")
+    lines.append(f"  {next_step(answer, request)}")
     output.tell(answer, lines, film=film)
 
 
 def compute(
-    walker: System, request: dict, output: Output, cluster: int | str | None
+    walker: "wj.System", request: dict, output: Output, cluster: int | str | None
 ) -> "xarray.Dataset":
     """Compute the data set of a request, resuming an interrupted run."""
+    import numpy as np
+
+    from walker_jax import storage
+    from walker_jax.basins.windows import fill_around_gait, grid_along
+    from walker_jax.execution.progress import bar
+
     with bar("search for a gait", True):
         grid = grid_along(fill_around_gait(walker, request["axes"]))
     strides = {name: request[name] for name in ("strides",) if name in request}
@@ -201,9 +223,10 @@ def compute(
         return wj.basin(walker, grid, request["method"], **how)
 
 
-def draw_basin(walker: System, data: "xarray.Dataset", request: dict):
+def draw_basin(walker: "wj.System", data: "xarray.Dataset", request: dict):
     """Draw a basin in two or three dimensions, a zoom together with its surroundings."""
     from walker_jax import figures
+    from walker_jax.basins.windows import fill_around_gait, grid_along
 
     if "zoom" in request and data["fate"].ndim == 2:
         axes = fill_around_gait(walker, request["axes"])
@@ -218,15 +241,16 @@ def draw_basin(walker: System, data: "xarray.Dataset", request: dict):
 
 def coarsen(axis: Any) -> Any:
     """Halve the number of cells of a range, for a map around a window; keep a single value."""
-    if is_number(axis):
+    if isinstance(axis, float):
         return axis
     low, high, count = axis
     return low, high, max(2, count // 2)
 
 
-def draw_film(walker: System, data: "xarray.Dataset", shots: dict, film: Path) -> None:
+def draw_film(walker: "wj.System", data: "xarray.Dataset", shots: dict, film: Path) -> None:
     """Save the film of a zoom to the middle of a basin's data set."""
-    from walker_jax import figures
+    from walker_jax import figures, storage
+    from walker_jax.basins.windows import fill_around_gait, grid_along
 
     grid, centre = grid_along(fill_around_gait(walker, shots["axes"])), data.attrs["origin"]
     how: Any = {"frames": shots["frames"], "strides": shots["strides"], "progress": True}
@@ -235,9 +259,12 @@ def draw_film(walker: System, data: "xarray.Dataset", shots: dict, film: Path) -
 
 
 def basin_in_words(
-    data: "xarray.Dataset", answer: dict, counts: Tally, request: dict
+    walker: "wj.System", data: "xarray.Dataset", answer: dict, counts: "Tally", request: dict
 ) -> Iterator[str]:
     """Write the answer of `basin`."""
+    from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units
+    from walker_jax.walkers.parameters import write_description
+
     yield f"Basin of attraction, {write_description(request['walker'])}, {answer['method']}"
     if "zoom" in request:
         centre = listed(data.attrs["origin"], ".17g")
@@ -248,22 +275,26 @@ def basin_in_words(
     measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
     unit = UNITS[measure] if has_known_units(data) else ""
     yield from sizes_in_words(answer, measure, unit, zoomed="zoom" in request)
+    yield from fates_in_words(answer["fates"], walker)
     if counts.unmatched:
         yield f"  {counts.unmatched} cells walk on without coming near a known attractor"
 
 
-def conclusion(answer: dict, request: dict) -> str:
+def next_step(answer: dict, request: dict) -> str:
     """Write the share of starts that converge, and what to do next."""
     cells = sum(one["cells"] for one in answer["attractors"] if not one["artefact"])
-    return conclude_basin(
-        cells / max(1, sum(answer["fates"].values())),
-        at_border=bool(answer.get("at_border")),
-        refined="levels" in request,
-        zoomed="zoom" in request,
-    )
+    if not cells:
+        return "No start in this window converges: walker-jax gait tells where a gait is."
+    then = "--levels 2 gives the size of the basin with its error"
+    if "zoom" in request:
+        then = "a larger --zoom goes deeper into the boundary"
+    elif "levels" in request:
+        then = "walker-jax robustness tells how large a disturbance the gait survives"
+    share = cells / sum(answer["fates"].values())
+    return f"{share:.2%} of these starts converge to an attractor: {then}."
 
 
-def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:
+def effort(data: "xarray.Dataset", answer: dict, counts: "Tally") -> str:
     """Write the number of strides and the time they took."""
     made = answer["cells"] if answer["method"] == "cell-map" else counts.strides
     made = int(data["strides_made"]) if "strides_made" in data else made
@@ -273,7 +304,7 @@ def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:
 
 
 def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> Iterator[str]:
-    """Write the attractors and fates of a basin; `measure` is "area" or "volume".
+    """Write the attractors of a basin; `measure` is "area" or "volume".
 
     A zoomed window lies within the basin's surroundings, so its border is not mentioned, and the
     border means nothing for artefacts alone.
@@ -293,15 +324,14 @@ def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> It
     only_artefacts = bool(made_up) and all(made_up)
     if answer.get("at_border") and not zoomed and not only_artefacts:
         yield f"  the basin reaches the border of the grid, in {answer['at_border']} cells"
-    yield from fates_in_words(answer["fates"])
 
 
-def fates_in_words(fates: dict[str, int]) -> Iterator[str]:
+def fates_in_words(fates: dict[str, int], walker: "wj.System") -> Iterator[str]:
     """Write a line for each fate: its share and number of cells."""
     whole = max(1, sum(fates.values()))
     for name, count in fates.items():
         if count:
-            yield f"  {count / whole:7.2%}  {outcome_in_words(name)}, {count:,} cells"
+            yield f"  {count / whole:7.2%}  {in_words(name, walker)}, {count:,} cells"
 
 
 def cycles_in_words(attractor: dict) -> str:

@@ -2,29 +2,15 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
-from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, listed, request_for
-from walker_jax.cli.conclusions import conclude_bifurcations
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import check_range, hyphenated, underscored
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.gaits.gait_summary import summarise_bifurcations, value_key
-from walker_jax.systems.system import System
-from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.parameters import (
-    SLOPE,
-    Parameter,
-    check_parameter,
-    described_by,
-    span_of,
-    with_parameter,
-    write_description,
-)
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import Ranged, hyphenated, number, option, underscored, whole
+from walker_jax.refusals import WrongUse
+from walker_jax.walkers.parameter_table import KNEED_SLOPE, SLOPE
 
 TITLES = {
     "doublings": "doublings of the most stable gait",
@@ -35,25 +21,23 @@ TITLES = {
 
 
 def help_of_end(which: str, end: int) -> str:
-    """Write the help of an option for one end of the slopes, with its default values."""
-    usual = SLOPE.span[end]
-    own = {name: (span_of(kind, "slope") or SLOPE.span)[end] for name, kind in WALKERS.items()}
-    others = [f", {name}: {value:g}" for name, value in own.items() if value != usual]
-    return f"{which} value (default, of the slope: {usual:g}{''.join(others)})."
+    """Write the help of an option for one end of the range."""
+    slopes = f"{SLOPE.span[end]:g}, kneed: {KNEED_SLOPE.span[end]:g}"
+    return f"{which} value (default, of the slope: {slopes})."
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Branches"
-    over: str = option("slope", "The parameter that changes, from --from to --to.", metavar="NAME")
-    low: float | None = option(None, help_of_end("Lowest", 0), "--from")
-    high: float | None = option(None, help_of_end("Highest", 1), "--to")
-    period_max: int = option(8, "Longest period of the gaits that are followed.", min=1, max=64)
-    strides: int = option(3000, "Strides after which a walker counts as walking for ever.", min=1)
+class Branches(Ranged, theme="Branches"):
+    over: str = option("slope", "The parameter that changes, from --from to --to.")
+    low: float | None = number(None, help_of_end("Lowest", 0), "--from")
+    high: float | None = number(None, help_of_end("Highest", 1), "--to")
+    period_max: int = whole(8, "Longest period of the gaits that are followed.", most=64)
+    strides: int = whole(3000, "Strides after which a walker counts as walking for ever.")
     normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more.")
 
-    def range(self, walker: System) -> tuple[str, float, float]:
+    def range(self, walker: "wj.System") -> tuple[str, float, float]:
         """Return the parameter that changes, and its lowest and highest values."""
+        from walker_jax.walkers.parameters import check_parameter, span_of
+
         over, low, high = underscored(self.over), self.low, self.high
         check_parameter(walker, over)
         if usual := span_of(type(walker), over):
@@ -61,39 +45,48 @@ class Options:
         if low is None or high is None:
             missing = "--from" if low is None else "--to"
             raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
-        check_range(walker, over, low, high)
+        self.check(walker, low, high)
         return over, low, high
 
 
-@takes_walker(systems=True, ranges_over="over")
-def bifurcation(
-    walker: System, options: Options, output: Output = Output(Path("bifurcation.zarr"))
-) -> None:
+@command(
+    *(Branches, Output(Path("bifurcation.zarr"))),
+    examples=(
+        "bifurcation --from 0.001 --to 0.022",
+        "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
+        "bifurcation --system henon --over a --from 0 --to 1.2 --out henon.zarr",
+    ),
+    time="Half a minute.",
+)
+def bifurcation(walker: "wj.System", asked: Branches, output: Output) -> None:
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
-    over, low, high = options.range(walker)
-    how: dict[str, Any] = {"period_max": options.period_max, "strides": options.strides}
-    if options.normal_forms:
-        how["normal_forms"] = True
+    from walker_jax.gaits.gait_summary import summarise_bifurcations
+    from walker_jax.walkers.parameters import (
+        Parameter,
+        described_by,
+        with_parameter,
+        write_description,
+    )
+
+    over, low, high = asked.range(walker)
+    how: dict[str, Any] = {"period_max": asked.period_max, "strides": asked.strides}
+    how |= {"normal_forms": True} if asked.normal_forms else {}
     walker = with_parameter(walker, over, low)
-    request = request_for(
-        "bifurcation", walker, without=[over], over=over, range=[low, high], **how
-    )
-    data = output.produce(
-        request,
-        lambda: wj.bifurcation_diagram(walker, over, (low, high), progress=True, **how),
-        "bifurcations",
-    )
+    about: dict[str, Any] = {"over": over, "range": [low, high]}
+    request = request_for("bifurcation", walker, without=[over], **about, **how)
+    compute = lambda: wj.bifurcation_diagram(walker, over, (low, high), progress=True, **how)
+    data = output.produce(request, compute, "bifurcations")
     answer = summarise_bifurcations(data)
     units = {one.name: f" {one.unit}".rstrip() for one in described_by(walker, Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
     title = f"Gaits of {write_description(request['walker'], '')}, {span}"
-    found = bool(data["on_cascade"].any())
-    lines = bifurcations_in_words(answer, over, options.strides, found=found)
-    output.tell(answer, [title, *lines])
+    output.tell(answer, [title, *bifurcations_in_words(answer, over, asked.strides)])
 
 
-def bifurcations_in_words(answer: dict, over: str, strides: int, *, found: bool) -> Iterator[str]:
-    """Write the answer of `bifurcation`; whether a gait of period one was found."""
+def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str]:
+    """Write the answer of `bifurcation`."""
+    from walker_jax.gaits.gait_summary import value_key
+
     for key, title in TITLES.items():
         if key == "neimark_sackers" and not answer[key]:
             continue
@@ -114,5 +107,4 @@ def bifurcations_in_words(answer: dict, over: str, strides: int, *, found: bool)
     for interval in answer["stable_beyond"]:
         ends = f"from {interval['from']:.9f} to {interval['to']:.9f}"
         yield f"  a gait of period {interval['period']} is stable beyond that, {ends}"
-    doublings = [(event[value_key(over)], event["to"]) for event in answer["doublings"]]
-    yield f"  {conclude_bifurcations(doublings, hyphenated(over), found=found)}"
+    yield "  walker-jax chart follows such points over a second parameter."

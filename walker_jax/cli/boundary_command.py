@@ -1,35 +1,25 @@
 """`walker-jax boundary`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import walker_jax as wj
-from walker_jax.basins.windows import fill_around_gait, grid_along
-from walker_jax.cli.answers import Output, points_listed, request_for
-from walker_jax.cli.conclusions import conclude_boundary
-from walker_jax.cli.groups import option
-from walker_jax.cli.section import Window
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.stability.boundaries import summarise_boundary
-from walker_jax.systems.outcomes import outcome_in_words
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import describe_in_words
+from walker_jax.cli.answers import Output, in_words, points_listed, request_for
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import Group, whole
+from walker_jax.cli.section import SlicedWindow
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Measures"
-    strides: int = option(500, "Strides at most.", min=1)
+class Measures(Group, theme="Measures"):
+    strides: int = whole(500, "Strides at most.")
 
 
-@takes_walker(systems=True)
-def boundary(
-    walker: System,
-    window: Window,
-    options: Options,
-    output: Output = Output(Path("boundary.zarr")),
-) -> None:
+@command(
+    *(SlicedWindow, Measures, Output(Path("boundary.zarr"))),
+    examples=("boundary", "boundary --slope 0.009 --out steep.zarr"),
+    time="Half a minute.",
+)
+def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, output: Output) -> None:
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
 
     Regions are those that fall alike, and those that converge to one attractor. The measures are
@@ -40,27 +30,31 @@ def boundary(
     which the boundary leads. The picture has the stable manifolds of the saddles. The default
     window is that of the command basin.
     """
-    axes, strides = window.axes(walker), options.strides
+    from walker_jax.basins.windows import fill_around_gait, grid_along
+    from walker_jax.stability.boundaries import summarise_boundary
+
+    axes, strides = window.axes(walker), measures.strides
     request = request_for("boundary", walker, axes=axes, strides=strides)
 
     def compute():
         grid = grid_along(fill_around_gait(walker, axes))
         return wj.boundary(walker, grid, strides=strides, progress=True)
 
-    data = output.produce(request, compute, "boundary")
-    answer = summarise_boundary(data)
+    answer = summarise_boundary(output.produce(request, compute, "boundary"))
     output.tell({"walker": request["walker"]} | answer, boundary_in_words(walker, answer))
 
 
-def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
+def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
     """Write the answer of `boundary`."""
+    from walker_jax.walkers.parameters import describe_in_words
+
     yield f"Boundary between fates and attractors, {describe_in_words(walker)}"
     yield f"  basin entropy {answer['basin_entropy']:.5f} (0: one fate or attractor in each box)"
     entropy = answer["boundary_entropy"]
     if entropy["value"] is not None:
-        fractal = "fractal" if entropy["fractal"] else "no sign of a fractal"
         yield f"  on the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}"
         if entropy["excess"] is not None:
+            fractal = "fractal" if entropy["fractal"] else "no sign of a fractal"
             excess = f"{entropy['excess']:.3f} +- {entropy['excess_error']:.3f}"
             yield f"  its dimension exceeds that of a smooth one by {excess} or more: {fractal}"
         yield f"  boxes on the boundary with three regions or more: {entropy['crowded']:.2%}"
@@ -68,16 +62,17 @@ def boundary_in_words(walker: System, answer: dict) -> Iterator[str]:
         shares = ", ".join(f"{one['share']:.1%} at {one['spacing']}" for one in answer["wada"])
         yield f"  largest part of a boundary that touches only two regions: {shares} cells"
         yield "    it tends to nothing on finer grids if the boundary is Wada's"
-    for one in answer["edges"]:
-        yield f"  {edge_in_words(one)}"
-    found = entropy["value"] is not None
-    yield f"  {conclude_boundary(found=found, fractal=entropy['fractal'])}"
+    yield from (f"  {edge_in_words(walker, one)}" for one in answer["edges"])
+    if entropy["value"] is None:
+        yield "  No boundary was found in this window: wider axes may hold one."
+    else:
+        yield "  walker-jax basin --zoom 1e4 shows it near; a finer grid tests more strictly."
 
 
-def edge_in_words(edge: dict) -> str:
+def edge_in_words(walker: "wj.System", edge: dict) -> str:
     """Write an edge state in words."""
     regions, between = (
-        " / ".join(map(outcome_in_words, edge[pair])) for pair in ("regions", "between")
+        " / ".join(in_words(one, walker) for one in edge[pair]) for pair in ("regions", "between")
     )
     third = "" if edge["between"] == edge["regions"] else f" (between {between})"
     if edge["kind"] != "saddle":

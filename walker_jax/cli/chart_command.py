@@ -1,91 +1,82 @@
 """`walker-jax chart`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
-from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, listed, request_for
-from walker_jax.cli.conclusions import conclude_chart
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import RANGE_FORM, hyphenated, read_range, refuse_again
-from walker_jax.cli.section import START, start_from, state_from
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.gaits.gait_summary import summarise_chart
-from walker_jax.gaits.selection import select_gaits
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, value_of
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, whole
+from walker_jax.cli.section import check_start, start_option, state_from
+from walker_jax.refusals import WrongUse
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Chart"
-    over: list[str] | None = option(
-        None, "A parameter, its ends and number of cells: give two.", metavar=RANGE_FORM
-    )
-    start: list[str] | None = START
-    period_max: int = option(4, "Longest period of which curves are followed.", min=1, max=64)
-    strides: int = option(1000, "Strides before the period is read.", min=1)
+class Chart(Group, theme="Chart"):
+    over: dict[str, Axis] = named("A parameter, its ends and number of cells: give two.", RANGE)
+    start: dict[str, float] = start_option()
+    period_max: int = whole(4, "Longest period of which curves are followed.", most=64)
+    strides: int = whole(1000, "Strides before the period is read.")
 
-    def ranges(self, system: System) -> dict[str, tuple[float, float, int]]:
-        """Return the ends and the number of cells of each of two parameters."""
-        found: dict[str, tuple[float, float, int]] = {}
-        for text in self.over or ():
-            name, low, high, count = read_range("--over", text)
-            refuse_again("--over", name, found)
+    def check(self, system: "wj.System") -> None:
+        """Refuse all but the ranges of two parameters, which hold the system's own values."""
+        from walker_jax.walkers.parameters import check_parameter, value_of
+
+        for name, (low, high, count) in self.over.items():
             check_parameter(system, name, low, high)
-            own = float(value_of(system, name))
+            own, typed = float(value_of(system, name)), hyphenated(name)
             if not low <= own <= high:
-                raise WrongUse(f"--over {text} must hold the {hyphenated(name)} {own:g}")
-            found[name] = low, high, count
-        if len(found) != 2:
-            raise WrongUse(f"--over is required twice: two parameters, each as {RANGE_FORM}")
-        return found
+                ends = f"{typed}={low:g}:{high:g}:{count}"
+                raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
+        if len(self.over) != 2:
+            raise WrongUse(f"--over is required twice: two parameters, each as NAME={RANGE}")
 
 
-@takes_walker(systems=True)
-def chart(
-    walker: System,
-    options: Options,
-    output: Output = Output(Path("chart.zarr")),
-) -> None:
+@command(
+    *(Chart, Output(Path("chart.zarr"))),
+    examples=(
+        "chart --walker spring --over slope=0.001:0.1:120 --over hip-stiffness=0:1:90",
+        "chart --walker round-foot --foot-radius 0.1 --over slope=0.001:0.2:120 "
+        "--over foot-radius=0:0.5:90",
+        "chart --system henon --a 0.1 --over a=-0.5:1.5:120 --over b=-0.5:0.6:90",
+    ),
+    time="Half a minute; a minute for walkers with mass on their legs.",
+)
+def chart(walker: "wj.System", asked: Chart, output: Output) -> None:
     """Chart two parameters: curves of bifurcations, and the periods of attractors between them.
 
     The gait is followed from the walker's own values of both, which the ranges must hold.
     """
-    ranges = options.ranges(walker)
-    how: dict[str, Any] = {
-        "cells": tuple(count for *_, count in ranges.values()),
-        "period_max": options.period_max,
-        "strides": options.strides,
-    }
-    bounds = {name: (low, high) for name, (low, high, _) in ranges.items()}
-    begin = state_from(walker, start_from(walker, options.start)) if options.start else None
-    asked = {
-        "start": None if begin is None else begin.tolist(),
-        "over": {name: list(ends) for name, ends in ranges.items()},
-    }
-    request = request_for("chart", walker, **asked, **{**how, "cells": list(how["cells"])})
+    from walker_jax.gaits.gait_summary import summarise_chart
+    from walker_jax.gaits.selection import select_gaits
+
+    asked.check(walker)
+    check_start(walker, asked.start)
+    bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
+    how: Any = {"cells": [count for *_, count in asked.over.values()]}
+    how |= {"period_max": asked.period_max, "strides": asked.strides}
+    begin = state_from(walker, asked.start) if asked.start else None
+    start = None if begin is None else begin.tolist()
+    over = {name: list(ends) for name, ends in asked.over.items()}
+    request = request_for("chart", walker, start=start, over=over, **how)
 
     def compute():
         (gait, *_) = select_gaits(walker, guess=begin, instead="try another --start")
-        return wj.chart(walker, bounds, gait, progress=True, **how)
+        cells = tuple(how["cells"])
+        return wj.chart(walker, bounds, gait, progress=True, **how | {"cells": cells})
 
-    data = output.produce(request, compute, "chart")
-    answer = summarise_chart(data)
+    answer = summarise_chart(output.produce(request, compute, "chart"))
     about = request["walker"]
-    title = f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, ranges))}"
-    lines = [title, *chart_in_words(answer, [*ranges])]
-    output.tell({"walker": about, "parameters": [*ranges]} | answer, lines)
+    title = f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
+    lines = [title, *chart_in_words(answer, [*bounds])]
+    output.tell({"walker": about, "parameters": [*bounds]} | answer, lines)
 
 
 def chart_in_words(answer: dict, names: list[str]) -> Iterator[str]:
     """Write the answer of `chart`."""
     for curve in answer["curves"]:
-        told = ", ".join(curve["criticality"])
-        yield f"  {curve['kind']} of period {curve['period']}{f', {told}' if told else ''}:"
+        told = "".join(f", {one}" for one in curve["criticality"])
+        yield f"  {curve['kind']} of period {curve['period']}{told}:"
         for end in curve["ends"]:
             place = listed(end["values"], ".9f")
             yield f"    to ({place}): {end['reason']}"
@@ -95,4 +86,4 @@ def chart_in_words(answer: dict, names: list[str]) -> Iterator[str]:
         yield f"  no bifurcation over {' or '.join(map(hyphenated, names))}"
     shares = ", ".join(f"{name} {share:.1%}" for name, share in answer["cells"].items())
     yield f"  cells: {shares}"
-    yield f"  {conclude_chart(len(answer['curves']), len(answer['cells']))}"
+    yield "  walker-jax bifurcation shows all gaits along one parameter."

@@ -1,61 +1,60 @@
 """`walker-jax continuation`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import walker_jax as wj
-from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
-from walker_jax.cli.conclusions import conclude_continuation
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import hyphenated
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import RANGE, Group, Named, hyphenated, option, whole
 from walker_jax.cli.section import Region, asked_of
 from walker_jax.cli.sweep_command import values_of
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.stability.basin_fractions import summarise_fractions
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter
+from walker_jax.refusals import WrongUse
 
-DEFAULT = "slope=0.002:0.02:37"
+DEFAULT = "slope", (0.002, 0.02, 37)
 """The slopes over which walkers are followed."""
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Continuation"
-    over: str = option(DEFAULT, "Values of a parameter.", metavar="NAME=LO:HI:N")
-    samples: int = option(100_000, "Starts in the region.", min=1)
-    strides: int = option(500, "Strides at most.", min=1)
-    seed: int = option(0, "Of the starts.", min=0)
+class Continuation(Group, theme="Continuation"):
+    over: Any = option("slope=0.002:0.02:37", "Values of a parameter.", type=Named(RANGE))
+    samples: int = whole(100_000, "Starts in the region.")
+    strides: int = whole(500, "Strides at most.")
+    seed: int = whole(0, "Of the starts.", least=0)
 
 
-@takes_walker(systems=True)
-def continuation(
-    walker: System,
-    options: Options,
-    region: Region,
-    output: Output = Output(Path("continuation.zarr")),
-) -> None:
+@command(
+    *(Continuation, Region, Output(Path("continuation.zarr"))),
+    examples=(
+        "continuation --over slope=0.002:0.02:37",
+        "continuation --walker powered --slope 0 --over push-off=0.02:0.1:17 --out powered.zarr",
+    ),
+    time="A minute or two for the example.",
+)
+def continuation(walker: "wj.System", asked: Continuation, region: Region, output: Output) -> None:
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.
 
     A gait keeps its number along its branch: it is born and it ends at folds and period doublings.
     """
-    if options.over == DEFAULT and "slope" not in walker.spans:
-        raise WrongUse("--over is required: a parameter of the system and its values, NAME=LO:HI:N")
-    ((name, values),) = values_of([options.over]).items()
+    from walker_jax.stability.basin_fractions import summarise_fractions
+    from walker_jax.walkers.parameters import check_parameter
+
+    if asked.over == DEFAULT and "slope" not in walker.spans:
+        raise WrongUse(
+            f"--over is required: a parameter of the system and its values, NAME={RANGE}"
+        )
+    ((name, values),) = values_of(dict([asked.over])).items()
     check_parameter(walker, name, *values)
-    how = {"samples": options.samples, "strides": options.strides, "seed": options.seed}
+    how: Any = {"samples": asked.samples, "strides": asked.strides, "seed": asked.seed}
     grid = region.grid(walker)
-    asked = {"over": {name: values}, "axes": asked_of(grid)}
-    request = request_for("continuation", walker, without=[name], **asked, **how)
+    about_axes = {"over": {name: values}, "axes": asked_of(grid)}
+    request = request_for("continuation", walker, without=[name], **about_axes, **how)
     data = output.produce(
         request,
         lambda: wj.continue_basins(walker, name, values, grid, progress=True, **how),
         "basin_fractions",
     )
-    answer = summarise_fractions(data)
-    about = request["walker"]
+    answer, about = summarise_fractions(data), request["walker"]
     ends = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
     lines = [f"Attractors of {about['name']}, {ends}", *attractors_in_words(answer)]
     output.tell({"walker": about, "parameter": name} | answer, lines)
@@ -71,4 +70,7 @@ def attractors_in_words(answer: dict) -> Iterator[str]:
     for event in answer["bifurcations"]:
         kind = "fold" if event["kind"] == "fold" else "period doubling"
         yield f"    {kind} of {event['attractor']} at {event['value']:.12f}"
-    yield f"  {conclude_continuation(answer['attractors'])}"
+    if answer["attractors"]:
+        yield "  More --samples make these fractions more precise."
+    else:
+        yield "  No start converges: try another --over, or a region that holds a gait."

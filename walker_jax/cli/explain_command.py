@@ -2,44 +2,60 @@
 
 import re
 
-from walker_jax.cli.answers import tell
-from walker_jax.cli.conclusions import conclude_explanation
-from walker_jax.cli.options import Json
+import walker_jax as wj
+from walker_jax.cli.answers import Json, in_words
+from walker_jax.cli.commands import command
 from walker_jax.cli.section import Start, begin_at
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.systems.outcomes import WORDS, outcome_in_words
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import describe_walker
-from walker_jax.walking import explanation
 
 
-@takes_walker(systems=True)
-def explain(walker: System, start: Start, as_json: Json = False) -> None:
+@command(
+    *(Start, Json),
+    examples=(
+        "explain --theta 0.3 --thetadot -0.1",
+        "explain --walker kneed",
+        "explain --system duffing --start x=0.5 --start v=0",
+    ),
+    time="3 s, of a kneed walker 20 s.",
+)
+def explain(walker: "wj.System", start: Start, form: Json) -> None:
     """Say why the stride from one start ends as it does, and whether a model fits together.
 
     Mode by mode: which guards rose through zero, when, and whether that counted; how near the
     others came; the least values of conditions. Lines with ! say what does not fit together. By
     default the start is that of the gait.
     """
+    from walker_jax.walkers.parameters import describe_walker
+    from walker_jax.walking import explanation
+
     found = explanation.explain(walker, begin_at(walker, start.coordinates(walker)))
     known = found.name == "STRIDE"
+    modes = [
+        one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
+    ]
     answer = {
         "walker": describe_walker(walker),
         "start": found.start,
         "outcome": found.name,
-        "modes": [
-            one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
-        ],
+        "modes": modes,
         "complaints": found.complaints,
         "state": found.state if known else None,
         "jacobian": found.jacobian if known else None,
     }
-    lines = [in_words(str(found)), conclude_explanation(found.name, found.complaints)]
-    tell(answer, lines, as_json=as_json)
+    advice = {
+        "OUTSIDE": "walker-jax gait gives a start that is feasible",
+        "STRIDE": "walker-jax walk, from there, follows the next strides",
+    }
+    next_step = advice.get(found.name, "walker-jax basin shows which starts go on")
+    if found.complaints and found.name != "OUTSIDE":
+        next_step = "mend what the lines with ! say, and explain again"
+    lines = [with_words(str(found), walker), f"Next: {next_step}."]
+    form.tell(answer, lines)
 
 
-def in_words(text: str) -> str:
+def with_words(text: str, walker: "wj.System") -> str:
     """Write an explanation with words in the places of the names of outcomes."""
+    from walker_jax.systems.outcomes import WORDS
+
     text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", text)
     text = re.sub(rf"\bleads to ({'|'.join(WORDS)})\b", r"the end: \1", text)
-    return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: outcome_in_words(name[0]), text)
+    return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)

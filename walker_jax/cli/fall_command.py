@@ -2,137 +2,138 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 import walker_jax as wj
-from walker_jax import storage
-from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import check_figure, check_film, draw, request_for, tell
-from walker_jax.cli.conclusions import conclude_fall
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import OUTPUT, check_finite
+from walker_jax.cli.answers import Files, draw, request_for
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import Choice, Group, number, option, place, whole
 from walker_jax.cli.walk_command import FRAME_INTERVAL
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.execution.progress import bar
-from walker_jax.stability.disturbances import BEYOND
-from walker_jax.stability.probable_falls import ProbableFall
-from walker_jax.systems.outcomes import Outcome, outcome_in_words
-from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walkers.parameters import describe_in_words
+from walker_jax.refusals import WrongUse
+
+if TYPE_CHECKING:
+    from walker_jax.stability.probable_falls import ProbableFall
 
 CONVERGED = 1e-6
 """Residual (rad) above which the answer warns that the search has not converged."""
+STEPS = 2e-4
+"""Standard deviation of steps where no disturbance is given."""
 
 
-@dataclass(frozen=True)
-class Disturbances:
+class Disturbances(Group, theme="Disturbances"):
     """Standard deviations of the disturbances in each stride."""
 
-    theme = "Disturbances"
-    ground: float | None = option(None, "Standard deviation of steps (default: 0.0002).", min=0)
-    tilt: float = option(0.0, "Standard deviation of changes of the slope, rad.", min=0)
-    push: float = option(0.0, "Standard deviation of pushes, changes of thetadot.", min=0)
-    strides: int = option(12, "Number of disturbed strides.", min=1, max=32)
-    way: Literal["forward", "backward", "running", "stopped"] | None = option(
-        None, "The fall that counts (default: any)."
+    ground: float | None = number(None, f"Standard deviation of steps (default: {STEPS}).", least=0)
+    tilt: float = number(0.0, "Standard deviation of changes of the slope, rad.", least=0)
+    push: float = number(0.0, "Standard deviation of pushes, changes of thetadot.", least=0)
+    strides: int = whole(12, "Number of disturbed strides.", most=32)
+    way: str | None = option(
+        None,
+        "The fall that counts (default: any).",
+        type=Choice("forward", "backward", "running", "stopped"),
     )
 
-    def deviations(self) -> wj.Disturbance:
+    def deviations(self) -> "wj.Disturbance":
         """Return the deviations of steps, slopes and pushes; by default there are only steps."""
-        check_finite(ground=self.ground, tilt=self.tilt, push=self.push)
-        none = self.ground is None and not (self.tilt or self.push)
-        ground = 2e-4 if none else self.ground or 0.0
-        if not (ground or self.tilt or self.push):
+        others = self.tilt or self.push
+        ground = STEPS if self.ground is None and not others else self.ground or 0.0
+        if not (ground or others):
             raise WrongUse("--ground must be above 0, not 0.0, unless --tilt or --push is given")
         return wj.Disturbance(ground, self.tilt, self.push)
 
 
-@dataclass(frozen=True)
-class Pictures:
-    theme = "Output"
-    figure: Path | None = option(None, "Where a picture goes.")
-    animate: Path | None = option(None, "Where a film of the fall goes, on steps alone.")
-    overwrite: bool = option(False, "Replace what is there.", **OUTPUT)
-    as_json: bool = option(False, "Print the answer as JSON.", "--json", **OUTPUT)
+class Pictures(Group, theme="Output"):
+    figure: Path | None = place("Where a picture goes.")
+    animate: Path | None = place("Where a film of the fall goes, on steps alone.")
 
 
-@takes_walker()
-def fall(walker: Walker, disturbances: Disturbances, pictures: Pictures) -> None:
+@command(
+    *(Disturbances, Pictures, Files),
+    examples=(
+        "fall --walker spring --slope 0.01 --hip-stiffness 0.2 --figure fall.png",
+        "fall --walker round-foot --slope 0.01 --ground 0.0004",
+        "fall --slope 0.009 --push 0.001 --way backward",
+    ),
+    time="Half a minute.",
+    systems=False,
+)
+def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Files) -> None:
     """Find the most probable fall: the least disturbances that topple the walker.
 
     Under slight disturbances nearly all falls are like this one, or with --way all of that kind.
     The mean number of strides until such a fall follows from its action.
     """
+    from walker_jax.execution.progress import bar
+    from walker_jax.walkers.model import check_planar
+
     check_planar(walker)
-    deviations = disturbances.deviations()
-    way = None if disturbances.way is None else Outcome[disturbances.way.upper()]
-    about = {"deviations": list(deviations), "strides": disturbances.strides, "way": way}
+    deviations, figure, film = asked.deviations(), pictures.figure, pictures.animate
+    way = None if asked.way is None else wj.Outcome[asked.way.upper()]
+    about = {"deviations": list(deviations), "strides": asked.strides, "way": way}
     request = request_for("fall", walker, **about)
-    if pictures.figure is not None:
-        check_figure(pictures.figure, request, overwrite=pictures.overwrite)
-    if pictures.animate is not None:
-        if deviations.slope or deviations.push:
-            raise WrongUse("--animate is for steps alone: leave out --tilt and --push")
-        check_film(pictures.animate, request, overwrite=pictures.overwrite)
+    files.check_figure(figure, request)
+    if film is not None and (deviations.slope or deviations.push):
+        raise WrongUse("--animate is for steps alone: leave out --tilt and --push")
+    files.check_film(film, request)
     with bar("search for falls", True):
-        found = wj.most_probable_fall(walker, deviations, strides=disturbances.strides, outcome=way)
-    if pictures.figure is not None:
+        found = wj.most_probable_fall(walker, deviations, strides=asked.strides, outcome=way)
+    if figure is not None:
         from walker_jax import figures
 
-        draw(figures.probable_fall(found), pictures.figure, request)
-    if pictures.animate is not None:
-        draw_film(walker, found, pictures.animate, request)
+        draw(figures.probable_fall(found, walker), figure, request)
+    if film is not None:
+        draw_film(walker, found, film, request)
     answer: dict[str, Any] = {"walker": request["walker"], "deviations": deviations._asdict()}
     answer |= {name: getattr(found, name) for name in ("action", "disturbances", "strides")}
     answer |= {"outcome": found.outcome.name, "residual": found.residual}
     answer |= {"mean_strides": found.mean_strides(), "actions": found.actions}
     answer["log_mean_strides"] = found.log_mean_strides()
     lines = [*fall_in_words(walker, found, deviations, chosen=way is not None)]
-    told = conclude_fall(
-        converged=found.residual < CONVERGED,
-        chosen=way is not None,
-        steps_only=not (deviations.slope or deviations.push),
-        filmed=pictures.animate is not None,
-    )
-    lines.append(f"  {told}")
-    shown = {"picture": pictures.figure, "film": pictures.animate}
-    lines += [f"{name} {place}" for name, place in shown.items() if place is not None]
-    tell(answer, lines, as_json=pictures.as_json)
+    places = {"picture": figure, "film": film}
+    lines += [f"{name} {place}" for name, place in places.items() if place is not None]
+    files.tell(answer, lines)
 
 
-def draw_film(walker: Walker, found: ProbableFall, place: Path, request: dict) -> None:
+def draw_film(walker: "wj.Walker", found: "ProbableFall", place: Path, request: dict) -> None:
     """Save the film of this fall, on steps just above the least ones."""
-    from walker_jax import figures
+    import numpy as np
+
+    from walker_jax import figures, storage
+    from walker_jax.stability.disturbances import BEYOND
 
     heights = np.zeros(found.strides + 1)
-    disturbed = BEYOND[0] * found.disturbances[:, 0]
-    count = min(len(disturbed), len(heights))
-    heights[:count] = disturbed[:count]
+    disturbed = BEYOND[0] * found.disturbances[: len(heights), 0]
+    heights[: len(disturbed)] = disturbed
     begin = wj.find_gait(walker).states[0]
     motion = wj.motion(walker, begin, len(heights), step=FRAME_INTERVAL, ground=heights)
     figures.film(motion, place, signature=storage.signature(request), progress=True)
 
 
 def fall_in_words(
-    walker: Walker, found: ProbableFall, deviations: wj.Disturbance, *, chosen: bool
+    walker: "wj.Walker", found: "ProbableFall", deviations: "wj.Disturbance", *, chosen: bool
 ) -> Iterator[str]:
     """Write the answer of `fall`."""
+    from walker_jax.systems.outcomes import outcome_in_words
+    from walker_jax.walkers.parameters import describe_in_words
+
     yield f"Most probable fall, {describe_in_words(walker)}"
     words = outcome_in_words(found.outcome.name)
     yield f"  {words} after {found.strides} strides; action {found.action:.6g}"
-    mean = found.mean_strides()
-    rare = (
-        f"10^{found.log_mean_strides() / math.log(10):.1f}" if math.isinf(mean) else f"{mean:.4g}"
-    )
-    yield f"  strides to {'that' if chosen else 'a'} fall, on average: {rare}"
+    mean, falls = found.mean_strides(), "that" if chosen else "a"
+    rare = f"{mean:.4g}"
+    if math.isinf(mean):
+        rare = f"10^{found.log_mean_strides() / math.log(10):.1f}"
+    yield f"  strides to {falls} fall, on average: {rare}"
     if not found.residual < CONVERGED:
         yield f"  not converged: {found.residual:.2g} rad off the least one; strides are rough"
     kinds = [name for name, value in deviations._asdict().items() if value]
     yield "  " + "  ".join([f"{'stride':>6}", *(f"{name:>13}" for name in kinds)])
     for i, row in enumerate(found.disturbances, start=1):
-        shown = [value for value, one in zip(row, deviations, strict=True) if one]
-        yield "  " + "  ".join([f"{i:6}", *(f"{value:13.6g}" for value in shown)])
+        values = [value for value, one in zip(row, deviations, strict=True) if one]
+        yield "  " + "  ".join([f"{i:6}", *(f"{value:13.6g}" for value in values)])
+    if found.residual < CONVERGED:
+        kind = "of this kind " if chosen else ""
+        yield f"  Under slight disturbances nearly all falls {kind}are like this one."
+    else:
+        yield "  The search has not converged: another --strides may give a more probable fall."

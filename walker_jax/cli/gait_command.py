@@ -1,52 +1,53 @@
 """`walker-jax gait`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from walker_jax.cli.answers import check_figure, draw, listed, request_for, slope_of, tell
-from walker_jax.cli.conclusions import conclude_gaits
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, refuse
-from walker_jax.cli.section import START, has_own_options, refuse_own, start_from, state_from
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.execution.progress import bar
-from walker_jax.gaits import selection
-from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.gait_summary import summarise_gait
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import describe_briefly
+import click
+
+import walker_jax as wj
+from walker_jax.cli.answers import Files, draw, is_map, is_walker, listed, request_for, slope_of
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import Group, Number, number, option, place, refuse, whole
+from walker_jax.cli.section import (
+    PHIDOT,
+    check_start,
+    has_own_options,
+    refuse_own,
+    start_option,
+    state_from,
+)
 
 
-@dataclass(frozen=True)
-class Search:
+class Search(Group, theme="Search"):
     """The kind of gaits to search for, and the start of the search."""
 
-    theme = "Search"
-    period: int = option(1, "Strides in a cycle.", min=1)
+    period: int = whole(1, "Strides in a cycle.")
     all: bool = option(False, "All gaits of the period, stable or not.")
     guess: tuple[float, float] | None = option(
-        None, "Where the search begins.", metavar="THETA THETADOT"
+        None,
+        "Where the search begins.",
+        type=click.Tuple([Number(), Number()]),
+        metavar="THETA THETADOT",
+        excludes=("start", "all"),
     )
-    phidot: float | None = option(None, f"{PHIDOT_HELP}: with --guess.")
-    start: list[str] | None = START
+    phidot: float | None = number(None, f"{PHIDOT}: with --guess.")
+    start: dict[str, float] = start_option("all", "phidot")
 
-    def coordinates(self, walker: System) -> dict[str, float]:
+    def coordinates(self, walker: "wj.System") -> dict[str, float]:
         """Return the coordinates of the state in which the search begins, if it is given."""
-        start = self.start or None
         refuse_own(walker, guess=self.guess, phidot=self.phidot)
-        if start is not None:
-            return start_from(walker, start)
+        check_start(walker, self.start)
+        if self.start:
+            return self.start
         if self.guess is None:
             refuse("is for --guess alone: give it too", phidot=self.phidot)
             return {}
-        for value in self.guess:
-            check_finite(guess=value)
-        check_finite(phidot=self.phidot)
         given = dict(zip(("theta", "thetadot"), self.guess, strict=True))
         return given | ({} if self.phidot is None else {"phidot": self.phidot})
 
-    def instead(self, walker: System) -> str:
+    def instead(self, walker: "wj.System") -> str:
         """Return the advice to give if no gait is found."""
         if self.guess is not None or self.start:
             return f"try another {'--start' if self.start else '--guess'}"
@@ -54,47 +55,63 @@ class Search:
         return f"try {form}"
 
 
-@dataclass(frozen=True)
-class Picture:
-    theme = "Picture"
-    figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes.")
-    overwrite: bool = option(False, "Replace what is there.", **OUTPUT)
-    as_json: bool = option(False, "Print the answer as JSON.", "--json", **OUTPUT)
+class Picture(Group, theme="Picture"):
+    figure: Path | None = place("Where a picture of the Floquet multipliers goes.")
 
 
-@takes_walker(systems=True)
-def gait(walker: System, search: Search, picture: Picture) -> None:
+@command(
+    *(Search, Picture, Files),
+    examples=(
+        "gait --slope 0.009",
+        "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",
+        "gait --walker kneed",
+        "gait --walker powered --slope 0 --push-off 0.05",
+        "gait --slope 0.0125 --period 3 --all",
+        "gait --system duffing --start x=-1.3 --start v=-0.2 --period 3",
+    ),
+    time="A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
+)
+def gait(walker: "wj.System", search: Search, picture: Picture, files: Files) -> None:
     """Find the gaits of a walker: cycles of strides, and their stability."""
-    given = search.coordinates(walker)
+    from walker_jax.execution.progress import bar
+    from walker_jax.gaits import selection
+    from walker_jax.gaits.gait_summary import summarise_gait
+    from walker_jax.walkers.parameters import describe_briefly
+
+    given, figure = search.coordinates(walker), picture.figure
     begin = state_from(walker, given) if given else None
     guess = None if begin is None else begin.tolist()
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
-    if picture.figure is not None:
-        check_figure(picture.figure, request, overwrite=picture.overwrite)
+    files.check_figure(figure, request)
     with bar("search for gaits", True):
-        found = selection.select_gaits(
-            walker, search.period, begin, every=search.all, instead=search.instead(walker)
-        )
-    if picture.figure is not None:
+        how: Any = {"every": search.all, "instead": search.instead(walker)}
+        found = selection.select_gaits(walker, search.period, begin, **how)
+    if figure is not None:
         from walker_jax import figures
 
         title = f"{describe_briefly(walker)}: Floquet multipliers"
-        draw(figures.multipliers(found, title=title), picture.figure, request)
-    about = request["walker"]
+        draw(figures.multipliers(found, title=title), figure, request)
+    about, stable = request["walker"], sum(bool(one.stable) for one in found)
     answer = {"gaits": [summarise_gait(one) for one in found], "walker": about}
     lines = [line for one in found for line in gait_in_words(walker, about, one)]
-    lines.append(conclude_gaits(sum(bool(one.stable) for one in found), len(found)))
-    lines += [] if picture.figure is None else [f"picture {picture.figure}"]
-    tell(slope_of(about) | answer, lines, as_json=picture.as_json)
+    if stable:
+        which = "it" if len(found) == 1 else f"{stable} of these {len(found)}"
+        lines.append(f"Nearby starts converge to {which}: walker-jax basin shows from where.")
+    else:
+        lines.append("None is stable: walker-jax bifurcation shows where one is.")
+    lines += [] if figure is None else [f"picture {figure}"]
+    files.tell(slope_of(about) | answer, lines)
 
 
-def gait_in_words(walker: System, about: dict, gait: Gait) -> Iterator[str]:
-    """Write the stability of a gait, and a line for each stride."""
+def gait_in_words(walker: "wj.System", about: dict, gait: "wj.Gait") -> Iterator[str]:
+    """Write the stability of a gait, and a line for each stride; a map's steps have no time."""
+    noun = "gait" if is_walker(walker) else "cycle"
     kind, period = "stable" if gait.stable else "unstable", len(gait.states)
     where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
     multipliers = listed(gait.multipliers, ".8g")
-    yield f"{kind} gait of period {period} {where}, multipliers {multipliers}"
+    yield f"{kind} {noun} of period {period} {where}, multipliers {multipliers}"
+    timeless = is_map(walker, gait.step_times)
     for state, duration in zip(gait.states, gait.step_times, strict=True):
-        named = zip(walker.section, state, strict=True)
-        coordinates = "  ".join(f"{name} {value:.13f}" for name, value in named)
-        yield f"  {coordinates}  step time {duration:.10f}"
+        pairs = zip(walker.section, state, strict=True)
+        coordinates = "  ".join(f"{name} {value:.13f}" for name, value in pairs)
+        yield f"  {coordinates}" + ("" if timeless else f"  step time {duration:.10f}")

@@ -5,16 +5,19 @@ standard error. Exit code 0: done; 2: wrong usage; 1: the computation failed; 13
 Ctrl-C; 143: terminated by SIGTERM.
 """
 
+import atexit
 import gc
+import logging
 import os
 import signal
 import sys
 import warnings
 from typing import NoReturn
 
+import click
+
 from walker_jax.cli.app import Interrupted, app, resume_notes
-from walker_jax.cli.complaints import complaint
-from walker_jax.cli.rewording import message_of
+from walker_jax.cli.options import message_of
 from walker_jax.refusals import Refusal, WrongUse
 
 FEW_COLLECTIONS = 50_000
@@ -32,6 +35,7 @@ class Terminated(BaseException):
 
 def main() -> NoReturn:
     gc.set_threshold(FEW_COLLECTIONS)
+    atexit.register(gc.freeze)  # or Python looks for garbage before it ends, which takes a second
     # Before NumPy is loaded. Matrices are small here: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Notebooks name theirs, which may not be installed here. Pictures are only written to files.
@@ -40,22 +44,20 @@ def main() -> NoReturn:
     # One line, without the place in the code.
     warnings.formatwarning = lambda message, *_, **__: f"walker-jax: {message}\n"
     try:
-        code = app(standalone_mode=False)
+        code = app.main(prog_name="walker-jax", standalone_mode=False)
+    except click.Abort:  # Ctrl-C before a command begins
+        stop(130, "interrupted")
     except Interrupted as error:
         stop(130, ": ".join(["interrupted", *error.args]))
     except Terminated as error:
         stop(143, ": ".join(["terminated", *resume_notes(error)]))
     except Exception as error:
         stop(*verdict(error))
-    if code == 130:  # Ctrl-C before a command begins
-        stop(130, "interrupted")
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def verdict(error: Exception) -> tuple[int, str]:
     """Return the exit code for an error, and the reason to print."""
-    if hasattr(error, "format_message"):  # an error of typer
-        return 2, complaint(error)
     if not isinstance(error, Refusal):
         return 1, f"{type(error).__name__}: {error}"
     return (2 if isinstance(error, WrongUse) else 1), message_of(error)
@@ -66,6 +68,7 @@ def terminate(signal_number: int, frame: object) -> NoReturn:
 
 
 def stop(code: int, reason: str) -> NoReturn:
+    logging.getLogger("asyncio").disabled = True  # it would list the writes that end here
     print(f"walker-jax: {on_one_line(reason)}", file=sys.stderr)
     sys.exit(code)
 

@@ -3,58 +3,57 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
+import click
+
 import walker_jax as wj
-from walker_jax import storage
-from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.cli.answers import Output, request_for
-from walker_jax.cli.conclusions import conclude_optimum
-from walker_jax.cli.groups import option
+from walker_jax.cli.commands import command
 from walker_jax.cli.options import (
+    Axis,
+    Group,
+    Number,
+    axis_option,
     hyphenated,
-    read_numbers,
-    refuse_again,
+    named,
+    number,
+    option,
     underscored,
+    whole,
 )
-from walker_jax.cli.section import AXIS, Axis, Volume, asked_of
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.design.problem import default_levels
-from walker_jax.design.results import ENDS, summarise_optimum
-from walker_jax.execution.progress import bar
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, describe_in_words
+from walker_jax.cli.section import Volume, asked_of
+from walker_jax.refusals import ComputationFailed, WrongUse
 
 if TYPE_CHECKING:
     import xarray
 
+
 SAVED_EVERY = 2.0
 """Seconds between saves of the trace; a save takes a tenth of a second. The end is saved too."""
+LIMIT: Any = {"type": click.Tuple([str, Number()]), "metavar": "NAME X"}
 
 
-@dataclass(frozen=True)
-class Problem:
+class Problem(Group, theme="Problem"):
     """The free parameters and the objective."""
 
-    theme = "Problem"
-    over: list[str] | None = option(None, "A parameter that is free; may be repeated.")
-    bound: list[str] | None = option(
-        None, "Bounds of such a parameter; one for each.", metavar="NAME=LO:HI"
+    over: list[str] = option((), "A parameter that is free; may be repeated.", multiple=True)
+    bound: dict[str, tuple[float, float]] = named(
+        "Bounds of such a parameter; one for each.", "LO:HI"
     )
-    objective: list[str] | None = option(
-        None,
+    objective: tuple[str, ...] = option(
+        (),
         "area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
         "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a sum.",
-        metavar="NAME",
+        multiple=True,
     )
     at_least: tuple[str, float] | None = option(
-        None, "Least speed, step-length, ...; one limit.", metavar="NAME X"
+        None, "Least speed, step-length, ...; one limit.", **LIMIT
     )
     at_most: tuple[str, float] | None = option(
-        None, "Greatest value of one of them; one limit.", metavar="NAME X"
+        None, "Greatest value of one of them; one limit.", **LIMIT
     )
 
     def limits(self) -> dict[str, dict[str, float]]:
@@ -65,41 +64,64 @@ class Problem:
             for side, limit in given.items()
         }
 
+    def bounds(self, walker: "wj.System") -> dict[str, tuple[float, float]]:
+        """Return the bounds of the free parameters."""
+        from walker_jax.walkers.parameters import check_parameter
 
-@dataclass(frozen=True)
+        names = [*map(underscored, self.over)]
+        if not names:
+            raise WrongUse("--over is required: a parameter that is free, such as slope")
+        for name in names:
+            check_parameter(walker, name)
+            if name not in self.bound:
+                typed = hyphenated(name)
+                raise WrongUse(f"--bound is required for {typed}: {typed}=LO:HI")
+        for name in self.bound:
+            if name not in names:
+                typed = hyphenated(name)
+                raise WrongUse(f"--bound is of {typed}, which is not free: add --over {typed}")
+        return {name: self.bound[name] for name in names}
+
+
 class OptimumRegion(Volume):
-    theta: Axis | None = option(None, "Where the area is measured, as for robustness.", **AXIS)
-    phidot: Axis | None = option(
-        None, "The rate between the legs, for a volume (default: all).", **AXIS
+    theta: Axis | None = axis_option("Where the area is measured, as for robustness.")
+    phidot: Axis | None = axis_option(
+        "The rate between the legs, for a volume (default: all).", excludes=("at_phidot",)
     )
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Search"
-    starts: int = option(3, "Walkers to start from: the one given, and others.", min=1)
-    levels: int | None = option(
-        None, "Refinement at both ends (default: 4; of volumes 2).", min=0, max=8
+class Search(Group, theme="Search"):
+    starts: int = whole(3, "Walkers to start from: the one given, and others.")
+    levels: int | None = whole(
+        None, "Refinement at both ends (default: 4; of volumes 2).", least=0, most=8
     )
-    strides: int = option(200, "Strides a walker is followed for.", min=1)
-    scan: int = option(15, "Values of each parameter at which the objective is drawn.", min=0)
-    seed: int = option(0, "Seed of the random starts.", min=0)
+    strides: int = whole(200, "Strides a walker is followed for.")
+    scan: int = whole(15, "Values of each parameter at which the objective is drawn.", least=0)
+    seed: int = whole(0, "Seed of the random starts.", least=0)
 
 
-@dataclass(frozen=True)
-class Budget:
-    theme = "Search"
-    seconds: float | None = option(None, "End with the best after these; run again to go on.")
+class Budget(Group, theme="Search"):
+    seconds: float | None = number(
+        None, "End with the best after these; run again to go on.", above=0
+    )
 
 
-@takes_walker(systems=True)
+@command(
+    *(Problem, OptimumRegion, Search, Budget, Output(Path("optimum.zarr"))),
+    examples=(
+        "optimise --over slope --bound slope=0.001:0.02",
+        "optimise --walker spring --over hip-stiffness --bound hip-stiffness=0:20",
+    ),
+    time="Half a minute for the area over a slope, an hour for more parameters; fewer --starts and "
+    "--scan 0 shorten it.",
+)
 def optimise(
-    walker: System,
+    walker: "wj.System",
     problem: Problem,
     region: OptimumRegion,
-    options: Options,
-    budget: Budget = Budget(),
-    output: Output = Output(Path("optimum.zarr")),
+    search: Search,
+    budget: Budget,
+    output: Output,
 ) -> None:
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
 
@@ -107,26 +129,28 @@ def optimise(
     picture shows the ascent, and the basins before and after.
     """
     from walker_jax import figures
+    from walker_jax.design.problem import default_levels
+    from walker_jax.design.results import summarise_optimum
 
-    names = problem.objective or ["area"]
-    bounds = bounds_of(walker, problem.over or [], problem.bound or [])
-    weights, limits = objective_of(names), problem.limits()
-    how: Any = {**vars(options)}
-    how |= {"levels": default_levels(weights)} if options.levels is None else {}
+    names = problem.objective or ("area",)
+    bounds, limits = problem.bounds(walker), problem.limits()
+    weights, how = objective_of(names), {**vars(search)}
+    if search.levels is None:
+        how["levels"] = default_levels(weights)
     grid = region.grid(walker)
-    asked = {"bounds": bounds, "objective": weights, "axes": asked_of(grid), **limits, **how}
+    asked: Any = {"bounds": bounds, "objective": weights, "axes": asked_of(grid), **limits, **how}
     request = request_for("optimise", walker, **asked)
     data = output.find(request)
     if not is_done(data):
         how |= {"grid": grid, "progress": True, "seconds": budget.seconds, **limits}
         data = computed(partial(wj.optimise, walker, bounds, weights, **how), output, request)
+    notes = data["note"].values.tolist()
     if not data["found"]:
-        reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
-        raise ComputationFailed(f"no start leads anywhere: {reasons}")
+        raise ComputationFailed(f"no start leads anywhere: {'; '.join(dict.fromkeys(notes))}")
     output.draw(figures.optimum(data), request)
     answer = summarise_optimum(data)
     lines = [*optimum_in_words(walker, answer, " + ".join(names))]
-    lines += [f"  a start led nowhere: {note}" for note in data["note"].values.tolist() if note]
+    lines += [f"  a start led nowhere: {note}" for note in notes if note]
     output.tell(answer | {"walker": request["walker"]}, lines)
 
 
@@ -139,6 +163,9 @@ def computed(
     compute: "Callable[..., xarray.Dataset]", output: Output, request: dict
 ) -> "xarray.Dataset":
     """Compute the optimum and save its trace as it grows; no other process may write there."""
+    from walker_jax import storage
+    from walker_jax.execution.progress import bar
+
     out, overwrite = output.out, output.overwrite
     with storage.rewritable(out, request) as save:
         known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
@@ -167,29 +194,7 @@ def computed(
                     raise
 
 
-def bounds_of(walker: System, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
-    """Read the bounds of the free parameters."""
-    names = [*map(underscored, over)]
-    bounds: dict[str, tuple[float, float]] = {}
-    for text in bound:
-        name, (low, high) = read_numbers("--bound", "NAME=LO:HI", (float, float), text)
-        refuse_again("--bound", name, bounds)
-        bounds[name] = low, high
-    if not names:
-        raise WrongUse("--over is required: a parameter that is free, such as slope")
-    for name in names:
-        check_parameter(walker, name)
-        if name not in bounds:
-            typed = hyphenated(name)
-            raise WrongUse(f"--bound is required for {typed}: {typed}=LO:HI")
-    for name in bounds:
-        if name not in names:
-            typed = hyphenated(name)
-            raise WrongUse(f"--bound is of {typed}, which is not free: add --over {typed}")
-    return {name: bounds[name] for name in names}
-
-
-def objective_of(texts: list[str]) -> str | dict[str, float]:
+def objective_of(texts: tuple[str, ...]) -> str | dict[str, float]:
     """Read one objective by name, or the weights of several."""
     if len(texts) == 1 and "=" not in texts[0]:
         return hyphenated(texts[0])
@@ -201,31 +206,32 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
             value = float(weight)
         except ValueError:
             raise WrongUse(f"--objective must be one NAME, or NAME=WEIGHT, not {text}") from None
-        refuse_again("--objective", name, weights)
+        if name in weights:
+            raise WrongUse(f"--objective is given twice for {name}")
         weights[name] = value
     return weights
 
 
-def optimum_in_words(walker: System, answer: dict, objective: str) -> Iterator[str]:
+def optimum_in_words(walker: "wj.System", answer: dict, objective: str) -> Iterator[str]:
     """Write the answer of `optimise`."""
+    from walker_jax.design.results import ENDS
+    from walker_jax.walkers.parameters import describe_in_words
+
     yield f"{objective}, {describe_in_words(walker)}"
     for end in ENDS:
         values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())
         exact, error = answer["exact"][end], answer["exact_error"][end]
         yield f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else "")
+    yield from (f"  {end}: {answer['note'][end]}" for end in ENDS if answer["note"][end])
     before, after = (answer["exact"][end] for end in ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
-    for end in ENDS:
-        if answer["note"][end]:
-            yield f"  {end}: {answer['note'][end]}"
     yield f"  a change of {after - before:+.4g}{factor}"
-    place = "inside the bounds"
-    if answer["at_bound"]:
-        place = f"at a bound of {', '.join(answer['at_bound'])}"
+    bounded = ", ".join(answer["at_bound"])
+    place = f"at a bound of {bounded}" if bounded else "inside the bounds"
     if answer["binding"]:
         place += f", held by the limit of {', '.join(answer['binding'])}"
     end = "converged" if answer["converged"] else "not converged"
     if answer["out_of_time"]:
         end = "out of time: the same command goes on"
     yield f"  {place}; {end}, {answer['evaluations']} evaluations"
-    yield f"  {conclude_optimum(answer)}"
+    yield "  A wider --bound, more --starts or another --seed may find a better one."

@@ -1,103 +1,33 @@
-"""Options that several commands share, and checks of their values."""
+"""Options of commands: each is declared once, with its kind of value, its default and its help.
 
-import math
-from collections.abc import Callable, Container
-from dataclasses import dataclass
-from typing import Annotated, Any
+They stand in groups, the themes of the help. A command is given one object for each of its groups:
 
-import typer
+    class Search(Group, theme="Search"):
+        period: int = whole(1, "Strides in a cycle.")
 
-from walker_jax.checks import WrongUse
-from walker_jax.cli.groups import option
-from walker_jax.cli.rewording import option_of
-from walker_jax.systems.system import System
-from walker_jax.walkers.model import is_planar
-from walker_jax.walkers.parameters import check_parameter
+This module loads without JAX, as do all modules of commands.
+"""
 
-Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
-OUTPUT = {"rich_help_panel": "Output"}
-"""Setting that puts an option among those of output in the help, whatever its group."""
-RANGE_FORM = "NAME=LO:HI:N"
-PHIDOT_HELP = "Rate between the legs, on sections that have it"
+import dataclasses
+import operator
+from collections.abc import Iterable
+from math import isfinite
+from pathlib import Path
+from typing import Any, ClassVar, dataclass_transform
 
+import click
+from click.shell_completion import CompletionItem
 
-@dataclass(frozen=True)
-class Pieces:
-    """The processes that compute the pieces of a data set."""
+from walker_jax.refusals import Refusal, WrongUse
 
-    theme = "Processes"
-    workers: int | None = option(None, "Processes that share the cores (Dask).", min=1)
-    scheduler: str | None = option(
-        None, "Scheduler of a Dask cluster, to compute pieces there.", metavar="ADDRESS"
-    )
-
-    def cluster(self) -> int | str | None:
-        """Return the number of workers or the scheduler's address; None stands for this process."""
-        return self.scheduler if self.workers is None else self.workers
+LONGEST = 60
+"""Most characters of a value that are shown."""
+HOLDS = {"at least": operator.ge, "at most": operator.le, "above": operator.gt}
 
 
-def refuse(reason: str, **options: Any) -> None:
-    """Refuse the first of these options that is given, for this reason."""
-    for name, given in options.items():
-        if given is not None:
-            raise WrongUse(f"{option_of(name)} {reason}")
-
-
-def refuse_without_picture(walker: System, **options: Any) -> None:
-    """Refuse options that are only for systems whose walks are drawn."""
-    if walker.picture() is None:
-        refuse(f"is for walkers, not for {walker.label()}: leave it out", **options)
-
-
-def refuse_without_ground(walker: System, **options: Any) -> None:
-    """Refuse options that are only for systems on ground that may be rough."""
-    if not is_planar(walker):
-        refuse(f"is for walkers in the plane, not for {walker.label()}: leave it out", **options)
-
-
-def check_finite(**options: float | None) -> None:
-    """Refuse NaN and infinity as values of these options."""
-    for name, value in options.items():
-        if value is not None and not math.isfinite(value):
-            raise WrongUse(f"{option_of(name)} must be finite, not {value}")
-
-
-def check_range(walker: System, name: str, low: float, high: float) -> None:
-    """Refuse values that the parameter cannot have, and a range that does not rise."""
-    check_parameter(walker, name, low, high)
-    if not low < high:
-        raise WrongUse(f"--from {low:g} must be below --to {high:g}")
-
-
-def read_numbers(
-    option: str, form: str, kinds: tuple[Callable, ...], text: str
-) -> tuple[str, list[Any]]:
-    """Read a text like NAME=LO:HI: the name of a parameter, and numbers of these kinds.
-
-    The name may have hyphens or underscores.
-    """
-    name, _, numbers = text.partition("=")
-    try:
-        pairs = zip(kinds, numbers.split(":"), strict=True)
-        return underscored(name), [kind(number) for kind, number in pairs]
-    except ValueError:
-        raise WrongUse(f"{option} must be {form}, not {text}") from None
-
-
-def read_range(option: str, text: str) -> tuple[str, float, float, int]:
-    """Read the name of a parameter, the ends of its range, and the number of its values."""
-    kinds = float, float, int
-    name, (low, high, count) = read_numbers(option, RANGE_FORM, kinds, text)
-    if not low < high or count < 2 or not math.isfinite(high - low):
-        raise WrongUse(f"{option} {text} must have LO below HI, both finite, and N of 2 or more")
-    return name, low, high, count
-
-
-def refuse_again(option: str, name: str, earlier: Container[str]) -> None:
-    """Refuse an option that is given twice for the same name."""
-    if name in earlier:
-        raise WrongUse(f"{option} is given twice for {hyphenated(name)}")
+def option_of(argument: str) -> str:
+    """Return the option that sets an argument of this name."""
+    return f"--{hyphenated(argument)}"
 
 
 def hyphenated(name: str) -> str:
@@ -108,3 +38,232 @@ def hyphenated(name: str) -> str:
 def underscored(name: str) -> str:
     """Return a typed name as it is in the library."""
     return name.replace("-", "_")
+
+
+def shown(value: str) -> str:
+    """Return the beginning of a value, on one line; quotes stand for an empty value."""
+    return " ".join(value.split())[:LONGEST] or "''"
+
+
+def name_of(param: Any) -> str:
+    """Return an option as it is typed, or an argument as the help names it."""
+    return param.opts[0] if isinstance(param, click.Option) else param.metavar
+
+
+class Number(click.ParamType):
+    """A finite number, between bounds."""
+
+    name, noun, read = "X", "a number", float
+
+    def __init__(self, least: float | None = None, most: float | None = None, above: Any = None):
+        bounds = {"at least": least, "at most": most, "above": above}
+        self.bounds = {word: bound for word, bound in bounds.items() if bound is not None}
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        try:
+            number = self.read(value)
+        except ValueError:
+            raise WrongUse(f"{name_of(param)} must be {self.noun}, not {shown(value)}") from None
+        if not all(HOLDS[word](number, bound) for word, bound in self.bounds.items()):
+            bounds = " and ".join(f"{word} {bound}" for word, bound in self.bounds.items())
+            raise WrongUse(f"{name_of(param)} must be {bounds}, not {shown(str(value))}")
+        if not isfinite(number):
+            raise WrongUse(f"{name_of(param)} must be finite, not {number}")
+        return number
+
+
+class Whole(Number):
+    """A whole number, between bounds."""
+
+    name, noun, read = "N", "a whole number", int
+
+
+RANGE = "LO:HI:N"
+"""Ends of a range, and its number of values."""
+Axis = tuple[float, float, int]
+"""Ends of an axis, and its number of cells."""
+
+
+class Choice(click.Choice):
+    """One of some words."""
+
+    def __init__(self, *choices: str):
+        super().__init__(choices)
+        self.name = "|".join(choices)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value not in self.choices:
+            words = ", ".join(self.choices)
+            raise WrongUse(f"{name_of(param)} must be one of {words}, not {shown(value)}")
+        return value
+
+
+class Place(click.ParamType):
+    """A place on disk."""
+
+    name = "FILE"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Path:
+        return Path(value)
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        return [CompletionItem(incomplete, type="file")]
+
+
+class Named(click.ParamType):
+    """The name of a parameter or coordinate, and numbers in one of some forms."""
+
+    kinds: ClassVar = {"LO": float, "HI": float, "VALUE": float, "N": int}
+
+    def __init__(self, *forms: str):
+        self.forms = {form.count(":"): form.split(":") for form in forms}
+        self.name = " or ".join(f"NAME={form}" for form in forms)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, Any]:
+        option = name_of(param)
+        name, _, text = value.partition("=")
+        try:
+            pairs = zip(self.forms.get(text.count(":"), ()), text.split(":"), strict=True)
+            numbers: Any = tuple(self.kinds[word](number) for word, number in pairs)
+        except ValueError:
+            raise WrongUse(f"{option} must be {self.name}, not {value}") from None
+        match numbers:
+            case (number,):
+                if not isfinite(number):
+                    raise WrongUse(f"{option} must be finite, not {number}")
+                return underscored(name), number
+            case (low, high, count) if not (low < high and isfinite(high - low) and count >= 2):
+                raise WrongUse(
+                    f"{option} {value} must have LO below HI, both finite, and N of 2 or more"
+                )
+        return underscored(name), numbers
+
+
+def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the numbers that an option is given for each name; refuse a name given twice."""
+    found: dict[str, Any] = {}
+    for name, numbers in pairs:
+        if name in found:
+            raise WrongUse(f"{name_of(param)} is given twice for {hyphenated(name)}")
+        found[name] = numbers
+    return found
+
+
+def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
+    """Make an option of a group, with settings of `Option`; a name follows from its field."""
+    return dataclasses.field(default=default, metadata={"flags": flags, "help": help, **settings})
+
+
+def number(default: Any, help: str, *flags: str, **settings: Any) -> Any:
+    """Make an option for a number, with the bounds of `Number`."""
+    bounds = {name: settings.pop(name, None) for name in ("least", "most", "above")}
+    return option(default, help, *flags, type=Number(**bounds), **settings)
+
+
+def whole(default: Any, help: str, least: int = 1, most: int | None = None, **more: Any) -> Any:
+    """Make an option for a whole number between bounds."""
+    return option(default, help, type=Whole(least, most), **more)
+
+
+def place(help: str) -> Any:
+    """Make an option for a place on disk, by default none."""
+    return option(None, help, type=Place())
+
+
+def named(help: str, *forms: str, **settings: Any) -> Any:
+    """Make an option that may be given for several names; its value is a dictionary of them."""
+    return option((), help, type=Named(*forms), multiple=True, callback=collect, **settings)
+
+
+def axis_option(help: str, **settings: Any) -> Any:
+    """Make an option for the ends of an axis and its number of cells."""
+    kinds = [Number(), Number(), Whole()]
+    return option(None, help, type=click.Tuple(kinds), metavar="LO HI N", **settings)
+
+
+def argument(metavar: str, help: str) -> Any:
+    """Make a required place, given without an option's name."""
+    return dataclasses.field(metadata={"metavar": metavar, "help": help})
+
+
+class Option(click.Option):
+    """An option of a theme of the help, which may exclude others, by their fields."""
+
+    def __init__(self, names: Iterable[str], *, theme: str, excludes: Any = (), **settings: Any):
+        flag = isinstance(settings["default"], bool)
+        settings.setdefault("is_flag", flag)
+        if not flag:
+            settings.setdefault("metavar", getattr(settings.get("type"), "name", "NAME"))
+        super().__init__([*names], **settings)
+        self.theme, self.excludes = theme, excludes
+
+
+@dataclass_transform(frozen_default=True)
+class Group:
+    """Options of one theme; subclasses are frozen dataclasses, and each field is an option."""
+
+    theme: ClassVar[str]
+
+    def __init_subclass__(cls, theme: str | None = None):
+        cls.theme = theme or cls.theme
+        dataclasses.dataclass(frozen=True)(cls)
+
+
+class Ranged(Group):
+    """Options by which a parameter, by default the slope, goes over a range."""
+
+    theme = "Range"
+    over: str = option("slope", "The parameter.")
+    low: float | None = number(None, "Lowest value.", "--from")
+    high: float | None = number(None, "Highest.", "--to")
+
+    @property
+    def ranged(self) -> tuple[str, float | None] | None:
+        """The parameter and its lowest value, if it has a range."""
+        return underscored(self.over), self.low
+
+    def check(self, walker: Any, low: float, high: float) -> None:
+        """Refuse values that the parameter cannot have, and a range that does not rise."""
+        from walker_jax.walkers.parameters import check_parameter
+
+        check_parameter(walker, underscored(self.over), low, high)
+        if not low < high:
+            raise WrongUse(f"--from {low:g} must be below --to {high:g}")
+
+
+def options_of(group: Any) -> list[click.Parameter]:
+    """Return the options of a group; those of an instance have its values for defaults."""
+    found: list[click.Parameter] = []
+    for field in dataclasses.fields(group):
+        settings = {"theme": group.theme, **field.metadata}
+        if "flags" not in settings:
+            one = click.Argument([field.name], type=Place(), metavar=settings["metavar"])
+            vars(one).update(theme=group.theme, help=settings["help"])
+            found.append(one)
+            continue
+        flags = settings.pop("flags") or [option_of(field.name)]
+        settings["default"] = getattr(group, field.name)
+        found.append(Option([field.name, *flags], **settings))
+    return found
+
+
+def refuse(reason: str, **options: Any) -> None:
+    """Refuse the first of these options that is given, for this reason."""
+    for name, given in options.items():
+        if given is not None:
+            raise WrongUse(f"{option_of(name)} {reason}")
+
+
+REWORDED = {"parameter": "--over", "bounds": "--bound", "grid": "--axis"}
+"""Arguments of the library with options of other names."""
+
+
+def message_of(error: Refusal) -> str:
+    """Return a message of the library with options in the places of the arguments at fault."""
+    *before, last = map(str, error.args)
+    words = last.split(" ")
+    for argument in error.arguments:
+        places = [i for i, word in enumerate(words) if word.rstrip(",:;") == argument]
+        for i in places[-1:]:
+            words[i] = words[i].replace(argument, REWORDED.get(argument) or option_of(argument))
+    return ": ".join([*before, " ".join(words)])

@@ -1,37 +1,37 @@
 """`walker-jax prove`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import walker_jax as wj
-from walker_jax.basins.windows import grid_along
 from walker_jax.cli.answers import Output, request_for
-from walker_jax.cli.conclusions import conclude_proof
-from walker_jax.cli.groups import option
-from walker_jax.cli.section import Window
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.proofs.basin_proofs import summarise_proof
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import describe_in_words
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import Group, number, whole
+from walker_jax.cli.section import SlicedWindow
 
 
-@dataclass(frozen=True)
-class Disc:
-    theme = "Theorem"
-    radius: float | None = option(
-        None, "Radius of a disc about the gait, in (theta, thetadot), instead of a window."
+class Theorem(Group, theme="Theorem"):
+    radius: float | None = number(
+        None,
+        "Radius of a disc about the gait, in (theta, thetadot), instead of a window.",
+        excludes=("theta", "sum", "at_phidot", "axis"),
+        above=0,
     )
-    levels: int = option(12, "Halve undecided cells this many times.", min=0)
+    levels: int = whole(12, "Halve undecided cells this many times.", least=0)
 
 
-@takes_walker()
-def prove(
-    walker: System,
-    disc: Disc,
-    window: Window,
-    output: Output = Output(Path("proof.zarr")),
-) -> None:
+@command(
+    *(Theorem, SlicedWindow, Output(Path("proof.zarr"))),
+    examples=(
+        "prove --radius 0.00223",
+        "prove --slope 0.009 --radius 0.00223",
+        "prove --theta 0.1 0.2 20 --sum -0.02 0.01 30 --levels 4",
+    ),
+    time="Half a minute for the first example, most of it to compile.",
+    systems=False,
+)
+def prove(walker: "wj.System", asked: Theorem, window: SlicedWindow, output: Output) -> None:
     """Prove that all starts near a gait walk for ever, or which of a window do.
 
     Arithmetic with rigorous bounds carries cells of starts from stride to stride, until all of a
@@ -40,12 +40,18 @@ def prove(
     of its starts that walk for ever; --levels 4 is then enough for a picture. What is interrupted
     is resumed by the same command.
     """
-    axes = window.axes(walker) if disc.radius is None else {}
-    request = request_for("prove", walker, radius=disc.radius, axes=axes, levels=disc.levels)
+    from walker_jax.basins.windows import fill_around_gait, grid_along
+    from walker_jax.proofs.basin_proofs import summarise_proof
+    from walker_jax.proofs.provable import check_provable
+
+    check_provable(walker)
+    radius = asked.radius
+    axes = window.axes(walker) if radius is None else {}
+    request = request_for("prove", walker, radius=radius, axes=axes, levels=asked.levels)
 
     def compute():
-        region = grid_along(axes) if disc.radius is None else disc.radius
-        how = {"levels": disc.levels, "progress": True, **output.place(request)}
+        region = grid_along(fill_around_gait(walker, axes)) if radius is None else radius
+        how: Any = {"levels": asked.levels, "progress": True, **output.place(request)}
         return wj.prove_basin(walker, region, **how)
 
     data = output.produce(request, compute, "proof", kept=True)
@@ -53,8 +59,10 @@ def prove(
     output.tell(answer, proof_in_words(walker, answer))
 
 
-def proof_in_words(walker: System, answer: dict) -> Iterator[str]:
+def proof_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
     """Write the theorem, or the bounds that are proved."""
+    from walker_jax.walkers.parameters import describe_in_words
+
     cells = answer["cells"]
     yield f"Proof, {describe_in_words(walker)}"
     if answer["radius"] and answer["all_walk"]:
@@ -67,4 +75,4 @@ def proof_in_words(walker: System, answer: dict) -> Iterator[str]:
     yield f"  cells that walk {cells['walk']}, fall {cells['fall']}, are open {cells['open']}"
     size, strides = answer["trap"]["size"], answer["verified_strides"]
     yield f"  {strides} verified strides; trap of size {size:.4g}"
-    yield f"  {conclude_proof(proved=not cells['open'] or answer['all_walk'])}"
+    yield "  proofs.md says what a proof rests on; more --levels decide more of the open cells."

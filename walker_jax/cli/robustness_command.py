@@ -1,79 +1,91 @@
 """`walker-jax robustness`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import walker_jax as wj
-from walker_jax.basins.windows import grid_along
-from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, listed, request_for, slope_of
-from walker_jax.cli.conclusions import conclude_robustness
-from walker_jax.cli.groups import option
+from walker_jax.cli.commands import command
 from walker_jax.cli.options import (
-    check_finite,
-    check_range,
+    Axis,
+    Group,
+    Ranged,
+    axis_option,
     hyphenated,
+    number,
+    option,
     refuse,
-    refuse_without_ground,
     underscored,
+    whole,
 )
-from walker_jax.cli.section import AXIS, Axis, Region, asked_of, axes_of_region, check_section
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.design.evaluation import check_starts
-from walker_jax.grids import Grid
-from walker_jax.stability.robustness_fields import summarise_robustness
-from walker_jax.systems.outcomes import outcome_in_words
-from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import space_decimals, write_description
+from walker_jax.cli.section import Region, asked_of, axes_of_region, check_section
+from walker_jax.refusals import WrongUse
 
 
-@dataclass(frozen=True)
+class Table(Ranged, theme="Slopes"):
+    over: str = option("slope", "The parameter of a table, with --from and --to.")
+    low: float | None = number(None, "Lowest slope, or value, of a table.", "--from")
+    count: int | None = whole(None, "Rows of the table (default: 20).", least=2)
+
+    @property
+    def ranged(self) -> tuple[str, float | None] | None:
+        return None if self.low is None else super().ranged
+
+    def values(self, walker: "wj.System") -> list[float] | None:
+        """Return the values of the parameter; None without a table."""
+        from walker_jax.walkers.parameters import space_decimals
+
+        if (self.low is None) != (self.high is None):
+            raise WrongUse("--from and --to are for a table: give both or none")
+        if self.low is None or self.high is None:
+            over = None if self.over == "slope" else self.over
+            refuse("is for a table: give --from and --to too", count=self.count, over=over)
+            return None
+        self.check(walker, self.low, self.high)
+        return space_decimals(self.low, self.high, self.count or 20)
+
+
 class BasinRegion(Region):
-    theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.7854 200).", **AXIS)
-    sum: Axis | None = option(
-        None,
-        "theta + thetadot (simplest: -0.12 0.06 200, else -1.1 0.1 800).",
-        **AXIS,
+    theta: Axis | None = axis_option("Stance angle, rad (default: 0 0.7854 200).")
+    sum: Axis | None = axis_option(
+        "theta + thetadot (simplest: -0.12 0.06 200, else -1.1 0.1 800)."
     )
 
-    def grid(self, walker: System) -> Grid | None:
+    def grid(self, walker: "wj.System") -> "wj.Grid | None":
         """Return the grid of the region; None for a `basin_region` of the system's own.
 
         The default for other systems is the region of their gaits.
         """
+        from walker_jax.basins.windows import grid_along
+
         grid = super().grid(walker)
-        if type(walker).basin_region is not System.basin_region:
+        if type(walker).basin_region is not wj.System.basin_region:
             return grid
         check_section(walker, self.axis)
         return grid or grid_along(axes_of_region(walker))
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Measures"
-    levels: int = option(4, "Halve boundary cells this many times.", min=0, max=8)
-    disturbances: float = option(
-        0.1, "Largest disturbance for basin stability, as a share of the gait's state."
+class Measures(Group, theme="Measures"):
+    levels: int = whole(4, "Halve boundary cells this many times.", least=0, most=8)
+    disturbances: float = number(
+        0.1, "Largest disturbance for basin stability, as a share of the gait's state.", above=0
     )
-    strides: int = option(500, "Strides in which a walker may come back.", min=1)
-    ground: float | None = option(
-        None,
-        "Standard deviation of steps of rough ground: how long walks last there.",
-        min=0,
+    strides: int = whole(500, "Strides in which a walker may come back.")
+    ground: float | None = number(
+        None, "Standard deviation of steps of rough ground: how long walks last there.", least=0
     )
-    seed: int = option(0, "Seed of random numbers.", min=0)
+    seed: int = whole(0, "Seed of random numbers.", least=0)
 
-    def settings(self, walker: System) -> dict[str, Any]:
+    def settings(self, walker: "wj.System") -> dict[str, Any]:
         """Return the arguments of the library's `robustness`."""
-        check_finite(disturbances=self.disturbances, ground=self.ground)
-        if self.disturbances <= 0:
-            raise WrongUse(f"--disturbances must be above 0, not {self.disturbances}")
-        refuse_without_ground(walker, ground=self.ground)
+        from walker_jax.design.evaluation import check_starts
+        from walker_jax.walkers.model import is_planar
+
+        if not is_planar(walker):
+            plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
+            refuse(plane, ground=self.ground)
         given = {name: value for name, value in vars(self).items() if value is not None}
         picture = walker.picture()
         if picture is not None and picture.axes == 3:
@@ -81,34 +93,17 @@ class Options:
         return given
 
 
-@dataclass(frozen=True)
-class Table:
-    theme = "Slopes"
-    over: str = option("slope", "The parameter of a table, with --from and --to.", metavar="NAME")
-    low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
-    high: float | None = option(None, "Highest.", "--to")
-    count: int | None = option(None, "Rows of the table (default: 20).", min=2)
-
-    def values(self, walker: System) -> list[float] | None:
-        """Return the values of the parameter; None without a table."""
-        name = underscored(self.over)
-        if (self.low is None) != (self.high is None):
-            raise WrongUse("--from and --to are for a table: give both or none")
-        if self.low is None or self.high is None:
-            over = None if name == "slope" else name
-            refuse("is for a table: give --from and --to too", count=self.count, over=over)
-            return None
-        check_range(walker, name, self.low, self.high)
-        return space_decimals(self.low, self.high, self.count or 20)
-
-
-@takes_walker(systems=True, ranges_over="over", or_one_value=True)
+@command(
+    *(Table, BasinRegion, Measures, Output(Path("robustness.zarr"))),
+    examples=(
+        "robustness --slope 0.009",
+        "robustness --slope 0.009 --ground 0.0002",
+        "robustness --from 0.002 --to 0.018 --count 17 --out slopes.zarr",
+    ),
+    time="Twenty seconds or more for each slope; minutes for walkers with knees.",
+)
 def robustness(
-    walker: System,
-    table: Table,
-    region: BasinRegion,
-    options: Options,
-    output: Output = Output(Path("robustness.zarr")),
+    walker: "wj.System", table: Table, region: BasinRegion, measures: Measures, output: Output
 ) -> None:
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
@@ -117,8 +112,11 @@ def robustness(
     disturbances that it survives; the dimension of the boundary; and on rough ground the mean
     number of strides until it falls.
     """
+    from walker_jax.stability.robustness_fields import summarise_robustness
+    from walker_jax.walkers.parameters import write_description
+
     name, values = underscored(table.over), table.values(walker)
-    how, grid = options.settings(walker), region.grid(walker)
+    how, grid = measures.settings(walker), region.grid(walker)
     asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
     request = request_for("robustness", walker, without=[name] * bool(values), **asked)
     measure: Any = partial(wj.robustness, walker)
@@ -142,7 +140,10 @@ def robustness(
     lines = [f"Robustness, {write_description(about)}"]
     for row, place in zip(rows, places, strict=True):
         lines += measures_in_words(row, place)
-    lines.append(f"  {conclude_robustness(rows, hyphenated(name))}")
+    if values is None:
+        lines.append("  --from and --to show how these depend on a parameter.")
+    else:
+        lines.append("  walker-jax optimise searches for the best between these values.")
     output.tell({"walker": request["walker"]} | answer, lines)
 
 
@@ -163,7 +164,7 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
         fall = row["least_fall"]
         words = "none found" if fall["failure"] is None else disturbance_in_words(fall)
         yield f"    least one from which it falls {words}"
-    if np.isfinite(row["step_down"]):  # it is not computed for walkers in space
+    if row["step_down"] < float("inf"):  # it is not computed for walkers in space
         down = f"{row['step_down']:.8f}"
         if row["step_down_failure"] == "STRIDE":
             down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
@@ -173,7 +174,13 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
     interval = f"{dimension['low']:.3f} to {dimension['high']:.3f}"
     yield f"    dimension of the boundary {dimension['value']:.3f} ({interval})"
     if "steps_to_fall" in row:
-        yield walks_in_words(row["steps_to_fall"])
+        walks = row["steps_to_fall"]
+        mean, low, high = (
+            "inf" if walks[name] is None else f"{walks[name]:.4g}"
+            for name in ("mean", "low", "high")
+        )
+        ground = f"on ground with steps of standard deviation {walks['ground']:g}"
+        yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
 
 
 def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
@@ -192,20 +199,10 @@ def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
     )
 
 
-def walks_in_words(walks: dict) -> str:
-    """Write how long walks last on rough ground."""
-    mean, low, high = (
-        "inf" if value is None or not np.isfinite(value) else f"{value:.4g}"
-        for value in (walks["mean"], walks["low"], walks["high"])
-    )
-    return (
-        f"    on ground with steps of standard deviation {walks['ground']:g} it falls after {mean} "
-        f"strides on average ({low} to {high})"
-    )
-
-
 def disturbance_in_words(disturbance: dict) -> str:
     """Write a least disturbance."""
+    from walker_jax.systems.outcomes import outcome_in_words
+
     end = "leads to another motion"
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"

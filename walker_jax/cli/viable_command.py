@@ -1,59 +1,54 @@
 """`walker-jax viable`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
-from walker_jax.basins.windows import fill_around_gait, grid_along
-from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import Output, request_for
-from walker_jax.cli.conclusions import conclude_kernel
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import RANGE_FORM, Pieces, hyphenated, read_range, refuse_again
+from walker_jax.cli.answers import Output, Pieces, request_for
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option, whole
 from walker_jax.cli.section import Window
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.control.viability import summarise_viability
-from walker_jax.systems.system import System, numbers_of
-from walker_jax.walkers.parameters import check_parameter, describe_in_words
+from walker_jax.refusals import WrongUse
 
 
-@dataclass(frozen=True)
-class WholeWindow(Window):
-    """A window without slices."""
-
-    at_phidot: float | None = option(None, "", hidden=True)
-    axis: list[str] | None = option(
-        None, "An axis by name, for each coordinate of the section.", metavar=RANGE_FORM
-    )
-
-
-@dataclass(frozen=True)
-class Options:
-    theme = "Actions"
-    action: list[str] | None = option(
-        None,
+class Actions(Group, theme="Actions"):
+    action: dict[str, Axis] = named(
         "A parameter that is chosen anew before each stride, with N values; all combinations of "
         "several.",
-        metavar=RANGE_FORM,
+        RANGE,
     )
     no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
-    levels: int = option(
-        0,
-        "Halve cells between the bounds this many times: narrows the bounds.",
-        min=0,
-        max=8,
+    levels: int = whole(
+        0, "Halve cells between the bounds this many times: narrows the bounds.", least=0, most=8
     )
 
+    def check(self, walker: "wj.System") -> None:
+        """Refuse actions that are no parameters of the walker, or that it cannot have."""
+        from walker_jax.systems.system import numbers_of
+        from walker_jax.walkers.parameters import check_parameter
 
-@takes_walker(systems=True)
+        if not self.action:
+            example = "--action push-off=0:0.1:16"
+            raise WrongUse(f"--action NAME={RANGE} is required, such as {example}")
+        for name, (low, high, _) in self.action.items():
+            if name not in (known := numbers_of(walker)):
+                names = ", ".join(map(hyphenated, known))
+                raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
+            check_parameter(walker, name, low, high)
+
+
+@command(
+    *(Window, Actions, Pieces, Output(Path("viable.zarr"))),
+    examples=(
+        "viable --walker powered --action push-off=0:0.1:17 --theta 0 0.8 160 --sum -0.4 0.05 180",
+        "viable --system torso-wheel --action lean=0.1:0.9:9 --axis thetadot=-1.2:0:30 --axis "
+        "psi=-0.4:1.2:32 --axis psidot=-1:1:20",
+    ),
+    time="Half a minute for the first example.",
+)
 def viable(
-    walker: System,
-    window: WholeWindow,
-    options: Options,
-    pieces: Pieces,
-    output: Output = Output(Path("viable.zarr")),
+    walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, output: Output
 ) -> None:
     """Compute how large the basin could be: from where some choice of actions walks for ever.
 
@@ -63,18 +58,21 @@ def viable(
     counted too. The window must hold all coordinates of the section: of two, its default is that of
     the command basin; of three, --axis gives each, and the picture is the slice in the middle.
     """
-    actions = actions_of(walker, options.action or [])
+    from walker_jax.basins.windows import fill_around_gait, grid_along
+    from walker_jax.control.viability import summarise_viability
+
+    asked.check(walker)
     if len(walker.section) > 2 and not window.axis:
         section = ", ".join(walker.section)
         raise WrongUse(
-            f"--axis NAME=LO:HI:N is required for each of {section}: a slice is not enough"
+            f"--axis NAME={RANGE} is required for each of {section}: a slice is not enough"
         )
-    axes = window.axes(walker, most=3)
-    how: dict[str, Any] = {"bounds": not options.no_bounds, "levels": options.levels}
-    if options.no_bounds and options.levels:
+    axes, actions = window.axes(walker, most=3), asked.action
+    if asked.no_bounds and asked.levels:
         raise WrongUse("--levels narrows the bounds: leave out --no-bounds")
+    how: Any = {"bounds": not asked.no_bounds, "levels": asked.levels}
     request = request_for("viable", walker, axes=axes, actions=actions, **how)
-    how |= {"cluster": pieces.cluster(), "progress": True, **output.place(request)}
+    how |= {"cluster": pieces.cluster, "progress": True, **output.place(request)}
 
     def compute():
         return wj.viable(walker, grid_along(fill_around_gait(walker, axes)), actions, **how)
@@ -84,24 +82,10 @@ def viable(
     output.tell(answer, kernel_in_words(walker, answer))
 
 
-def actions_of(walker: System, texts: list[str]) -> dict[str, tuple[float, float, int]]:
-    """Read the range of each parameter that --action names."""
-    if not texts:
-        raise WrongUse(f"--action {RANGE_FORM} is required, such as --action push-off=0:0.1:16")
-    actions: dict[str, tuple[float, float, int]] = {}
-    for text in texts:
-        name, low, high, count = read_range("--action", text)
-        refuse_again("--action", name, actions)
-        if name not in (known := numbers_of(walker)):
-            names = ", ".join(map(hyphenated, known))
-            raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
-        check_parameter(walker, name, low, high)
-        actions[name] = low, high, count
-    return actions
-
-
-def kernel_in_words(walker: System, answer: dict) -> Iterator[str]:
+def kernel_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
     """Write the answer of `viable`."""
+    from walker_jax.walkers.parameters import describe_in_words
+
     yield f"Viability kernel, {describe_in_words(walker)}"
     ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in answer["actions"].items()]
     yield f"  actions: {', '.join(ranges)}"
@@ -115,4 +99,7 @@ def kernel_in_words(walker: System, answer: dict) -> Iterator[str]:
         yield f"  level {n}: {areas}, {one['mapped']} cells mapped"
     for n, area in enumerate(answer["capturable"], 1):
         yield f"  caught within {n} {'stride' if n == 1 else 'strides'}: {area:.6g}"
-    yield f"  {conclude_kernel(answer['area'], answer['target_area'])}"
+    yield (
+        "  In this window, as far as the grid tells, no controller with these actions has a "
+        "larger basin than the kernel."
+    )

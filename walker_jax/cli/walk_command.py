@@ -1,32 +1,16 @@
 """`walker-jax walk`."""
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
-from jaxtyping import Float
-
 import walker_jax as wj
-from walker_jax import storage
-from walker_jax.basins.windows import film_window
-from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import check_film, request_for, tell
-from walker_jax.cli.conclusions import conclude_walk
-from walker_jax.cli.groups import option
-from walker_jax.cli.options import (
-    OUTPUT,
-    check_finite,
-    refuse_without_ground,
-    refuse_without_picture,
-)
+from walker_jax.cli.answers import Files, in_words, is_map, request_for
+from walker_jax.cli.commands import command
+from walker_jax.cli.options import Group, number, place, refuse, whole
 from walker_jax.cli.section import Start, begin_at, has_own_options, has_plane
-from walker_jax.cli.walker_options import takes_walker
-from walker_jax.execution.progress import bar
-from walker_jax.systems.outcomes import name_of_outcome, outcome_in_words
-from walker_jax.systems.system import System
-from walker_jax.walkers.model import State, moves_like
+from walker_jax.refusals import WrongUse
 
 PAPER_START = {"theta": 0.2, "thetadot": -0.21645}
 """The start of the walk in Table 1 of Schwab and Wisse (2001)."""
@@ -34,27 +18,34 @@ FRAME_INTERVAL = 0.15
 """Time between two frames of a film: 1/20 s for legs of one metre."""
 
 
-@dataclass(frozen=True)
-class Options:
-    theme = "Walk"
-    strides: int = option(9, "Strides at most.", min=1, max=1_000_000)
-    ground: float | None = option(None, "Standard deviation of the steps of rough ground.", min=0)
-    seed: int = option(0, "Seed of random numbers.", min=0)
-    animate: Path | None = option(
-        None, "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
+class Walk(Group, theme="Walk"):
+    strides: int = whole(9, "Strides at most.", most=1_000_000)
+    ground: float | None = number(None, "Standard deviation of the steps of rough ground.", least=0)
+    seed: int = whole(0, "Seed of random numbers.", least=0)
+    animate: Path | None = place(
+        "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
     )
-    overwrite: bool = option(False, "Replace what is there.", **OUTPUT)
-    as_json: bool = option(False, "Print the answer as JSON.", "--json", **OUTPUT)
 
-    def heights(self) -> Float[np.ndarray, " strides"] | None:
+    def heights(self) -> Any:
         """Return the heights of the steps of rough ground, if it is rough."""
+        import numpy as np
+
         if self.ground is None:
             return None
         return self.ground * np.random.default_rng(self.seed).normal(size=self.strides)
 
 
-@takes_walker(systems=True)
-def walk(walker: System, start: Start, options: Options) -> None:
+@command(
+    *(Start, Walk, Files),
+    examples=(
+        "walk",
+        "walk --theta 0.16 --thetadot -0.17 --strides 20",
+        "walk --animate walk.gif",
+        "walk --slope 0.009 --ground 0.0005 --seed 1 --strides 100 --animate rough.gif",
+    ),
+    time="A few seconds; a film half a minute.",
+)
+def walk(walker: "wj.System", start: Start, asked: Walk, files: Files) -> None:
     """Walk from one start, stride by stride, until a failure.
 
     With --ground each foothold is higher or lower than the one before, at random. States are full
@@ -64,69 +55,85 @@ def walk(walker: System, start: Start, options: Options) -> None:
     film shows the walker, about as fast as one with legs of one metre, and its trajectory in the
     basin.
     """
-    check_finite(ground=options.ground)
-    refuse_without_ground(walker, ground=options.ground)
-    refuse_without_picture(walker, animate=options.animate)
+    import numpy as np
+
+    from walker_jax import storage
+    from walker_jax.execution.progress import bar
+    from walker_jax.systems.outcomes import name_of_outcome
+    from walker_jax.walkers.model import is_planar, moves_like
+
+    if not is_planar(walker):
+        other = f"not for {walker.label()}: leave it out"
+        refuse(f"is for walkers in the plane, {other}", ground=asked.ground)
+        if walker.picture() is None:
+            refuse(f"is for walkers, {other}", animate=asked.animate)
     given = start.coordinates(walker)
     if moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
-    ground = {} if options.ground is None else {"ground": options.ground, "seed": options.seed}
-    request = request_for("walk", walker, start=given, strides=options.strides, **ground)
-    if options.animate is not None:
-        check_film(options.animate, request, overwrite=options.overwrite)
+    rough = asked.ground is not None
+    ground = {"ground": asked.ground, "seed": asked.seed} if rough else {}
+    request = request_for("walk", walker, start=given, strides=asked.strides, **ground)
+    files.check_film(asked.animate, request)
     with bar("walk", True):
         begin = begin_at(walker, given)
-        made = wj.walk(walker, begin, options.strides, ground=options.heights())
+        made = wj.walk(walker, begin, asked.strides, ground=asked.heights())
     outcomes = np.asarray(made.outcomes)
     if outcomes[0] == wj.Outcome.OUTSIDE:
         refuse_start(walker, begin)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
-    count = min(completed + 1, options.strides)
+    count = min(completed + 1, asked.strides)
     answer: dict[str, Any] = {
         "states": np.asarray(made.states)[: completed + 1],
         "outcomes": [name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()],
         "times": np.asarray(made.times)[:count],
     }
-    if options.animate is not None:
-        draw_film(walker, begin, options, options.animate, storage.signature(request))
-    rough = options.ground is not None
-    coordinates = State._fields if rough else walker.section
-    lines = [*walk_in_words(answer, coordinates, rough=rough)]
-    lines += [f"film {options.animate}"] * (options.animate is not None)
-    tell(answer, lines, as_json=options.as_json)
+    if asked.animate is not None:
+        draw_film(walker, begin, asked, asked.animate, storage.signature(request))
+    lines = [*walk_in_words(walker, answer, rough=rough)]
+    lines += [f"film {asked.animate}"] * (asked.animate is not None)
+    files.tell(answer, lines)
 
 
-def draw_film(walker: System, begin: Any, options: Options, place: Path, signature: str) -> None:
+def draw_film(walker: "wj.System", begin: Any, asked: Walk, place: Path, signature: str) -> None:
     """Save the film of a walk."""
     from walker_jax import figures
+    from walker_jax.basins.windows import film_window
 
-    heights, data = options.heights(), None
-    motion = wj.motion(walker, begin, options.strides, step=FRAME_INTERVAL, ground=heights)
+    how: Any = {"step": FRAME_INTERVAL, "ground": asked.heights()}
+    motion, data = wj.motion(walker, begin, asked.strides, **how), None
     if has_plane(walker):
         data = wj.basin(walker, film_window(walker, begin), "direct", progress=True)
     figures.film(motion, place, data, signature=signature, progress=True)
 
 
-def walk_in_words(answer: dict, coordinates: tuple[str, ...], *, rough: bool) -> Iterator[str]:
-    """Write a line for each stride."""
+def walk_in_words(walker: "wj.System", answer: dict, *, rough: bool) -> Iterator[str]:
+    """Write a line for each stride; the steps of a map have no time."""
+    from walker_jax.walkers.model import State
+
+    coordinates = State._fields if rough else walker.section
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
     heads = "  ".join(f"{name:>10}" for name in coordinates)
-    yield f"{'stride':>6}  {heads}  {'time':>8}  outcome"
+    timeless = is_map(walker, answer["times"])
+    yield f"{'stride':>6}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
     strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
     for i, (state, name, duration) in enumerate(strides, start=1):
-        time = "-" if np.isnan(duration) else f"{duration:.4f}"
-        yield f"{i:6}  {row(state)}  {time:>8}  {outcome_in_words(name)}"
+        time = "" if timeless else f"{'-' if math.isnan(duration) else f'{duration:.4f}':>8}  "
+        yield f"{i:6}  {row(state)}  {time}{in_words(name, walker)}"
     if len(answer["states"]) > len(answer["outcomes"]):
         yield f"{'next':>6}  {row(answer['states'][-1])}"
-    yield conclude_walk(answer["outcomes"], rough=rough)
+        yield "It makes all its strides: a larger --strides shows whether it goes on."
+    else:
+        why = "another --seed gives other ground" if rough else "walker-jax explain says why"
+        yield f"It ends in stride {len(answer['outcomes'])}: {why}."
 
 
-def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoReturn:
+def refuse_start(walker: "wj.System", start: Any) -> NoReturn:
     """Raise `WrongUse` for a start that is not feasible, with the condition that it violates."""
+
     form = "--{}" if has_own_options(walker) else "--start {}=VALUE"
     options = " and ".join(map(form.format, walker.section))
     feasible = type(walker).feasible
-    about = feasible.__doc__ if feasible is not System.feasible else None
+    about = feasible.__doc__ if feasible is not wj.System.feasible else None
     condition = (about or "").strip().partition("\n")[0].rstrip(".")
     why = f": {condition}" if condition else ""
     raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}{why}")

@@ -1,230 +1,204 @@
-"""The options that choose the walker, or other system, of a command, and set its parameters."""
+"""The options that choose the walker, or other system, of a command, and set its parameters.
 
-import dataclasses
-import inspect
+The parameters of the package's walkers are known without JAX; a user's own walker, or another
+system, is loaded for its parameters.
+"""
+
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
-from typing import Annotated, Any, get_args
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import equinox as eqx
-import typer
+import click
 
-from walker_jax.checks import WrongUse
-from walker_jax.cli.groups import Command, argument, arguments_of, with_arguments
-from walker_jax.cli.known_options import DEFAULT, PANEL, PREFIX, refuse_foreign, value_of
-from walker_jax.cli.list_walkers import ListWalkers
-from walker_jax.cli.rewording import option_of
-from walker_jax.systems.family import SYSTEMS
-from walker_jax.systems.system import System
-from walker_jax.systems.trees import make_static
-from walker_jax.walkers.family import OPENING, WALKERS
-from walker_jax.walkers.parameters import (
-    Option,
-    Parameter,
-    Tree,
-    options,
-    parameters_of,
-    trees,
-    with_values,
+from walker_jax.cli.information import LIST_WALKERS
+from walker_jax.cli.options import Number, Option, name_of, option_of, underscored
+from walker_jax.refusals import WrongUse
+from walker_jax.systems.parameter import Option as Check
+from walker_jax.systems.parameter import Parameter
+from walker_jax.walkers.parameter_table import DESCRIBED, OPENING
+
+if TYPE_CHECKING:
+    from walker_jax.systems.system import System
+    from walker_jax.walkers.parameters import Tree
+
+DEFAULT = "simplest"
+"""Default walker of all commands."""
+PREFIX = "walker_"
+"""Prefix of a parameter among the values of options: a command may have an option of its name."""
+THEME: Any = {"theme": "Walker", "default": None}
+
+
+def walkers_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
+    """Return the walkers whose names begin so, other packages' too, for completion in a shell."""
+    from walker_jax.walkers.references import installed_walkers
+
+    return [name for name in (*DESCRIBED, *installed_walkers()) if name.startswith(incomplete)]
+
+
+def systems_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
+    """Return the systems whose names begin so, for completion in a shell."""
+    from walker_jax.systems.family import SYSTEMS
+
+    return [name for name in SYSTEMS if name.startswith(incomplete)]
+
+
+WALKER = Option(
+    ["walker", "--walker"],
+    help=f"The model, such as kneed, or FILE.py:CLASS (default: {DEFAULT}).",
+    shell_complete=walkers_that_begin,
+    **THEME,
 )
-from walker_jax.walkers.references import find_system, find_walker, installed_walkers
+SYSTEM = Option(
+    ["system", "--system"],
+    help="Any other system, such as henon, or FILE.py:NAME.",
+    shell_complete=systems_that_begin,
+    **THEME,
+)
+LENIENT = {"ignore_unknown_options": True, "allow_extra_args": True}
+NAMES = click.Command(None, LENIENT, params=[WALKER, SYSTEM], add_help_option=False)
+"""Reads the name of a walker or system from a command line, whatever else is on it."""
 
-OF_WALKERS = {"theta", "thetadot", "sum", "phidot", "at_phidot", "guess"}
-"""Options of commands for coordinates that only walkers have."""
-Kinds = Mapping[str, type[System] | System]
-"""The walkers, or the one system, that a command offers, by their names."""
-Offered = dict[str, dict[str, Any]]
-"""For each name of an option, the `Parameter` or `Option` of each walker that has it."""
+
+class Bounded(Number):
+    """A number within the bounds of a parameter."""
+
+    def __init__(self, parameter: Parameter):
+        super().__init__()
+        self.parameter = parameter
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        number = super().convert(value, param, ctx)
+        if not self.parameter.holds(number):
+            raise WrongUse(f"{name_of(param)} must be {self.parameter.bounds()}, not {number}")
+        return number
 
 
-def takes_walker(
-    *,
-    systems: bool = False,
-    ranges_over: str | None = None,
-    or_one_value: bool = False,
-    opening: bool = False,
-) -> Callable:
-    """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
+class Chosen(NamedTuple):
+    """The walker or other system that a command line names."""
 
-    With `systems` the command takes any other system too. The argument `ranges_over` names a
-    parameter that goes from --from to --to, so its own option is refused; with `or_one_value` that
-    option is allowed if there is no range. With `opening`, walkers have the defaults of `OPENING`.
+    name: str
+    described: Sequence[Any]
+    """Each `Parameter`, `Tree` and `Check` that it has."""
+    kind: Any = None
+    """Its class, or the system itself; None for a walker of the package."""
+    system: bool = False
+    """Whether it is any other system than a walker."""
+
+    def options(self, *, systems: bool) -> list[click.Parameter]:
+        """Return the options that name and set it, for a command that takes `systems` or not."""
+        names = [WALKER, SYSTEM] if systems else [WALKER]
+        return [*names, *map(option_for, self.described), LIST_WALKERS]
+
+    def foreign(self, flag: str) -> str:
+        """Explain an option that only other walkers have; return an empty text for any other."""
+        name = underscored(flag.removeprefix("--"))
+        kinds = {
+            walker: type(one)
+            for walker, described in DESCRIBED.items()
+            for one in described
+            if one.name == name
+        }
+        if Check in kinds.values():
+            return f"{flag} is not an option of {self.name}, but of {', '.join(kinds)}"
+        own = [option_of(one.name) for one in self.described if not isinstance(one, Check)]
+        reason = f"{flag} is not a parameter of {self.name}, which has {', '.join(own) or 'none'}"
+        return reason if kinds else ""
+
+    def build(
+        self, given: Mapping[str, Any], ranged: tuple[str, float | None] | None = None
+    ) -> "System":
+        """Build the walker, with defaults for the parameters that are not given.
+
+        A parameter that is `ranged`, with its lowest value, must not be given as well.
+        """
+        from walker_jax.walkers.family import WALKERS
+        from walker_jax.walkers.parameters import with_values
+
+        kind = WALKERS[self.name] if self.kind is None else self.kind
+        made = dict(self.values(given, *(ranged or ("", None))))
+        return kind(**made) if isinstance(kind, type) else with_values(kind, made)
+
+    def values(
+        self, given: Mapping[str, Any], over: str, low: float | None
+    ) -> Iterator[tuple[str, Any]]:
+        """Yield the value of each parameter and check; the lowest one of the parameter `over`."""
+        for one in self.described:
+            value, option = given.get(PREFIX + one.name), option_of(one.name)
+            if isinstance(one, Check):
+                if value:
+                    yield one.name, one.convert(value)
+            elif isinstance(one, Parameter):
+                if one.name == over:
+                    if value is not None:
+                        raise WrongUse(f"{option} is not for this command: give --from and --to")
+                    if low is None and math.isnan(one.default):
+                        raise WrongUse(f"--from is required: the range of {option[2:]}")
+                    value = low
+                if value is None and math.isnan(one.default):
+                    raise WrongUse(f"{option} is required: {self.name} has no default for it")
+                yield one.name, one.convert(one.default if value is None else value)
+            else:
+                yield one.name, read_tree(one, value)
+
+
+def option_for(one: Any) -> Option:
+    """Make the option of a parameter, of an array or tree of them, or of a check of strides."""
+    names = PREFIX + one.name, option_of(one.name)
+    if isinstance(one, Check):
+        return Option(names, is_flag=True, help=f"{one.meaning}.", **THEME)
+    if not isinstance(one, Parameter):
+        text = "File of its numbers, as eqx.tree_serialise_leaves writes them."
+        return Option(names, metavar="FILE", help=text, **THEME)
+    about = "; ".join(filter(None, (one.meaning, one.unit)))
+    default = "required" if math.isnan(one.default) else f"default: {one.default:g}"
+    return Option(names, type=Bounded(one), help=f"{about} ({default})".strip(), **THEME)
+
+
+def choose(args: Sequence[str], *, systems: bool, opening: bool = False) -> Chosen:
+    """Return the walker that command-line arguments name, or with `systems` any other system.
+
+    With `opening`, walkers have the defaults of `OPENING`.
     """
-
-    def decorate(command: Command) -> Command:
-        vars(command).update(systems=systems, ranges_over=ranges_over, or_one_value=or_one_value)
-        vars(command).update(opening=OPENING if opening else {})
-        return command
-
-    return decorate
-
-
-def offered_kinds(command: Command, args: Sequence[str]) -> Kinds:
-    """Return the package's walkers, or the one walker or system that the arguments name."""
-    name = value_of("--walker", args)
-    system = value_of("--system", args) if vars(command)["systems"] else None
+    named = NAMES.make_context(None, [*args], resilient_parsing=True).params
+    name, system = named["walker"], named["system"] if systems else None
+    if name is not None and system is not None:
+        raise WrongUse("--walker and --system exclude each other: give one of them")
     name = DEFAULT if name is None else name
+    if system is not None or name not in DESCRIBED:
+        return load(name, system)
+    own = OPENING.get(name, {}) if opening else {}
+    described = (
+        one._replace(default=own[one.name]) if one.name in own else one for one in DESCRIBED[name]
+    )
+    return Chosen(name, [*described])
+
+
+def load(name: str, system: str | None) -> Chosen:
+    """Load the system of this name, or else the walker."""
+    from walker_jax.cli.startup import configure_jax  # loads JAX
+
+    configure_jax()
+    from walker_jax.walkers.parameters import options, parameters_of, trees
+    from walker_jax.walkers.references import find_system, find_walker
+
     try:
-        if system is not None:
-            return {system: find_system(system)}
-        return WALKERS if name in WALKERS else {name: find_walker(name)}
+        kind = find_walker(name) if system is None else find_system(system)
     except WrongUse as error:
         raise WrongUse(f"--{error}") from error
+    more = (*trees(kind), *options(kind)) if isinstance(kind, type) else ()
+    described = [*parameters_of(kind), *more]
+    return Chosen(name if system is None else system, described, kind, system is not None)
 
 
-def with_walker_options(command: Command, args: Sequence[str] | None) -> Command:
-    """Replace the walker of a command by options for the walkers that it offers.
-
-    The help lists the options of the walker that `args` name. If `args` is None it lists those of
-    all walkers.
-    """
-    kinds = offered_kinds(command, args or ())
-    named = value_of("--system", args or ()) or value_of("--walker", args or ()) or DEFAULT
-    offered = offered_options(kinds, vars(command)["opening"])
-    told = named if args is not None else None
-    ranges_over: str | None = vars(command)["ranges_over"]
-
-    def takes(walker, list_walkers, system=None, **given):
-        values = {one: given.pop(PREFIX + one) for one in offered}
-        values = {one: value for one, value in values.items() if value is not None}
-        if ranges_over is not None:
-            over, low = given[ranges_over].replace("-", "_"), given["low"]
-            ranged = over in offered and isinstance(first(offered[over]), Parameter)
-            if ranged and (low is not None or not vars(command)["or_one_value"]):
-                values |= lowest_value(first(offered[over]), low, values)
-        name = system or walker
-        return command(walker=build_walker(kinds[name], name, offered, values), **given)
-
-    own = [argument("walker", WALKER, DEFAULT)]
-    own += [argument("system", SYSTEM, None)] if vars(command)["systems"] else []
-    own += [option_for(name, owners, len(kinds), told) for name, owners in offered.items()]
-    own += [argument("list_walkers", ListWalkers, False)]
-    own += [
-        hidden(one) if told is not None and told not in WALKERS and one.name in OF_WALKERS else one
-        for one in arguments_of(command)[1:]
-    ]
-    return with_arguments(own, command, takes)
-
-
-def hidden(one: inspect.Parameter) -> inspect.Parameter:
-    """Hide an option from the help."""
-    _, flag = get_args(one.annotation)
-    flag.hidden = True
-    return one
-
-
-def lowest_value(over: Parameter, low: float | None, given: Container[str]) -> dict[str, float]:
-    """Return the lowest value of a varied parameter, if it is given; refuse its own option."""
-    if over.name in given:
-        raise WrongUse(f"{option_of(over.name)} is not for this command: give --from and --to")
-    if low is None and math.isnan(over.default):
-        raise WrongUse(f"--from is required: the range of {option_of(over.name)[2:]}")
-    return {} if low is None else {over.name: low}
-
-
-def offered_options(
-    kinds: Kinds, opening: Mapping[str, Mapping[str, float]] | None = None
-) -> Offered:
-    """Return the parameters of all walkers, then arrays and trees, then options of their strides.
-
-    `opening` has defaults of some walkers that replace their own.
-    """
-    offered: Offered = {}
-    trees_of = lambda kind: trees(kind) if isinstance(kind, type) else ()
-    checks_of = lambda kind: options(kind) if isinstance(kind, type) else ()
-    for described in (parameters_of, trees_of, checks_of):
-        for name, kind in kinds.items():
-            for one in described(kind):
-                default = (opening or {}).get(name, {}).get(one.name)
-                other = one if default is None else one._replace(default=default)
-                offered.setdefault(one.name, {})[name] = other
-    return offered
-
-
-def first(owners: Mapping[str, Any]) -> Any:
-    """Return the parameter or option of the first walker that has it."""
-    return next(iter(owners.values()))
-
-
-def option_for(
-    name: str, owners: Mapping[str, Any], count: int, told: str | None
-) -> inspect.Parameter:
-    """Make the option for a parameter of the `owners` among `count` walkers.
-
-    The help is that of the walker `told`; if this is None, it covers all owners.
-    """
-    if told is None:
-        panel = PANEL
-    elif told in owners:
-        owners, count, panel = {told: owners[told]}, 1, PANEL
-    else:
-        panel = PANEL | {"hidden": True}
-    one = first(owners)
-    whose = "" if len(owners) == count else f"{', '.join(owners)}: "
-    if isinstance(one, Option):
-        flag = typer.Option(option_of(name), help=f"{whose}{one.meaning}.", **panel)
-        return argument(PREFIX + name, Annotated[bool | None, flag], None)
-    if isinstance(one, Tree):
-        text = f"{whose}File of its numbers, as eqx.tree_serialise_leaves writes them."
-        file = typer.Option(option_of(name), help=text, metavar="FILE", **panel)
-        return argument(PREFIX + name, Annotated[str | None, file], None)
-    about = "; ".join(filter(None, (one.meaning, one.unit)))
-    defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
-    for owner, other in owners.items():
-        if other.default != one.default and not math.isnan(other.default):
-            defaults += f", {owner}: {other.default:g}"
-    text = f"{whose}{about} ({defaults})".strip()
-    number = typer.Option(option_of(name), help=text, show_default=False, metavar="X", **panel)
-    return argument(PREFIX + name, Annotated[float | None, number], None)
-
-
-def names_that_begin(incomplete: str) -> list[str]:
-    """Return the walkers whose names begin so, other packages' too, for completion in a shell."""
-    return [name for name in (*WALKERS, *installed_walkers()) if name.startswith(incomplete)]
-
-
-NAME: Any = PANEL | {"metavar": "NAME"}
-WALKER = Annotated[
-    str,
-    typer.Option(
-        help="The model, such as kneed, or FILE.py:CLASS.",
-        autocompletion=names_that_begin,
-        **NAME,
-    ),
-]
-SYSTEM = Annotated[
-    str | None,
-    typer.Option(
-        help="Any other system, such as henon, or FILE.py:NAME.",
-        autocompletion=lambda incomplete: [one for one in SYSTEMS if one.startswith(incomplete)],
-        **NAME,
-    ),
-]
-
-
-def build_walker(
-    kind: type[System] | System, name: str, offered: Offered, values: dict[str, Any]
-) -> System:
-    """Build the walker of that name, with defaults for the parameters that are not given."""
-    own = {one: owners[name] for one, owners in offered.items() if name in owners}
-    numbers = {one: each.default for one, each in own.items() if isinstance(each, Parameter)}
-    flags = [one for one, whose in offered.items() if isinstance(first(whose), Option)]
-    refuse_foreign(name, values, offered, flags)
-    for one, value in numbers.items():
-        if one not in values and math.isnan(value):
-            raise WrongUse(f"{option_of(one)} is required: {name} has no default for it")
-    read = {
-        one: read_tree(each, values.get(one)) for one, each in own.items() if isinstance(each, Tree)
-    }
-    given = (numbers | values).items()
-    made = {one: own[one].convert(value) for one, value in given if one not in read} | read
-    return kind(**made) if isinstance(kind, type) else with_values(kind, made)
-
-
-def read_tree(tree: Tree, file: str | None) -> Any:
+def read_tree(tree: "Tree", file: str | None) -> Any:
     """Return the numbers of an array or a tree from a file, or its default."""
+    import equinox as eqx
+
+    from walker_jax.systems.trees import make_static
+
     option = option_of(tree.name)
-    if tree.default is dataclasses.MISSING:
+    if tree.default is MISSING:
         raise WrongUse(
             f"{option} needs a default of {tree.name} in its class, to tell the shapes in a file"
         )

@@ -30,12 +30,8 @@ from walker_jax.segments import Segments, narrow
 from walker_jax.stability.margin_changes import differentiate_margins, margins_after
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import (
-    check_parameter,
-    check_parameters,
-    value_of,
-    with_parameter,
-)
+from walker_jax.walkers.choices import Choice, numbers_chosen
+from walker_jax.walkers.parameters import check_parameter, value_of, with_parameter
 
 BISECTIONS = 8
 """Bisections that locate the boundary between two centres."""
@@ -97,7 +93,7 @@ class AreaGradient(NamedTuple):
 def area_gradient(
     walker: System,
     grid: Grid,
-    parameters: Sequence[str] = ("slope",),
+    parameters: Choice = ("slope",),
     *,
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
     levels: int = 2,
@@ -149,7 +145,9 @@ def area_gradient(
 
     - `walker`: a single walker, with numbers for parameters.
     - `grid`: as in `refine`, which divides it at the boundary; its borders are fixed.
-    - `parameters`: names of parameters of the walker.
+    - `parameters`: names of parameters of the walker, of one number or of a whole leaf or tree, as
+      `policy.layers[0].weight`; or a function of the walker that returns leaves, as for
+      `eqx.tree_at`. Derivatives are by all their numbers, those of an array in C order.
     - `bands`: a half width above 0 for each parameter; it is reduced on a side where the walker
       refuses the value.
     - `levels`: number of times that cells on the boundary are halved.
@@ -165,7 +163,8 @@ def area_gradient(
     Raises `ValueError` for parameters that the walker does not have, for bands that are not
     positive numbers, for a grid of one axis, and as `refine`.
     """
-    widths = check_bands(walker, parameters, bands)
+    parameters = numbers_chosen(walker, parameters)
+    widths = check_bands(parameters, bands)
     check_grid(walker, grid, "direct")
     if len(grid.names) not in MAX_WEIGHTS:
         raise WrongUse(f"grid must have two axes or three, not {len(grid.names)}")
@@ -372,12 +371,10 @@ def integrate_along_boundary(
 
 
 def check_bands(
-    walker: System,
     parameters: Sequence[str],
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
 ) -> Float[np.ndarray, " parameters"]:
     """Return the half widths of bands, 1 if none are given; refuse wrong parameters and widths."""
-    check_parameters(walker, parameters)
     widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
     if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
         raise WrongUse(f"bands must be a number above 0 for each parameter, not {short(bands)}")

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.design.evaluation import STEP_SIZES, Evaluation
-from walker_jax.design.measures import gait_measures
+from walker_jax.design.measures import measure_gait
 from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.trace import Trace
 from walker_jax.execution.threads import stopped_when
@@ -82,7 +82,7 @@ def climb_by_steps(
         if trace.is_out_of_time():
             break
         place = problem.place_of(best.parameters)
-        uphill = problem.sign * best.gradient * (problem.high - problem.low)
+        uphill = problem.sign * best.gradient * problem.scale
         downhill = jnp.asarray(-trace.limits.feasible_direction(place, uphill))
         with standard():
             update, state = optimiser.update(downhill, state)
@@ -118,7 +118,7 @@ def step_up(
     problem, begin = trace.problem, trace.problem.place_of(best.parameters)
 
     def goal_of(share: float) -> Float[np.ndarray, " parameters"] | None:
-        return trace.limits.nearest_allowed(np.clip(begin + share * update, 0, 1))
+        return trace.limits.nearest_allowed(problem.within(begin + share * update))
 
     def reach(goal: Float[np.ndarray, " parameters"]) -> Evaluation | None:
         there = trace.measure(run, stage, goal)
@@ -229,14 +229,15 @@ def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
     problem = trace.problem
     for _ in range(MAX_RESCUE_STEPS):
         gait = trace.gait(row.parameters)
-        walker, tolerance = problem.walker_at(row.parameters), problem.tolerance
-        measures = gait_measures(walker, problem.names, gait, tolerance=tolerance)
-        growth = measures["spectral-radius"].gradient * (problem.high - problem.low)
+        walker = problem.walker_at(row.parameters)
+        wanted = ("spectral-radius",)
+        measures = measure_gait(walker, problem.names, gait, wanted, {}, problem.tolerance)
+        growth = measures["spectral-radius"].gradient * problem.scale
         steepest = np.abs(growth).max()
         if not (np.isfinite(steepest) and steepest > 0):
             return None
         place = problem.place_of(row.parameters) - STEP_SIZES[0] * growth / steepest
-        goal = trace.limits.nearest_allowed(np.clip(place, 0, 1))
+        goal = trace.limits.nearest_allowed(problem.within(place))
         if goal is None:
             return None
         row = trace.measure(run, 0, goal)
@@ -252,7 +253,8 @@ def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> st
     if refusal:
         return f"{where}: {refusal}"
     gait = trace.gait(values)
-    measures = gait_measures(problem.walker_at(values), (), gait)
+    how = ("spectral-radius", *problem.limits), problem.functions, problem.tolerance
+    measures = measure_gait(problem.walker_at(values), (), gait, *how)
     radius = measures["spectral-radius"].value
     if np.isnan(radius):
         return f"{where}: no gait is found"

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from walker_jax.checks import refuses_tracers
 from walker_jax.design.area_gradients import check_bands, walkers_at_band_ends
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.derivatives import gait_derivatives
+from walker_jax.gaits.derivatives import GaitPull
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import default_tolerance
@@ -24,6 +24,7 @@ from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_di
 from walker_jax.stability.margin_changes import differentiate_margins, margins_after
 from walker_jax.stability.rays import DENSE
 from walker_jax.systems.system import System
+from walker_jax.walkers.choices import Choice, numbers_chosen
 from walker_jax.walkers.parameters import value_of
 
 JUMP = 1e-6
@@ -44,7 +45,7 @@ class DisturbanceGradient(NamedTuple):
 @refuses_tracers("it gives derivatives itself, by the parameters named")
 def disturbance_gradient(
     walker: System,
-    parameters: Sequence[str] = ("slope",),
+    parameters: Choice = ("slope",),
     gait: Gait | None = None,
     *,
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
@@ -75,9 +76,11 @@ def disturbance_gradient(
     stride. The derivatives are then averages over `bands`, as in `area_gradient`, as far as the
     gait is stable there, or NaN without bands.
 
-    Other arguments and errors are those of `least_disturbance`, in its plain metric.
+    `parameters` are chosen as in `area_gradient`. Other arguments and errors are those of
+    `least_disturbance`, in its plain metric.
     """
-    widths = check_bands(walker, parameters, bands)
+    parameters = numbers_chosen(walker, parameters)
+    widths = check_bands(parameters, bands)
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     search = partial(
         least_disturbance,
@@ -96,14 +99,13 @@ def disturbance_gradient(
     slopes_along = changes[:, : len(axes)] @ found.direction
     known = np.isfinite(changes).all(axis=1)
     known &= np.abs(margins) <= JUMP * found.size * np.abs(slopes_along)
-    changes_of_gait = [
-        gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters
-    ]
-    moves = [change.states[found.phase] for change in changes_of_gait]
-    moves = np.array(moves).reshape(len(parameters), len(axes))
     for change, slope in zip(changes[known], slopes_along[known], strict=True):
-        slopes, by_parameter = change[: len(axes)], change[len(axes) :]
-        gradient = -(by_parameter + moves @ slopes) / slope
+        by_state, by_parameter = np.zeros_like(gait.states), change[len(axes) :]
+        by_state[found.phase] = change[: len(axes)]
+        moved = GaitPull(walker, gait, parameters, tolerance).pull(
+            by_state, np.zeros(len(by_state)), np.zeros(len(axes), complex)
+        )
+        gradient = -(by_parameter + moved) / slope
         return DisturbanceGradient(found.size, gradient, False)
     if bands is None:
         return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)

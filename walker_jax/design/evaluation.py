@@ -9,13 +9,15 @@ from jaxtyping import Float
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.design.area_gradients import AreaSettings, MeasuredArea, differentiate_area
 from walker_jax.design.disturbance_gradients import disturbance_gradient
-from walker_jax.design.measures import Measure, gait_measures
-from walker_jax.design.problem import Problem
+from walker_jax.design.fall_gradients import fall_gradient
+from walker_jax.design.measures import Measure, measure_gait
+from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.sensitivity_gradients import sensitivity_gradient
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.stability.rays import DENSE
 from walker_jax.systems.system import System
+from walker_jax.walkers.choices import MANY
 from walker_jax.walkers.model import check_planar, is_planar
 
 STEP_SIZES = (0.1, 0.03, 0.01, 0.003)
@@ -48,6 +50,8 @@ fates of 19 cells, at one fractal boundary, where 1e-9 does too (benchmarks/area
 DIRECTIONS = DENSE // 8, DENSE
 """Search directions for the least disturbance during optimisation, and at the ends. An eighth of
 them finds it to 1e-3 or better, except at fractal boundaries."""
+BY_THEMSELVES = (*SIZES, "sensitivity-norm", "least-disturbance", "fall-action")
+"""Measures that are no functions of a gait."""
 
 
 class Evaluation(NamedTuple):
@@ -87,7 +91,9 @@ def evaluate_objective(
     """
     names = problem.names if stage >= 0 and not value_only else ()
     walker = problem.walker_at(values)
-    bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
+    bands = BAND_HALF_WIDTHS[max(stage, 0)] * problem.scale[: len(names)]
+    if problem.free.any() or len(names) >= MANY:
+        bands = None
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
     exact = stage == ENDS_STAGE
@@ -100,7 +106,9 @@ def evaluate_objective(
         value_error, gradient_error = weight * area.area_error, weight * area.error
     if set(problem.measures) - {problem.size}:
         gait = gait_of(values)
-        found |= gait_measures(walker, names, gait, tolerance=problem.tolerance)
+        others = [name for name in problem.measures if name not in BY_THEMSELVES]
+        how = others, problem.functions, problem.tolerance
+        found |= measure_gait(walker, names, gait, *how)
         if "sensitivity-norm" in problem.weights:
             found["sensitivity-norm"] = Measure(
                 *sensitivity_gradient(
@@ -113,6 +121,10 @@ def evaluate_objective(
                 found["least-disturbance"] = evaluate_disturbance(
                     problem, walker, names, gait, bands, DIRECTIONS[exact]
                 )
+        if "fall-action" in problem.weights:
+            found["fall-action"] = Measure(0.0, np.zeros(len(names)))
+            if gait.found and gait.stable:
+                found["fall-action"] = evaluate_fall(problem, walker, names, gait)
     weighted = [(weight, found[name]) for name, weight in problem.weights.items()]
     gradient = np.sum([weight * one.gradient for weight, one in weighted], axis=0)
     none = np.full(len(problem.names), np.nan)
@@ -155,7 +167,7 @@ def evaluate_disturbance(
     walker: System,
     names: tuple[str, ...],
     gait: Gait,
-    bands: Float[np.ndarray, " bands"],
+    bands: Float[np.ndarray, " bands"] | None,
     directions: int,
 ) -> Measure:
     """Measure the least disturbance and its gradient; NaN if the search for it fails."""
@@ -167,3 +179,12 @@ def evaluate_disturbance(
         # The walker returns from everywhere, or the gait is lost to rounding.
         return Measure(np.nan, np.full(len(names), np.nan))
     return Measure(least.size, least.gradient)
+
+
+def evaluate_fall(problem: Problem, walker: System, names: tuple[str, ...], gait: Gait) -> Measure:
+    """Measure the action of the most probable fall and its gradient; NaN if the search fails."""
+    try:
+        fall = fall_gradient(check_planar(walker), names, gait, tolerance=problem.tolerance)
+    except (WrongUse, ComputationFailed, np.linalg.LinAlgError):
+        return Measure(np.nan, np.full(len(names), np.nan))
+    return Measure(fall.action, fall.gradient)

@@ -4,10 +4,11 @@ Speed, step length, largest multiplier and cost of transport follow from the gai
 derivatives from the implicit function theorem.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,16 +16,17 @@ from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse, check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.derivatives import gait_derivatives
+from walker_jax.gaits.derivatives import GaitPull
 from walker_jax.gaits.search import search_gait
 from walker_jax.systems.system import System
+from walker_jax.walkers.choices import Choice, numbers_chosen, values_of
 from walker_jax.walkers.model import Scalar
-from walker_jax.walkers.parameters import along_parameter, check_parameters
 from walker_jax.walking.integrals import integrals, named_functions
 from walker_jax.walking.stride import stride
 from walker_jax.walking.trajectories import trajectory
 
-GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
+GaitFunction = Callable[[Any, Gait], Any]
+"""A JAX function of a walker and its gait that returns one number."""
 
 
 class Measure(NamedTuple):
@@ -37,7 +39,7 @@ class Measure(NamedTuple):
 @refuses_tracers("it gives derivatives itself, by the parameters named")
 def gait_measures(
     walker: System,
-    parameters: Sequence[str] = ("slope",),
+    parameters: Choice = ("slope",),
     gait: Gait | None = None,
     *,
     tolerance: float | None = None,
@@ -62,86 +64,118 @@ def gait_measures(
     The mean of each integral and largest value that the modes name (`integrals`) is there too, by
     its name.
 
-    Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All
-    measures are NaN if there is no gait. A system that makes no steps has only the
-    spectral radius; its other measures are NaN.
+    Arguments are those of `gait_derivatives`, and parameters as in `area_gradient`; the gait is
+    that of `find_gait` by default. All measures are NaN if there is no gait. A system that makes no
+    steps has only the spectral radius; its other measures are NaN.
 
     Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
     gait that is not one of this walker.
     """
-    check_parameters(walker, parameters)
+    names = numbers_chosen(walker, parameters)
     gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
+    return measure_gait(walker, names, gait, measures_known(walker), {}, tolerance)
+
+
+def measures_known(walker: System) -> tuple[str, ...]:
+    """Return the names of the measures of a walker's gaits, its integrals last."""
     named = named_functions(walker)
     if taken := sorted({*named} & {*GAIT_MEASURES}):
         raise WrongUse(
             f"integrals of {walker.label()} must not be named {taken[0]!r}: gaits have it"
         )
+    return (*GAIT_MEASURES, *named)
+
+
+def measure_gait(
+    walker: System,
+    names: Sequence[str],
+    gait: Gait,
+    wanted: Sequence[str],
+    functions: Mapping[str, GaitFunction],
+    tolerance: float | None,
+) -> dict[str, Measure]:
+    """Return the measures that are `wanted`, with derivatives by the numbers of these names.
+
+    Measures by name are known ones, or `functions`.
+    """
+    none = np.full(len(names), np.nan)
     if not gait.found:
-        unknown = Measure(np.nan, np.full(len(parameters), np.nan))
-        return dict.fromkeys((*GAIT_MEASURES, *named), unknown)
-    changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
-    states, period = np.asarray(gait.states), len(gait.states)
+        return dict.fromkeys(wanted, Measure(np.nan, none))
+    by_gait = GaitPull(walker, gait, names, tolerance)
+    real, exact = eqx.partition(walker, eqx.is_inexact_array_like)
+    arrays = [jnp.asarray(one) for one in (gait.states, gait.step_times, gait.multipliers)]
+    known = {name: partial(one, tolerance) for name, one in KNOWN.items()} | dict(functions)
+    summed = [name for name in wanted if name not in known]
 
-    def along(measure, name: str, dx: Float[np.ndarray, "period section"]) -> float:
-        way = along_parameter(walker, name), jnp.asarray(dx)
-        return float(jax.jvp(measure, (walker, jnp.asarray(states)), way)[1])
+    def measure(function) -> list[Measure]:
+        def of(real, states, times, multipliers):
+            there = gait._replace(states=states, step_times=times, multipliers=multipliers)
+            return jnp.atleast_1d(jnp.asarray(function(eqx.combine(real, exact), there)))
 
-    steps = jax.eval_shape(step_length, walker, jnp.asarray(states[0])) is not None
-    length = float(mean_step_length(walker, jnp.asarray(states))) if steps else np.nan
-    time = float(np.mean(gait.step_times))
+        values, pull = jax.vjp(of, real, *arrays)
+        gradients = [none] * len(values)
+        if names:
+            for i, unit in enumerate(np.eye(len(values), dtype=values.dtype)):
+                by_real, *by_others = pull(jnp.asarray(unit))
+                by_walker = values_of(eqx.combine(by_real, exact), names)
+                gradients[i] = by_walker + by_gait.pull(*map(np.asarray, by_others))
+        return [Measure(*one) for one in zip(values.tolist(), gradients, strict=True)]
 
-    def changes_of(measure) -> Float[np.ndarray, " parameters"]:
-        pairs = zip(parameters, changes, strict=True)
-        return np.array([along(measure, name, change.states) for name, change in pairs])
-
-    longer = changes_of(mean_step_length) if steps else np.full(len(parameters), np.nan)
-    slower = np.array([np.mean(change.step_times) for change in changes])
-    largest = complex(gait.multipliers[0])
-    radius = abs(largest) ** (1 / period)
-    growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
-    growing = growth / abs(largest) ** 2 if largest else np.full(len(parameters), np.nan)
-    cost = Measure(np.nan, np.full(len(parameters), np.nan))
-    if steps and cost_is_known(walker):
-        slope, steeper = float(vars(walker)["slope"]), [float(n == "slope") for n in parameters]
-        work, by = 0.0, np.cos(slope) * np.array(steeper)
-        if not walker.driven_by_gravity():
-            work = float(work_per_length(walker, jnp.asarray(states)))
-            by = by + changes_of(work_per_length)
-        cost = Measure(float(np.sin(slope)) + work, by)
-    means = {name: partial(mean_integral, name, tolerance) for name in named}
-    return {
-        "step-length": Measure(length, longer),
-        "speed": Measure(length / time, (longer - slower * length / time) / time),
-        "spectral-radius": Measure(radius, radius * growing / period),
-        "cost-of-transport": cost,
-        **{
-            name: Measure(float(mean(walker, jnp.asarray(states))), changes_of(mean))
-            for name, mean in means.items()
-        },
-    }
+    found = {name: measure(known[name])[0] for name in wanted if name in known}
+    if summed:
+        means = partial(mean_integrals, summed, tolerance)
+        found |= zip(summed, measure(means), strict=True)
+    return {name: found[name] for name in wanted}
 
 
-def mean_step_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
+def mean_step_length(tolerance: float | None, walker: Any, gait: Gait) -> Scalar | float:
     """Average the lengths of the steps, each measured at the heel strike that ends it."""
-    lengths: list[Any] = [step_length(walker, x) for x in states]
-    return jnp.mean(jnp.stack(lengths))
+    lengths: list[Any] = [step_length(walker, x) for x in gait.states]
+    return np.nan if lengths[0] is None else jnp.mean(jnp.stack(lengths))
 
 
-def work_per_length(walker: Any, states: Float[Array, "period section"]) -> Scalar:
-    """Return the motors' work per unit of weight and of distance."""
+def speed(tolerance: float | None, walker: Any, gait: Gait) -> Scalar | float:
+    """Return the mean step length over the mean step time."""
+    return mean_step_length(tolerance, walker, gait) / jnp.mean(gait.step_times)
+
+
+def spectral_radius(tolerance: float | None, walker: Any, gait: Gait) -> Scalar:
+    """Return the modulus of the largest multiplier, per stride."""
+    return jnp.abs(gait.multipliers[0]) ** (1 / len(gait.states))
+
+
+def cost_of_transport(tolerance: float | None, walker: Any, gait: Gait) -> Scalar | float:
+    """Return the energy lost per unit of weight and of distance; NaN if unknown."""
+    if not cost_is_known(walker) or step_length(walker, gait.states[0]) is None:
+        return np.nan
+    slope = jnp.sin(vars(walker)["slope"])
+    if walker.driven_by_gravity():
+        return slope
     works = [
-        walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x)) for x in states
+        walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x))
+        for x in gait.states
     ]
     known = jnp.stack([work for work in works if work is not None])
-    return jnp.mean(known) / mean_step_length(walker, states)
+    return slope + jnp.mean(known) / mean_step_length(tolerance, walker, gait)
 
 
-def mean_integral(
-    name: str, tolerance: float | None, walker: Any, states: Float[Array, "period section"]
-) -> Scalar:
-    """Average an integral, or a largest value, over the strides of a gait."""
-    return jnp.mean(jnp.stack([integrals(walker, x, tolerance=tolerance)[name] for x in states]))
+KNOWN: dict[str, Callable[..., Any]] = {
+    "step-length": mean_step_length,
+    "speed": speed,
+    "spectral-radius": spectral_radius,
+    "cost-of-transport": cost_of_transport,
+}
+"""Measures of any walker's gaits, as functions of a tolerance, a walker and a gait."""
+GAIT_MEASURES = tuple(KNOWN)
+
+
+def mean_integrals(
+    names: Sequence[str], tolerance: float | None, walker: Any, gait: Gait
+) -> Float[Array, " names"]:
+    """Average integrals and largest values over the strides of a gait."""
+    found = [integrals(walker, x, tolerance=tolerance) for x in gait.states]
+    return jnp.stack([jnp.mean(jnp.stack([one[name] for one in found])) for name in names])
 
 
 def step_length(walker: System, x: Float[Array, " section"]) -> Scalar | None:

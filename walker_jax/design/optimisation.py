@@ -10,7 +10,6 @@ it by Newton's iteration along the limit's gradient. At the end both the start a
 measured again, with areas on the finest grid.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from functools import partial
@@ -19,18 +18,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 
-from walker_jax.basins.computation import basin, check_grid
-from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
-from walker_jax.basins.windows import grid_along, whole_section
+from walker_jax.basins.computation import basin
+from walker_jax.basins.refinement import refine_cells
 from walker_jax.checks import (
     WrongUse,
     check_kind,
-    check_number,
     check_whole,
     refuses_tracers,
-    short,
 )
 from walker_jax.design.area_gradients import Density
 from walker_jax.design.climbs import Climb, climb
@@ -42,24 +37,35 @@ from walker_jax.design.evaluation import (
     Evaluation,
     check_starts,
 )
-from walker_jax.design.measures import cost_is_known
+from walker_jax.design.measures import (
+    GaitFunction,
+)
+from walker_jax.design.posing import (
+    check_budget,
+    further_measures,
+    pose_problem,
+    read_training,
+    with_grid,
+)
 from walker_jax.design.problem import (
     BINDING_SLACK,
-    SIZES,
     Problem,
-    check_bounds,
     default_levels,
+    name_functions,
     parse_limits,
     parse_objective,
+    read_bounds,
     starting_places,
 )
 from walker_jax.design.trace import Trace, string_array
+from walker_jax.design.training import train
 from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.slices import default_region
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import check_planar, is_planar
+from walker_jax.walkers.choices import MANY, Choice
+from walker_jax.walkers.model import is_planar
 
 ATTRACTED = -1
 """Stands for a fate, in `fate_start` and `fate_optimum`, where the walker converges."""
@@ -75,11 +81,12 @@ ninth of the starts. No more are shown of any walker when the time is over."""
 @refuses_tracers()
 def optimise(
     walker: System,
-    bounds: Mapping[str, Any],
-    objective: str | Mapping[str, Any] = "area",
+    bounds: Mapping[str, Any] | None = None,
+    objective: str | GaitFunction | Mapping[Any, Any] = "area",
     *,
-    at_least: Mapping[str, Any] | None = None,
-    at_most: Mapping[str, Any] | None = None,
+    parameters: Choice | None = None,
+    at_least: Mapping[Any, Any] | None = None,
+    at_most: Mapping[Any, Any] | None = None,
     grid: Grid | None = None,
     starts: int = 3,
     levels: int | None = None,
@@ -88,6 +95,9 @@ def optimise(
     seed: int = 0,
     tolerance: float | None = None,
     density: Density | None = None,
+    steps: int = 100,
+    rate: float = 0.01,
+    batch: int = 1000,
     known: xr.Dataset | None = None,
     keep: Callable[[xr.Dataset], object] | None = None,
     seconds: float | int | None = None,
@@ -104,16 +114,23 @@ def optimise(
     **Arguments:**
 
     - `walker`: a single walker. Its own values are the first start, if they are within the bounds.
-    - `bounds`: lowest and highest value of each free parameter.
-    - `objective`: its name, or weights by name for a sum to maximise. Maximised are "area" (of the
-      basins of all attractors; in a slice for walkers with mass on their legs), "volume" (the same
-      in the three dimensions of the section of such walkers), "basin-stability" (the probability
-      that starts of a given `density` converge to an attractor), "least-disturbance" (from which
-      the walker does not return), "speed" and "step-length". Minimised are "spectral-radius",
-      "sensitivity-norm" (`gait_sensitivity`) and "cost-of-transport". All have gradients; those of
+    - `bounds`: lowest and highest value of each free parameter by name; the name of a whole leaf or
+      tree gives all its numbers the same.
+    - `objective`: its name; a JAX function of a walker and its `Gait` that returns one number to
+      maximise; or weights by name, or by function, for a sum to maximise. Maximised are "area" (of
+      the basins of all attractors; in a slice for walkers with mass on their legs), "volume" (the
+      same in the three dimensions of the section of such walkers), "basin-stability" (the
+      probability that starts of a given `density` converge to an attractor), "least-disturbance"
+      (from which the walker does not return), "fall-action" (`fall_gradient`, for walkers that last
+      on slightly rough ground), "speed" and "step-length". Minimised are "spectral-radius",
+      "sensitivity-norm" (`gait_sensitivity`), "cost-of-transport", and the mean over the gait of an
+      integral or largest value that the modes name (`integrals`). All have gradients; those of
       areas, volumes and basin stability are integrals along the boundary.
-    - `at_least`, `at_most`: limits on "speed", "step-length", "spectral-radius" and
-      "cost-of-transport", by name.
+    - `parameters`: further parameters that are free, without bounds: names of numbers, of leaves or
+      of trees, or a function of the walker that returns leaves, as for `eqx.tree_at`. They start
+      from the walker's own values.
+    - `at_least`, `at_most`: limits on "speed", "step-length", "spectral-radius",
+      "cost-of-transport", integrals and largest values, by name, and on functions of a gait.
     - `grid`: where the area or volume is measured, the same for all parameters. By default it is
       `basins.windows.whole_section` for volumes, and that of `robustness` for areas: for walkers
       with mass on their legs, the slice around the gait of the first start that has one. The slice
@@ -129,6 +146,10 @@ def optimise(
     - `tolerance`: tolerance of the integration, as in `stride`.
     - `density`: for basin stability, the density of starts: a function of states of shape
       (n, section) that returns n numbers, the same for all parameters; 0 beyond the grid.
+    - `steps`, `rate`, `batch`: of an ascent by 16 numbers or more. It is one of Adam, of so many
+      steps, each of which changes a number by up to about the rate (with bounds, relative to
+      these), by so many starts for areas; and both ends are measured roughly, as where the time is
+      over.
     - `known`: an earlier result, or the trace of an interrupted run; its measurements are reused.
     - `keep`: called with the trace after each measurement.
     - `seconds`: time of the climbs, compilation included, after which the best walker so far is
@@ -169,25 +190,35 @@ def optimise(
 
     Raises `ValueError` for wrong parameters, bounds, names and numbers, and as `refine`.
     """
-    goal, limits = parse_objective(objective), parse_limits(at_least, at_most)
+    check_kind("walker", walker, System)
+    (goal, *limits), functions = name_functions(objective, at_least, at_most)
+    further = further_measures(walker, functions)
+    goal, limits = parse_objective(goal, further), parse_limits(limits[0], limits[1], further)
     if known is not None:
         check_kind("known", known, xr.Dataset)
     check_whole("starts", starts)
     check_whole("scan", scan, 0)
     levels = default_levels(goal[0]) if levels is None else levels
     budget = check_budget(seconds)
-    how = (grid, levels, strides, seed, tolerance, density)
-    problem = pose_problem(walker, bounds, goal, limits, how)
+    training = read_training(steps, rate, batch)
+    how = (grid, levels, strides, seed, tolerance, density, functions)
+    problem = pose_problem(walker, read_bounds(walker, bounds, parameters), goal, limits, how)
+    if scan and problem.free.any():
+        raise WrongUse(f"scan must be 0 without bounds on all parameters, not {scan}")
     places = starting_places(problem, starts)
     problem = with_grid(problem, places)
-    climbs = starts + len(STEP_SIZES) - 1
-    expected = climbs * USUAL_MEASUREMENTS + 2 + scan * len(bounds)  # 2 ends
-    trace = Trace(problem, known, keep, progress, expected, budget)
-    with bar(f"{starts} starts", progress):
-        climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
-        first = list(side_by_side(climb_from, enumerate(places)))
-    trace.sort_runs()
-    run, last = climb_on(trace, first)
+    many = len(problem.names) >= MANY
+    climbs = len(places) + len(STEP_SIZES) - 1
+    expected = steps if many else climbs * USUAL_MEASUREMENTS + scan * len(problem.names)
+    trace = Trace(problem, known, keep, progress, expected + 2, budget)  # 2 ends
+    if many:
+        first = [train(trace, places[0], training)]
+    else:
+        with bar(f"{len(places)} starts", progress):
+            climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
+            first = list(side_by_side(climb_from, enumerate(places)))
+        trace.sort_runs()
+    run, last = (0, first[0]) if many else climb_on(trace, first)
     notes = {"note": ("start_number", string_array(one.note for one in first))}
     start, best = first[run].start, last.best
     if start is None or best is None:
@@ -196,75 +227,11 @@ def optimise(
         "converged": last.converged,
         "out_of_time": trace.is_out_of_time() and not last.converged,
     }
-    found = measure_ends(trace, start, best, ended["out_of_time"]) | ended
+    hurried = ended["out_of_time"] or many
+    found = measure_ends(trace, start, best, hurried) | ended
     found |= scan_objective(trace, best, scan) if scan else {}
-    found |= (
-        {} if problem.grid is None else compare_basins(problem, start, best, ended["out_of_time"])
-    )
+    found |= {} if problem.grid is None else compare_basins(problem, start, best, hurried)
     return trace.data().assign(notes | found | {"found": True})
-
-
-def check_budget(seconds: Any) -> float:
-    """Return the time for climbs; refuse a time that is not above zero."""
-    if seconds is None:
-        return math.inf
-    check_number("seconds", seconds)
-    if not seconds > 0:
-        raise WrongUse(f"seconds must be above 0, not {short(seconds)}", of="seconds")
-    return float(seconds)
-
-
-def pose_problem(
-    walker: System,
-    bounds: Mapping[str, Any],
-    goal: tuple[dict[str, float], float],
-    limits: dict[str, tuple[float, float]],
-    how: tuple[Any, ...],
-) -> Problem:
-    """Return the checked problem; `goal` is the result of `parse_objective`."""
-    check_kind("walker", walker, System)
-    check_kind("bounds", bounds, Mapping)
-    if not bounds:
-        raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds)}")
-    for name, ends in bounds.items():
-        check_bounds(walker, name, ends)
-    low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
-    problem = Problem(walker, tuple(bounds), low, high, *goal, limits, *how)
-    check_whole("strides", problem.strides)
-    check_whole("levels", problem.levels, 0)
-    check_whole("seed", problem.seed, 0)
-    if "sensitivity-norm" in problem.weights:
-        check_planar(walker)
-    if "cost-of-transport" in problem.measures and not cost_is_known(walker):
-        raise WrongUse(
-            f"cost-of-transport is unknown for a {type(walker).__name__}: define its motor_work, "
-            "or driven_by_gravity if nothing else drives it"
-        )
-    if ("basin-stability" in problem.weights) != callable(problem.density):
-        raise WrongUse(
-            f"density must be a function of states for basin-stability, and for that alone, not "
-            f"{short(problem.density)}"
-        )
-    return problem
-
-
-def with_grid(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Problem:
-    """Give the problem a checked grid, if it needs one."""
-    if problem.grid is None:
-        problem = problem._replace(grid=grid_for(problem, places))
-    if problem.grid is None:
-        if problem.size:
-            raise WrongUse(
-                "grid is required: no start has a gait of period one to lay it around", of="grid"
-            )
-        return problem
-    check_grid(problem.walker, problem.grid, "direct", kind="optimum")
-    axes, needed = len(problem.grid.names), SIZES.get(problem.size)
-    if needed is not None and axes != needed:
-        raise WrongUse(f"objective {problem.size} must have a grid of {needed} axes, not {axes}")
-    check_whole("levels", problem.levels, 0, FINEST)
-    check_finest(problem.walker, problem.grid, problem.levels)
-    return problem
 
 
 def climb_on(trace: Trace, first: list[Climb]) -> tuple[int, Climb]:
@@ -279,22 +246,6 @@ def climb_on(trace: Trace, first: list[Climb]) -> tuple[int, Climb]:
             # a walker that walks only on a coarse grid is still the best known
             last = further if further.best is not None else last._replace(converged=False)
     return run, last
-
-
-def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Grid | None:
-    """Choose a grid: the whole section for a volume, else the first default region of a start."""
-    walkers = (problem.walker_at(problem.values(place)) for place in places)
-    if problem.size == "volume":
-        first = next(walkers)
-        axes = whole_section(first)
-        if axes is None:
-            raise WrongUse(
-                f"objective must be area for a {type(first).__name__}, whose section has "
-                f"{len(first.section)} coordinates, not volume",
-                of="objective",
-            )
-        return grid_along(axes)
-    return next((one for one in map(default_region, walkers) if one is not None), None)
 
 
 def measure_ends(trace: Trace, start: Evaluation, best: Evaluation, hurried: bool) -> dict:

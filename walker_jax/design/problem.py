@@ -1,28 +1,32 @@
-"""A design problem: the walker, its free parameters, the objective, and limits and their slack."""
+"""A design problem: the walker, its free parameters, the objective, and limits."""
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from walker_jax.basins.attractor_search import sample_indices
 from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.area_gradients import Density, density_at
-from walker_jax.design.measures import GAIT_MEASURES, gait_measures
-from walker_jax.gaits.cycles import Gait
+from walker_jax.design.measures import GAIT_MEASURES, GaitFunction
 from walker_jax.grids import Grid
+from walker_jax.identity import code_fingerprint
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, describe_source, value_of, with_values
+from walker_jax.walkers.choices import Choice, numbers_chosen, values_of
+from walker_jax.walkers.parameters import check_parameter, describe_source, with_values
 
 OBJECTIVES = {
     "area": 1.0,
     "volume": 1.0,
     "basin-stability": 1.0,
     "least-disturbance": 1.0,
+    "fall-action": 1.0,
     "speed": 1.0,
     "step-length": 1.0,
     "spectral-radius": -1.0,
@@ -35,10 +39,8 @@ SIZES = {"area": 2, "volume": 3, "basin-stability": 2}
 
 DENSITY_CELLS = 10_000
 """Number of cells at which densities are compared."""
-MAX_NEWTON_STEPS = 20
-"""Most Newton steps to a place that keeps the limits; each roughly squares the error."""
-MAX_VIOLATION = 1e-9
-"""Largest relative violation of a limit: the error left by the last Newton step."""
+MOST_SHOWN = 8
+"""Most parameters whose values progress bars and notes tell one by one."""
 BINDING_SLACK = 1e-6
 """Distance below which a limit or bound counts as reached, relative to the limit or to the width of
 the bounds; well above `MAX_VIOLATION`."""
@@ -65,6 +67,8 @@ class Problem(NamedTuple):
     tolerance: float | None
     density: Density | None = None
     """Density of starts, for basin stability."""
+    functions: Mapping[str, GaitFunction] = MappingProxyType({})
+    """Functions of a gait among the measures, by name."""
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -76,21 +80,41 @@ class Problem(NamedTuple):
         """The objective that measures the basin, if there is one; otherwise empty."""
         return next((name for name in SIZES if name in self.weights), "")
 
+    @property
+    def free(self) -> Bool[np.ndarray, " parameters"]:
+        """Whether each parameter has no bounds; its place is then its value."""
+        return np.isinf(self.low)
+
+    @property
+    def scale(self) -> Float[np.ndarray, " parameters"]:
+        """The change of each parameter per unit of its place."""
+        return np.where(self.free, 1.0, self.high - self.low)
+
+    @property
+    def ends(self) -> Float[np.ndarray, "2 parameters"]:
+        """The lowest and the highest places, 0 and 1, or infinite."""
+        return np.where(self.free, [[-np.inf], [np.inf]], [[0.0], [1.0]])
+
     def values(self, place: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
         """Return the parameters at a place, exact at the bounds 0 and 1."""
-        inner = self.low + (self.high - self.low) * place
-        return np.where(place == 0, self.low, np.where(place == 1, self.high, inner))
+        inner = np.where(self.free, 0.0, self.low) + self.scale * place
+        lowest, highest = self.ends
+        return np.where(place == lowest, self.low, np.where(place == highest, self.high, inner))
 
     def place_of(
         self, values: Float[np.ndarray, " parameters"]
     ) -> Float[np.ndarray, " parameters"]:
         """Return the place of parameters between their bounds, from 0 to 1."""
-        return (values - self.low) / (self.high - self.low)
+        return (values - np.where(self.free, 0.0, self.low)) / self.scale
+
+    def within(self, place: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
+        """Return the nearest place between the bounds."""
+        return np.clip(place, *self.ends)
 
     def walker_at(self, values: Float[np.ndarray, " parameters"]) -> System:
         """Return the walker with these values of the free parameters."""
-        arrays = (jnp.asarray(float(value)) for value in values)
-        return with_values(self.walker, zip(self.names, arrays, strict=True))
+        changed = with_values(self.walker, zip(self.names, values.tolist(), strict=True))
+        return jax.tree.map(jnp.asarray, changed)
 
     def refusal(self, values: Float[np.ndarray, " parameters"]) -> str:
         """Say why the walker's constructor refuses these parameters; empty if it accepts them."""
@@ -102,12 +126,39 @@ class Problem(NamedTuple):
 
     def describe_values(self, values: Float[np.ndarray, " parameters"]) -> str:
         """Describe the free parameters and their values in words."""
-        pairs = zip(self.names, values, strict=True)
+        pairs = [*zip(self.names, values, strict=True)]
+        if len(pairs) > MOST_SHOWN:
+            return f"{pairs[0][0]} {values[0]:.6g} and {len(pairs) - 1} other numbers"
         return ", ".join(f"{name} {value:.6g}" for name, value in pairs)
 
 
-def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], float]:
-    """Return the checked weights of an objective, and its sign as in `Problem`."""
+def name_functions(*given: Any) -> tuple[list[Any], dict[str, GaitFunction]]:
+    """Return an objective and limits with names in place of functions, and these by name."""
+    functions: dict[str, GaitFunction] = {}
+
+    def named(one: Any) -> Any:
+        if not callable(one):
+            return one
+        name = getattr(one, "__name__", type(one).__name__)
+        if name in OBJECTIVES or functions.setdefault(name, one) is not one:
+            raise WrongUse(
+                f"objective must have functions of names of their own, not {name!r}",
+                of="objective",
+            )
+        return name
+
+    keys = lambda one: {named(k): v for k, v in one.items()} if isinstance(one, Mapping) else one
+    return [named(keys(one)) for one in given], functions
+
+
+def parse_objective(
+    objective: str | Mapping[str, Any], further: Mapping[str, float] = MappingProxyType({})
+) -> tuple[dict[str, float], float]:
+    """Return the checked weights of an objective, and its sign as in `Problem`.
+
+    `further` are the signs of measures of one's own.
+    """
+    senses = OBJECTIVES | dict(further)
     named = isinstance(objective, str)
     if not named:
         check_kind("objective", objective, Mapping)
@@ -115,9 +166,9 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
     if not given:
         raise WrongUse("objective must name at least one measure, not none", of="objective")
     for name, weight in given.items():
-        if name not in OBJECTIVES:
+        if name not in senses:
             raise WrongUse(
-                f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}", of="objective"
+                f"objective must be one of {', '.join(senses)}, not {name!r}", of="objective"
             )
         if not (is_number(weight) and np.isfinite(weight) and weight != 0):
             raise WrongUse(
@@ -130,7 +181,7 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
             of="objective",
         )
     weights = {name: float(weight) for name, weight in given.items()}
-    return weights, OBJECTIVES[objective] if named else 1.0
+    return weights, senses[objective] if named else 1.0
 
 
 def default_levels(objective: str | Mapping[str, Any]) -> int:
@@ -139,16 +190,19 @@ def default_levels(objective: str | Mapping[str, Any]) -> int:
 
 
 def parse_limits(
-    at_least: Mapping[str, Any] | None, at_most: Mapping[str, Any] | None
+    at_least: Mapping[str, Any] | None,
+    at_most: Mapping[str, Any] | None,
+    further: Iterable[str] = (),
 ) -> dict[str, tuple[float, float]]:
     """Return the checked lowest and highest value of each measure that has limits."""
     limits: dict[str, tuple[float, float]] = {}
+    measures = (*GAIT_MEASURES, *further)
     for side, given in enumerate((at_least, at_most)):
         given = {} if given is None else given
         check_kind("limits", given, Mapping)
         for name, value in given.items():
-            if name not in GAIT_MEASURES:
-                known = ", ".join(GAIT_MEASURES)
+            if name not in measures:
+                known = ", ".join(measures)
                 raise WrongUse(
                     f"at_least and at_most must be of one of {known}, not of {name!r}",
                     of="at_least at_most",
@@ -170,7 +224,23 @@ def parse_limits(
     return limits
 
 
-def check_bounds(walker: System, name: str, ends: Any) -> None:
+def read_bounds(
+    walker: System, bounds: Mapping[str, Any] | None, parameters: Choice | None
+) -> dict[str, tuple[float, float]]:
+    """Return the checked bounds of all free numbers by name, infinite for those without any."""
+    if bounds is not None:
+        check_kind("bounds", bounds, Mapping)
+    if not bounds and parameters is None:
+        raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds or {})}")
+    names = () if parameters is None else numbers_chosen(walker, parameters)
+    found = dict.fromkeys(names, (-np.inf, np.inf))
+    for name, ends in (bounds or {}).items():
+        numbers = numbers_chosen(walker, [name])
+        found |= dict.fromkeys(numbers, check_bounds(walker, name, numbers[0], ends))
+    return found
+
+
+def check_bounds(walker: System, name: str, number: str, ends: Any) -> tuple[float, float]:
     """Refuse bounds that are not two numbers allowed for the walker, the lower one first."""
     try:
         low, high = map(float, ends)
@@ -180,16 +250,20 @@ def check_bounds(walker: System, name: str, ends: Any) -> None:
         raise WrongUse(
             f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}", of="bounds"
         )
-    check_parameter(walker, name, low, high)
+    check_parameter(walker, number, low, high)
+    return low, high
 
 
 def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " parameters"]]:
-    """Return the walker's own place, if within the bounds, and a Latin hypercube of others."""
-    own = problem.place_of(
-        np.array([float(value_of(problem.walker, name)) for name in problem.names])
-    )
-    first = [own] if np.all((own >= 0) & (own <= 1)) else []
-    return [*first, *latin_hypercube(starts - len(first), len(own), problem.seed)]
+    """Return the walker's own place, if within the bounds, and a Latin hypercube of others.
+
+    Numbers without bounds keep the walker's values. If none has bounds, there are no others.
+    """
+    own = problem.place_of(values_of(problem.walker, problem.names))
+    first = [own] if np.array_equal(own, problem.within(own)) else []
+    more = 0 if problem.free.all() else starts - len(first)
+    others = latin_hypercube(more, len(own), problem.seed)
+    return [*first, *(np.where(problem.free, own, place) for place in others)]
 
 
 def latin_hypercube(n: int, axes: int, seed: int) -> Float[np.ndarray, "n axes"]:
@@ -208,15 +282,15 @@ def latin_hypercube(n: int, axes: int, seed: int) -> Float[np.ndarray, "n axes"]
 def describe_problem(problem: Problem) -> dict:
     """Describe the problem as attributes of a data set."""
     bounds = zip(problem.names, problem.low.tolist(), problem.high.tolist(), strict=True)
-    limits = {
-        name: [end if np.isfinite(end) else None for end in ends]
-        for name, ends in problem.limits.items()
-    }
+    known = lambda ends: [end if np.isfinite(end) else None for end in ends]
+    limits = {name: known(ends) for name, ends in problem.limits.items()}
+    functions = tuple(problem.functions.values())
+    code = {"functions": code_fingerprint(System, functions)} if functions else {}
     return {
         **describe_source(problem.walker),
         "objective": json.dumps(problem.weights),
         "sign": problem.sign,
-        "bounds": json.dumps({name: ends for name, *ends in bounds}),
+        "bounds": json.dumps({name: known(ends) for name, *ends in bounds}),
         "limits": json.dumps(limits),
         "region": json.dumps(describe_region(problem.grid)),
         "levels": problem.levels,
@@ -224,6 +298,7 @@ def describe_problem(problem: Problem) -> dict:
         "seed": problem.seed,
         "tolerance": problem.tolerance or 0.0,
         **describe_density(problem),
+        **code,
     }
 
 
@@ -247,99 +322,3 @@ def describe_density(problem: Problem) -> dict:
     cells = sample_indices(problem.grid.size, DENSITY_CELLS)
     values = density_at(problem.density, problem.grid.centres(cells))
     return {"density": hashlib.sha256(values.tobytes()).hexdigest()[:16]}
-
-
-class Slack(NamedTuple):
-    """Relative slack of a limit, negative if the limit is violated, and its gradient by place."""
-
-    name: str
-    value: float
-    gradient: Float[np.ndarray, " parameters"]
-
-
-class Limits:
-    """The limits of a problem, evaluated at places, with a cache of the results."""
-
-    def __init__(
-        self, problem: Problem, gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait]
-    ):
-        self.problem, self.gait_of = problem, gait_of
-        self.known: dict[bytes, list[Slack]] = {}
-
-    def slacks(self, place: Float[np.ndarray, " parameters"]) -> list[Slack]:
-        """Return the slacks of all limits at a place; NaN if there is no gait."""
-        problem, values = self.problem, self.problem.values(place)
-        if not problem.limits:
-            return []
-        if values.tobytes() in self.known:
-            return self.known[values.tobytes()]
-        walker, gait = problem.walker_at(values), self.gait_of(values)
-        measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
-        found = []
-        for name, ends in problem.limits.items():
-            for limit, side in zip(ends, (1, -1), strict=True):
-                if np.isfinite(limit):
-                    scale = side / (abs(limit) or 1.0)
-                    value, gradient = measures[name]
-                    gradient = gradient * (problem.high - problem.low)
-                    found.append(Slack(name, scale * (value - limit), scale * gradient))
-        self.known[values.tobytes()] = found
-        return found
-
-    def nearest_allowed(
-        self, place: Float[np.ndarray, " parameters"]
-    ) -> Float[np.ndarray, " parameters"] | None:
-        """Return the place, or one near it that keeps all limits; None if none is found."""
-        violating = None
-        for _ in range(MAX_NEWTON_STEPS):
-            if self.problem.refusal(self.problem.values(place)):
-                return None
-            found = self.slacks(place)
-            broken = [one for one in found if not one.value >= -MAX_VIOLATION]
-            if not broken:
-                smallest = min((one.value for one in found), default=0.0)
-                if violating is None or smallest < BINDING_SLACK:
-                    return place
-                return self.crossing(place, violating)  # the Newton step was too long
-            violating, worst = place, min(broken, key=lambda one: one.value)
-            at_bound = ((place == 0) & (worst.gradient < 0)) | ((place == 1) & (worst.gradient > 0))
-            gradient = np.where(at_bound, 0.0, worst.gradient)
-            if not (np.isfinite(worst.value) and np.sum(gradient**2) > 0):
-                return None
-            place = np.clip(place - worst.value * gradient / np.sum(gradient**2), 0, 1)
-        return None
-
-    def crossing(
-        self,
-        within: Float[np.ndarray, " parameters"],
-        violating: Float[np.ndarray, " parameters"],
-    ) -> Float[np.ndarray, " parameters"]:
-        """Find where a limit binds, between a place that keeps it and one that violates it."""
-
-        def smallest_slack(share: float) -> float:
-            slack = min(one.value for one in self.slacks(within + share * (violating - within)))
-            return slack if np.isfinite(slack) else -1.0
-
-        from scipy.optimize import brentq
-
-        share: Any = brentq(smallest_slack, 0.0, 1.0, xtol=1e-13)
-        return within + share * (violating - within)
-
-    def feasible_direction(
-        self,
-        place: Float[np.ndarray, " parameters"],
-        direction: Float[np.ndarray, " parameters"],
-    ) -> Float[np.ndarray, " parameters"]:
-        """Project a direction so that it crosses neither bounds nor binding limits."""
-        binding = [one.gradient for one in self.slacks(place) if one.value < BINDING_SLACK]
-        for _ in range(1 + len(place)):
-            leaves = ((place == 0) & (direction < 0)) | ((place == 1) & (direction > 0))
-            direction = np.where(leaves, 0.0, direction)
-            for gradient in (np.where(leaves, 0.0, one) for one in binding):
-                if direction @ gradient < 0:
-                    direction = direction - (direction @ gradient) / np.sum(gradient**2) * gradient
-        return direction
-
-    def binding(self, place: Float[np.ndarray, " parameters"]) -> set[str]:
-        """Return the measures whose limits bind at a place."""
-        return {one.name for one in self.slacks(place) if one.value < BINDING_SLACK}

@@ -15,7 +15,8 @@ from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
 from walker_jax.design.area_gradients import AreaSettings, MeasuredArea
 from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
-from walker_jax.design.problem import Limits, Problem, describe_problem
+from walker_jax.design.limits import Limits
+from walker_jax.design.problem import Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
@@ -155,6 +156,22 @@ class Trace:
                 own = row._replace(run=run, stage=stage)
                 self.add(key_at(stage, values), row, own)
                 yield own
+
+    def measure_batch(
+        self,
+        place: Float[np.ndarray, " parameters"],
+        measure_area: Callable[[AreaSettings, System], MeasuredArea],
+    ) -> Evaluation:
+        """Measure the walker at a place with its gradient, its area by a batch of starts."""
+        values = self.problem.values(place)
+        key = key_at(0, values)
+        with bar(self.label(values), self.progress):
+            row = self.find(key, True)
+            if row is None:
+                row = evaluate_objective(self.problem, 0, values, self.gait, measure_area)
+        own = row._replace(run=0, stage=0)
+        self.add(key, row, own)
+        return own
 
     def find(self, key: tuple, with_gradient: bool) -> Evaluation | None:
         """Return an earlier measurement; None if there is none, or it lacks a needed gradient."""

@@ -1,7 +1,7 @@
 """Pictures of basins of attraction."""
 
 import math
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -14,14 +14,13 @@ from walker_jax.checks import WrongUse
 from walker_jax.figures.labels import draw_label, keep_clear
 from walker_jax.figures.layout import (
     DrawnAxes,
-    Shown,
+    Style,
     axes_for,
-    dress,
     figure_legend,
     figure_title,
-    name_axes,
+    finish,
+    name_outer_axes,
     new_figure,
-    size_between,
 )
 from walker_jax.figures.regions import (
     attractor_mark,
@@ -52,15 +51,7 @@ PANELS = 6
 """Most slices in a picture of a basin of three dimensions."""
 
 
-def basin(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def basin(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the basin of attraction and the ways to fall around it, over a grid of two dimensions.
 
     Figures 2 (plain axes) and 4 (sheared axes) of Schwab and Wisse (2001). Each fate has a pale
@@ -72,8 +63,7 @@ def basin(
 
     - `data`: what `walker_jax.basin` returns. The first dimension is drawn along the x axis.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set that is not of two dimensions, with two
     cells or more along each.
@@ -85,7 +75,7 @@ def basin(
             f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}"
             f"{slicing_hint(fate)}"
         )
-    ax = axes_for(ax, 7, 5.4)
+    ax = axes_for(ax, style, 7, 5.4)
     large = large_basins(data, len(BASINS))
     regions = regions_of(data, large)
     x, y = map(str, fate.dims)
@@ -103,23 +93,21 @@ def basin(
         marks.append(attractor_mark(ax, dots, marker, name + where))
         keep_clear(free, dots, extent)
     ax.set(xlim=extent[:2], ylim=extent[2:])
-    size = size_between(ax)
     for region in regions:
-        named = labels and draw_label(ax, region, free, extent, size)
+        named = style.get("labels", True) and draw_label(ax, region, free, extent)
         if not named or region.counted:
             patches.append(counted_patch(region, share))
     if "origin" in data.attrs:
         ax.yaxis.get_offset_text().set_x(-0.1)  # put the offset in its usual place
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=walker_title(data),
         note=basin_note(data) + place_note(data, (x, y)),
         x=offset_label(data, x),
         y=offset_label(data, y),
-        legends=[(marks, 1), (patches, 2)],
+        legend=[*marks, *patches],
     )
-    return ax
 
 
 def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
@@ -190,9 +178,8 @@ def basin_slices(data: xr.Dataset) -> Figure:
     grid[0, 0].set(xlim=extent[:2], ylim=extent[2:])
     name_outer_axes(grid, len(chosen), x, y)
     patches = [counted_patch(region, share_drawn(data)) for region in regions]
-    above = f"{walker_title(data, 34 * columns)}\n{basin_note(data)}"
-    figure_title(figure, above, "medium", "normal")
-    figure_legend(figure, [*marks.values(), *patches], columns=2)
+    figure_title(figure, walker_title(data))
+    figure_legend(figure, [*marks.values(), *patches], basin_note(data))
     return figure
 
 
@@ -222,18 +209,8 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
         note = area_phrase(data, area) if area else "no basin of attraction"
         ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
     name_outer_axes(panels, len(slopes), x, y)
-    figure_legend(figure, [*map(patch_of, regions)], columns=4)
+    figure_legend(figure, [*map(patch_of, regions)])
     return figure
-
-
-def name_outer_axes(panels: np.ndarray, used: int, x: str, y: str) -> None:
-    """Name the axes at the left and below of rows of panels, and hide the last, unused ones."""
-    for ax in panels.flat[used:]:
-        ax.set_visible(False)
-    for ax in panels[-1]:
-        name_axes(ax, x=x, size=SMALL)
-    for ax in panels[:, 0]:
-        name_axes(ax, y=y, size=SMALL)
 
 
 def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:

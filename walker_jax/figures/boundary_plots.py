@@ -1,6 +1,6 @@
 """Pictures of the boundary between fates and attractors."""
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.regions import (
     extent_of,
     paint,
@@ -40,23 +40,14 @@ ENDS = {
 """Words for an edge state that is no saddle, but for those that lead to a system's own failure."""
 
 
-def boundary(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the basin, the saddles on its boundary, and their stable manifolds.
 
     **Arguments:**
 
     - `data`: what `walker_jax.boundary` returns, over two dimensions.
     - `ax`: where to draw; by default, on a new figure of 7 by 6.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -64,7 +55,7 @@ def boundary(
     fate = data["fate"]
     if fate.ndim != 2 or min(fate.shape) < 2:
         raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}")
-    ax = axes_for(ax, 7, 6.2)
+    ax = axes_for(ax, style, 7, 6.2)
     x, y = map(str, fate.dims)
     extent = extent_of(data, x, y)
     regions = regions_of(data, large_basins(data, len(BASINS)))
@@ -98,16 +89,15 @@ def boundary(
             look |= {"color": "white"}
             marks += ax.plot(*place_states(data, path[-1:], (x, y)).T, "D", label=label, **look)
     ax.set(xlim=extent[:2], ylim=extent[2:])
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=walker_title(data),
         note=entropy_phrase(data),
         x=x,
         y=y,
-        legends=[(marks, 1), ([*map(patch_of, regions)], 2)],
+        legend=[*marks, *map(patch_of, regions)],
     )
-    return ax
 
 
 def saddle_phrase(one: xr.Dataset) -> str:

@@ -2,7 +2,7 @@
 
 import math
 from itertools import pairwise
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -15,22 +15,14 @@ from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.figures.exponent_plots import lyapunov_exponents
 from walker_jax.figures.layout import (
     DrawnAxes,
-    Shown,
+    Style,
     axes_for,
-    dress,
+    figure_of,
     figure_title,
+    finish,
     new_figure,
-    size_between,
 )
-from walker_jax.figures.style import (
-    BASINS,
-    DASHED,
-    INK,
-    SMALL,
-    SOLID,
-    period_style,
-    points_of,
-)
+from walker_jax.figures.style import BASINS, DASHED, INK, SMALL, SOLID, period_style, points_of
 from walker_jax.figures.text import RADIUS, count_noun, walker_title
 from walker_jax.gaits.curves import (
     Curve,
@@ -61,15 +53,7 @@ FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
 """Lines of unstable gaits of long periods, of which there are many."""
 
 
-def gait_branches(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw all gaits against a parameter: the first coordinate at the start of each stride.
 
     Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours show periods. Lines are
@@ -82,13 +66,12 @@ def gait_branches(
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
     check_dataset(data, "gait branches")
-    ax = axes_for(ax, 7, 5.6)
+    ax = axes_for(ax, style, 7, 5.6)
     drawn = read_curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
@@ -107,10 +90,10 @@ def gait_branches(
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
     counts["Neimark-Sacker point"] = len(tori)
     set_range(ax, data)
-    if labels:
+    if style.get("labels", True):
         write_step_times(ax, data)
     kinds = []
-    for name, found, style in (
+    for name, found, look in (
         ("stable", data["stable"].values, SOLID),
         ("unstable", ~data["stable"].values, DASHED),
         ("fold", folds, FOLD),
@@ -120,27 +103,20 @@ def gait_branches(
         ("supercritical Neimark-Sacker", closed, CLOSED_TORUS),
     ):
         if found.any():
-            kinds.append(Line2D([], [], color=INK, label=name, **style))
-    dress(
+            kinds.append(Line2D([], [], color=INK, label=name, **look))
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=f"{walker_title(data)}: gaits",
         note=", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n),
         x=str(data.attrs["parameter"]),
         y=first_name(data),
-        legends=[(kinds, 4), (period_lines(drawn), 4)],
+        legend=[*kinds, *period_lines(drawn)],
     )
-    return ax
 
 
 def largest_multiplier(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
     """Draw the largest Floquet multiplier's modulus against a parameter, along the main cascade.
 
@@ -152,13 +128,12 @@ def largest_multiplier(
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
     check_dataset(data, "gait branches")
-    ax = axes_for(ax, 7, 4.6)
+    ax = axes_for(ax, style, 7, 4.6)
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
     family = cascade_curves(data)
     handles = period_lines(family)
@@ -174,29 +149,22 @@ def largest_multiplier(
     set_range(ax, data)
     ax.set_ylim(0, HIGHEST)
     sides = (("unstable", 3, "bottom"), ("stable", -4, "top"))
-    for words, rise, side in sides if labels else ():
+    for words, rise, side in sides * style.get("labels", True):
         place = ax.get_yaxis_transform()
         ax.annotate(words, (0, 1), (5, rise), place, "offset points", va=side, fontsize=SMALL)
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=f"{walker_title(data)}: largest Floquet multiplier",
         note="of the most stable gait of period one and the gaits that double from it",
         x=str(data.attrs["parameter"]),
         y=RADIUS,
-        legends=[(handles, 2)],
+        legend=handles,
     )
-    return ax
 
 
 def bifurcation_diagram(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
     """Draw the attractors against a parameter: the first coordinate at the start of each stride.
 
@@ -208,33 +176,34 @@ def bifurcation_diagram(
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set without gaits and attractors.
     """
     check_dataset(data, "bifurcation diagram")
-    ax = axes_for(ax, 7, 5)
+    ax = axes_for(ax, style, 7, 5)
     value, state = attractor_states(data)
     ax.plot(value, state, "o", color=BASINS[0], ms=1, mew=0, rasterized=True, zorder=4)
+    handles = [Line2D([], [], color=BASINS[0], marker="o", ms=3, ls="", label="attractor")]
     for curve in cascade_curves(data)[:1]:
         draw_curve(ax, curve, curve.states, stable=False)
+        handles.append(Line2D([], [], color=INK, label="unstable gait", **DASHED))
     set_range(ax, data)
     lost, note = loss_of_attractor(data), ""
     if np.isfinite(lost):
-        ax.axvline(lost, color=LOSS, lw=1, zorder=3)
+        handles.append(ax.axvline(lost, color=LOSS, lw=1, zorder=3, label="walking is lost"))
         low, high = data["lost"].values.tolist()
         digits = max(5, 1 - math.floor(math.log10(high - low)))  # enough to tell the two apart
         note = f"walking is lost between {low:.{digits}f} and {high:.{digits}f}"
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=f"{walker_title(data)}: attractors",
         note=note,
+        legend=handles,
         x=str(data.attrs["parameter"]),
         y=first_name(data),
     )
-    return ax
 
 
 def bifurcations(data: xr.Dataset) -> Figure:
@@ -248,34 +217,34 @@ def bifurcations(data: xr.Dataset) -> Figure:
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
 
-    **Returns** the figure, of 13 by 9.4 inches or, with exponents, by 14.1:
+    **Returns** the figure, of 10.4 by 9 inches or, with exponents, by 13.5:
     `figures.bifurcations(data).savefig("slope.png")`. Raises `ValueError` as these do.
     """
     check_dataset(data, "bifurcation diagram")
     rows = 3 if "exponents" in data else 2
-    figure = new_figure(13, 4.7 * rows)
+    figure = new_figure(10.4, 4.5 * rows)
     axes = figure.subplots(rows, 2)
-    gait_branches(data, axes[0, 0], title="Gaits")
-    bifurcation_diagram(data, axes[0, 1], title="Attractors")
-    largest_multiplier(data, axes[1, 0], title="Largest Floquet multiplier")
-    close = axes[1, 1]
+    gait_branches(data, axes[0, 0], title="a  Gaits")
+    bifurcation_diagram(data, axes[0, 1], title="b  Attractors")
+    largest_multiplier(data, axes[1, 0], title="c  Largest Floquet multiplier")
+    close, letter = axes[1, 1], "d"
     if rows == 3:
-        lyapunov_exponents(data, axes[1, 1], title="Lyapunov exponents")
-        close, below = axes[2]
+        lyapunov_exponents(data, axes[1, 1], title="d  Lyapunov exponents")
+        (close, below), letter = axes[2], "e"
     window = cascade_window(data)
     if window is None:
         for ax in axes[-1, 3 - rows :]:
             ax.remove()
     else:
-        zoom = bifurcation_diagram(data, close, title="Attractors of the cascade")
+        zoom = bifurcation_diagram(data, close, title=f"{letter}  Attractors of the cascade")
         zoom.lines[0].set(markersize=0.8, alpha=0.5)
         zoom.set(xlim=window[:2], ylim=window[2:])
-        zoom.locator_params(axis="x", nbins=6)
         if rows == 3:
-            zoom = lyapunov_exponents(data, below, title="Exponents of the cascade")
+            zoom = lyapunov_exponents(data, below, title="f  Exponents of the cascade")
             zoom.set_xlim(window[:2])
-            zoom.locator_params(axis="x", nbins=6)
-    figure_title(figure, walker_title(data, 110))
+    for ax in figure.axes:
+        ax.locator_params(axis="x", nbins=6)
+    figure_title(figure, walker_title(data))
     return figure
 
 
@@ -338,8 +307,8 @@ def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None
 def write_step_times(ax: Axes, data: xr.Dataset) -> None:
     """Write the step times of the gaits of period one at the end of the range beside the axes."""
     heights, times = final_gaits(data)
-    _, size = size_between(ax)
-    line = 1.4 * points_of(SMALL) / size * np.ptp(ax.get_ylim())
+    high = 0.6 * ax.bbox.height * 72 / figure_of(ax).dpi  # between the title and the legend
+    line = 1.4 * points_of(SMALL) / high * np.ptp(ax.get_ylim())
     at = ax.get_yaxis_transform()
     order = np.argsort(heights)
     places = spread_apart(heights[order], line, ax.get_ylim()[1] - line / 2)

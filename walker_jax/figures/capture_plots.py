@@ -1,6 +1,7 @@
 """Pictures of nested sets: how large basins are, and how large they could be."""
 
 from collections.abc import Mapping
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
@@ -11,7 +12,7 @@ from matplotlib.colors import to_hex
 from walker_jax.basins.cell_classes import CellClass
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.regions import Region, extent_of, paint, patch_of, show_image
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
@@ -32,11 +33,7 @@ def capturability(
     data: xr.Dataset,
     basins: Mapping[str, xr.Dataset] | None = None,
     ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    **style: Unpack[Style],
 ) -> DrawnAxes:
     """Draw how large the basin could be: n-step capturable states within the viability kernel.
 
@@ -51,7 +48,7 @@ def capturability(
     - `basins`: up to three data sets of `walker_jax.basin` on the same grid, by name, such as those
       of walkers with feedback or with a `Policy`.
     - `ax`: where to draw; by default, on a new figure of 3.5 by 4.4 inches, a column of a paper.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set that is not of two or three dimensions,
     with two cells or more along the first two, and for too many basins or basins on another grid.
@@ -59,26 +56,25 @@ def capturability(
     check_dataset(data, "viability")
     plane, place = middle_plane(data)
     around = read_basins(data, {} if basins is None else basins)
-    ax = axes_for(ax, 3.5, 4.4)
+    ax = axes_for(ax, style, 3.5, 4.4)
     x, y = map(str, plane["viable"].dims)
     extent = extent_of(plane, x, y)
     regions = regions_of_capture(plane, areas_of_capture(data))
     show_image(ax, paint(regions, plane["viable"].shape), extent)
     lines = []
-    for (words, basin), style in zip(around.items(), LINES, strict=False):
+    for (words, basin), look in zip(around.items(), LINES, strict=False):
         cells, _ = middle_plane(basin, "attractor")
-        named = f"{words}: {sum(basin.attrs['area']):.3g}", *style
+        named = f"{words}: {sum(basin.attrs['area']):.3g}", *look
         lines += draw_boundary(ax, named, cells["attractor"].values >= 0, extent)
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=walker_title(data),
         note=f"{actions_in_words(data)}{place}",
         x=x,
         y=y,
-        legends=[([patch_of(region) for region in regions], 2), (lines, 2)],
+        legend=[*map(patch_of, regions), *lines],
     )
-    return ax
 
 
 def regions_of_capture(data: xr.Dataset, areas: list[str]) -> list[Region]:

@@ -1,6 +1,6 @@
 """Charts of two parameters: periods of attractors behind curves of bifurcations."""
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, cell_edges, dress
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, cell_edges, finish
 from walker_jax.figures.style import INK, PERIODS, SIGNS, SMALL, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.gaits.charts import NO_GAIT, words_in
@@ -54,15 +54,7 @@ SPECIAL: dict[str, Any] = {
 """Markers of points of codimension two."""
 
 
-def chart(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def chart(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw attractors and curves of bifurcations over two parameters.
 
     The tint of a cell shows the period of its attractor. The colour of a curve shows the period of
@@ -73,30 +65,28 @@ def chart(
 
     - `data`: what `walker_jax.chart` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.8 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes and of points of codimension two.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "chart")
-    ax = axes_for(ax, 7, 5.8)
+    ax = axes_for(ax, style, 7, 5.8)
     axes = data["first"].values, data["second"].values
     periods = draw_cells(ax, data)
     drawn = draw_lines(ax, data)
-    draw_special(ax, data, labels)
+    draw_special(ax, data, style.get("labels", True))
     ax.set(xlim=cell_edges(axes[0]), ylim=cell_edges(axes[1]))
     first, second = data["parameter"].values.tolist()
     counts = {"curve": data.sizes["line"], "codimension-two point": data.sizes["special"]}
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=f"{walker_title(data)}: {first.replace('_', ' ')} and {second.replace('_', ' ')}",
         note=", ".join(count_noun(n, noun) for noun, n in counts.items() if n),
         x=first,
         y=second,
-        legends=[(periods, 5), (drawn, 3)],
+        legend=[*periods, *drawn],
     )
-    return ax
 
 
 def tinted(period: int) -> tuple[float, ...]:
@@ -121,7 +111,7 @@ def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
     image[others] = to_rgb(NO_PERIOD)
     fails = "falls" if "theta" in names_in(data, "section") else "fails"
     further = (
-        ("no period, or a longer one", others, NO_PERIOD),
+        ("no or a longer period", others, NO_PERIOD),
         (fails, ~walks & ~undecided & (fate != NO_GAIT), FALLS),
         ("undecided", undecided, NOT_KNOWN),
     )

@@ -1,11 +1,13 @@
 """Lyapunov exponents over a parameter."""
 
+from typing import Unpack
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
@@ -16,13 +18,7 @@ that is larger: at a superstable gait the lowest exponents have no bound."""
 
 
 def lyapunov_exponents(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
     """Draw Lyapunov exponents of the attractor against a parameter, with their error bands.
 
@@ -33,15 +29,14 @@ def lyapunov_exponents(
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set without exponents.
     """
     check_dataset(data, "bifurcation diagram")
     if "exponents" not in data:
         raise WrongUse("data must have exponents: give bifurcation_diagram a number of strides")
-    ax = axes_for(ax, 7, 4.6)
+    ax = axes_for(ax, style, 7, 4.6)
     value = data["sample_value"].values
     found, errors = data["exponents"].values, data["exponent_errors"].values
     ax.axhline(0, color=INK, lw=0.8, zorder=1)
@@ -58,16 +53,15 @@ def lyapunov_exponents(
         ax.set_xlim(value.min(), value.max())
     positive = np.flatnonzero(found[:, 0] > 2 * errors[:, 0])
     where = value[positive[0]] if len(positive) else np.nan
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=f"{walker_title(data)}: Lyapunov exponents",
         note=f"the first is above zero from {where:.5f}" if len(positive) else "none is above zero",
         x=str(data.attrs["parameter"]),
         y="exponent (1/stride)",
-        legends=[(handles, 4)],
+        legend=handles,
     )
-    return ax
 
 
 def ordinal(i: int) -> str:

@@ -79,8 +79,7 @@ def film(
         )
         (now,) = axes[1].plot([], [], "o", color=TRAJECTORY, mec=INK, mew=1.4, ms=10, zorder=7)
         moving += [line, now]
-    letters, size = (90, "large") if data is not None else (55, "medium")
-    figure_title(figure, walker_title(walk, letters), size)
+    figure_title(figure, walker_title(walk), "large" if data is not None else "medium")
     heading = prepare_stage(axes[0])
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # otherwise panels shake
@@ -110,7 +109,7 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
     check_dataset(walk, "walk in space")
     figure = Figure(figsize=(6, 5.4), layout="constrained")
     ax = figure.subplots()
-    figure_title(figure, walker_title(walk, 70), "small")
+    figure_title(figure, walker_title(walk), "small")
     heading = prepare_stage(ax)
     tall = 1.25 * float(walk.attrs["walker_leg_length"])
     with film_writer(figure, path, signature, [ax]) as grab:
@@ -156,7 +155,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     x, y = map(str, data["fate"].dims[1:])
     name_axes(ax, x, y)
     figure_title(figure, walker_title(data), "large")
-    figure_legend(figure, [*map(patch_of, regions)], columns=2)
+    figure_legend(figure, [*map(patch_of, regions)])
     heading = ax.set_title("window 0.000e+00 wide, 0.000e+00 high", loc="left", fontsize="medium")
     figure.draw_without_rendering()
     figure.set_layout_engine("none")

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.figures.layout import figure_legend, figure_title, name_axes, new_figure
-from walker_jax.figures.style import LONGER, OTHERS, PERIODS, TITLE, period_style
+from walker_jax.figures.style import INK, LONGER, OTHERS, PERIODS, TITLE, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import names_in
@@ -23,6 +23,8 @@ EVENT: dict[str, Any] = {"color": OTHERS, "lw": 0.8, "ls": ":"}
 
 def basin_fractions(data: xr.Dataset) -> Figure:
     """Draw fractions of the basins over a parameter, stacked, with the attractors above.
+
+    Bars are 95 % intervals.
 
     The upper panel has the first coordinate of the attractors at the start of each stride; dotted
     lines are the bifurcations of their branches. Walkers fail from the rest of the region.
@@ -49,10 +51,13 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     name_axes(above, y=names_in(data, "section")[0])
     above.set_title("Attractors", **TITLE)
     fractions = np.nan_to_num(data["fraction"].values)
-    draw_steps(below, value, fractions, colours)
+    ends = np.stack([data[f"fraction_{end}"].values.T for end in ("low", "high")])
+    draw_steps(below, value, fractions, ends, colours)
     name_axes(below, str(data.attrs["parameter"]))
     below.set_ylabel("fraction of the region")
-    below.set(xlim=(value[0], value[-1]), ylim=(0, 1.1 * fractions.sum(axis=1).max() or None))
+    below.set(
+        xlim=(value[0], value[-1]), ylim=(0, 1.02 * float(np.nansum(ends[1], axis=0).max()) or None)
+    )
     below.set_title("Basins", **TITLE)
     handles: list[Artist] = [
         Patch(color=colour, label=f"{i}: " + (f"period {n}" if n else "no period"))
@@ -60,7 +65,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     ]
     if inside.any():
         handles.append(Line2D([], [], label="bifurcation", **EVENT))
-    figure_legend(figure, handles, columns=3)
+    figure_legend(figure, handles)
     figure_title(figure, f"{walker_title(data)}, {count_noun(count, 'attractor')}", "large")
     return figure
 
@@ -78,11 +83,21 @@ def colours_of(periods: Sequence[int]) -> list[str]:
     return [own.get(i, LONGER[0]) for i in range(len(periods))]
 
 
-def draw_steps(ax: Axes, value: np.ndarray, shares: np.ndarray, colours: list[str]) -> None:
-    """Draw stacked shares, constant around each value, halfway to its neighbours."""
+def draw_steps(
+    ax: Axes, value: np.ndarray, shares: np.ndarray, ends: np.ndarray, colours: list[str]
+) -> None:
+    """Draw stacked shares, constant around each value, halfway to its neighbours.
+
+    Bars at the top of each share are from the lower to the upper one of its `ends`.
+    """
     middle = (value[:-1] + value[1:]) / 2
     edges = np.concatenate([value[:1], middle, value[-1:]])
     base = np.zeros(len(value))
     for share, colour in zip(shares.T, colours, strict=True):
         ax.stairs(base + share, edges, baseline=base, fill=True, color=colour)
         base = base + share
+    base = np.zeros(len(value))
+    for share, low, high in zip(shares.T, *ends, strict=True):
+        base, own = base + share, share > 0
+        errors = np.maximum([share - low, high - share], 0)[:, own]
+        ax.errorbar(value[own], base[own], errors, fmt="none", ecolor=INK, elinewidth=0.8)

@@ -1,11 +1,13 @@
 """Pictures of walking on rough ground."""
 
+from typing import Unpack
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, figure_of
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_of, finish
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
@@ -15,15 +17,7 @@ FAINTEST = 1e-6
 """Chance, relative to the largest one, below which a pixel is empty."""
 
 
-def metastability(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the quasi-stationary distribution: where walks that still last are on the section.
 
     The axes are theta and theta + thetadot, as for basins; on rough ground the third direction is
@@ -33,13 +27,12 @@ def metastability(
 
     - `data`: what `walker_jax.metastability` returns.
     - `ax`: where to draw; by default, on a new figure of 6.4 by 5.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     Raises `ValueError` for another data set.
     """
     check_dataset(data, "metastable walking")
-    ax = axes_for(ax, 6.4, 5.2)
+    ax = axes_for(ax, style, 6.4, 5.2)
     edges, chance = data["edges"].values, data["chance"].values
     seen = chance > FAINTEST * chance.max()
     shares = (np.arange(PARTS) + 0.5) / PARTS - 0.5
@@ -59,13 +52,12 @@ def metastability(
     mean, error = float(data["mean_strides"]), 1.96 * float(data["mean_strides_error"])
     bar = figure_of(ax).colorbar(image, ax=ax)
     bar.set_label("chance of each pixel")
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=walker_title(data),
         note=f"a fall after {mean:,.4g} ± {error:,.2g} strides on average",
         x="theta",
         y="sum",
         beside=[bar.ax],
     )
-    return ax

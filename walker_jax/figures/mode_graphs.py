@@ -33,7 +33,7 @@ def modes(system: HybridSystem, found: Explanation | None = None) -> DrawnAxes:
     places = places_of(graph)
     columns = 1 + max(column for column, _ in places.values())
     rows = max(row for _, row in places.values())
-    ax = axes_for(None, 2.2 * columns, 3.0 + 0.8 * rows)
+    ax = axes_for(None, {}, 2.2 * columns, 3.0 + 0.8 * rows)
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(-0.8, rows + 0.6))
     ax.axis("off")
     ax.set_title(f"modes of {system.label()}", loc="left", fontweight="bold")

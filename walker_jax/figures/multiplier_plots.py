@@ -1,7 +1,7 @@
 """Floquet multipliers in the complex plane."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.transforms import offset_copy
 
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, figure_of
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_of, finish
 from walker_jax.figures.style import INK, SMALL, gait_marker
 from walker_jax.figures.text import count_noun, short_number
 from walker_jax.gaits.cycles import Gait
@@ -20,15 +20,7 @@ ROW, ROWS = 13, 8
 """Height (points) of a line on multipliers beyond the frame, and most lines at one place."""
 
 
-def multipliers(
-    gaits: Sequence[Gait],
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def multipliers(gaits: Sequence[Gait], ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the Floquet multipliers of gaits in the complex plane, with the unit circle.
 
     Colours and signs show periods; signs are filled for stable gaits and open for unstable ones. An
@@ -38,12 +30,11 @@ def multipliers(
 
     - `gaits`: for example from `walker_jax.find_gaits`. Failed searches are left out.
     - `ax`: where to draw; by default, on a new figure of 6.2 by 7.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes.
     """
-    ax = axes_for(ax, 6.2, 7.2, "compressed")
+    ax = axes_for(ax, style, 6.2, 7.2, "compressed")
     gaits = [gait for gait in gaits if gait.found]
     ax.add_patch(Circle((0, 0), 1, fc="#f2f2f2", ec=INK, lw=1, zorder=1))
     ax.axhline(0, color=INK, lw=0.4, zorder=1.5)
@@ -56,7 +47,7 @@ def multipliers(
         ax.plot(x, y, zorder=3, **gait_marker(len(gait.states), bool(gait.stable)))
         far += [(complex(value), gait) for value in values[beyond]]
     for rim in group_at_rim(far):
-        draw_rim(ax, rim, labels)
+        draw_rim(ax, rim, style.get("labels", True))
     ax.set(xlim=(-RIM, RIM), ylim=(-RIM, RIM), aspect="equal", anchor="W")
     stable = sum(bool(gait.stable) for gait in gaits)
     kinds = [
@@ -69,16 +60,15 @@ def multipliers(
         Line2D([], [], label=f"period {period}", **gait_marker(period, True)) for period in periods
     ]
     of_period = f" of period {periods[0]}" if len(periods) == 1 else ""
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title="Floquet multipliers",
         note=f"of {count_noun(len(gaits), 'gait')}{of_period}, {stable} of them stable",
         x="real part",
         y="imaginary part",
-        legends=[(kinds, 4), ([] if of_period else signs, 4)],
+        legend=[*kinds, *([] if of_period else signs)],
     )
-    return ax
 
 
 class Rim(NamedTuple):

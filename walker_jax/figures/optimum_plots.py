@@ -1,7 +1,7 @@
 """Pictures of an optimisation."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -27,12 +27,12 @@ from walker_jax.design.results import (
 )
 from walker_jax.figures.layout import (
     DrawnAxes,
-    Shown,
+    Style,
     axes_for,
-    dress,
     figure_legend,
     figure_of,
     figure_title,
+    finish,
     new_figure,
 )
 from walker_jax.figures.regions import (
@@ -76,14 +76,7 @@ MEASURE_WORDS = {
 
 
 def optimisation(
-    data: xr.Dataset,
-    parameter: str | None = None,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    data: xr.Dataset, parameter: str | None = None, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
     """Draw the values of a parameter that an optimisation tried, and the objective.
 
@@ -97,8 +90,7 @@ def optimisation(
     - `data`: what `walker_jax.optimise` returns.
     - `parameter`: one of the free parameters; by default, the first.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set without an optimum, and for a parameter
     that was not free.
@@ -108,10 +100,8 @@ def optimisation(
     parameter = names[0] if parameter is None else parameter
     if parameter not in names:
         raise WrongUse(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
-    ax = axes_for(ax, 7, 5.6)
-    shown = Shown(title, subtitle, legend, labels)
-    draw_optimisation(ax, data, parameter, headline(data, 60), shown)
-    return ax
+    ax = axes_for(ax, style, 7, 5.6)
+    return draw_optimisation(ax, data, parameter, headline(data), style)
 
 
 def basins_before_and_after(data: xr.Dataset) -> Figure:
@@ -126,7 +116,7 @@ def basins_before_and_after(data: xr.Dataset) -> Figure:
     check_optimum(data)
     figure = new_figure(11, 5.2)
     draw_basins([*figure.subplots(1, 2)], data)
-    figure_title(figure, walker_title(fixed_attributes(data), 80))
+    figure_title(figure, walker_title(fixed_attributes(data)))
     return figure
 
 
@@ -154,11 +144,11 @@ def optimum(data: xr.Dataset) -> Figure:
         ax = figure.add_subplot(grid[row, column * wide : (column + 1) * wide])
         words = name.replace("_", " ")
         title = words.capitalize() if len(name) > 1 else name  # a letter is a symbol
-        draw_optimisation(ax, data, name, title, Shown())
+        draw_optimisation(ax, data, name, title, {})
     if basins:
         halves = [figure.add_subplot(grid[-1, half]) for half in (slice(3), slice(3, 6))]
         draw_basins(halves, data)
-    figure_title(figure, headline(data, int(8 * size[0])))
+    figure_title(figure, headline(data))
     return figure
 
 
@@ -177,22 +167,22 @@ def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
 
 
 def draw_optimisation(
-    ax: Axes, data: xr.Dataset, parameter: str, subject: str, shown: Shown
-) -> None:
-    """Draw the picture `optimisation`."""
+    ax: Axes, data: xr.Dataset, parameter: str, subject: str, style: Style
+) -> DrawnAxes:
+    """Draw the picture `optimisation` under a title."""
     scan, ground = draw_scan(ax, data, parameter)
     stages, others = draw_runs(ax, data, parameter)
     marks = [*draw_ends(ax, data.sel(parameter=parameter)), *scan, *others]
     ax.set_xlim(*bounds(data, parameter))
     ax.locator_params(axis="x", nbins=6)
-    dress(
+    return finish(
         ax,
-        shown,
+        style,
         title=subject,
-        note=join_phrases([gain(data), *ending(data, parameter)], 60),
+        note=join_phrases([gain(data), *ending(data, parameter)]),
         x=parameter,
         y=objective_words(data),
-        legends=[(marks, 2), (stages, len(STAGES)), (ground, 1)],
+        legend=[*marks, *stages, *ground],
     )
 
 
@@ -262,13 +252,13 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
         show_image(ax, image, extent)
         values = dict(zip(free_parameters(data), data[side].values.tolist(), strict=True))
-        words = f"{side.capitalize()}: {join_phrases(parameter_values(values), 42)}"
+        words = f"{side.capitalize()}: {join_phrases(parameter_values(values))}"
         note, own = optimum_basin_note(data, side), y if side == "start" else ""
-        dress(ax, Shown(), title=words, note=note, x=x, y=own)
+        finish(ax, {}, title=words, note=note, x=x, y=own)
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
     panels[1].tick_params(labelleft=False)
-    figure_legend(figure_of(panels[0]), [*map(patch_of, regions)], columns=6)
+    figure_legend(figure_of(panels[0]), [*map(patch_of, regions)])
 
 
 def optimum_basin_note(data: xr.Dataset, side: str) -> str:
@@ -279,11 +269,9 @@ def optimum_basin_note(data: xr.Dataset, side: str) -> str:
     return "; ".join([*([area_phrase(data, area)] if area else []), *slices])
 
 
-def headline(data: xr.Dataset, width: int) -> str:
-    """Return the walker, its fixed parameters, and the objective, in lines of some width."""
-    walker, words = walker_title(fixed_attributes(data), width), objective_words(data)
-    fits = len(walker.splitlines()[-1]) + len(words) < width
-    return f"{walker}: {words}" if fits else f"{walker}:\n{words}"
+def headline(data: xr.Dataset) -> str:
+    """Return the walker, its fixed parameters, and the objective."""
+    return f"{walker_title(fixed_attributes(data))}: {objective_words(data)}"
 
 
 def objective_words(data: xr.Dataset) -> str:

@@ -71,7 +71,7 @@ def step(data: xr.Dataset) -> Figure:
         Line2D([], [], color=INK, lw=3, label="stance leg"),
         Line2D([], [], color=SWING, lw=3, label="swing leg"),
     ]
-    figure_legend(figure, legs, columns=2)
+    figure_legend(figure, legs)
     figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
     return figure
 

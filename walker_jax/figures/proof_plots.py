@@ -1,12 +1,14 @@
 """Pictures of proved basins."""
 
+from typing import Unpack
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import Patch
 
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
@@ -18,30 +20,22 @@ FATES = {
 }
 """Words and colour of a cell, by what is proved of it."""
 EDGE = 64
-"""Number of points along the border of the trap."""
+"""Number of points along the border of the trap, and of the disc proved."""
 
 
-def proof(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
-    """Draw the cells that are proved to walk for ever, or to fall, and the trap.
+def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
+    """Draw the cells that are proved to walk for ever, or to fall, the trap, and the disc proved.
 
     **Arguments:**
 
     - `data`: what `walker_jax.prove_basin` returns. The first axis is drawn along the x axis.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "proof")
-    ax = axes_for(ax, 7, 5.4)
+    ax = axes_for(ax, style, 7, 5.4)
     low, high = data["lower"].values, data["upper"].values
     width = (high - low) / data["count"].values / 2.0 ** data["level"].values[:, None]
     corner = low + data["place"].values * width
@@ -53,30 +47,38 @@ def proof(
             corners = corner[some, None] + square * width[some, None]
             ax.add_collection(PolyCollection([*corners], facecolors=colour, linewidths=0))
             patches.append(Patch(color=colour, label=words))
-    edge = trap_edge(data)
-    (line,) = ax.plot(*edge.T, color="white", lw=1.6)
-    (line,) = ax.plot(*edge.T, color=INK, lw=0.8, label="trap")
-    ax.set_xlim(low[0], high[0])
-    ax.set_ylim(low[1], high[1])
+    trap = round_trap(data, np.linalg.inv(data["trap_factor"].values.T) * float(data["trap_size"]))
+    curves = {"trap": (trap, "-")}
+    if data.attrs["radius"]:
+        around = round_trap(data, np.eye(len(low)) * data.attrs["radius"])
+        curves[f"starts within {data.attrs['radius']:.7g} of the gait"] = around, "--"
+    marks = []
+    for words, (curve, dashes) in curves.items():
+        ax.plot(*curve.T, color="white", lw=1.8)
+        marks += ax.plot(*curve.T, dashes, color=INK, lw=0.9, label=words)
+    gait = round_trap(data, np.zeros((len(low), len(low))))[:1]
+    marks += ax.plot(*gait.T, "o", ls="", ms=4, color=INK, mec="white", label="gait")
+    seen = np.concatenate([low[None], high[None], trap])
+    beyond = 0.03 * np.ptp(seen, axis=0)
+    (left, bottom), (right, top) = seen.min(axis=0) - beyond, seen.max(axis=0) + beyond
+    ax.set(xlim=(left, right), ylim=(bottom, top))
     x, y = data["axis"].values.tolist()
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=walker_title(data),
         note=proof_note(data),
         x=x,
         y=y,
-        legends=[([*patches, line], 2)],
+        legend=[*patches, *marks],
     )
-    return ax
 
 
-def trap_edge(data: xr.Dataset) -> np.ndarray:
-    """Return points of the trap's border, along the axes."""
+def round_trap(data: xr.Dataset, shape: np.ndarray) -> np.ndarray:
+    """Return points along the axes of the ellipse `centre + shape · circle` of states."""
     turn = np.linspace(0, 2 * np.pi, EDGE)
-    circle = float(data["trap_size"]) * np.stack([np.cos(turn), np.sin(turn)])
-    offsets = np.linalg.solve(data["trap_factor"].values.T, circle)
-    states = data["trap_centre"].values[:, None] + offsets
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    states = data["trap_centre"].values[:, None] + shape @ circle
     return np.linalg.solve(data["shear"].values, states).T
 
 

@@ -1,6 +1,6 @@
 """Pictures of robustness."""
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -14,10 +14,10 @@ from walker_jax.checks import WrongUse
 from walker_jax.figures.basin_maps import basin
 from walker_jax.figures.layout import (
     DrawnAxes,
-    Shown,
+    Style,
     axes_for,
-    dress,
     figure_title,
+    finish,
     new_figure,
     padded_limits,
 )
@@ -30,7 +30,7 @@ from walker_jax.figures.regions import (
     regions_of,
     show_image,
 )
-from walker_jax.figures.style import BASINS, INK, failure_words
+from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
 from walker_jax.stability.nearest_starts import (
     NearestStart,
@@ -51,15 +51,7 @@ MEASURES = {
 """Colour, line and words of each measure of robustness."""
 
 
-def disturbance(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def disturbance(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the basin near its gait, and the nearest start from which the walker does not return.
 
     The walker returns from all starts inside the solid curve. If the nearest start converges to
@@ -69,15 +61,14 @@ def disturbance(
 
     - `data`: what `walker_jax.robustness` returns, over two dimensions, with a gait.
     - `ax`: where to draw; by default, on a new figure of 5.4 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "robustness")
     if not has_plane_disturbance(data):
         raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
-    ax = axes_for(ax, 5.4, 5.4)
+    ax = axes_for(ax, style, 5.4, 5.4)
     axes = x, y = str(data["fate"].dims[0]), str(data["fate"].dims[1])
     starts = nearest_starts(data)
     curves = [place_states(data, circle(one.gait_state, one.distance), axes) for one in starts]
@@ -91,8 +82,8 @@ def disturbance(
     near = data.isel(window)
     regions = regions_of(near, large_basins(data, len(BASINS)))
     show_image(ax, paint(regions, near["fate"].shape), extent_of(near, x, y))
-    for curve, style in zip(curves, ("-", "--"), strict=False):
-        ax.plot(*curve.T, style, color="white", lw=1.6)
+    for curve, line in zip(curves, ("-", "--"), strict=False):
+        ax.plot(*curve.T, line, color="white", lw=1.6)
     gait = data["gait_state"].values
     name = attractor_name(data, int(data["gait_period"]), gait[None])
     signs = [(gait, "o", name)]
@@ -108,16 +99,15 @@ def disturbance(
         )
     ax.set(xlim=limits[0], ylim=limits[1])
     ax.locator_params(nbins=6)
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title="Least disturbance",
         note=distance_phrase(starts),
         x=x,
         y=y,
-        legends=[(marks, 1), ([*map(patch_of, regions)], 2)],
+        legend=[*marks, *map(patch_of, regions)],
     )
-    return ax
 
 
 def distance_phrase(starts: list[NearestStart]) -> str:
@@ -162,13 +152,7 @@ def robustness(data: xr.Dataset) -> Figure:
 
 
 def robustness_measures(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
     """Draw area of the basin, least disturbance and largest multiplier against a parameter.
 
@@ -180,13 +164,12 @@ def robustness_measures(
 
     - `data`: what `walker_jax.robustness_table` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     values, parameter = table_axis(data)
-    ax = axes_for(ax, 7, 4.6)
+    ax = axes_for(ax, style, 7, 4.6)
     handles: list[Line2D] = []
     for name in ("total_area", "least_disturbance"):
         largest = largest_of(data[name])
@@ -196,26 +179,19 @@ def robustness_measures(
     handles += draw_falls(ax, data, largest_of(data["least_disturbance"]) or 1)
     handles += draw_measure(ax, data, "multiplier")
     ax.set(xlim=padded_limits(values), ylim=(0, 1.05 * max(1, np.nanmax(ax.dataLim.y1))))
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=f"{walker_title(data)}: robustness",
         note="band: twice the standard error of the area; multiplier of the attracting gait",
         x=parameter,
-        y="relative to the maximum; modulus of the multiplier",
-        legends=[(handles, 1)],
+        y="relative to the maximum; multiplier",
+        legend=handles,
     )
-    return ax
 
 
 def boundary_dimension(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
     """Draw the dimension of the boundary of the basin against a parameter, with its interval.
 
@@ -224,22 +200,21 @@ def boundary_dimension(
     **Arguments** and errors are those of `robustness_measures`.
     """
     values, parameter = table_axis(data)
-    ax = axes_for(ax, 7, 4.6)
+    ax = axes_for(ax, style, 7, 4.6)
     low, middle, high = (data[f"dimension{end}"].values for end in ("_low", "", "_high"))
     ax.fill_between(values, low, high, color=BASINS[0], alpha=0.25, lw=0)
     ax.plot(values, middle, "o-", color=BASINS[0], markersize=4)
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
     top = np.nanmax([1.2, *high])
     ax.set(xlim=padded_limits(values), ylim=(0.9, 1.05 * top))
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title="Dimension of the basin's boundary",
         note="by the uncertainty exponent, with its 95\u00a0% interval",
         x=parameter,
         y="dimension",
     )
-    return ax
 
 
 def robustness_table(data: xr.Dataset) -> Figure:
@@ -258,47 +233,52 @@ def robustness_table(data: xr.Dataset) -> Figure:
     values, parameter = table_axis(data)
     figure = new_figure(13, 8.4)
     axes = figure.subplots(2, 2)
-    shown = Shown()
     known = has_known_units(data)
-    area = axes[0, 0]
-    draw_measure(area, data, "total_area")
-    draw_band(area, data)
-    dress(
-        area,
-        shown,
-        title="Area of the basin",
-        note="band: twice its standard error",
-        x=parameter,
-        y=AREA_LABEL if known else MEASURES["total_area"][2],
-    )
-    least = axes[0, 1]
-    handles = [*draw_measure(least, data, "least_disturbance"), *draw_falls(least, data)]
-    dress(
-        least,
-        shown,
-        title="Least disturbance",
-        note="distance from the gait to the nearest start that does not return to it",
-        x=parameter,
-        y=MEASURES["least_disturbance"][2] + " (rad, time in √(l/g))" * known,
-        legends=[(handles, 1)] if len(handles) > 1 else [],
-    )
-    multiplier = axes[1, 0]
-    draw_measure(multiplier, data, "multiplier")
-    draw_periods(multiplier, data)
-    multiplier.axhline(1, color=INK, lw=0.8, zorder=1)
-    dress(
-        multiplier,
-        shown,
-        title="Largest Floquet multiplier",
-        note="of the gait that walkers converge to, with its period if above 1; stable below 1",
-        x=parameter,
-        y=RADIUS,
-    )
-    for ax in (area, least, multiplier):
+    units = " (rad, time in √(l/g))" * known
+    names = AREA_LABEL if known else MEASURES["total_area"][2], MEASURES["least_disturbance"][2]
+    words: dict[str, tuple[str, str, str]] = {
+        "total_area": ("Area of the basin", "band: twice its standard error", names[0]),
+        "least_disturbance": (
+            "Least disturbance",
+            "distance from the gait to the nearest start that does not return to it",
+            names[1] + units,
+        ),
+        "multiplier": (
+            "Largest Floquet multiplier",
+            "of the gait that walkers converge to; numbers are periods above 1",
+            RADIUS,
+        ),
+    }
+    for ax, (name, (title, note, y)) in zip(axes.flat, words.items(), strict=False):
+        handles = draw_measure(ax, data, name)
         ax.set(xlim=padded_limits(values), ylim=(0, None))
+        if name == "total_area":
+            draw_band(ax, data)
+        elif name == "least_disturbance":
+            handles += draw_falls(ax, data)
+        else:
+            draw_periods(ax, data)
+            ax.axhline(1, color=INK, lw=0.8, zorder=1)
+        if name != "multiplier":
+            mark_maximum(ax, data, name)
+        legend = handles if len(handles) > 1 else []
+        finish(ax, {}, title=title, note=note, x=parameter, y=y, legend=legend)
     boundary_dimension(data, axes[1, 1])
-    figure_title(figure, f"{walker_title(data, 110)}: robustness")
+    figure_title(figure, f"{walker_title(data)}: robustness")
     return figure
+
+
+def mark_maximum(ax: Axes, data: xr.Dataset, name: str) -> None:
+    """Mark the largest value of a measure, where its parameter is, if it is not at an end."""
+    values, parameter = table_axis(data)
+    measured = data[name].values
+    top = int(np.nanargmax(np.nan_to_num(measured, nan=-1.0)))
+    if 0 < top < len(values) - 1:
+        low = ax.get_ylim()[0]
+        ax.plot([values[top]] * 2, [low, measured[top]], ":", color=INK, lw=1, zorder=1)
+        words = f"largest at {parameter.replace('_', ' ')} {values[top]:.4g}"
+        place = (values[top], low), (4, 6)
+        ax.annotate(words, *place, textcoords="offset points", fontsize=SMALL)
 
 
 def draw_measure(ax: Axes, data: xr.Dataset, name: str, scale: float = 1) -> list[Line2D]:

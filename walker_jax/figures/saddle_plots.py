@@ -1,7 +1,7 @@
 """Pictures of long transients: a chaotic saddle, and the law of mean lives beyond a crisis."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from walker_jax.checks import WrongUse, check_kind, numbers
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import BASINS, INK, OTHERS
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.escapes import CrisisLaw, Transients
@@ -29,11 +29,7 @@ def chaotic_saddle(
     attractor: Float[ArrayLike, "n section"] | None = None,
     gait: Gait | None = None,
     ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    **style: Unpack[Style],
 ) -> DrawnAxes:
     """Draw a chaotic saddle, the attractor before the crisis, and the ways in which walks leave.
 
@@ -48,15 +44,14 @@ def chaotic_saddle(
     - `gait`: a gait whose states are marked, such as the gait that the attractor meets at the
       crisis.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a section of one dimension.
     """
     check_kind("found", found, Transients)
     if len(found.section) < 2:
         raise WrongUse(f"found must have two coordinates, not {', '.join(found.section)}")
-    ax = axes_for(ax, 7, 5.6)
+    ax = axes_for(ax, style, 7, 5.6)
     summed = found.section[:2] == ("theta", "thetadot")
 
     def place(states: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -83,17 +78,16 @@ def chaotic_saddle(
         low, high = np.quantile(values, [0.001, 0.999])
         set_limits(low - (high - low) * AROUND, high + (high - low) * AROUND)
     exponents = ", ".join(f"{one:.3f}" for one in found.exponents)
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title="Chaotic saddle",
         note=f"mean life {found.mean_life:.1f}; exponents {exponents}; dimension "
         f"{found.dimension:.2f}",
         x=found.section[0],
         y="sum" if summed else found.section[1],
-        legends=[([one for one in handles if not one.get_label().startswith("_")], 3)],
+        legend=[one for one in handles if not one.get_label().startswith("_")],
     )
-    return ax
 
 
 def crisis_law(
@@ -104,11 +98,7 @@ def crisis_law(
     predicted: Mapping[str, float] | None = None,
     openings: Mapping[str, float] | None = None,
     ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
+    **style: Unpack[Style],
 ) -> DrawnAxes:
     """Draw mean lives against the distance from a crisis, on logarithmic axes, and the fitted law.
 
@@ -120,8 +110,7 @@ def crisis_law(
       exponents go through the centre of the lives, as the fitted law does.
     - `openings`: values of the parameter to mark, by their labels.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes and of openings.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for values that are not beyond the crisis.
     """
@@ -130,7 +119,7 @@ def crisis_law(
     distance = values - law.crisis
     if not (values.ndim == 1 and len(values) and (distance > 0).all()):
         raise WrongUse(f"values must be above the crisis, {law.crisis:g}")
-    ax = axes_for(ax, 7, 5)
+    ax = axes_for(ax, style, 7, 5)
     weights = (lives / errors) ** 2
     middle = [np.exp(np.average(np.log(one), weights=weights)) for one in (distance, lives)]
     ends = np.array([distance.min(), distance.max()])
@@ -148,15 +137,14 @@ def crisis_law(
         handles += ax.plot(ends, line(exponent), label=f"{name}: {exponent:.2f}", **look)
     for name, value in (openings or {}).items():
         ax.axvline(value - law.crisis, color=OTHERS, lw=0.9, ls=":", zorder=1)
-        words = f" {name} " * labels
+        words = f" {name} " * style.get("labels", True)
         ax.text(value - law.crisis, ax.get_ylim()[1], words, rotation=90, va="top", ha="right")
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title="Mean life beyond the crisis",
         note=f"crisis at {law.crisis:.8g}; chi² per degree of freedom {law.misfit:.1f}",
         x=f"distance from {law.crisis:.8g}",
         y="mean life (strides)",
-        legends=[(handles, 2)],
+        legend=handles,
     )
-    return ax

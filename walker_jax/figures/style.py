@@ -27,10 +27,10 @@ SIGNS = {
     Outcome.OUTSIDE: ("#b9b9b9", ""),
     Outcome.STOPPED: ("#8e8459", ""),
     Outcome.UNDECIDED: ("#b25900", ""),
-    Outcome.BENT_KNEE: ("#5d34ff", "K"),
-    Outcome.BUCKLED: ("#604d3e", ""),
-    Outcome.SCUFFED: ("#184646", ""),
-    Outcome.SIDEWAYS: ("#d3841b", "S"),
+    Outcome.BENT_KNEE: ("#c58c2b", "K"),
+    Outcome.BUCKLED: ("#573434", ""),
+    Outcome.SCUFFED: ("#775c44", ""),
+    Outcome.SIDEWAYS: ("#22535d", "S"),
 }
 OWN_COLOURS = "#a782ef", "#9a0344", "#755967", "#164537"
 """Colours of the failures that a system names itself, in turn."""
@@ -73,6 +73,15 @@ LETTER, NOTE, SMALL = "x-large", "medium", "small"
 """Sizes of text, relative to `rcParams`: letters of regions, second lines of titles, and the
 rest."""
 TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
+SHEET: Any = {
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "legend.loc": "upper left",
+    "legend.frameon": False,
+    "legend.borderpad": 0,
+    "legend.borderaxespad": 0,
+}
+"""Style sheet of titles and legends."""
 
 
 def points_of(size: str) -> float:

@@ -1,15 +1,17 @@
 """Words of pictures: names of axes, titles, numbers with their units."""
 
 import math
-import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units, total_area
+from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.trees import HASHED
+from walker_jax.walkers.family import WALKERS
 
 AREA_LABEL = "area of the basin (rad² / √(l/g))"
 VOLUME_LABEL = "volume of the basin (rad³·g/l)"
@@ -38,9 +40,10 @@ METHOD_NAMES = {
 }
 
 
-MOST_PARAMETERS = 9
-"""Most parameters in a title. Of a walker with more, as in space, only the first few are named."""
-FEW_PARAMETERS = 5
+NO_BREAK = "\u00a0"
+"""Space at which no line ends."""
+MOST_PARAMETERS = 6
+"""Most parameters in a title."""
 
 
 def axis_label(name: str) -> str:
@@ -48,18 +51,16 @@ def axis_label(name: str) -> str:
     return AXIS_LABELS.get(name, name.replace("_", " "))
 
 
-def walker_title(data: xr.Dataset, width: int = 60) -> str:
-    """Return the walker and its parameters, in lines of some width."""
+def walker_title(data: xr.Dataset) -> str:
+    """Return the walker and its parameters, without those that have their default values."""
     name = str(data.attrs.get("walker", "Walker"))
-    parameters = {
-        str(key).removeprefix("walker_"): value
-        for key, value in data.attrs.items()
-        if str(key).startswith("walker_")
-    }
-    values = parameter_values(parameters)
-    if len(values) > MOST_PARAMETERS:
-        values = [*values[:FEW_PARAMETERS], "…"]
-    return join_phrases([name, *values], width)
+    known = (kind for kind in (*WALKERS.values(), *SYSTEMS.values()) if kind.__name__ == name)
+    usual = {one.name: one.default for kind in known for one in fields(kind)}
+    own = {str(key): value for key, value in data.attrs.items()}
+    own = {key[len("walker_") :]: own[key] for key in own if key.startswith("walker_")}
+    values = parameter_values({key: own[key] for key in own if own[key] != usual.get(key)})
+    shown = values[:MOST_PARAMETERS] + ["…"] * (len(values) > MOST_PARAMETERS)
+    return join_phrases([name, *shown])
 
 
 def parameter_values(parameters: Mapping[str, Any]) -> list[str]:
@@ -72,10 +73,9 @@ def parameter_values(parameters: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def join_phrases(phrases: Sequence[str], width: int) -> str:
-    """Join phrases with commas, in lines of some width that break between phrases."""
-    whole = [words.replace(" ", "\u00a0") for words in phrases]
-    return textwrap.fill(", ".join(whole), width).replace("\u00a0", " ")
+def join_phrases(phrases: Sequence[str]) -> str:
+    """Join phrases with commas; lines break between them alone."""
+    return ", ".join(words.replace(" ", NO_BREAK) for words in phrases)
 
 
 def basin_note(data: xr.Dataset) -> str:
@@ -109,7 +109,7 @@ def with_error(value: float, error: float) -> str:
 def slice_phrase(fixed: Mapping[str, float]) -> str:
     """Say where the plane of a picture is, by the coordinates that it holds fixed."""
     values = [coordinate_value(name, value) for name, value in fixed.items()]
-    return join_phrases([f"in the slice at {values[0]}", *values[1:]], 60)
+    return join_phrases([f"in the slice at {values[0]}", *values[1:]])
 
 
 def coordinate_value(name: str, value: float) -> str:

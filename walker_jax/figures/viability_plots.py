@@ -1,6 +1,6 @@
 """Pictures of the viability kernel."""
 
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, figure_of
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_of, finish
 from walker_jax.figures.regions import (
     Extent,
     extent_of,
@@ -36,15 +36,7 @@ LINES = {
 """Boundaries: words, colour, width and kind of their lines."""
 
 
-def viability(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the viability kernel over a grid and the failures around it; of three axes, a slice.
 
     Viable cells are shaded by the share of actions that keep them viable. Other cells have the
@@ -56,7 +48,7 @@ def viability(
     - `data`: what `walker_jax.viable` returns. The first dimension is drawn along the x axis; of
       three dimensions, the slice in the middle is drawn.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for a data set that is not of two or three dimensions,
     with two cells or more along the first two.
@@ -64,7 +56,7 @@ def viability(
     check_dataset(data, "viability")
     data, place = middle_plane(data)
     viable = data["viable"]
-    ax = axes_for(ax, 7, 5.4)
+    ax = axes_for(ax, style, 7, 5.4)
     x, y = map(str, viable.dims)
     extent = extent_of(data, x, y)
     regions = with_failures([], data["failure"].values, failures_of(data))
@@ -82,22 +74,17 @@ def viability(
         for mark in draw_boundary(ax, LINES[name], cells, extent)
     ]
     bar = figure_of(ax).colorbar(scale, ax=ax)
-    if labels:
-        bar.set_label("share of safe actions")
-    dress(
+    bar.set_label("share of safe actions")
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=walker_title(data),
         note=f"{viability_note(data)}{place}",
         x=x,
         y=y,
-        legends=[
-            (marks, 3),
-            ([patch_of(region) for region in regions], 2),
-        ],
+        legend=[*marks, *map(patch_of, regions)],
         beside=[bar.ax],
     )
-    return ax
 
 
 def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, str]:

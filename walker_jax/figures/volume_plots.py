@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from walker_jax.basins.volumes import slice_basin
-from walker_jax.figures.layout import figure_legend, figure_title, name_axes, new_figure
+from walker_jax.figures.layout import figure_legend, figure_title, finish, new_figure
 from walker_jax.figures.regions import (
     attractor_mark,
     attractor_name,
@@ -23,7 +23,7 @@ from walker_jax.figures.regions import (
     regions_of,
     show_image,
 )
-from walker_jax.figures.style import BASINS, INK, MARKERS, OTHERS, SMALL
+from walker_jax.figures.style import BASINS, INK, MARKERS, OTHERS, SMALL, TITLE
 from walker_jax.figures.text import SYMBOLS, coordinate_value, volume_note, walker_title
 from walker_jax.storage.schema import check_dataset
 
@@ -72,9 +72,9 @@ def volume(data: xr.Dataset) -> Figure:
         (centre,) = place_states(data, cycle_of(data, large[0])[:1], names)
 
     figure = new_figure(10, 9)
-    panels = figure.subplots(2, 2)
+    panels = [figure.add_subplot(2, 2, k + 1) for k in range(3)]
     patches, marks = {}, []
-    for ax, hidden in zip(panels.flat, (2, 1, 0), strict=False):
+    for ax, hidden in zip(panels, (2, 1, 0), strict=True):
         low, high = (float(data[names[hidden]][end]) for end in (0, -1))
         at = float(np.clip(centre[hidden], low, high))
         plane = slice_basin(data, names[hidden], at)
@@ -92,14 +92,11 @@ def volume(data: xr.Dataset) -> Figure:
             for number, marker in zip(large, MARKERS, strict=False)
         ]
         ax.set(xlim=window[names.index(x)], ylim=window[names.index(y)])
-        name_axes(ax, x, y, size=SMALL)
-        ax.set_title(
-            coordinate_value(names[hidden], float(plane[names[hidden]])), fontsize="medium"
-        )
-    draw_surface(panels.flat[3], names, window, places, colours)
-    above = f"{walker_title(data, 95)}\n{volume_note(data)}"
-    figure_title(figure, above, "medium", "normal")
-    figure_legend(figure, [*marks, *patches.values()], columns=3)
+        at_place = coordinate_value(names[hidden], float(plane[names[hidden]]))
+        finish(ax, {}, title=f"Slice at {at_place}", x=x, y=y)
+    draw_surface(figure.add_subplot(2, 2, 4), names, window, places, colours)
+    figure_title(figure, walker_title(data))
+    figure_legend(figure, [*marks, *patches.values()], volume_note(data))
     return figure
 
 
@@ -144,7 +141,7 @@ def draw_surface(
     view = rotation(AZIMUTH, ELEVATION)
     project = lambda at: (2 * (at - low) / (high - low) - 1) @ view.T
     ax.set(xlim=(-1.75, 1.75), ylim=(-1.7, 1.6), aspect="equal")
-    ax.set_title("its surface" if len(places) else "no basin of attraction", fontsize="medium")
+    ax.set_title("Surface" if len(places) else "No basin of attraction", **TITLE)
     ax.set_axis_off()
     if len(places) == 0:
         return

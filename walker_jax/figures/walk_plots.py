@@ -1,5 +1,7 @@
 """Pictures of walks: leg angles over time, and the trajectory in a basin."""
 
+from typing import Unpack
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
@@ -9,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import DrawnAxes, Shown, axes_for, dress, new_figure
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, new_figure
 from walker_jax.figures.poses import GROUND, SWING
 from walker_jax.figures.regions import (
     attractor_mark,
@@ -29,15 +31,7 @@ TRAJECTORY = "#f2b632"
 """Colour of a trajectory in a basin, visible on dark and on pale ground."""
 
 
-def leg_angles(
-    data: xr.Dataset,
-    ax: Axes | None = None,
-    *,
-    title: bool | str = True,
-    subtitle: bool = True,
-    legend: bool = True,
-    labels: bool = True,
-) -> DrawnAxes:
+def leg_angles(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
     """Draw the angles of both legs from the normal of the slope, over time.
 
     Figure 6 of Schwab and Wisse (2001). Thin lines are heel strikes, at which the legs exchange
@@ -47,13 +41,12 @@ def leg_angles(
 
     - `data`: what `walker_jax.motion` returns.
     - `ax`: where to draw; by default, on a new figure of 9 by 4.2 inches.
-    - `title`, `subtitle`, `legend`, `labels`: whether to draw these; a string replaces the title.
-      Labels are the names of axes, and words in the picture.
+    - `style`: which words to draw, as in `Style`.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "walk")
-    ax = axes_for(ax, 9, 4.2)
+    ax = axes_for(ax, style, 9, 4.2)
     stride, time = data["stride"].values, data["time"].values
     theta = data["theta"].values
     ax.axhline(0, color=GROUND, lw=0.6, zorder=1)
@@ -75,16 +68,15 @@ def leg_angles(
     if "knee" in data:
         legs[1].set_label("swing thigh")
         legs.append(Line2D([], [], color=SWING, lw=0.9, label="swing shank"))
-    dress(
+    return finish(
         ax,
-        Shown(title, subtitle, legend, labels),
+        style,
         title=f"{walker_title(data)}: leg angles",
         note=course(data),
         x="time (√(l/g))",
         y="angle from the normal of the slope (rad)",
-        legends=[(legs, len(legs))],
+        legend=legs,
     )
-    return ax
 
 
 def course(data: xr.Dataset) -> str:
@@ -128,9 +120,9 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
         for k in range(first, last):
             write_number(ax, k + 1, (x[k], y[k]))
     close.set(xlim=window[0], ylim=window[1])
-    dress(
+    finish(
         close,
-        Shown(),
+        {},
         title="Enlarged",
         note=f"starts {half + 1} to {len(x)}, and the attractor",
         x=axes[0],

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Array, Complex, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.execution.tiles import map_cells
@@ -25,10 +27,13 @@ from walker_jax.gaits.cycles import (
     solve_linear_systems,
     split,
 )
+from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System
+from walker_jax.walkers.choices import MANY, values_of
 from walker_jax.walkers.parameters import check_parameter, parameter_directions
+from walker_jax.walking.pulling import pull_back, pull_in_batches, pull_strides
 from walker_jax.walking.starts import prepare
 
 MOST_PARAMETERS = 2
@@ -99,6 +104,82 @@ def gait_derivatives(
     order = order_by_modulus(values.astype(complex))
     rates = np.diag(np.linalg.solve(vectors, change @ vectors))
     return GaitDerivatives(dx[0], rates[order].astype(complex), second.time[0])
+
+
+class GaitPull:
+    """Derivatives by numbers of a walker, of what depends on them by way of a gait.
+
+    By few numbers they follow from `gait_derivatives`; by many in reverse, from the transposed
+    system.
+    """
+
+    def __init__(
+        self, walker: System, gait: Gait, parameters: Sequence[str], tolerance: Real | None = None
+    ):
+        self.walker, self.gait, self.parameters = walker, gait, parameters
+        self.tolerance = tolerance
+
+    @cached_property
+    def changes(self) -> list[GaitDerivatives]:
+        """Derivatives of the gait by each number."""
+        each = partial(gait_derivatives, self.walker, self.gait, tolerance=self.tolerance)
+        return [each(name) for name in self.parameters]
+
+    def pull(
+        self,
+        by_states: Float[np.ndarray, "period section"],
+        by_times: Float[np.ndarray, " period"],
+        by_multipliers: Complex[np.ndarray, " section"],
+    ) -> Float[np.ndarray, " parameters"]:
+        """Return derivatives by the numbers, given those by states, step times and multipliers.
+
+        A change by dm of the multipliers is Re(by_multipliers . dm). Those that have no derivatives
+        do no harm where nothing depends on them.
+        """
+        given = by_states, by_times, by_multipliers
+        if len(self.parameters) < MANY:
+            pairs = [*zip(given, ("states", "step_times", "multipliers"), strict=True)]
+            used = [(by, name) for by, name in pairs if by.any()]
+            along = lambda one: sum(np.sum(by * getattr(one, name)).real for by, name in used)
+            return np.array([along(one) for one in self.changes], by_states.dtype)
+        total = self.pull_states(by_states, by_times)
+        if by_multipliers.any():
+            cycle = jnp.asarray(self.gait.states)
+            by_walker = pull_multipliers(self.walker, cycle, by_multipliers, self.tolerance)
+            total = total + values_of(by_walker, self.parameters)
+        return total
+
+    def pull_states(
+        self,
+        by_states: Float[np.ndarray, "period section"],
+        by_times: Float[np.ndarray, " period"],
+    ) -> Float[np.ndarray, " parameters"]:
+        """Do the work of `pull` in reverse, without multipliers."""
+        cycle = np.asarray(self.gait.states)
+        walker, _, integrator = prepare(self.walker, cycle[0], self.tolerance)
+        local = linearise(walker, cycle[None], integrator)
+        check_cycle(walker, cycle, local.state[0], MAX_RESIDUAL[cycle.dtype])
+        given = [cycle, np.zeros_like(cycle), by_times.astype(cycle.dtype)]
+        _, by_start = pull_in_batches(pull_strides, walker, integrator, given, ())
+        # J_i dx_i - dx_{i+1} = -dS/dp, transposed
+        transposed = np.swapaxes(cycle_matrices(local.jacobian), 1, 2)
+        right = (by_states + by_start).reshape(1, -1)
+        given[1] = -solve_linear_systems(transposed, right).reshape(cycle.shape)
+        pulled, _ = pull_in_batches(pull_strides, walker, integrator, given, self.parameters)
+        return pulled.sum(axis=0)
+
+
+@partial(jax.jit, static_argnums=3)
+def pull_multipliers(
+    walker: System,
+    states: Float[Array, "period section"],
+    change: Complex[Array, " section"],
+    tolerance: Real | None,
+) -> Any:
+    """Compute derivatives by a walker, given those by the multipliers of its gait."""
+    search = partial(search_gait, period=len(states), tolerance=tolerance)
+    of = lambda walker, states: search(walker, states).multipliers
+    return pull_back(of, walker, states, change)[0]
 
 
 class SecondDerivatives(NamedTuple):

@@ -26,6 +26,7 @@ from walker_jax.checks import (
     WrongUse,
     array,
     check_kind,
+    check_memory,
     check_number,
     check_whole,
     is_traced,
@@ -115,7 +116,7 @@ def search_gait(
 ) -> Gait:
     """`find_gait`, but a failed search returns `found` false and NaN instead of raising."""
     check_kind("walker", walker, System)
-    check_whole("period", period)
+    check_period(walker, period)
     given = guess is not None
     guess = as_floating(guess if given else first_guess(walker, period, tolerance, solver), "guess")
     size = len(walker.section)
@@ -140,6 +141,13 @@ def search_gait(
         return gait
     states, multipliers, times = (np.full_like(x, np.nan) for x in gait[:3])
     return gait._replace(states=states, multipliers=multipliers, step_times=times)
+
+
+def check_period(walker: System, period: int) -> None:
+    """Refuse a period whose equations, one for each coordinate in a cycle, exceed the memory."""
+    check_whole("period", period)
+    needed = 8 * (period * len(walker.section)) ** 2
+    check_memory(needed, f"a gait of period {period} needs", "lower period", of="period")
 
 
 def first_guess(
@@ -226,7 +234,7 @@ def find_gaits(
     smallest first coordinate, in ascending order of that coordinate.
     """
     check_kind("walker", walker, System)
-    check_whole("period", period)
+    check_period(walker, period)
     check_whole("descent", descent, 0)
     check_kind("progress", progress, bool)
     grid = walker.gait_region() if region is None else region

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
+from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import (
     Instant,
@@ -58,7 +59,7 @@ def rounding_of(
     It is the change of the function if each variable changes by the tolerance, or by `ROUNDING` if
     that is larger, times the largest variable or rate.
     """
-    slopes = jax.tree.leaves(jax.grad(function)(state))
+    slopes = jax.tree.leaves(with_fast_sincos(jax.grad(function))(state))
     size = lambda tree: [largest(jnp.abs(x)) for x in jax.tree.leaves(tree)]
     scale = functools.reduce(jnp.maximum, [*size(state), *size(rates)])
     part = jnp.maximum(tolerance, ROUNDING * float(jnp.finfo(scale.dtype).eps))

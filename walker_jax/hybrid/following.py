@@ -34,10 +34,10 @@ from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
 from walker_jax.integrators.integrator import Memory, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.step_loop import make_steps
+from walker_jax.integrators.step_loop import make_steps, write_steps
 from walker_jax.integrators.taylor import function_series, is_list
 from walker_jax.integrators.transposed_steps import transpose_steps
-from walker_jax.kernels.reverse import reversing, zero_where_unused
+from walker_jax.kernels.reverse import Writer, reversing, zero_where_unused
 
 FIRST_ORDER = 6
 """Order to which guards are expanded in every step, to exclude a rise. If that does not exclude
@@ -112,7 +112,7 @@ def follow_mode(
     if reversing.value and method.is_series and not measured:
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
-        last = find(start)
+        last, _ = find(start)
         arrive = partial(method.refine_event, surface_of(mode, last.guard))
     refined, delay = zero_where_unused(arrive, last.arrival)
     ended = has_ended(mode, last.guard)
@@ -127,25 +127,49 @@ def follow_mode(
 
 
 def find_event(
-    mode: Mode, start: Any, going: Bool[Array, ""], method: Method, measured: bool
-) -> Unfinished:
-    """Make steps to the first event, and find it."""
+    mode: Mode,
+    start: Any,
+    going: Bool[Array, ""],
+    method: Method,
+    measured: bool,
+    writer: Writer | None = None,
+) -> tuple[Unfinished, list | None]:
+    """Find the first event of a mode that begins in a state; return the tapes of a writer too."""
     mode, begun = begin_following(mode, start, going, method, measured)
+    return follow_on(mode, method, begun, measured=measured, writer=writer)
 
-    def unfinished(now: Unfinished):
+
+def follow_on(
+    mode: Mode,
+    method: Method,
+    begun: Unfinished,
+    *,
+    measured: bool,
+    writer: Writer | None = None,
+) -> tuple[Unfinished, list | None]:
+    """Make steps from some instant of a mode to its first event, and find it."""
+
+    def unfinished(carry):
+        now, _ = carry
         finite = jnp.isfinite(now.last.time + now.last.length)
         return (now.guard == NO_GUARD) & (now.count < mode.most_steps) & finite
 
-    def follow(now: Unfinished) -> Unfinished:
+    def follow(carry):
+        now, tapes = carry
         if measured:
-            return follow_measured(mode, method, now)[0]
+            return follow_measured(mode, method, now)[0], tapes
         step = partial(next_step, mode, method, violated=now.violated)
         quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
         # In a batch, lanes that have ended wait here for the others.
-        last, count = make_steps(step, now.last, quiet, going, now.count, mode.most_steps)
-        return search_step(mode, method, now._replace(last=last, count=count))[0]
+        about = now.last, quiet, going, now.count, mode.most_steps
+        if writer is None:
+            last, count = make_steps(step, *about)
+        else:
+            at = lambda last: (last.end, last.time + last.length)
+            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), at)
+        return search_step(mode, method, now._replace(last=last, count=count))[0], tapes
 
-    return lax.while_loop(unfinished, follow, begun)
+    return lax.while_loop(unfinished, follow, (begun, writer and writer.tapes))
 
 
 def find_in_reverse(
@@ -156,10 +180,10 @@ def find_in_reverse(
     Returns the mode as it begins its last step, and a function from there to the event.
     """
 
-    def find_steps(start):
-        last = find(start)
+    def find_steps(start, writer):
+        last, tapes = find(start, writer=writer)
         steps = jnp.where(has_ended(mode, last.guard), last.count - 1, 0)
-        return last.last.start, last.last.time, steps, last
+        return last.last.start, last.last.time, steps, last, tapes
 
     state, time, last = transpose_steps(method, find_steps, start)
     until = last.time - last.last.time
@@ -231,7 +255,7 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
     may, ends = ~jnp.isfinite(length), []
     known = along(mode, jax.tree.map(lambda c: c[: FIRST_ORDER + 1], series, is_leaf=is_list))
     for guard, side, polynomials in zip(mode.guards, sides, known, strict=True):
-        rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
+        rises, ends_below = rises_perhaps(guard, method, side, polynomials, length, end)
         may |= rises
         ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
     seen = []
@@ -261,9 +285,9 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     last = now.last
     series = method.series_of(last.start, last.memory)
     crossings = []
-    ends = zip(last.sides, last.ends, along(mode, series, whole=True), strict=True)
-    for side, end, (value, admits) in ends:
-        below = is_below(side, value)
+    ends = zip(mode.guards, last.sides, last.ends, along(mode, series, whole=True), strict=True)
+    for guard, side, end, (value, admits) in ends:
+        below = is_below(guard, side, value)
         may = may_rise(value, admits, last.length, below, end < 0)
         crossings.append(Crossing(value, admits, below, end < 0, may))
     number, when = first_rise(crossings, last.length)
@@ -339,24 +363,27 @@ def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:
         side = jnp.where(on_zero, ON_ZERO, side)
     if method.is_series:
         return side
-    return jnp.where(is_below(side, method.series(guard.value, start, 2)), -1, 1) + zero_at(start)
+    below = is_below(guard, side, method.series(guard.value, start, 2))
+    return jnp.where(below, -1, 1) + zero_at(start)
 
 
-def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
+def is_below(guard: Guard, side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
     """Return whether a guard is below zero as a step begins, by its side or first value."""
-    falls = begins_below([jnp.zeros_like(value[0]), *value[1:]])
-    first = jnp.where(side == ON_ZERO, falls, begins_below(value))
-    return jnp.where(jnp.abs(side) < 1, first, side < 0)
+    below = jnp.where(side == 0, begins_below(value), side < 0)
+    if guard.at_once:
+        return below
+    return jnp.where(side == ON_ZERO, begins_below([jnp.zeros_like(side), *value[1:]]), below)
 
 
 def rises_perhaps(
-    guard: Guard, side: Scalar, polynomials: tuple, length: Scalar, end: Any
+    guard: Guard, method: Method, side: Scalar, polynomials: tuple, length: Scalar, end: Any
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
     """Return whether a guard may rise in a step, and whether it ends below zero."""
     value, admits = polynomials
-    below = is_below(side, value)
-    # A step that its method rejects has no length, and changes no side.
-    ends_below = jnp.where(length == 0, below, value_at(guard.value, end) < 0)
+    below = is_below(guard, side, value)
+    ends_below = value_at(guard.value, end) < 0
+    if not method.is_series:  # which may reject a step: it then has no length, and changes no side
+        ends_below = jnp.where(length == 0, below, ends_below)
     if not guard.persists:
         return may_rise(value, admits, length, below, ends_below), ends_below
     slope = evaluate_polynomial(derivative_of(value), length)

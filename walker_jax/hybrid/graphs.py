@@ -107,6 +107,24 @@ def suit_state(name: str, mode: Mode, state: Any) -> Mode:
 
     Raise `WrongUse` unless its equations and guards suit that state.
     """
+    check_state(name, state)
+    kind = kind_of(state)
+    rates = kind_of(jax.eval_shape(mode.rates, state))
+    if not has_shapes(rates, kind):
+        raise WrongUse(
+            f"equations of mode {name!r} must return rates of the shapes of its state, "
+            f"{in_words(kind)}, not {in_words(rates)}"
+        )
+    for guard in mode.guards:
+        value = kind_of(jax.eval_shape(guard.value, state))
+        if not has_shapes(value, jax.ShapeDtypeStruct((), float)):
+            raise WrongUse(f"guards of mode {name!r} must be one number, not {in_words(value)}")
+    types = {x.dtype for x in jax.tree.leaves((kind, rates))}
+    return mode if len(types) == 1 else mode._replace(field=RatesOfType(mode.field))
+
+
+def check_state(name: str, state: Any) -> None:
+    """Raise `WrongUse` unless a mode can begin in a state: numbers, of one type."""
     if any(map(is_list, jax.tree.leaves(state, is_leaf=is_list))):
         raise WrongUse(
             f"states of mode {name!r} must be of tuples rather than lists: {short(state)}"
@@ -120,18 +138,6 @@ def suit_state(name: str, mode: Mode, state: Any) -> Mode:
             f"states of mode {name!r} must be floating-point numbers of one type, "
             f"not {in_words(kind)}"
         )
-    rates = kind_of(jax.eval_shape(mode.rates, state))
-    if not has_shapes(rates, kind):
-        raise WrongUse(
-            f"equations of mode {name!r} must return rates of the shapes of its state, "
-            f"{in_words(kind)}, not {in_words(rates)}"
-        )
-    for guard in mode.guards:
-        value = kind_of(jax.eval_shape(guard.value, state))
-        if not has_shapes(value, jax.ShapeDtypeStruct((), float)):
-            raise WrongUse(f"guards of mode {name!r} must be one number, not {in_words(value)}")
-    types |= {x.dtype for x in jax.tree.leaves(rates)}
-    return mode if len(types) == 1 else mode._replace(field=RatesOfType(mode.field))
 
 
 class RatesOfType(eqx.Module):

@@ -235,8 +235,9 @@ class Least(NamedTuple):
 class Dip(NamedTuple):
     """Whether a function turns twice in a step, by the cubic with its values and rates at the ends.
 
-    With c_0 = f(0), c_1 = f'(0) and f(s) = c_0 + c_1 s + b s^2 + a s^3 in parts s of the step, its
-    rate turns at s = -b / (3 a), where it is c_1 - b^2 / (3 a).
+    In parts s of the step, the cubic's rate is r_0 (1 - s)^2 + 2 m s (1 - s) + r_1 s^2, where
+    3 (f(1) - f(0)) = r_0 + m + r_1. It changes sign twice if r_0 and r_1 have the same sign, m has
+    the other one, and m^2 > r_0 r_1. It turns at s = (r_0 - m) / (r_0 - 2 m + r_1).
     """
 
     exists: Bool[Array, ""]
@@ -247,12 +248,13 @@ class Dip(NamedTuple):
 def dip_between(before: tuple, after: tuple, length: Scalar) -> Dip:
     """Look for two turns in a step, from values and rates at its ends."""
     (first, rate), (last, final) = before, after
-    rate, final, change = rate * length, final * length, last - first
-    a, b = rate + final - 2 * change, 3 * change - 2 * rate - final
-    within = (a * b < 0) & (jnp.abs(b) < 3 * jnp.abs(a)) & (3 * rate * a < b * b)
-    same = jnp.where(a > 0, (rate >= 0) & (final > 0), (rate < 0) & (final <= 0))
-    exists = within & same
-    return Dip(exists, jnp.where(exists, -b / (3 * jnp.where(exists, a, 1)), 0.5))
+    both = (rate + final) * length
+    middle = 3 * (last - first) - both
+    falls, rises = rate < 0, final > 0
+    opposite = (falls ^ rises) & ((middle < 0) ^ falls)
+    exists = opposite & (middle**2 > rate * final * length**2)
+    between = (rate * length - middle) / jnp.where(exists, both - 2 * middle, 1)
+    return Dip(exists, jnp.where(exists, between, 0.5))
 
 
 def find_least(

@@ -5,6 +5,7 @@ may fall by hundreds of orders of magnitude and grow again, so its digits count 
 Other variables are restored by what drives them.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -16,11 +17,14 @@ from jaxtyping import PyTree
 from walker_jax.integrators.expansion import trace
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.kernels.entries import EXACT, Unrolling
-from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES
+from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES
 from walker_jax.kernels.shortcuts import is_known
 
 MOST_VARIABLES = 32
 """Largest number of variables that are examined: each takes an interpretation of the equations."""
+MOST_ENTRIES = MOST_VARIABLES**2
+"""Most entries of an array that are examined: those of a matrix of all variables. Larger ones, as
+of a layer of a network, count as unknown."""
 UNKNOWN = object()
 """A number that is not known to be zero."""
 VANISHING = frozenset(
@@ -62,9 +66,16 @@ class Zeros(Unrolling):
     """Finds the entries of results that are zero where some entries of the arguments are."""
 
     def constant(self, value) -> np.ndarray:
-        if isinstance(value, Tracer):
+        if isinstance(value, Tracer) or np.size(value) > MOST_ENTRIES:
             return np.full(np.shape(value), UNKNOWN, object)
         return self.entries_of(np.asarray(value))
+
+    def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        if equation.primitive.name not in (*CALLS, *CALLS_WITH_DERIVATIVES):
+            variables: Any = (*equation.invars, *equation.outvars)
+            if any(math.prod(one.aval.shape) > MOST_ENTRIES for one in variables):
+                return self.keep(equation, operands)
+        return super().apply(equation, operands)
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         return [np.full(one.aval.shape, UNKNOWN, object) for one in equation.outvars]

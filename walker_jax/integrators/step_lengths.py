@@ -14,7 +14,8 @@ where equations contain such a function, the slope of the polynomial is compared
 in the middle and at the end of the step.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+import operator
+from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import Any, ClassVar, NamedTuple
 
@@ -60,8 +61,12 @@ DEFECT = 12.0
 tolerance |y| over the length. If the series shows all that is within the step, it is about n + 1
 times the first omitted term, which is a tenth of the last one."""
 MOST_HALVINGS = 100
-"""A step is halved at most so often, so that this ends where equations are not finite. A step of a
-solution at rest may have the length 1 / epsilon before."""
+"""A step is shortened by so many halvings at most, so that this ends where equations are not
+finite. A step of a solution at rest may have the length 1 / epsilon before."""
+SHORTER = 0.75
+"""Part of a step that is tried next where the series of a derivative does not allow the whole: few
+directions are much faster than the solution, and to look again is cheap. Equations with sharp
+features cost more to evaluate, so their steps are halved."""
 SHARP = frozenset("cosh erf erfc exp exp2 expm1 log1p logistic sinh tanh".split())
 """Primitives whose derivatives of all orders may be negligible at a point and large nearby. Poles
 and branch points, as those of quotients, roots and fractional powers, show from afar."""
@@ -135,7 +140,7 @@ def cut_for_function(
             agree &= jnp.abs(change) <= tolerance * size
         return agree
 
-    return halve_until(fits, lax.stop_gradient(length))
+    return shorten_until(fits, lax.stop_gradient(length))
 
 
 def step_size(
@@ -314,7 +319,7 @@ def shorten(
         fits = fits if field is None else fits & field_fits(field, blocks, h, tolerance, sizes)
         return holds_along_all(fits)
 
-    return halve_until(fits, length)
+    return shorten_until(fits, length, SHORTER if field is None else 0.5)
 
 
 @shorten.def_jvp
@@ -326,10 +331,12 @@ def vary_length(primals, tangents):
     return length, jnp.zeros_like(length)
 
 
-def halve_until(fits: Callable[[Scalar], Bool[Array, ""]], length: Scalar) -> Scalar:
-    """Return the length of a step, halved until it fits; NaN if none does."""
+def shorten_until(
+    fits: Callable[[Scalar], Bool[Array, ""]], length: Scalar, part: float = 0.5
+) -> Scalar:
+    """Return the length of a step, multiplied by `part` until it fits; NaN if none does."""
     least = length * 0.5**MOST_HALVINGS
-    found = lax.while_loop(lambda h: ~fits(h) & (h > least), lambda h: h / 2, length)
+    found = lax.while_loop(lambda h: ~fits(h) & (h > least), lambda h: h * part, length)
     return jnp.where(found > least, found, jnp.nan)
 
 
@@ -339,21 +346,16 @@ def derivative_fits(series: PyTree, length: Scalar, tolerance: Real) -> Bool[Arr
     If they are not finite, no shorter step makes them so.
     """
     last = order_of(series) - 1, order_of(series)
-    finite = jnp.isfinite(
-        largest_coefficient(series, last[0]) + largest_coefficient(series, last[1])
-    )
-    size = DERIVATIVE_TOLERANCE * tolerance * largest_term(series, length, FIRST_TERMS)
-    return ~(finite & (largest_term(series, length, last) > size))
+    finite = jnp.isfinite(sum_of_terms(series, jnp.ones_like(length), last))
+    size = DERIVATIVE_TOLERANCE * tolerance * sum_of_terms(series, length, FIRST_TERMS)
+    return ~(finite & (sum_of_terms(series, length, last) > size))
 
 
-def largest_term(series: PyTree, length: Scalar, orders: Iterable[int]) -> Scalar:
-    """Return the largest of some terms of a series at the end of a step."""
-
-    def term(k):
-        coefficient = largest_coefficient(series, k)
-        return jnp.where(coefficient == 0, 0, coefficient * length**k)  # the power may overflow
-
-    return reduce(jnp.maximum, map(term, orders))
+def sum_of_terms(series: PyTree, length: Scalar, orders: Sequence[int]) -> Scalar:
+    """Return the sum of the moduli of successive terms of a series at the end of a step."""
+    leaves = lax.stop_gradient(jax.tree.leaves(series, is_leaf=is_list))
+    sizes = [reduce(operator.add, (jnp.sum(jnp.abs(c[k])) for c in leaves)) for k in orders]
+    return evaluate_polynomial(sizes, length) * length ** orders[0]
 
 
 def has_sharp_features(function: Callable, state: PyTree) -> bool:
@@ -373,7 +375,7 @@ def field_fits(
     count = len(jax.tree.leaves(blocks[0], is_leaf=is_list))
     allowed = [sizes] * count if eqx.is_array(sizes) else jax.tree.leaves(sizes)
     for series in blocks[1:]:
-        allowed += [DERIVATIVE_TOLERANCE * largest_term(series, length, FIRST_TERMS)] * count
+        allowed += [DERIVATIVE_TOLERANCE * sum_of_terms(series, length, FIRST_TERMS)] * count
     # A derivative may vanish before the feature; it is then compared with its change beyond.
     scale, rounding = scale_of(blocks[0]), float(jnp.finfo(length.dtype).eps)
     unit = scale / jnp.maximum(largest_coefficient(blocks[0], 1), rounding * scale)

@@ -12,10 +12,15 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.roots import Scalar
+from walker_jax.kernels.reverse import Writer
+
+MOST_AT_ONCE = 2**24
+"""Most steps of one call, after which its caller goes on: single precision counts no further."""
 
 
 def make_steps(
@@ -29,26 +34,50 @@ def make_steps(
     """Make step after step until one does not go on; return the last and how many were made.
 
     `step` maps each step to the next one, and `going` says whether to make any. There are at most
-    `most`, together with those that were `made` before.
+    `most`, together with those that were `made` before, and at most `MOST_AT_ONCE`.
     """
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jnp.zeros_like(y)),
         # diffrax asks for the types of a step's results several times; so it is traced once, and
         # is called as a function of all that it closes over.
-        OneByOne(eqx.filter_jit(convert_closure(step, last)), goes_on),
-        made.astype(float),
-        float(most),
+        OneByOne(eqx.filter_jit(convert_closure(step, last)), goes_on, (most - made).astype(float)),
+        # Numbers that are known while a kernel is made: diffrax computes with them in every call.
+        0.0,
+        float(min(most, MOST_AT_ONCE)),
         None,
-        going.astype(float),
+        (going & (made < most)).astype(float),
         stepsize_controller=EachOfLengthOne(),
         event=diffrax.Event(lambda t, y, args, **_: y == 0),
         saveat=diffrax.SaveAt(solver_state=True),
         adjoint=diffrax.ForwardMode(),
         solver_state=last,
-        max_steps=int(most),  # single precision counts to 2^24 only
+        max_steps=None,  # time ends it
         throw=False,
     )
     return solution.solver_state, made + solution.stats["num_steps"]
+
+
+def write_steps(
+    step: Callable[[PyTree], PyTree],
+    last: PyTree,
+    goes_on: Callable[[PyTree], Bool[Array, ""]],
+    going: Bool[Array, ""],
+    made: Int[Array, ""],
+    most: int,
+    writer: Writer,
+    start_of: Callable[[PyTree], PyTree],
+) -> tuple[PyTree, Int[Array, ""], list]:
+    """Make the same steps, and write on tapes where each begins: `start_of` the step before it."""
+
+    def make(now):
+        last, _, made, tapes = now
+        tapes = writer.put(tapes, made, start_of(last))
+        last = jax.tree.map(jnp.asarray, step(last))
+        return last, goes_on(last), made + 1, tapes
+
+    unfinished = lambda now: now[1] & (now[2] < most)
+    last, _, made, tapes = lax.while_loop(unfinished, make, (last, going, made, writer.tapes))
+    return last, made, tapes
 
 
 class NoInterpolation(diffrax.AbstractLocalInterpolation):
@@ -70,6 +99,8 @@ class OneByOne(diffrax.AbstractSolver):
 
     make: Callable[[PyTree], PyTree]
     goes_on: Callable[[PyTree], Bool[Array, ""]]
+    most: Scalar
+    """Number of steps after which none goes on."""
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = NoInterpolation
@@ -85,8 +116,8 @@ class OneByOne(diffrax.AbstractSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         step = jax.tree.map(jnp.asarray, self.make(solver_state))
-        going = self.goes_on(step).astype(y0.dtype)
-        return going, None, {}, step, diffrax.RESULTS.successful
+        going = self.goes_on(step) & (t1 < self.most)
+        return going.astype(y0.dtype), None, {}, step, diffrax.RESULTS.successful
 
 
 class EachOfLengthOne(diffrax.AbstractStepSizeController):

@@ -19,19 +19,20 @@ from walker_jax.kernels.reverse import with_transposed_turns
 
 def transpose_steps(
     method: Method,
-    find: Callable[[PyTree], tuple[PyTree, Scalar, Int[Array, ""], Any]],
+    find: Callable[[PyTree, Any], tuple[PyTree, Scalar, Int[Array, ""], Any, list | None]],
     start: PyTree,
 ) -> tuple[PyTree, Scalar, Any]:
     """Return the state after some steps from `start`, and the time, as reverse mode needs them.
 
     `find` makes the steps. It returns the state, the time, the number of steps and other results,
-    which have no derivatives in reverse mode.
+    which have no derivatives in reverse mode; and the tapes of a `Writer`, if it is given one, with
+    states and times at the starts of steps.
     """
     field = method.field
 
-    def found(carry):
-        state, time, steps, others = find(carry[0])
-        return (state, time), steps, others
+    def found(carry, writer):
+        state, time, steps, others, tapes = find(carry[0], writer)
+        return (state, time), steps, others, tapes
 
     def expand(state):
         assert isinstance(method.solver, Taylor)

@@ -16,6 +16,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, subjaxprs
 from llvmlite import ir
 
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
+from walker_jax.kernels.running_sums import RunningSum, add_to, take_out_sums
 from walker_jax.kernels.shortcuts import is_known
 from walker_jax.kernels.stored import Stored
 from walker_jax.kernels.tape_memory import memory_of
@@ -90,6 +91,9 @@ def emit_loop(
     for phi, value in zip(phis, initial, strict=True):
         phi.add_incoming(value, before)
 
+    sums: list[RunningSum] = []
+    if emitter.store is not None and condition.out_avals[0].ndim == 0:
+        body, sums = take_out_sums(body, len(of_body))
     known, lanes = len(emitter.known), emitter.active
     used = emitter.used_memory()
     values = with_tapes(phis)
@@ -103,6 +107,7 @@ def emit_loop(
     builder.position_at_end(turn)
     emitter.active = going
     following = emitter.interpret(body, [*of_body, *values])
+    add_to(emitter, sums, [values[one.place] for one in sums], following, flags[0])
     if any(memory_of(following[i]) is not memory_of(tape) for i, tape in tapes.items()):
         raise UnsupportedPrimitive("a loop that replaces a tape")
     following = [following[i] for i in others]

@@ -23,6 +23,7 @@ from walker_jax.identity import sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
 from walker_jax.kernels.directions import mapping_directions
+from walker_jax.kernels.gathered_sums import with_gathered_sums
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.products import sum_of_products_p
 from walker_jax.kernels.program_cache import (
@@ -35,7 +36,7 @@ from walker_jax.kernels.program_cache import (
     user_system_in,
 )
 from walker_jax.kernels.ptx import Ptx, find_ptx
-from walker_jax.kernels.reverse import reversing
+from walker_jax.kernels.reverse import reversing, says_no_transpose
 from walker_jax.kernels.stored import is_long, multiplies_long_matrices
 from walker_jax.kernels.unused import without_unused
 
@@ -60,6 +61,8 @@ class Program:
         self.settings = settings
         """Contexts and their values, under which the function and its derivatives are traced."""
         self.trace = lambda: jax.make_jaxpr(function)(*operands)
+        self.adjoint_of: tuple[Program, tuple[int, ...], tuple[int, ...]] | None = None
+        """For an adjoint: the program, and the operands and results that `adjoint` was given."""
         self.name = name
         """Name of its trace on disk; None if it cannot be kept there."""
         self.traced = recall_trace(name)
@@ -77,8 +80,6 @@ class Program:
         """Operands in which the function is jointly linear: a derivative's directions."""
         self.derivatives: dict[tuple, Program] = {}
         self.adjoints: dict[tuple, Program | None] = {}
-        self.adjoint_of: tuple[Program, tuple[int, ...], tuple[int, ...]] | None = None
-        """For an adjoint: the program, and the operands and results that `adjoint` was given."""
         self.on_gpu: dict[tuple, Ptx | None] = {}
         """Programs of threads by the arguments of `ptx`; None if there is none."""
         self.tree: Any = self.traced.tree if self.traced else None
@@ -94,6 +95,8 @@ class Program:
         settings = apply_settings(self.settings)
         with settings, tracing_for_kernel(True), without_garbage_collection():
             closed = without_unused(self.trace())
+            if self.adjoint_of is not None:
+                closed = with_gathered_sums(closed)
         if is_traced(closed.consts):
             raise WrongUse(
                 "a kernel must depend on its arguments alone: make the traced value that its "
@@ -237,7 +240,9 @@ class Program:
         try:
             usable = program.compiled is not None or self.compiled is None
             _ = usable and program.size  # traced, so that it is known to exist
-        except (NotImplementedError, TypeError, ValueError):
+        except (NotImplementedError, TypeError, ValueError) as error:
+            if not says_no_transpose(error):
+                raise
             return None
         return program if usable else None
 

@@ -6,8 +6,8 @@ of the code. They are found by a hash of all that a trace depends on:
 
 - the function, the shapes and types of its arguments, and the static parts of these;
 - the settings of JAX under which it is traced;
-- the code of this package that it reaches, as it is in this process, so that a function replaced at
-  run time is traced anew;
+- the code of this package that it reaches, and all that this reads but caches and values for a call
+  alone (`identity.STATE`), as it is in this process: what is replaced at run time is traced anew;
 - the package's source files, as they were when loaded, and the versions of the packages it uses.
 
 Functions and classes of other packages, including a user's own walkers, are traced in each process.

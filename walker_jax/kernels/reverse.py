@@ -1,20 +1,21 @@
 """Reverse mode through loops whose number of turns is known only at run time.
 
-JAX does not transpose a `lax.while_loop`. In the adjoint of a kernel such a loop is made once more:
-the starts of its turns are written on a tape, which is read backwards, and one turn after the other
-is transposed. A tape has `ROWS` rows. For more turns the loop is made again for each part of it,
-the last one first, so memory is bounded and the result is exact for any number of turns.
+JAX does not transpose a `lax.while_loop`. In the adjoint of a kernel the starts of its turns are
+written on a tape, which is read backwards, and one turn after the other is transposed. A tape has
+`ROWS` rows. For more turns, or if they were not written as the loop was made, the loop is made
+again for each part of it, the last one first, so memory is bounded and the result is exact for any
+number of turns.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
-from jaxtyping import Array, Int, PyTree
+from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.kernels.tapes import new_tape, read_row, write_row
 
@@ -22,8 +23,26 @@ ROWS = 64
 """Rows of a tape. Modes of a stride take some 16 steps; few take more than these. Tapes of a vector
 of cells then fit in the second cache of a core."""
 
+NO_TRANSPOSE = (
+    "Reverse-mode differentiation does not work",
+    "can't apply forward-mode autodiff (jvp) to a custom_vjp",
+    "Differentiation rule for 'custom_lin'",
+    "Transpose rule",
+)
+"""How JAX's errors begin for a loop of a user's own, for a loop of this module within a derivative
+(twice), and for a primitive without a transpose."""
+
 reversing = jax.make_user_context(False)
 """True while the function is traced that an adjoint transposes."""
+
+
+class Writer(NamedTuple):
+    """A tape on which a loop writes the starts of its turns, as it is made."""
+
+    tapes: list
+    put: Callable[[list, Int[Array, ""], PyTree], list]
+    """From tapes, the number of a turn and what the loop carries at its start, to the tapes with
+    that row."""
 
 
 class Traced:
@@ -44,7 +63,7 @@ class Traced:
 
 
 def with_transposed_turns(
-    find: Callable[[PyTree], tuple[PyTree, Int[Array, ""], PyTree]],
+    find: Callable[[PyTree, Writer | None], tuple[PyTree, Int[Array, ""], PyTree, list | None]],
     decide: Callable[[PyTree], PyTree],
     turn: Callable[[PyTree, PyTree], PyTree],
     start: PyTree,
@@ -53,8 +72,10 @@ def with_transposed_turns(
 
     **Arguments:**
 
-    - `find`: makes the loop from its start, by any means. Returns the end; the number of turns; and
-      other results, which have no derivatives in reverse mode.
+    - `find`: makes the loop from its start, by any means. Returns the end; the number of turns;
+      other results, which have no derivatives in reverse mode; and the tapes of the `Writer` with
+      the starts of all turns, or None if it does not write them. The writer is None outside of
+      reverse mode.
     - `turn`: from a carried tree, and what has been decided there, to the next one.
     - `decide`: from a carried tree to what is constant to derivatives of its turn.
     - `start`: the tree that the loop carries, at its start.
@@ -62,46 +83,74 @@ def with_transposed_turns(
     **Returns** the end and the other results.
     """
     if not reversing.value:
-        end, _, others = find(start)
+        end, _, others, _ = find(start, None)
         return end, others
     start = jax.tree.map(jnp.asarray, start)
-    finding, deciding = Traced(find, start), Traced(decide, start)
+    deciding = Traced(decide, start)
+    leaves = jax.tree.leaves(start)
     decided = jax.tree.unflatten(deciding.structure, deciding.shapes)
+    tapes = Tapes([*leaves, *deciding.shapes])
+
+    def put(written, i, carried):
+        row = [*jax.tree.leaves(carried), *jax.tree.leaves(decide(carried))]
+        return tapes.write(written, jnp.clip(i, 0, ROWS), row)
+
+    finding = Traced(lambda start, written: find(start, Writer(written, put)), start, tapes.blank())
     turning = Traced(turn, start, decided)
     reverse = Traced(turn, start, decided, in_reverse=True)
-    leaves = jax.tree.leaves(start)
-    count = len(leaves)
+    count, rows = len(leaves), len(tapes.kinds)
+    writes = len(jax.tree.unflatten(finding.structure, finding.shapes)[3] or ()) > 0
+
+    def found(consts, leaves):
+        new = tapes.blank([*leaves, *consts[0], *consts[3]])
+        results = finding(consts[0], [*leaves, *new])
+        return (results[:-rows], results[-rows:]) if writes else (results, new)
 
     @jax.custom_vjp
     def make(consts, leaves):
-        return finding(consts[0], leaves)
+        return found(consts, leaves)[0]
 
     def forward(consts, leaves):
-        results = finding(consts[0], leaves)
-        return results, (consts, leaves, results[count])
+        results, written = found(consts, leaves)
+        return results, (consts, leaves, results[count], written)
 
     def backward(known, cts):
-        (*others, consts), leaves, turns = known
+        (*others, consts), leaves, turns, written = known
         _, of_deciding, of_turning = others
-        loop = ReverseLoop(deciding, turning, reverse, of_deciding, of_turning, consts)
+        loop = ReverseLoop(
+            decide=lambda leaves: deciding(of_deciding, leaves),
+            turn=lambda leaves, decided: turning(of_turning, [*leaves, *decided]),
+            reverse=reverse,
+            consts=consts,
+            tapes=tapes,
+            written=written,
+            complete=(turns <= ROWS) & writes,
+        )
         of_start, of_consts = loop.pull(leaves, turns, cts[:count])
         unused = [put_back([], one) for one in others]
         return [*unused, put_back(of_consts, consts)], put_back(of_start, leaves)
 
     make.defvjp(forward, backward)
     consts = [one.consts for one in (finding, deciding, turning, reverse)]
-    end, _, others = jax.tree.unflatten(finding.structure, make(consts, leaves))
+    results = make(consts, leaves)
+    if writes:
+        results = [*results, *[None] * rows]
+    end, _, others, _ = jax.tree.unflatten(finding.structure, results)
     return end, others
 
 
-class ReverseLoop:
-    """A loop that is made again and transposed."""
+class ReverseLoop(NamedTuple):
+    """A loop that is transposed, and made again where its turns were not written."""
 
-    def __init__(self, deciding, turning, reverse, of_deciding, of_turning, of_reverse):
-        self.decide = lambda leaves: deciding(of_deciding, leaves)
-        self.turn = lambda leaves, decided: turning(of_turning, [*leaves, *decided])
-        self.decided = deciding.shapes
-        self.reverse, self.consts = reverse, of_reverse
+    decide: Callable[[list], list]
+    turn: Callable[[list, list], list]
+    reverse: Traced
+    """A turn as a function of its start and of these constants, whose derivatives are taken."""
+    consts: list
+    tapes: "Tapes"
+    written: list[Array]
+    complete: Bool[Array, ""]
+    """Whether the starts of all turns are written."""
 
     def pull(self, leaves: list, turns: Int[Array, ""], cts: list) -> tuple[list, list]:
         """Return the cotangents of the start and of the constants, given those of the end."""
@@ -116,11 +165,11 @@ class ReverseLoop:
             """Transpose the last turns that remain, as many as a tape holds."""
             remaining, *cts = now
             first = (remaining - 1) // ROWS * ROWS
-            tapes = self.record(leaves, first, remaining)
+            written = self.record(leaves, first, remaining)
 
             def back(now):
                 i, *cts = now
-                return i - 1, *self.pull_turn(tapes.read(i - 1 - first), real, *cts)
+                return i - 1, *self.pull_turn(self.tapes.read(written, i - 1 - first), real, *cts)
 
             _, *cts = lax.while_loop(lambda now: now[0] > first, back, (remaining, *cts))
             return first, *cts
@@ -128,24 +177,20 @@ class ReverseLoop:
         _, cts, of_consts = lax.while_loop(lambda now: now[0] > 0, part, begun)
         return cts, of_consts
 
-    def record(self, leaves: list, first: Int[Array, ""], last: Int[Array, ""]) -> "Tapes":
-        """Make turns up to the last, and write down all from the first on."""
-        # A tape of derivatives begins as a tape too, if rows depend on all that turns depend on.
-        nothing: Any = sum(0 * jnp.sum(x) for x in (*leaves, *self.consts) if is_real(x))
-        like = [jnp.zeros(x.shape, x.dtype) for x in (*leaves, *self.decided)]
-        tapes = Tapes([x + nothing.astype(x.dtype) if is_real(x) else x for x in like])
+    def record(self, leaves: list, first: Int[Array, ""], last: Int[Array, ""]) -> list:
+        """Return tapes with all turns from the first to the last; make them unless known."""
 
         def make(now):
             i, leaves, written = now
             decided = self.decide(leaves)
-            # Earlier turns, and lanes that wait for others, have rows that are not read.
-            row = jnp.clip(i - first, 0, ROWS)
-            written = tapes.write(written, row, [*leaves, *decided])
+            # Earlier turns, and lanes that wait for others, have a row that is not read.
+            row = jnp.where(self.complete, ROWS, jnp.clip(i - first, 0, ROWS))
+            written = self.tapes.write(written, row, [*leaves, *decided])
             return i + 1, self.turn(leaves, decided), written
 
-        begun = jnp.zeros_like(last), leaves, tapes.written
-        tapes.written = lax.while_loop(lambda now: now[0] < last, make, begun)[2]
-        return tapes
+        until = jnp.where(self.complete, 0, last)
+        begun = jnp.zeros_like(last), leaves, self.written
+        return lax.while_loop(lambda now: now[0] < until, make, begun)[2]
 
     def pull_turn(self, row: list, real: list[bool], cts: list, of_consts: list):
         """Return the cotangents of a turn's start, and those of constants with its part added."""
@@ -168,9 +213,18 @@ class Tapes:
     """One tape for the numbers of each type in a row."""
 
     def __init__(self, row: list):
-        self.row = row
+        self.row = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in row]
         self.kinds = list(dict.fromkeys(x.dtype for x in row))
-        self.written = [new_tape(one, ROWS + 1) for one in self.joined(row)]
+
+    def blank(self, values: Sequence = ()) -> list[Array]:
+        """Return tapes whose rows depend on some values.
+
+        A tape of derivatives begins as a tape too, if rows depend on all that turns depend on.
+        """
+        nothing: Any = sum(0 * jnp.sum(x) for x in values if is_real(x))
+        like = [jnp.zeros(x.shape, x.dtype) for x in self.row]
+        like = [x + jnp.asarray(nothing, x.dtype) if is_real(x) else x for x in like]
+        return [new_tape(one, ROWS + 1) for one in self.joined(like)]
 
     def joined(self, row: list) -> list[Array]:
         each = lambda kind: [jnp.ravel(x) for x in row if x.dtype == kind]
@@ -179,8 +233,8 @@ class Tapes:
     def write(self, tapes: list, i: Int[Array, ""], row: list) -> list:
         return [write_row(tape, i, x) for tape, x in zip(tapes, self.joined(row), strict=True)]
 
-    def read(self, i: Int[Array, ""]) -> list[Array]:
-        found, rows = [], {k: read_row(x, i) for k, x in zip(self.kinds, self.written, strict=True)}
+    def read(self, tapes: list, i: Int[Array, ""]) -> list[Array]:
+        found, rows = [], {k: read_row(x, i) for k, x in zip(self.kinds, tapes, strict=True)}
         for x in self.row:
             found.append(rows[x.dtype][: x.size].reshape(x.shape))
             rows[x.dtype] = rows[x.dtype][x.size :]
@@ -213,6 +267,11 @@ def zero_where_unused(function: Callable[..., PyTree], *args: PyTree) -> PyTree:
 
     evaluate.defvjp(lambda values: (compute(values), values), backward)
     return jax.tree.unflatten(traced.structure, evaluate([*traced.consts, *leaves]))
+
+
+def says_no_transpose(error: Exception) -> bool:
+    """Return whether an error says that a function cannot be transposed, rather than is wrong."""
+    return any(map(str(error).lstrip().startswith, NO_TRANSPOSE))
 
 
 def is_real(x: Any) -> bool:

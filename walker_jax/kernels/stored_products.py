@@ -30,12 +30,7 @@ def contract(emitter, equation, operands: list) -> list | None:
     dtype = like.dtype
     if any(v.aval.dtype != dtype for v in equation.invars) or dtype.kind != "f":
         return None
-    over, batches = equation.params["dimension_numbers"]
-    matrices = [
-        as_matrices(store, x, axes, batch, dtype)
-        for x, axes, batch in zip(operands, over, batches, strict=True)
-    ]
-    left, right = matrices
+    left, right = matrices_of(store, equation, operands)
     shape = left.shape[0], left.shape[1], right.shape[1]
 
     def compute():
@@ -45,6 +40,22 @@ def contract(emitter, equation, operands: list) -> list | None:
 
     result = store.once(("product", left.key(), right.key()), compute)
     return [result.view(result.places.reshape(like.shape))]
+
+
+@no_type_check
+def add_product(emitter, equation, operands: list, total: Stored, flag: Any) -> None:
+    """Add a product of matrices to an array in memory, in the lanes of a flag."""
+    left, right = matrices_of(emitter.store, equation, operands)
+    shape = left.shape[0], left.shape[1], right.shape[1]
+    multiply(emitter, left, right, total.view(total.places.reshape(shape)), flag)
+
+
+@no_type_check
+def matrices_of(store, equation, operands: list) -> list[Stored]:
+    over, batches = equation.params["dimension_numbers"]
+    dtype = equation.outvars[0].aval.dtype
+    pairs = zip(operands, over, batches, strict=True)
+    return [as_matrices(store, x, axes, batch, dtype) for x, axes, batch in pairs]
 
 
 @no_type_check
@@ -63,33 +74,38 @@ def as_matrices(store, operand: Any, over: Sequence[int], batch: Sequence[int], 
 
 
 @no_type_check
-def multiply(emitter, left: Stored, right: Stored, result: Stored) -> None:
-    """Call the function that fills a result, with operands as cells hold them."""
+def multiply(emitter, left: Stored, right: Stored, result: Stored, flag: Any = None) -> None:
+    """Call the function that fills a result, with operands as cells hold them.
+
+    With a flag, it adds to the result in the lanes of the flag.
+    """
     builder = emitter.builder
     for side in (left, right):
         if side.shared is not None:
-            flag, twin = side.shared
+            same, twin = side.shared
             alone = side.view(side.places)
             alone.shared = None
-            with builder.if_else(flag) as (then, otherwise):
+            with builder.if_else(same) as (then, otherwise):
                 for branch, mine in ((then, twin), (otherwise, alone)):
                     with branch:
                         pair = (mine, right) if side is left else (left, mine)
-                        multiply(emitter, *pair, result)
+                        multiply(emitter, *pair, result, flag)
             return
     key = "product", left.steps, right.steps, left.for_all, right.for_all, result.shape
-    key = *key, left.shape[-1], result.dtype
+    key = *key, left.shape[-1], result.dtype, flag is not None
     functions = emitter.store.functions
     if key not in functions:
-        functions[key] = define(emitter, left, right, result)
-    builder.call(functions[key], list(map(emitter.store.pointer, (left, right, result))))
+        functions[key] = define(emitter, left, right, result, flag)
+    pointers = list(map(emitter.store.pointer, (left, right, result)))
+    builder.call(functions[key], pointers if flag is None else [*pointers, flag])
 
 
 @no_type_check
-def define(emitter, left: Stored, right: Stored, result: Stored) -> ir.Function:
-    """Write a function of the pointers to both operands and the result."""
+def define(emitter, left: Stored, right: Stored, result: Stored, flag: Any) -> ir.Function:
+    """Write a function of the pointers to both operands and the result, and of a flag if any."""
     module, caller = emitter.builder.module, emitter.builder
-    kind = ir.FunctionType(ir.VoidType(), [ADDRESS] * 3)
+    flags = [] if flag is None else [flag.type]
+    kind = ir.FunctionType(ir.VoidType(), [*[ADDRESS] * 3, *flags])
     function = ir.Function(module, kind, module.get_unique_name("product"))
     function.linkage = "internal"
     emitter.builder = Builder(function.append_basic_block("begin"))
@@ -107,10 +123,11 @@ def define(emitter, left: Stored, right: Stored, result: Stored) -> ir.Function:
                 bases = [
                     moved(emitter, base, one, place)
                     for base, one, place in zip(
-                        function.args, (left, right, result), places, strict=True
+                        function.args[:3], (left, right, result), places, strict=True
                     )
                 ]
-                multiply_block(emitter, (left, right, result), bases, high, wide)
+                chosen = function.args[3] if flags else None
+                multiply_block(emitter, (left, right, result), bases, high, wide, chosen)
     emitter.builder.ret_void()
     emitter.builder = caller
     return function
@@ -131,8 +148,10 @@ def moved(emitter, base: Any, array: Stored, place: Sequence[Any]) -> Any:
 
 
 @no_type_check
-def multiply_block(emitter, arrays: Sequence[Stored], bases: Sequence, high: int, wide: int):
-    """Compute a block of the result, of so many rows and columns."""
+def multiply_block(
+    emitter, arrays: Sequence[Stored], bases: Sequence, high: int, wide: int, flag: Any
+):
+    """Compute a block of the result, of so many rows and columns; add it where a flag is set."""
     store, (left, right, result) = emitter.store, arrays
     dtype, count = result.dtype, left.shape[-1]
     places = [(i, j) for i in range(high) for j in range(wide)]
@@ -149,6 +168,12 @@ def multiply_block(emitter, arrays: Sequence[Stored], bases: Sequence, high: int
         pairs = zip(totals, places, strict=True)
         return [emitter.builder.fused(lefts[i], rights[j], total) for total, (i, j) in pairs]
 
+    steps = [i * result.steps[1] + j * result.steps[2] for i, j in places]
     totals = store.repeat(count, [emitter.vector(0.0, dtype)] * len(places), turn)
-    for (i, j), total in zip(places, totals, strict=True):
-        store.store_to(bases[2], i * result.steps[1] + j * result.steps[2], dtype, total)
+    for step, total in zip(steps, totals, strict=True):
+        if flag is not None:
+            old = store.load_from(bases[2], step, dtype, False)
+            total = emitter.builder.select(
+                flag, emitter.builder.arithmetic("fadd", old, total), old
+            )
+        store.store_to(bases[2], step, dtype, total)

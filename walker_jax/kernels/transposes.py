@@ -15,8 +15,10 @@ from walker_jax.kernels.program import Program, apply_settings, is_real
 FEWEST_FOR_ADJOINT = 16
 """Fewest numbers by which reverse mode differentiates by a program's adjoint.
 
-It takes some five times as long as the program, for any number of them. By fewer, reverse mode
-computes the columns of the Jacobian in forward mode.
+By fewer, reverse mode computes the columns of the Jacobian in forward mode. That is slower: of the
+simplest walker a column takes 2.3 strides, the adjoint 2.1 for 4 numbers and 2.2 for 7, and a fifth
+longer to compile. But forward mode shortens steps for fast directions, as the adjoint does not, and
+drops derivatives of branches that are not taken.
 """
 
 

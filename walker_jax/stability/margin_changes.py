@@ -1,20 +1,24 @@
 """Derivatives of the margin of the failure that ends a walk, by its start and by parameters."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator, Solver
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.system import System
 from walker_jax.systems.trees import in_dtype, zeros_like
+from walker_jax.walkers.choices import MANY
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import as_tangent, with_values
 from walker_jax.walking.failure_margins import follow_margins
+from walker_jax.walking.iteration import orbits
+from walker_jax.walking.pulling import pull_back, pull_in_batches, pull_strides
 from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.stride import follow_stride
 
@@ -30,9 +34,13 @@ def differentiate_margins(
 ) -> Float[np.ndarray, "n columns"]:
     """Compute derivatives of the margins of failing walks from x, along directions and parameters.
 
-    Each walk fails after the strides that it has `made`. Derivatives are NaN where it does not.
+    Each walk fails after the strides that it has `made`. Derivatives are NaN where it does not. By
+    many parameters they are computed in reverse.
     """
     dtype, n = x.dtype, len(x)
+    if n and len(parameters) >= MANY and solver is None:
+        by_numbers, by_start = pull_margins(walker, x, made, parameters, tolerance)
+        return np.concatenate([by_start @ directions.T.astype(dtype), by_numbers], axis=1)
     columns = len(directions) + len(parameters)
     zero = np.zeros((len(parameters), x.shape[1]), dtype)
     along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
@@ -43,6 +51,43 @@ def differentiate_margins(
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
     shared = in_dtype(walker, dtype), Integrator(tolerance, solver).in_dtype(dtype)
     return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
+
+
+def pull_margins(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    made: Int[np.ndarray, " n"],
+    parameters: Sequence[str],
+    tolerance: Real,
+) -> tuple[Float[np.ndarray, "n numbers"], Float[np.ndarray, "n section"]]:
+    """Compute derivatives of the margins of failing walks by numbers of the walker and by starts.
+
+    From the failing stride on, all strides are pulled back one by one.
+    """
+    integrator, made = Integrator(tolerance).in_dtype(x.dtype), np.asarray(made)
+    walker = in_dtype(walker, x.dtype)
+    states, _ = orbits(walker, x, int(made.max(initial=0)), integrator)
+    lasts = states[np.arange(len(x)), made]
+    by_numbers, change = pull_in_batches(pull_failures, walker, integrator, [lasts], parameters)
+    for number in range(int(made.max(initial=0)) - 1, -1, -1):
+        later = np.flatnonzero(made > number)
+        cells = states[later, number], change[later], np.zeros(len(later), x.dtype)
+        more, change[later] = pull_in_batches(pull_strides, walker, integrator, cells, parameters)
+        by_numbers[later] += more
+    return by_numbers, change
+
+
+@jax.jit
+def pull_failures(
+    walker: System, integrator: Integrator, x: Float[Array, "n section"]
+) -> tuple[Any, Float[Array, "n section"]]:
+    """Compute derivatives of the margins of strides that fail; NaN where a stride does not."""
+
+    def one(x):
+        margin = lambda walker, x: follow_margins(walker, x, integrator).failed
+        return pull_back(margin, walker, x, lambda found: jnp.where(jnp.isnan(found), found, 1))
+
+    return jax.vmap(one)(x)
 
 
 def margins_after(

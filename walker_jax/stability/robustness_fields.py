@@ -71,7 +71,7 @@ FIELDS = (NOTE, *(field for group in GROUPS for field in group.values()))
 """The variables of a gait.
 
 To add one, compute it in `measure_gait`, put it in a group here, from which JSON and sweeps take
-it, and in `storage.basin_kinds`.
+it, and in `storage/kinds.toml`.
 """
 WITHOUT_GAIT = {"gait_period": 0}
 """Values where no gait attracts, if they differ from NaN, -1 and empty text."""

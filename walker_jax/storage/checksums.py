@@ -21,8 +21,8 @@ from walker_jax.storage.damage import (
     name_damage,
     read_metadata,
 )
-from walker_jax.storage.kind import SCHEMA_VERSION
 from walker_jax.storage.places import open_group
+from walker_jax.storage.schema import SCHEMA_VERSION
 
 if TYPE_CHECKING:
     import xarray  # which takes half a second to load, and commands without a data set need not

@@ -1,19 +1,62 @@
-"""The contents of each kind of data set, and whether a data set is of a kind."""
+"""The contents of each kind of data set, and whether a data set is of a kind.
 
-from typing import TYPE_CHECKING
+The tables are in `kinds.toml`, which says what they mean.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from walker_jax.checks import WrongUse
-from walker_jax.storage.basin_kinds import BASINS
-from walker_jax.storage.gait_kinds import GAITS
-from walker_jax.storage.kind import TYPES, Kind, Variable
 
 if TYPE_CHECKING:
     import xarray  # takes half a second to load
 
-KINDS: dict[str, Kind] = BASINS | GAITS
-"""The kinds of data sets by name."""
+SCHEMA_VERSION = 1
+"""Version of the tables of kinds; stores of another version are refused."""
+TYPES = {"integer": "iub", "real": "fiu", "boolean": "biu", "text": "UOST"}
+"""Letters of the NumPy kinds that each type of variable may have."""
 COUNTS = ("checked", "mistaken", "strides_made")
 """Counts of a refined basin; a table lacks them for a walker without a gait."""
+
+
+class Variable(NamedTuple):
+    """A variable of a data set."""
+
+    dims: str
+    """Its dimensions in their order."""
+    type: str
+    """One of `TYPES`."""
+    unit: str
+    about: str
+    when: str = ""
+    """The data sets that have it; empty for all."""
+
+
+class Kind(NamedTuple):
+    """A kind of data set."""
+
+    about: str
+    variables: dict[str, Variable]
+    attributes: dict[str, str]
+    """Attributes that every data set of this kind has, with their meaning."""
+    base: str = ""
+    """The kind whose variables and attributes this one inherits."""
+
+
+def read_kind(table: dict[str, Any]) -> Kind:
+    """Return a kind from its table."""
+    variables = {name: Variable(*row) for name, row in table.get("variables", {}).items()}
+    meanings = table.get("attributes", {}).items()
+    attributes = {name: meaning or COMMON[name] for name, meaning in meanings}
+    return Kind(table["about"], variables, attributes, table.get("base", ""))
+
+
+TABLES = tomllib.loads((Path(__file__).parent / "kinds.toml").read_text(encoding="utf-8"))
+COMMON: dict[str, str] = TABLES["common"]
+"""Attributes of nearly all kinds, with their meaning."""
+KINDS = {name: read_kind(table) for name, table in TABLES["kind"].items()}
+"""The kinds of data sets by name."""
 KINDS["robustness table"].variables.update(
     {
         # Integers are reals in a table, which has NaN for a walker without a gait.
@@ -32,10 +75,7 @@ KINDS["robustness table"].variables.update(
 )
 KINDS["sweep"].variables.update(
     {
-        name: one._replace(
-            dims=f"*parameters {one.dims}".rstrip(),
-            when="`robust`",
-        )
+        name: one._replace(dims=f"*parameters {one.dims}".rstrip(), when="`robust`")
         for name, one in KINDS["robustness"].variables.items()
         if name not in KINDS["sweep"].variables
     }

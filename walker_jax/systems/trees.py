@@ -165,7 +165,7 @@ def like_of(field: dataclasses.Field, annotation: Any) -> Any:
     default = default_of(field)
     if default is not dataclasses.MISSING and default is not None:
         return default if is_tree(default) else np.ndim(default)
-    return 0 if field.name == "slope" else rank_in(annotation)
+    return rank_in(annotation)
 
 
 def rank_in(annotation: Any) -> int | Any | None:
@@ -188,14 +188,19 @@ def rank_in(annotation: Any) -> int | Any | None:
 
 @functools.cache
 def told_by(kind: type) -> dict[str, Any]:
-    """Return what a class tells of the shapes of its fields (`like_of`)."""
+    """Return what a class tells of the shapes of its fields (`like_of`).
+
+    A parameter that it gives a span of values, over which gaits are followed, is one number.
+    """
     try:
         annotations = typing.get_type_hints(kind)
     except Exception:  # a name that only a type checker knows
         annotations = {}
-    return {
+    found = {
         one.name: like_of(one, annotations.get(one.name, one.type)) for one in dynamic_fields(kind)
     }
+    numbers = [name for name in getattr(kind, "spans", ()) if found.get(name, 0) is None]
+    return found | dict.fromkeys(numbers, 0)
 
 
 def ranks_told(kind: type) -> dict[str, int]:

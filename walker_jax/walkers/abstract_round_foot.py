@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
@@ -10,22 +9,6 @@ from walker_jax.checks import WrongUse
 from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import leg
 from walker_jax.walkers.model import Scalar
-from walker_jax.walkers.parameters import Parameter
-
-LEG_MASS = Parameter("leg_mass", "of each leg", "mass", 0.5)
-LEG_INERTIA = Parameter(
-    "leg_inertia", "of each leg about its centre of mass", "mass length^2", 0.02, closed=True
-)
-LEG_LENGTH = Parameter("leg_length", "from the hip to the sole", "length", 1.0)
-COM_FROM_HIP = Parameter(
-    "com_from_hip", "distance of a leg's centre of mass below the hip", "length", 0.5, low=-np.inf
-)
-COM_OFFSET = Parameter(
-    "com_offset", "of a leg's centre of mass before the leg's line", "length", 0.0, low=-np.inf
-)
-FOOT_RADIUS = Parameter(
-    "foot_radius", "of the foot's arc, centred on the leg", "length", 0.2, closed=True
-)
 
 
 class AbstractRoundFootWalker(HeavyLegWalker):

@@ -2,6 +2,7 @@
 
 from walker_jax.walkers.kneed import KneedWalker
 from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.parameter_table import OPENING as OPENING
 from walker_jax.walkers.point_foot import PointFootWalker
 from walker_jax.walkers.powered import PoweredWalker
 from walker_jax.walkers.powered_masses import (
@@ -30,13 +31,9 @@ WALKERS: dict[str, type[Walker]] = {
 }
 """The walkers of the package, by their names on the command line.
 
-To add one, name it here and in `walker_jax/__init__.pyi`, and describe its parameters as
-`Parameter`s: options, `--list-walkers` and the reference follow. A parameter's name has one meaning
-and one unit in all walkers.
+To add one, name it here and in `walker_jax/__init__.pyi`, and describe its parameters in
+`parameter_table.py`: options, `--list-walkers` and the reference follow.
 """
-
-OPENING = {"spring": {"hip_stiffness": 1.0}}
-"""Values with which the explorer opens a walker that is like another one at its defaults."""
 
 WINDOWS = {
     "spatial": {

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
@@ -15,7 +14,6 @@ from walker_jax.checks import WrongUse
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.systems.system import fields_of
-from walker_jax.walkers.abstract_round_foot import FOOT_RADIUS
 from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import (
     MultibodyPhase,
@@ -26,40 +24,21 @@ from walker_jax.walkers.masses import (
     stance_coordinates,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, least_scuff, shown_by
-from walker_jax.walkers.parameters import SLOPE, Option, Parameter
-from walker_jax.walkers.round_foot import HIP_MASS
-
-KNEED_SLOPE = SLOPE._replace(default=0.05, span=(0.03, 0.12))
-"""On gentle slopes no gait bends its knees: with default masses on point feet, below 0.0318."""
-THIGH_MASS = Parameter("thigh_mass", "of each thigh", "mass", 1.0, closed=True)
-SHANK_MASS = Parameter("shank_mass", "of each shank", "mass", 0.1)
-THIGH_LENGTH = Parameter("thigh_length", "from the hip to the knee", "length", 0.5)
-SHANK_LENGTH = Parameter("shank_length", "from the knee to the sole", "length", 0.5)
-THIGH_COM = Parameter(
-    "thigh_com", "distance of a thigh's centre of mass below the hip", "length", 0.325, -np.inf
+from walker_jax.walkers.parameter_table import (
+    CHECK_LOCK,
+    CHECK_SCUFFING,
+    HIP_MASS,
+    KNEED_SLOPE,
+    POINT_FOOT,
+    SHANK_COM,
+    SHANK_INERTIA,
+    SHANK_LENGTH,
+    SHANK_MASS,
+    THIGH_COM,
+    THIGH_INERTIA,
+    THIGH_LENGTH,
+    THIGH_MASS,
 )
-SHANK_COM = Parameter(
-    "shank_com", "distance of a shank's centre of mass below the knee", "length", 0.125, -np.inf
-)
-THIGH_INERTIA = Parameter(
-    "thigh_inertia",
-    "of each thigh about its centre of mass",
-    "mass length^2",
-    0.0,
-    closed=True,
-)
-SHANK_INERTIA = Parameter(
-    "shank_inertia",
-    "of each shank about its centre of mass",
-    "mass length^2",
-    0.0,
-    closed=True,
-)
-POINT_FOOT = FOOT_RADIUS._replace(default=0.0)
-
-
-CHECK_LOCK = Option("check_lock", "a stance knee that its stop alone does not hold is a failure")
-CHECK_SCUFFING = Option("check_scuffing", "a bent leg's foot below the ground is a failure")
 
 
 class BentState(NamedTuple):

@@ -15,6 +15,7 @@ from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.identity import code_fingerprint, sha256_of
 from walker_jax.systems.outcomes import join_names
 from walker_jax.systems.parameter import Described, description
+from walker_jax.systems.parameter import Option as Option
 from walker_jax.systems.parameter import Parameter as Parameter
 from walker_jax.systems.system import (
     AnySystem,
@@ -38,6 +39,7 @@ from walker_jax.systems.trees import (
     told_by,
     zeros_like,
 )
+from walker_jax.walkers.parameter_table import SLOPE as SLOPE
 
 
 def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
@@ -90,18 +92,6 @@ def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[
     """Return the descriptions of one kind among a walker's fields."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
-
-
-class Option(NamedTuple):
-    """A static field: a check of a walker's strides that is on or off."""
-
-    name: str
-    meaning: str
-
-    def convert(self, value: object) -> bool:
-        """Return the value; raise `WrongUse` for one that is not true or false."""
-        check_kind(self.name, value, bool)
-        return bool(value)
 
 
 def options(walker: type[System] | System) -> tuple[Option, ...]:
@@ -232,7 +222,6 @@ def space_decimals(low: float, high: float, count: int) -> list[float]:
     ]
 
 
-SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2, span=(0.001, 0.022))
 UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
@@ -293,15 +282,30 @@ def with_values(
 ) -> AnySystem:
     """Return the walker with other values of some parameters, by name, unchecked."""
     leaves, structure = jax.tree.flatten(walker)
-    names = names_in_tree(walker)
+    places, entries = {name: i for i, name in enumerate(names_in_tree(walker))}, {}
     for parameter, value in dict(values).items():
-        if parameter in names:
-            leaves[names.index(parameter)] = value
+        if parameter in places:
+            leaves[places[parameter]] = value
         else:
             name, entry = parse_entry(parameter)
-            i = names.index(name)
-            leaves[i] = with_entry(leaves[i], entry, value)
+            entries.setdefault(places[name], {})[entry] = value
+    for i, changed in entries.items():
+        leaves[i] = with_entries(leaves[i], changed)
     return structure.unflatten(leaves)
+
+
+def with_entries(leaf: Any, entries: Mapping[tuple[int, ...], Any]) -> Any:
+    """Return an array with other numbers at some places, all at once where JAX traces none."""
+    if any(isinstance(one, Tracer) or np.ndim(one) for one in entries.values()) or isinstance(
+        leaf, Tracer
+    ):
+        for entry, value in entries.items():
+            leaf = with_entry(leaf, entry, value)
+        return leaf
+    changed = np.array(leaf)
+    for entry, value in entries.items():
+        changed[(..., *entry)] = value
+    return jnp.asarray(changed) if isinstance(leaf, jax.Array) else changed
 
 
 def parse_entry(parameter: str) -> tuple[str, tuple[int, ...]]:

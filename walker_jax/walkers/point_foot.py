@@ -7,9 +7,7 @@ from walker_jax.multibody import System
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker, gait_strip
 from walker_jax.walkers.masses import MultibodyWalker, gravity, leg, rises_ever_faster
 from walker_jax.walkers.model import STEP, Scalar, shown_by
-from walker_jax.walkers.parameters import SLOPE, Parameter
-
-FOOT_MASS = Parameter("foot_mass", "of each foot, per hip mass", "hip mass", 0.01)
+from walker_jax.walkers.parameter_table import FOOT_MASS, SLOPE
 
 
 class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):

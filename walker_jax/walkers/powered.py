@@ -6,23 +6,12 @@ import numpy as np
 
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker, pendulum_modes
 from walker_jax.walkers.model import DRIVE, WORK, Scalar, State, shown_by
-from walker_jax.walkers.parameters import SLOPE, Parameter
-from walker_jax.walkers.spring import HIP_STIFFNESS
-
-ANY_SLOPE = SLOPE._replace(low=-np.pi / 2)
-"""The slope of walkers with motors: level ground and uphill too."""
-HIP_DAMPING = Parameter(
-    "hip_damping", "of a damper between the legs, per foot mass", "m l sqrt(g l)", 0.0, closed=True
-)
-HIP_ANGLE = Parameter(
-    "hip_angle", "between the legs where the hip's spring is slack", "rad", 0.0, low=-np.inf
-)
-PUSH_OFF = Parameter(
-    "push_off",
-    "impulse along the trailing leg before heel strike",
-    "mass sqrt(g length)",
-    0.0,
-    closed=True,
+from walker_jax.walkers.parameter_table import (
+    ANY_SLOPE,
+    HIP_ANGLE,
+    HIP_DAMPING,
+    HIP_STIFFNESS,
+    PUSH_OFF,
 )
 
 

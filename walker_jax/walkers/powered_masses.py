@@ -7,18 +7,16 @@ from walker_jax import multibody
 from walker_jax.multibody.single_support import coordinates_and_rates
 from walker_jax.walkers.masses import MultibodyWalker, leg, weight
 from walker_jax.walkers.model import WORK, Scalar, shown_by
-from walker_jax.walkers.parameters import Parameter
+from walker_jax.walkers.parameter_table import (
+    ANY_SLOPE,
+    HIP_ANGLE,
+    HIP_DAMPER,
+    HIP_SPRING,
+    PUSH_OFF,
+)
 from walker_jax.walkers.point_foot import PointFootWalker
-from walker_jax.walkers.powered import ANY_SLOPE, HIP_ANGLE, PUSH_OFF
 from walker_jax.walkers.round_foot import RoundFootWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker
-
-HIP_SPRING = Parameter(
-    "hip_spring", "stiffness of a spring between the legs", "mass g length", 0.0, closed=True
-)
-HIP_DAMPER = Parameter(
-    "hip_damper", "of a damper between the legs", "mass length sqrt(g length)", 0.0, closed=True
-)
 
 
 class AbstractPoweredWalker(MultibodyWalker):

@@ -4,20 +4,19 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from walker_jax.multibody import System
-from walker_jax.walkers.abstract_round_foot import (
+from walker_jax.walkers.abstract_round_foot import AbstractRoundFootWalker
+from walker_jax.walkers.masses import gravity, rises_ever_faster
+from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameter_table import (
     COM_FROM_HIP,
     COM_OFFSET,
     FOOT_RADIUS,
+    HIP_MASS,
     LEG_INERTIA,
     LEG_LENGTH,
     LEG_MASS,
-    AbstractRoundFootWalker,
+    SLOPE,
 )
-from walker_jax.walkers.masses import gravity, rises_ever_faster
-from walker_jax.walkers.model import Scalar
-from walker_jax.walkers.parameters import SLOPE, Parameter
-
-HIP_MASS = Parameter("hip_mass", "at the hip", "mass", 1.0, closed=True)
 
 
 class RoundFootWalker(AbstractRoundFootWalker):

@@ -12,7 +12,7 @@ from walker_jax.walkers.abstract_point_foot import (
     rises_past_contact,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, moves_like, shown_by
-from walker_jax.walkers.parameters import SLOPE
+from walker_jax.walkers.parameter_table import SLOPE
 
 
 class SimplestWalker(AbstractMasslessFootWalker):

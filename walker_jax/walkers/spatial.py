@@ -23,40 +23,26 @@ from walker_jax.multibody.space import (
 )
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, Walker, least_scuff, shown_by
-from walker_jax.walkers.parameters import SLOPE, Option, Parameter
+from walker_jax.walkers.parameter_table import (
+    ALLOW_SCUFFING,
+    COM_FORWARD,
+    COM_HEIGHT,
+    COM_OUTWARD,
+    DISC_RADIUS,
+    HIP_WIDTH,
+    INERTIA_XX,
+    INERTIA_XY,
+    INERTIA_XZ,
+    INERTIA_YY,
+    INERTIA_YZ,
+    INERTIA_ZZ,
+    LEG_LENGTH,
+    SPATIAL_LEG_MASS,
+    SPATIAL_SLOPE,
+)
 from walker_jax.walkers.pictures import DiscPicture
 from walker_jax.walkers.rolling_stance import RollingStance, SpatialState, contact_forces
 
-LEG_MASS = Parameter("leg_mass", "of each leg", "mass", 1.0)
-LEG_LENGTH = Parameter("leg_length", "from the hip to the sole", "length", 1.0)
-HIP_WIDTH = Parameter("hip_width", "between the planes of the two discs", "length", 0.3624)
-DISC_RADIUS = Parameter("disc_radius", "of the foot's disc", "length", 0.1236, closed=True)
-COM_FORWARD = Parameter(
-    "com_forward", "of a leg's centre of mass before the leg's line", "length", 0.0, low=-np.inf
-)
-COM_OUTWARD = Parameter(
-    "com_outward", "of a leg's centre of mass from its own disc", "length", 0.6969, low=-np.inf
-)
-COM_HEIGHT = Parameter(
-    "com_height", "of a leg's centre of mass above its sole", "length", 0.3137, low=-np.inf
-)
-SPATIAL_SLOPE = SLOPE._replace(default=0.0702)
-
-
-def inertia_parameter(name: str, default: float) -> Parameter:
-    """Make an entry of the matrix of inertia of the left leg."""
-    meaning = f"entry {name[-2:]} of the left leg's matrix of inertia"
-    low = 0.0 if name[-1] == name[-2] else -np.inf
-    return Parameter(name, meaning, "mass length^2", default, low=low)
-
-
-INERTIA_XX = inertia_parameter("inertia_xx", 0.1982)
-INERTIA_YY = inertia_parameter("inertia_yy", 0.0186)
-INERTIA_ZZ = inertia_parameter("inertia_zz", 0.1802)
-INERTIA_XY = inertia_parameter("inertia_xy", 0.0071)
-INERTIA_XZ = inertia_parameter("inertia_xz", -0.0023)
-INERTIA_YZ = inertia_parameter("inertia_yz", 0.0573)
-ALLOW_SCUFFING = Option("allow_scuffing", "a disc below the slope before heel strike is no failure")
 LEAST_STEP = 1e-3
 """Least angle between the legs, in rad, at which a disc that comes down counts as ahead. Below it
 the legs are passing each other: for an upright walker both discs touch then."""
@@ -97,7 +83,9 @@ class SpatialWalker(Walker):
     """
 
     slope: Scalar = eqx.field(converter=SPATIAL_SLOPE.convert, default=SPATIAL_SLOPE.default)
-    leg_mass: Scalar = eqx.field(converter=LEG_MASS.convert, default=LEG_MASS.default)
+    leg_mass: Scalar = eqx.field(
+        converter=SPATIAL_LEG_MASS.convert, default=SPATIAL_LEG_MASS.default
+    )
     leg_length: Scalar = eqx.field(converter=LEG_LENGTH.convert, default=LEG_LENGTH.default)
     hip_width: Scalar = eqx.field(converter=HIP_WIDTH.convert, default=HIP_WIDTH.default)
     disc_radius: Scalar = eqx.field(converter=DISC_RADIUS.convert, default=DISC_RADIUS.default)

@@ -10,11 +10,7 @@ from walker_jax.walkers.abstract_point_foot import (
     rises_past_contact,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, shown_by
-from walker_jax.walkers.parameters import SLOPE, Parameter
-
-HIP_STIFFNESS = Parameter(
-    "hip_stiffness", "of a spring between the legs, per foot mass", "g l", 0.0, closed=True
-)
+from walker_jax.walkers.parameter_table import HIP_STIFFNESS, SLOPE
 
 
 class SpringWalker(AbstractMasslessFootWalker):

@@ -2,28 +2,22 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from walker_jax.multibody import System
-from walker_jax.walkers.abstract_round_foot import (
+from walker_jax.walkers.abstract_round_foot import AbstractRoundFootWalker
+from walker_jax.walkers.masses import gravity, leg, rises_ever_faster
+from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameter_table import (
+    BODY_COM,
+    BODY_INERTIA,
+    BODY_MASS,
     COM_FROM_HIP,
     COM_OFFSET,
     FOOT_RADIUS,
     LEG_INERTIA,
     LEG_LENGTH,
     LEG_MASS,
-    AbstractRoundFootWalker,
-)
-from walker_jax.walkers.masses import gravity, leg, rises_ever_faster
-from walker_jax.walkers.model import Scalar
-from walker_jax.walkers.parameters import SLOPE, Parameter
-
-BODY_MASS = Parameter("body_mass", "of the upper body", "mass", 1.0)
-BODY_INERTIA = Parameter(
-    "body_inertia", "of the upper body about its centre of mass", "mass length^2", 0.0, closed=True
-)
-BODY_COM = Parameter(
-    "body_com", "distance of the upper body's centre of mass above the hip", "length", 0.1, -np.inf
+    SLOPE,
 )
 
 

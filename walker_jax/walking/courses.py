@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Int
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode, is_due
 from walker_jax.hybrid.graphs import (
     check_one_kind,
+    check_state,
     entered_again,
     in_order,
     kind_of,
@@ -92,6 +93,7 @@ class Course(NamedTuple):
 
 def begin_course(name: str, state: Any, feasible: Bool[Array, ""]) -> Course:
     """Return the course of a stride that begins in a mode; it is over unless it is `feasible`."""
+    check_state(name, state)
     zero, stride = zero_at(state), jnp.asarray(Outcome.STRIDE, jnp.int8)
     verdict = jnp.where(feasible, Outcome.UNDECIDED, Outcome.OUTSIDE).astype(jnp.int8)
     return Course({name: Entry(jnp.asarray(True), state)}, zero, verdict, stride, {})
@@ -124,8 +126,15 @@ def follow_graph(
         found = follow_modes(system, modes, course, integrator, again=again)
         return found._replace(entries=waiting | found.entries, parts=()), passes + 1
 
-    def find(course):
-        return *lax.while_loop(goes_on, follow, (course, jnp.asarray(0))), ()
+    def find(course, writer):
+        def make(carry):
+            course, passes, tapes = carry
+            tapes = tapes if writer is None else writer.put(tapes, passes, course)
+            return *follow((course, passes)), tapes
+
+        begun = course, jnp.asarray(0), writer and writer.tapes
+        course, passes, tapes = lax.while_loop(lambda now: goes_on(now[:2]), make, begun)
+        return course, passes, (), tapes
 
     turn = lambda course, _: follow((course, 0))[0]
     return with_transposed_turns(find, lambda _: (), turn, course)[0]

@@ -15,7 +15,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.hybrid.following import NO_GUARD, Unfinished, begin_following, follow_measured
+from walker_jax.hybrid.following import (
+    NO_GUARD,
+    Unfinished,
+    begin_following,
+    follow_measured,
+    follow_on,
+)
 from walker_jax.hybrid.graphs import suit_state
 from walker_jax.hybrid.misses import turns_in_step
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
@@ -49,6 +55,9 @@ MOST_MODES = 100
 """Most modes of a stride that are recorded."""
 MOST_STUCK = 100
 """A mode is given up after so many steps without length, which are those that a solver rejects."""
+MOST_RECORDED = 10_000
+"""Most steps of a mode that are recorded one by one; then only its end is found. To record a step
+takes a thousand times as long as to make it."""
 
 
 ROUNDING = 1e-9
@@ -83,7 +92,8 @@ class ModeRecord(NamedTuple):
     held: dict[str, float]
     """Values that must be positive where its guard has risen, by their failures."""
     greatest: dict[str, float]
-    """The greatest value of each guard at the ends of steps, by its number and outcome."""
+    """The greatest value of each guard at the ends of the first `MOST_RECORDED` steps, by its
+    number and outcome."""
     energy: tuple[float, float]
     """Energy at its start and at its end; NaN where the mode does not define it."""
     reason: str = ""
@@ -331,7 +341,7 @@ def follow_steps(name: str, mode: Mode, method: Method, begun: Followed) -> Foll
         refused = [jnp.where(one.refused, one.time, jnp.inf) for one in turns]
         return now, [guard.value(now.arrival) for guard in mode.guards], refused
 
-    while int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
+    while int(now.guard) == NO_GUARD and int(now.count) < min(mode.most_steps, MOST_RECORDED):
         before, (now, values, refused) = now, step(now)
         time, length = float(now.last.time), float(now.last.length)
         stuck = 0 if length > 0 else stuck + 1
@@ -343,9 +353,18 @@ def follow_steps(name: str, mode: Mode, method: Method, begun: Followed) -> Foll
         rises += sorted((one for one in found if one.time <= end), key=lambda one: one.time)
         greatest = [max(known, float(value)) for known, value in zip(greatest, values, strict=True)]
         way.append((time + length, now.last.end))
+    if int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
+        now = kernel(lambda now: follow_on(mode, method, now, measured=False)[0])(now)
+        time = float(now.last.time)
+        if not np.isfinite(time + float(now.last.length)):
+            reason = why_it_stops(mode, method, now.last.start, time)
+            before = now._replace(arrival=now.last.start, time=now.last.time, count=now.count - 1)
+            return Followed(before, rises, greatest, way, reason)
     guard = int(now.guard)
     if guard == NO_GUARD:
-        return Followed(now, rises, greatest, way, steps_ran_out(mode, *way[-1]))
+        return Followed(
+            now, rises, greatest, way, steps_ran_out(mode, float(now.time), now.arrival)
+        )
     rises.append(Rise(name, guard, names[guard], float(now.time), True))
     return Followed(now, rises, greatest, way, "")
 

@@ -30,7 +30,7 @@ from walker_jax.integrators.integrator import Integrator, zero_at
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
-from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.systems.outcomes import Outcome, Stride, nan_unless
 from walker_jax.systems.system import System, apply_map
 from walker_jax.walking.courses import Course, Numbers, Part, end_course, follow_modes
 from walker_jax.walking.iteration import for_each_start
@@ -166,8 +166,8 @@ def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
     numbers = failures_by_name(walker)
     failures = [name for name in numbers if name in WAYS or name in walker.failures]
     by_name = {of: jnp.where(stride.outcome == numbers[of], margin, nan) for of in failures}
-    failed = reduce(jnp.fmin, by_name.values())
-    return Margins(stride, failed, by_name | {"OUTSIDE": margin})
+    fails = reduce(jnp.logical_or, (stride.outcome == numbers[of] for of in failures))
+    return Margins(stride, nan_unless(fails, margin), by_name | {"OUTSIDE": margin})
 
 
 def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar | None:

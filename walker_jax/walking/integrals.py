@@ -18,12 +18,12 @@ from walker_jax.hybrid.modes import SECTION, Condition, Function, Guard, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrals import WithIntegrals
 from walker_jax.integrators.integrator import AnySolver, Integrator, zero_at
-from walker_jax.integrators.roots import Real, Scalar
+from walker_jax.integrators.roots import Real
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
 from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.systems.system import System
-from walker_jax.walking.courses import Course, end_course, follow_graph, follow_modes
+from walker_jax.walking.courses import end_course, follow_graph, follow_modes
 from walker_jax.walking.failure_margins import least_value
 from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
@@ -84,37 +84,47 @@ def follow_integrals(
             f"integrals of {system.label()} must have other names than its largest values, unlike "
             f"{both[0]!r}"
         )
-    course, found = start_course(system, modes, x), {}
+    course = start_course(system, modes, x)
+    longer = {of: with_largest(mode) for of, mode in modes.items()}
     if summed:
-        found = sum_along(system, modes, summed, course, integrator)
+        first, *_ = modes
+        entry = course.entries[first]
+        begun = entry.state, dict.fromkeys(summed, zero_at(entry.state))
+        course = course._replace(entries={first: entry._replace(state=begun)})
+        longer = {of: with_integrals(mode, summed) for of, mode in longer.items()}
     if peaks:
         check_entered_once(system, modes, "largest values")
-        found |= largest_along(system, modes, peaks, course, integrator)
-    return found
-
-
-def sum_along(
-    system: HybridSystem,
-    modes: dict[str, Mode],
-    names: list[str],
-    course: Course,
-    integrator: Integrator,
-) -> dict[str, Scalar]:
-    """Follow a stride with its integrals as further variables."""
-    first, *_ = modes
-    start = course.entries[first].state
-    begun = start, dict.fromkeys(names, zero_at(start))
-    beginning = course._replace(entries={first: course.entries[first]._replace(state=begun)})
-    longer = {name: with_integrals(mode, names) for name, mode in modes.items()}
-    course = follow_graph(system, longer, beginning, integrator)
-    section = course.entries[SECTION]
-    state, sums = section.state
+        course = follow_modes(system, longer, course, integrator, measured=True)
+    else:
+        course = follow_graph(system, longer, course, integrator)
+    section, numbers = course.entries[SECTION], failures_by_name(system)
+    state, sums = section.state if summed else (section.state, {})
+    least = with_fast_sincos(
+        lambda: {name: -least_value(course.parts, name, numbers)[0] for name in peaks}
+    )()
     made = end_course(
         system,
         first_of(modes),
-        course._replace(entries={SECTION: section._replace(state=state)}, parts=()),
+        course._replace(
+            entries={SECTION: section._replace(state=state)},
+            violated={name: flag for name, flag in course.violated.items() if name not in peaks},
+            parts=(),
+        ),
     )
-    return {name: nan_unless(made.outcome == Outcome.STRIDE, sums[name]) for name in names}
+    return {
+        name: nan_unless(made.outcome == Outcome.STRIDE, value)
+        for name, value in (sums | least).items()
+    }
+
+
+def with_largest(mode: Mode) -> Mode:
+    """Return a mode with a condition for each function whose largest value it names."""
+
+    def as_condition(name: str, function: Function) -> Condition:
+        return Condition(lambda state: -function(state), name)
+
+    peaks = (as_condition(*one) for one in mode.largest.items())
+    return mode._replace(conditions=(*mode.conditions, *peaks))
 
 
 def with_integrals(mode: Mode, names: list[str]) -> Mode:
@@ -141,32 +151,3 @@ def with_integrals(mode: Mode, names: list[str]) -> Mode:
         conditions=conditions(mode.conditions),
         rates_at=None,
     )
-
-
-def largest_along(
-    system: HybridSystem,
-    modes: dict[str, Mode],
-    names: list[str],
-    course: Course,
-    integrator: Integrator,
-) -> dict[str, Scalar]:
-    """Follow a stride, and find where each function is largest in it."""
-
-    def as_condition(name: str, function: Function) -> Condition:
-        return Condition(lambda state: -function(state), name)
-
-    longer = {
-        of: mode._replace(
-            conditions=(*mode.conditions, *(as_condition(*one) for one in mode.largest.items()))
-        )
-        for of, mode in modes.items()
-    }
-    course = follow_modes(system, longer, course, integrator, measured=True)
-    known = {name: flag for name, flag in course.violated.items() if name not in names}
-    made = end_course(system, first_of(modes), course._replace(violated=known))
-    numbers = failures_by_name(system)
-    least = with_fast_sincos(
-        lambda: [least_value(course.parts, name, numbers)[0] for name in names]
-    )()
-    walks = made.outcome == Outcome.STRIDE
-    return {name: nan_unless(walks, -value) for name, value in zip(names, least, strict=True)}

@@ -215,8 +215,7 @@ def walk(
     """
     check_whole("n", n)
     walker, x, integrator = prepare(walker, x, tolerance, solver)
-    if x.shape != (len(walker.section),):
-        raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
+    check_on_section(walker, x)
     if ground is None:
         with nan_allowed():
             return follow_walk(walker, x, n, integrator)
@@ -228,6 +227,12 @@ def walk(
         raise WrongUse("ground must be finite heights")
     with nan_allowed():
         return follow_walk(walker, x, n, integrator, steps)
+
+
+def check_on_section(walker: System, x: Float[Array, " coordinates"]) -> None:
+    """Refuse a start that is no point of the section."""
+    if x.shape != (len(walker.section),):
+        raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
 
 
 @partial(jax.jit, static_argnums=2)

@@ -14,12 +14,13 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, check_whole
 from walker_jax.hybrid.graphs import in_order, suit_state
 from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
+from walker_jax.kernels.primitive import nan_allowed
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.walking.courses import (
@@ -29,6 +30,7 @@ from walker_jax.walking.courses import (
     follow_one,
     leads_on,
 )
+from walker_jax.walking.iteration import check_on_section, follow_walk
 from walker_jax.walking.starts import as_floating, during_stride, prepare
 from walker_jax.walking.stride import check_entered_once, first_of, modes_from, start_course
 
@@ -38,6 +40,7 @@ def trajectory(
     x: Float[ArrayLike, " coordinates"] | Sequence[Any],
     times: Float[ArrayLike, " times"] | Sequence[Any],
     *,
+    strides: int = 1,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Any:
@@ -47,7 +50,9 @@ def trajectory(
 
     The motion follows the equations alone: it does not end at heel strike, whose time `stride`
     gives. A mode ends where a guard leads to another one, at `phase_times`; a walker that falls
-    before goes on.
+    before goes on. With `strides` above 1, times go on over so many strides, the last of which does
+    not end; at the instant at which one ends, the state is the first of the next. They have
+    derivatives, which jump where a stride ends.
 
     ```python
     walker = wj.SimplestWalker(0.004)
@@ -69,7 +74,16 @@ def trajectory(
         values = np.asarray(times)
         if values.size == 0 or not (np.isfinite(values) & (values >= 0)).all():
             raise WrongUse(f"times must be one or more, finite and not negative, unlike {times}")
-    return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, integrator)
+    check_whole("strides", strides)
+    if strides == 1:
+        return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, integrator)
+    check_on_section(walker, x)
+    with nan_allowed():
+        walk = follow_walk(walker, x, strides - 1, integrator)
+    ends = jnp.cumsum(walk.times)
+    number = jnp.searchsorted(ends, times, side="right")  # times after a failure are NaN, the last
+    left = times - jnp.concatenate([jnp.zeros_like(ends[:1]), ends])[number]
+    return jax.vmap(state_after, (None, 0, 0, None))(walker, walk.states[number], left, integrator)
 
 
 @kernel

@@ -1,0 +1,124 @@
+"""The answers of commands in words, and what they say to do next."""
+
+import math
+import re
+
+import click
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.cli import app, basin_command, boundary_command
+from walker_jax.stability.probable_falls import ProbableFall
+from walker_jax.systems.outcomes import Outcome
+
+
+def options_of(command):
+    params = app.load(command).get_params(click.Context(app.load(command)))
+    return {name for one in params for name in one.opts}
+
+
+@pytest.mark.parametrize(
+    ("line", "part"),
+    [
+        ("walk --strides 1", "a larger --strides"),
+        ("walk --thetadot -0.23", "It ends in stride 1: walker-jax explain"),
+        ("walk --ground 0.1 --strides 20", "another --seed gives other ground"),
+        ("explain --theta 0.2 --thetadot -0.2", "walker-jax walk, from there"),
+        ("explain --theta -0.1 --thetadot -0.2", "walker-jax gait gives a start that is feasible"),
+        ("gait --slope 0.009", "converge to it: walker-jax basin"),
+        ("gait --slope 0.009 --guess 0.1939 -0.2039", "None is stable: walker-jax bifurcation"),
+    ],
+)
+def test_an_answer_ends_with_a_sentence_on_what_to_do_next(run, line, part):
+    code, text, _ = run(*line.split())
+    sentence = text.rstrip().splitlines()[-1]
+    assert code == 0 and part in sentence and sentence.endswith(".")
+    assert not any(re.search(rf"\b{one.name}\b", text) for one in Outcome)
+    assert {*re.findall(r"walker-jax (\w+)", sentence)} <= {*app.NAMES}
+    assert {*re.findall(r"--[a-z-]+", sentence)} <= options_of(line.split()[0])
+
+
+BASIN = {"attractors": [{"artefact": False, "cells": 5}], "fates": {"STRIDE": 5, "FORWARD": 75}}
+
+
+@pytest.mark.parametrize(
+    ("answer", "request_", "part"),
+    [
+        ({"attractors": []}, {}, "walker-jax gait tells where"),
+        ({"attractors": [{"artefact": True, "cells": 5}]}, {}, "No start in this window converges"),
+        (BASIN, {}, "6.25% of these starts converge to an attractor: --levels 2"),
+        (BASIN, {"levels": 2}, "walker-jax robustness"),
+        (BASIN, {"zoom": 1e4}, "a larger --zoom"),
+    ],
+)
+def test_the_next_step_after_a_basin(answer, request_, part):
+    assert part in basin_command.next_step(answer, request_)
+
+
+@pytest.mark.parametrize("artefact", [False, True])
+def test_artefacts_alone_have_no_border(artefact):
+    attractor = {"period": 1, "cells": 2, "area": 0.1, "artefact": artefact, "states": [[0.1, 0.2]]}
+    answer = {"attractors": [attractor], "area": 0.1, "at_border": 2, "fates": {}}
+    lines = "\n".join(basin_command.sizes_in_words(answer, "area", "", zoomed=False))
+    assert ("reaches the border" in lines) == (not artefact)
+
+
+@pytest.mark.parametrize(("share", "words"), [(1, "0.00%"), (39_999, "100.00%")])
+def test_cells_of_every_fate_are_counted(share, words):
+    fates = {"STRIDE": share, "FORWARD": 40_000 - share}
+    line, _ = basin_command.fates_in_words(fates, wj.SimplestWalker(0.004))
+    assert line == f"  {words:>7}  walks, {share:,} cells"
+    line, _ = basin_command.fates_in_words(fates, wj.HenonMap())
+    assert line == f"  {words:>7}  goes on, {share:,} cells"
+
+
+def test_no_boundary_is_said_to_be_none():
+    entropy = {"value": None, "error": None, "fractal": False, "crowded": None}
+    answer = {"basin_entropy": 0.0, "boundary_entropy": entropy, "wada": [], "edges": []}
+    *_, last = boundary_command.boundary_in_words(wj.SimplestWalker(0.004), answer)
+    assert "No boundary was found" in last
+
+
+@pytest.mark.parametrize(
+    ("options", "residual", "part"),
+    [
+        ([], 0.0, "nearly all falls are like this one."),
+        (["--way", "forward"], 0.0, "nearly all falls of this kind are like this one."),
+        (["--tilt", "1e-4"], 0.0, "Under slight disturbances nearly all falls are like this one."),
+        ([], 1e-3, "The search has not converged"),
+        ([], math.nan, "The search has not converged"),
+    ],
+)
+def test_what_is_said_of_a_fall(run, monkeypatch, options, residual, part):
+    fall = ProbableFall(
+        1.0, np.zeros((1, 3)), np.zeros((1, 4)), Outcome.FORWARD, 1, np.ones(1), 1.0, residual
+    )
+    monkeypatch.setattr(wj, "most_probable_fall", lambda *_, **__: fall)
+    code, text, _ = run("fall", *options)
+    assert code == 0 and part in text
+
+
+def test_maps_have_cycles_and_no_times(run):
+    """Other systems than walkers do not walk; a map's step takes no time, a ball's does."""
+    code, text, err = run("gait", "--system", "henon", "--a", "0.3")
+    assert code == 0 and text.startswith("stable cycle of period 1 of HenonMap"), err
+    assert "gait" not in text and "time" not in text
+    start = ("--start", "x=0.5", "--start", "y=0")
+    code, text, err = run("walk", "--system", "henon", "--a", "0.3", *start, "--strides", "2")
+    assert code == 0 and text.splitlines()[0].split() == ["stride", "x", "y", "outcome"], err
+    assert text.splitlines()[1].endswith("  goes on") and "walks" not in text
+    code, text, _ = run("explain", "--system", "henon", "--a", "0.3", *start)
+    assert code == 0 and text.startswith("HenonMap from (0.5, 0): goes on\n")
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("explore", "Walkers in space and other systems have no film"),
+        ("explore", "Walkers in space have no tab of bifurcations"),
+        ("fall", "Under slight disturbances nearly all falls are like this one"),
+    ],
+)
+def test_helps_claim_no_more_than_is_so(command, said):
+    assert said in " ".join(str(app.load(command).help).split())

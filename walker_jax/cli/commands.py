@@ -1,0 +1,202 @@
+"""Commands: how they are declared, how their options are read, and what is refused."""
+
+import difflib
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from walker_jax.cli.help_page import help_page
+from walker_jax.cli.options import Group, Option, name_of, options_of, shown, underscored
+from walker_jax.cli.walker_options import Chosen, choose
+from walker_jax.refusals import WrongUse
+
+
+def silence(ctx: Any, param: Any, requested: bool) -> None:
+    """Show no progress from now on, if that is requested."""
+    if requested:
+        from walker_jax.execution.progress import be_quiet
+
+        be_quiet()
+
+
+QUIET = Option(
+    ["--quiet"],
+    theme="Output",
+    default=False,
+    callback=silence,
+    expose_value=False,
+    help="Print the answer, or the error, alone.",
+)
+SETTINGS = {"help_option_names": ["-h", "--help"]}
+
+
+class Command(click.Command):
+    """A command, on a walker or other system or on none, with groups of options.
+
+    `run` is called with the system, if the command takes `walkers`, and with the groups.
+    """
+
+    allow_extra_args = True  # they are refused here
+
+    def __init__(
+        self,
+        run: Callable[..., None],
+        groups: Sequence[Any],
+        *,
+        examples: Sequence[str],
+        time: str,
+        walkers: bool,
+        systems: bool,
+        opening: bool,
+    ):
+        paragraphs = inspect.cleandoc(run.__doc__ or "").split("\n\n")
+        super().__init__(
+            run.__name__,
+            SETTINGS,
+            params=[*(one for group in groups for one in options_of(group)), QUIET],
+            help="\n\n".join(" ".join(one.split()) for one in paragraphs),
+        )
+        self.run, self.groups, self.examples, self.time = run, groups, examples, time
+        self.walkers, self.systems, self.opening = walkers, systems, opening
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return all options; those of parameters are of the walker that is named."""
+        own = super().get_params(ctx)
+        if not self.walkers:
+            return own
+        chosen = ctx.obj or choose([], systems=False)
+        return [*chosen.options(systems=self.systems), *own]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        with refusals(ctx):
+            if self.walkers:
+                ctx.obj = self.choose(ctx, args)
+                self.refuse_clash(ctx)
+            super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:  # as for completion in a shell
+            self.refuse_extra(ctx)
+            self.refuse_both(ctx)
+        return ctx.args
+
+    def choose(self, ctx: click.Context, args: list[str]) -> Chosen | None:
+        """Return the walker that the arguments name, which must have parameters of other names."""
+        try:
+            return choose(args, systems=self.systems, opening=self.opening)
+        except WrongUse:
+            if ctx.resilient_parsing:
+                return None
+            raise
+
+    def refuse_clash(self, ctx: click.Context) -> None:
+        """Refuse a walker that has a parameter of the name of an option of the command."""
+        flags = flags_of(self.get_params(ctx))
+        for flag in flags:
+            if flags.count(flag) > 1:
+                name = underscored(flag.removeprefix("--"))
+                raise WrongUse(f"{flag} is an option of the command: rename the parameter {name}")
+
+    def refuse_extra(self, ctx: click.Context) -> None:
+        """Refuse an argument that belongs to no option; suggest the option that may be meant."""
+        for first in ctx.args[:1]:
+            similar = difflib.get_close_matches(
+                f"--{first}", flags_of(self.get_params(ctx)), cutoff=0.8
+            )
+            instead = meant(similar) or help_of(ctx)
+            raise WrongUse(f"{shown(first)} is an argument too many: {instead}")
+
+    def refuse_both(self, ctx: click.Context) -> None:
+        """Refuse two options that exclude each other."""
+        given = {
+            str(one.name): one
+            for one in self.get_params(ctx)
+            if ctx.get_parameter_source(str(one.name)) is ParameterSource.COMMANDLINE
+        }
+        for one in given.values():
+            for other in getattr(one, "excludes", ()):
+                if other in given:
+                    both = f"{name_of(one)} and {name_of(given[other])}"
+                    raise WrongUse(f"{both} exclude each other: give one of them")
+
+    def invoke(self, ctx: click.Context) -> None:
+        from walker_jax.cli.startup import configure_jax  # loads JAX
+
+        configure_jax()
+        groups = []
+        for group in self.groups:
+            kind = group if isinstance(group, type) else type(group)
+            groups.append(kind(**{one.name: ctx.params[one.name] for one in fields(kind)}))
+        ranged = next((one.ranged for one in groups if hasattr(one, "ranged")), None)
+        own = [ctx.obj.build(ctx.params, ranged)] if self.walkers else []
+        self.run(*own, *groups)
+
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        formatter.write(help_page(self, ctx, formatter.width) + "\n")
+
+
+def command(
+    *groups: Group | type[Group],
+    examples: Sequence[str],
+    time: str,
+    walkers: bool = True,
+    systems: bool = True,
+    opening: bool = False,
+) -> Callable[[Callable[..., None]], Command]:
+    """Declare a command: its groups of options, examples for its help, and the time it takes.
+
+    An instance in the place of a group has other defaults. By default a command is about a walker
+    or another system. With `opening`, walkers have the values with which the explorer opens them.
+    """
+    about = {"walkers": walkers, "systems": systems, "opening": opening}
+    return lambda run: Command(run, groups, examples=examples, time=time, **about)
+
+
+@contextmanager
+def refusals(ctx: click.Context) -> Iterator[None]:
+    """Refuse in one line what click refuses: what is wrong, and what to do instead."""
+    try:
+        yield
+    except click.UsageError as error:
+        raise WrongUse(complaint(error, ctx)) from error
+
+
+def complaint(error: click.UsageError, ctx: click.Context) -> str:
+    """Write one line for an error of click."""
+    params = ctx.command.get_params(ctx)
+    match error:
+        case click.NoSuchOption(option_name=flag):
+            foreign = ctx.obj.foreign(flag) if ctx.obj else ""
+            bare = {one.strip("-"): one for one in flags_of(params)}
+            similar = difflib.get_close_matches(flag.strip("-"), bare)
+            instead = meant(bare[one] for one in similar) or help_of(ctx)
+            return foreign or f"{shown(flag)} is not an option: {instead}"
+        case click.BadOptionUsage(option_name=flag):
+            (param,) = (one for one in params if flag in flags_of([one]))
+            if getattr(param, "is_flag", False):
+                return f"{flag} must be given without a value"
+            values = "a value" if param.nargs == 1 else f"{param.nargs} values"
+            return f"{flag} must have {values}: {help_of(ctx)}"
+        case click.MissingParameter(param=param):
+            return f"{name_of(param)} is required: {help_of(ctx)}"
+    return f"{shown(error.format_message())}: {help_of(ctx)}"
+
+
+def flags_of(params: Iterable[click.Parameter]) -> list[str]:
+    """Return all names of some options, as they are typed."""
+    return [flag for one in params for flag in (*one.opts, *one.secondary_opts)]
+
+
+def meant(similar: Iterable[str]) -> str:
+    """Ask whether one of these names is meant; return an empty text if there are none."""
+    names = " or ".join(similar)
+    return f"did you mean {names}?" if names else ""
+
+
+def help_of(ctx: click.Context) -> str:
+    """Write where the help of a command is."""
+    command = f" {ctx.command.name}" if ctx.parent is not None else ""
+    return f"see walker-jax{command} --help"

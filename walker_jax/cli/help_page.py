@@ -1,0 +1,103 @@
+"""The pages of help: of a command its purpose, examples, then its options, theme by theme."""
+
+import textwrap
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import click
+
+COLUMN = 21
+"""Width of the column of options; their meanings stand beside it."""
+WIDTH, LINES = 80, 60
+"""A page of a terminal; a walker of many parameters leaves no room there for all else."""
+OF_WALKERS = {"theta", "thetadot", "sum", "phidot", "at_phidot", "guess"}
+"""Options for coordinates that only walkers have: the help of other systems leaves them out."""
+
+
+def help_page(command: Any, ctx: click.Context, width: int) -> str:
+    """Write the help of a command; one longer than a page of a terminal is shortened."""
+    page = lambda width, whole: "\n\n".join(parts(command, ctx, width, whole=whole))
+    return page(width, page(WIDTH, True).count("\n") < LINES)
+
+
+def parts(command: Any, ctx: click.Context, width: int, *, whole: bool) -> Iterator[str]:
+    """Yield the parts of the help; unless `whole`, options after the first theme are named."""
+    first, *more = command.help.split("\n\n")
+    arguments = [str(one.metavar) for one in command.params if isinstance(one, click.Argument)]
+    yield " ".join(["walker-jax", command.name, *arguments, "[OPTIONS]"])
+    yield fill(first, width)
+    examples = (fill(f"  walker-jax {line}", width, 6) for line in command.examples)
+    yield "\n".join(["Examples:", *examples])
+    described, *others = themes(command, ctx).items()
+    for theme, options in (described, *others) if whole else (described,):
+        yield section(theme, ((as_typed(one), meaning(one)) for one in options), width)
+    if not whole:
+        names = (f"{theme}: {', '.join(map(flags_of, options))}" for theme, options in others)
+        yield "\n".join(fill(line, width, 2) for line in names)
+        yield fill(f"walker-jax {command.name} --help describes these.", width)
+    yield from (fill(text, width) for text in more)
+    yield fill(f"Time on two cores: {command.time}", width)
+
+
+def themes(command: Any, ctx: click.Context) -> dict[str, list[Any]]:
+    """Return the arguments and options by their themes, without those that do not apply."""
+    found: dict[str, list[Any]] = {}
+    for one in command.get_params(ctx):
+        if not (ctx.obj and ctx.obj.system and one.name in OF_WALKERS):
+            found.setdefault(getattr(one, "theme", "Output"), []).append(one)
+    return found
+
+
+def list_page(group: Any, ctx: click.Context, width: int) -> str:
+    """Write the help of the program: its commands, and the options of all of them."""
+    commands = ((name, group.get_command(ctx, name)) for name in group.list_commands(ctx))
+    first_lines = ((name, one.help.partition("\n\n")[0]) for name, one in commands)
+    options = ((as_typed(one), meaning(one)) for one in group.get_params(ctx))
+    return "\n\n".join(
+        [
+            "walker-jax COMMAND [OPTIONS]",
+            fill(group.help, width),
+            section("Commands", first_lines, width, 14),
+            section("Options", options, width),
+            "walker-jax COMMAND --help has examples, and the options of a command.",
+        ]
+    )
+
+
+def section(title: str, rows: Iterable[tuple[str, str]], width: int, column: int = COLUMN) -> str:
+    """Write names and their meanings side by side, or one below the other if a name is long."""
+    lines, indent = [f"{title}:"], column + 2
+    for name, text in rows:
+        beside = fill(" " * indent + text, width, indent)
+        typed = f"  {name}"
+        short = len(typed) <= column
+        lines.append(f"{typed:{indent}}{beside.lstrip()}" if short else f"{typed}\n{beside}")
+    return "\n".join(lines)
+
+
+def fill(text: str, width: int, indent: int = 0) -> str:
+    """Break a text into lines, indented from the second one on; words and options stay whole."""
+    how: Any = {"break_on_hyphens": False, "break_long_words": False}
+    return textwrap.fill(text, width, subsequent_indent=" " * indent, **how)
+
+
+def as_typed(param: Any) -> str:
+    """Write an option as it is typed, with the placeholder of its value."""
+    if isinstance(param, click.Argument):
+        return str(param.metavar)
+    return flags_of(param) if param.is_flag else f"{flags_of(param)} {param.metavar}"
+
+
+def flags_of(param: Any) -> str:
+    """Write the names of an option, the short one first."""
+    return "/".join([", ".join(sorted(param.opts, key=len)), *param.secondary_opts])
+
+
+def meaning(param: Any) -> str:
+    """Write the help of an option, and its default."""
+    text, default = param.help.removesuffix("."), param.default
+    if param.required:
+        return f"{text} (required)."
+    if getattr(param, "is_flag", False) or default in (None, ()):
+        return param.help
+    return f"{text} (default: {default})."
