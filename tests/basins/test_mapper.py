@@ -6,8 +6,8 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basins.attractor import Attractor, all_motions
-from walker_jax.basins.attractor_search import label_and_find, lasting_motions, search, seen
+from walker_jax.basins.attractor import Attractor, all_motions, seen
+from walker_jax.basins.attractor_search import label_and_find, lasting_motions, search
 from walker_jax.basins.labels import CLOSE
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import attractors_of_cycles

@@ -13,6 +13,9 @@ from jaxtyping import Float, Int
 from walker_jax.systems.angles import Turns
 from walker_jax.walking.iteration import Targets, nearest_target
 
+SAMPLE = 2**14
+"""Number of starts that are followed in search of attractors."""
+
 
 class Attractor(NamedTuple):
     """A cycle of strides, from its state of the smallest angle on; or another attracting set."""
@@ -105,3 +108,27 @@ def in_order(attractors: Sequence[Attractor]) -> tuple[list[Attractor], Int[np.n
     number = np.full(len(order) + 1, -1, np.int32)
     number[order] = np.arange(len(order))
     return [attractors[i] for i in order], number
+
+
+def seen(attractors: Sequence[Attractor], number: Int[np.ndarray, " n"]) -> list[Attractor]:
+    """Drop attractors without a period, from the last on, if none of these walks is on it."""
+    last = len(attractors) - 1
+    if last < 0 or attractors[last].period or (number == last).any():
+        return list(attractors)
+    return seen(attractors[:last], number)
+
+
+def new_cycle(
+    states: Float[np.ndarray, "period section"],
+    known: Sequence[Attractor],
+    turns: Turns = None,
+) -> Attractor | None:
+    """Make a cycle, from its state of the smallest angle on; None if it is known."""
+    states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
+    is_known = match_attractor(states[:1], known, turns=turns)[0] >= 0
+    return None if is_known else Attractor(states)
+
+
+def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
+    """Return the indices of a sample of n items, evenly spread over their order."""
+    return np.linspace(0, n - 1, min(n, most)).astype(int)

@@ -15,11 +15,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.attractor import (
+    SAMPLE,
     Attractor,
     all_motions,
     capture_radius,
     in_order,
     match_attractor,
+    new_cycle,
+    sample_indices,
     targets_of,
 )
 from walker_jax.basins.capture_boxes import with_capture_boxes
@@ -45,13 +48,11 @@ from walker_jax.gaits.cycles import (
 from walker_jax.gaits.search import cycle_guesses
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
-from walker_jax.systems.angles import Turns, difference, turns_of
+from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walking.iteration import iterate, orbits
 
-SAMPLE = 2**14
-"""Number of starts that are followed in search of attractors."""
 SCOUTS = 2**8
 """Number of starts that are followed first; most of the others end on the cycles that these
 find."""
@@ -226,22 +227,9 @@ def with_attractors_from(mapper: Mapper, starts: Float[np.ndarray, "n section"])
     return mapper._replace(attractors=found)
 
 
-def seen(attractors: Sequence[Attractor], number: Int[np.ndarray, " n"]) -> list[Attractor]:
-    """Drop attractors without a period, from the last on, if none of these walks is on it."""
-    last = len(attractors) - 1
-    if last < 0 or attractors[last].period or (number == last).any():
-        return list(attractors)
-    return seen(attractors[:last], number)
-
-
 def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
     """Return some of many points, evenly spread over their order."""
     return x[sample_indices(len(x), most)]
-
-
-def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
-    """Return the indices of a sample of n items, evenly spread over their order."""
-    return np.linspace(0, n - 1, min(n, most)).astype(int)
 
 
 def search(
@@ -409,14 +397,3 @@ def stable_cycle(
 def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
     """Return the strides to the first return within a distance, given all distances."""
     return int(np.flatnonzero(misses < within)[0]) + 1
-
-
-def new_cycle(
-    states: Float[np.ndarray, "period section"],
-    known: Sequence[Attractor],
-    turns: Turns = None,
-) -> Attractor | None:
-    """Make a cycle, from its state of the smallest angle on; None if it is known."""
-    states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
-    is_known = match_attractor(states[:1], known, turns=turns)[0] >= 0
-    return None if is_known else Attractor(states)

@@ -55,7 +55,7 @@ million transients with a mean life of 1000 strides, and half of those with 24,0
 
 
 class Label(NamedTuple):
-    """What becomes of walks: numbers for one, or arrays over many, of JAX or of NumPy."""
+    """The end of walks: numbers for one, or arrays over many, of JAX or of NumPy."""
 
     fate: Int[Any, "*walks"]
     """`Outcome` of the last stride; `STRIDE` where the walker did not fail."""

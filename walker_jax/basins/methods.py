@@ -13,14 +13,13 @@ import xarray as xr
 from jaxtyping import Array, Int
 
 from walker_jax import storage
-from walker_jax.basins.attractor import Attractor, all_motions, in_order, sorted_numbers
+from walker_jax.basins.attractor import Attractor, all_motions, in_order, seen, sorted_numbers
 from walker_jax.basins.attractor_search import (
     PATIENCE,
     complete,
     label_and_find,
     mapper_of_scouts,
     scouts_among,
-    seen,
 )
 from walker_jax.basins.labels import LONGEST_PERIOD, Label
 from walker_jax.basins.mapper import Mapper

@@ -14,7 +14,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from walker_jax.basins.attractor_search import mapper_of_scouts, scouts_among, seen
+from walker_jax.basins.attractor import seen
+from walker_jax.basins.attractor_search import mapper_of_scouts, scouts_among
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.refined_cells import REDRAWN, RefinedCells

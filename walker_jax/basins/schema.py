@@ -31,7 +31,7 @@ def attributes_of_arrays(failures: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 class CellCycles(NamedTuple):
-    """What cell mapping knows of each attractor, or artefact of cells."""
+    """The cycles of cells of each attractor, or artefact, of cell mapping."""
 
     cycles: Int[np.ndarray, " number"]
     """Number of cycles of cells that belong to it, or make up this artefact."""
