@@ -487,12 +487,8 @@ def calls() -> dict[str, dict]:
         | {"levels": 0, "check": 0, "robust": False},
         "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
         "fall_gradient": {**of_gait, "parameters": ("slope",), "strides": 1, "directions": 2},
-        "pareto": {
-            **of_walker,
-            "bounds": {"slope": (0.003, 0.01)},
-            "objectives": GOALS,
-            "points": 3,
-        },
+        "pareto": {**of_walker, "bounds": {"slope": (0.003, 0.01)}, "objectives": GOALS}
+        | {"points": 3},
     }
 
 
