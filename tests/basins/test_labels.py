@@ -112,12 +112,12 @@ def test_labels_of_ones_own_take_the_place_of_attractors():
     np.testing.assert_array_equal(data.attractor.values.ravel(), wanted)
     assert data.attrs["label"] == "<lambda>" and data.cells.values.tolist() == [20, 20, 14]
     assert data.period.values.tolist() == [0, 0, 0] and (data.strides == 30).all()
-    for wrong, message in (
-        ({"label": third, "method": "cell-map"}, "label must be a function, with method 'direct'"),
-        ({"label": lambda x: x[0]}, "label must return a whole number"),
+    for method, label, message in (
+        ("cell-map", third, "label must be a function, with method 'direct'"),
+        ("direct", lambda x: x[0], "label must return a whole number"),
     ):
         with pytest.raises(ValueError, match=message):
-            wj.basin(turn, grid, **{"method": "direct", "strides": 3} | wrong)
+            wj.basin(turn, grid, method, strides=3, label=label)
 
 
 def test_find_attractors_and_label_refuse_what_is_no_start():

@@ -73,7 +73,7 @@ def test_values_that_several_equations_use_are_computed_once():
         np.testing.assert_allclose(one, other, rtol=1e-15, atol=1e-15)
 
 
-def test_functions_without_products_of_long_matrices_are_left_alone():
+def test_functions_without_long_products_are_left_alone():
     closed = jax.make_jaxpr(lambda a: a * a + a)(BIAS)
     assert with_gathered_sums(closed) is closed
 
