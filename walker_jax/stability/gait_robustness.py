@@ -51,6 +51,8 @@ WALKS, WALK_LIMIT = 1000, 2000
 cores, and give an interval of some 6 % if all walks fall."""
 LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
 """Outcomes of a walker that neither returns to its gait nor falls."""
+NEGLIGIBLE = 1e-9
+"""Coordinates of a gait's state below this share of the largest have no size: they are rounding."""
 
 
 @refuses_tracers()
@@ -82,7 +84,8 @@ def robustness(
       all feasible angles, with sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others.
       For any other walker it is a slice around the gait, in space over yaw and leandot.
     - `levels`, `check`: of refinement; in space, where strides take longer, choose fewer starts.
-    - `disturbances`: for `basin_stability`, as shares of the coordinates of the gait's own state.
+    - `disturbances`: for `basin_stability`, as shares of the coordinates of the gait's own state; of
+      the largest where one is 0, and of 1 where all are.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
     - `ground`: standard deviation of normally distributed heights of steps, in the unit of length,
@@ -161,7 +164,9 @@ def measure_gait(
         if nearest.failure in LEADS_ELSEWHERE:
             fall = least_disturbance_if_any(walker, gait, fall=True, **about)
         rolled = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
-        scale = np.abs(np.asarray(rolled.states[0]))
+        size = np.abs(np.asarray(rolled.states[0]))
+        largest = size.max() or 1.0
+        scale = np.where(size > NEGLIGIBLE * largest, size, largest)
         stability = basin_stability(walker, disturbances, rolled, scale=scale, seed=seed, **about)
         return rolled, nearest, fall, stability
 
