@@ -212,7 +212,7 @@ def test_a_volume_without_a_basin_is_drawn_too(walks_in):
     walks_in(lambda x: np.zeros(len(x), bool))
     data = wj.refine(WALKER, cube(6), 1, check=100)
     assert float(data.total_area) == 0 < float(data.total_area_error)
-    assert "no basin" in figures.volume(data).axes[3].get_title()
+    assert "no basin" in figures.volume(data).axes[3].get_title("left").lower()
 
 
 @pytest.mark.parametrize(

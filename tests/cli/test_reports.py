@@ -14,7 +14,8 @@ from walker_jax.systems.outcomes import Outcome
 
 
 def options_of(command):
-    params = app.load(command).get_params(click.Context(app.load(command)))
+    loaded = app.load(command)
+    params = loaded.get_params(click.Context(loaded, **loaded.context_settings))
     return {name for one in params for name in one.opts}
 
 

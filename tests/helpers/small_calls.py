@@ -12,7 +12,7 @@ from walker_jax.systems.system import System
 
 WALKER = wj.SimplestWalker(0.009)
 X, FALL = jnp.array([0.2003, -0.1998]), jnp.array([0.3, -0.1])
-MAP = wj.HenonMap(0.2, 0.3)
+MAP, CUBE = wj.HenonMap(0.2, 0.3), wj.Map(lambda x: x**3, ("x", "y"))
 AREA = wj.Grid.sheared(theta=(0.1, 0.3, 6), sum=(-0.02, 0.01, 6))
 PLANE = wj.Grid.plain(x=(-8, 8, 8), y=(-8, 8, 8))
 LABELS = np.arange(4096).reshape(64, 64) % 3
@@ -97,6 +97,11 @@ CALLS: dict[str, Callable[[], Any]] = {
     "chart": lambda: wj.chart(
         *(MAP, {"a": (0.1, 0.5), "b": (0.2, 0.4)}, fixed_point()),
         **{"period_max": 1, "cells": (3, 2), "strides": 5, **QUIET},
+    ),
+    "find_attractors": lambda: wj.find_attractors(CUBE, [X]),
+    "label": lambda: wj.label(CUBE, wj.find_attractors(CUBE, [X]), X),
+    "basin_volume": lambda: wj.basin_volume(
+        CUBE, wj.find_attractors(CUBE, [X])[0], PLANE, samples=64, moves=4, **QUIET
     ),
     "attractors": lambda: wj.attractors(MAP, "a", [0.2], [[[0.6, 0.2]]], strides=5),
     "loss_of_walking": lambda: wj.loss_of_walking(

@@ -41,8 +41,9 @@ def run(function, *cells, shared=()):
 
 
 def of_both(function, *cells, shared=()):
-    """The results of a kernel, and those of JAX."""
-    mapped = jax.jit(jax.vmap(lambda *cell: function(*shared, *cell)))
+    """The results of a kernel, and those of JAX, by the code that XLA makes for users."""
+    as_users = {"xla_backend_optimization_level": 3}
+    mapped = jax.jit(jax.vmap(lambda *cell: function(*shared, *cell)), compiler_options=as_users)
     expected = mapped(*map(jnp.asarray, cells))
     return run(function, *cells, shared=shared), jax.tree.map(np.asarray, expected)
 
@@ -143,6 +144,8 @@ def all_of_one_number(dtype):
 def test_functions_of_one_number(name, dtype):
     kept = ~(np.abs(values(dtype)) > LARGEST.get(name, np.inf))
     found, expected = (each[name][kept] for each in all_of_one_number(dtype))
+    if name == "cbrt":  # XLA's own may be off by 60 units in the last place
+        expected = np.cbrt(values(dtype)[kept])
     assert_equal(found, expected, LOOSE.get(name, 10))
 
 

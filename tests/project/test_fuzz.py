@@ -63,7 +63,10 @@ QUICK = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 LONG = settings(QUICK, max_examples=5000)
-COMMANDS = {name: app.load(name).get_params(click.Context(app.load(name))) for name in app.NAMES}
+COMMANDS = {
+    name: one.get_params(click.Context(one, **one.context_settings))
+    for name, one in ((name, app.load(name)) for name in app.NAMES)
+}
 
 
 @st.composite
@@ -356,6 +359,9 @@ def calls() -> dict[str, dict]:
     ).assign(dict.fromkeys(("total_area", "total_area_error", "strides_made"), 0))
     volume = volume.assign(checked=0, mistaken=0, followed=("level", [8]), boundary=("level", [0]))
     axis = (0.05, 0.35, 4)
+    cube = wj.Map(lambda x, a: a * x**3, ("x", "y"), parameters={"a": 1.0})
+    square = wj.Grid.plain(x=(-2, 2, 1), y=(-2, 2, 1))
+    settled = wj.find_attractors(cube, [X])
     optimum = {
         "bounds": {"slope": (0.003, 0.005)},
         "objective": "speed",
@@ -408,14 +414,8 @@ def calls() -> dict[str, dict]:
         "slice_basin": {"data": volume, "axis": "phidot", "value": 0.1},
         "area_gradient": {**refined, "parameters": ("slope",), "bands": None},
         "boundary_dimension": {**on_grid, **fit, "distances": [0.1, 0.01, 0.001], "pairs": 20},
-        "basin_stability": {
-            **of_gait,
-            **fit,
-            "disturbances": 0.01,
-            "within": 1e-3,
-            "samples": 5,
-            "strides": 20,
-        }
+        "basin_stability": {**of_gait, **fit, "disturbances": 0.01}
+        | {"within": 1e-3, "samples": 5, "strides": 20}
         | {"scale": None, "along": None, "metric": None, "horizon": 3},
         "tipping_probability": {**of_walker, "parameter": "slope", "value": 0.005, "region": grid}
         | {"samples": 5, "strides": 20, "seed": 0, "confidence": 0.9},
@@ -435,13 +435,12 @@ def calls() -> dict[str, dict]:
             "distances": [0.1, 0.2, 0.3],
             "pairs": 100,
         },
-        "attractors": {
-            **of_walker,
-            "parameter": "slope",
-            "values": [0.004],
-            "starts": [[X]],
-            "strides": 5,
-        },
+        "find_attractors": {"system": cube, "starts": [X], "strides": 9, "tolerance": None},
+        "label": {"system": cube, "attractors": settled, "start": X, "strides": 9, "further": 9},
+        "basin_volume": {"system": cube, "attractor": settled[0], "region": square}
+        | {"samples": 64, "moves": 2, "strides": 9, "seed": 0, "tolerance": None},
+        "attractors": {**of_walker, "parameter": "slope", "values": [0.004]}
+        | {"starts": [[X]], "strides": 5},
         "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
         | {"strides": 5, "resolution": 1e-4},
         "continue_event": {
@@ -569,7 +568,7 @@ def test_bad_arguments_of_functions_are_refused_before_any_work():
         assert spoil(good, 0, repeatable=True)["refused"] > 4000
 
 
-TRACEABLE = "stride margins walk trajectory step_down find_gait integrals phase_times"
+TRACEABLE = "stride margins walk trajectory step_down find_gait integrals phase_times label"
 
 
 def test_what_jax_cannot_trace_says_so():
@@ -577,6 +576,7 @@ def test_what_jax_cannot_trace_says_so():
     others |= {"uncertainty_exponent": "distances", "crisis_exponent": "multipliers"}
     others |= {"slice_basin": "value", "information_dimension": "points", "crisis_law": "lives"}
     others |= dict.fromkeys(("chart", "continue_event", "lyapunov", "transients"), "system")
+    others |= dict.fromkeys(("find_attractors", "basin_volume"), "system")
     for name, good in calls().items():
         if name[0].isupper() or name in (*TRACEABLE.split(), "gait_sensitivity"):
             continue

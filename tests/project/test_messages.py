@@ -117,7 +117,8 @@ def names_in(use: str) -> set[str]:
         command = use.removeprefix(LINE).split()[0]
         if command not in app.NAMES:
             return known
-        options = app.load(command).get_params(click.Context(app.load(command)))
+        loaded = app.load(command)
+        options = loaded.get_params(click.Context(loaded, **loaded.context_settings))
         return known | {name for one in options for name in (*one.opts, *words_in(one.metavar))}
     for name in re.findall(rf"\b(?:wj\.|(?=(?:{'|'.join(vars(HOMES))})\b))([\w.]+)\(", use):
         known |= {*inspect.signature(operator.attrgetter(name)(HOMES)).parameters}

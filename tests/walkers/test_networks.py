@@ -171,7 +171,7 @@ def test_stores_resume_for_the_same_network_alone(tmp_path: Path):
         float(value_of(WALKER, "policy.layers[1].bias[0]"))
     ]
     made.to_netcdf(tmp_path / "sweep.nc", engine="scipy")
-    assert walker_title(made).split()[:4] == ["NetworkWalker,", "slope", "0.009", "rad"]
+    assert walker_title(made).split()[:4] == ["NetworkWalker,", "slope", "0.009", "rad,"]
 
 
 def test_an_interrupted_sweep_over_a_weight_goes_on(tmp_path, monkeypatch):

@@ -21,8 +21,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.basins.attractor import Attractor, capture_radius, targets_of
 from walker_jax.basins.motions import Clouds, clouds_of, nearest_motion
-from walker_jax.checks import WrongUse, check_whole
+from walker_jax.checks import WrongUse, check_whole, short
 from walker_jax.integrators.integrator import AnySolver, Integrator
+from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels.primitive import nan_allowed, vary_together
 from walker_jax.systems.angles import difference, turns_of
@@ -123,9 +124,17 @@ def label(
     system, x, integrator = prepare(system, start, tolerance, solver)
     if x.shape != (len(system.section),):
         raise WrongUse(f"start must be on the section {system.section}, not of shape {x.shape}")
-    attractors = jax.tree.map(jnp.asarray, list(attractors))
+    attractors = jax.tree.map(jnp.asarray, check_attractors(attractors))
     with nan_allowed():
         return follow_label(system, attractors, x, strides, further, integrator)
+
+
+def check_attractors(attractors: Any) -> list[Attractor]:
+    """Return attractors as a list; raise `WrongUse` for anything else."""
+    found = list(attractors) if isinstance(attractors, Sequence) else [attractors]
+    if not all(isinstance(one, Attractor) for one in found):
+        raise WrongUse(f"attractors must be those of find_attractors, not {short(attractors)}")
+    return found
 
 
 def follow_label(
@@ -171,8 +180,8 @@ def identify(
 
     def approached(x: Float[Array, " section"]) -> Int[Array, ""]:
         cycles = cycles_of(attractors, len(x), x.dtype)
-        number, largest = follow_near(system, x, cycles, integrator)
-        return jnp.where(comes_nearer(largest), number, -1)
+        number, farthest = follow_near(system, x, cycles, integrator)
+        return jnp.where(comes_nearer(farthest), number, -1)
 
     number = approached(x)
     x = jnp.where(number < 0, x, jnp.nan)
@@ -213,7 +222,7 @@ def follow_near(
     turns, count = turns_of(system), len(cycles.states)
     states, owner = map(jnp.asarray, cycles)
     blocks = jnp.arange(BLOCKS, dtype=jnp.int32)
-    away = lambda x, i: jnp.max(jnp.abs(difference(x, states[i], turns)))
+    away = lambda x, i: largest(jnp.abs(difference(x, states[i], turns)))
 
     def nearest(i: Int[Array, ""], best: tuple) -> tuple:
         closer = away(x, i) < best[0]
@@ -238,15 +247,15 @@ def follow_near(
     return number, jnp.where(known, end.state[1], jnp.nan)
 
 
-def comes_nearer(largest: Float[Any, "*walks blocks"]) -> Bool[Any, "*walks"]:
+def comes_nearer(farthest: Float[Any, "*walks blocks"]) -> Bool[Any, "*walks"]:
     """Return whether walks that are `CLOSE` to a cycle come ever nearer to it.
 
     They do if the largest distance from the cycle falls from one stretch of strides to the next, or
     if they arrive. A walker on another motion, which passes by, moves away again.
     """
-    falls = (largest[..., 1:] < largest[..., :-1]).all(axis=-1)
-    return (falls & (largest[..., 0] < 2 * CLOSE)) | (
-        largest[..., -1] < capture_radius(largest.dtype)
+    falls = (farthest[..., 1:] < farthest[..., :-1]).all(axis=-1)
+    return (falls & (farthest[..., 0] < 2 * CLOSE)) | (
+        farthest[..., -1] < capture_radius(farthest.dtype)
     )
 
 

@@ -106,6 +106,9 @@ def measure_gait(
     real, exact = eqx.partition(walker, eqx.is_inexact_array_like)
     arrays = [jnp.asarray(one) for one in (gait.states, gait.step_times, gait.multipliers)]
     known = {name: partial(one, tolerance) for name, one in KNOWN.items()} | dict(functions)
+    known["cost-of-transport"] = partial(
+        cost_of_transport, tolerance, cost_is_known(walker), walker.driven_by_gravity()
+    )
     summed = [name for name in wanted if name not in known]
 
     def measure(function) -> list[Measure]:
@@ -145,12 +148,17 @@ def spectral_radius(tolerance: float | None, walker: Any, gait: Gait) -> Scalar:
     return jnp.abs(gait.multipliers[0]) ** (1 / len(gait.states))
 
 
-def cost_of_transport(tolerance: float | None, walker: Any, gait: Gait) -> Scalar | float:
-    """Return the energy lost per unit of weight and of distance; NaN if unknown."""
-    if not cost_is_known(walker) or step_length(walker, gait.states[0]) is None:
+def cost_of_transport(
+    tolerance: float | None, is_known: bool, by_gravity: bool, walker: Any, gait: Gait
+) -> Scalar | float:
+    """Return the energy lost per unit of weight and of distance; NaN if unknown.
+
+    Whether gravity alone does work depends on the numbers of the walker, which are traced here.
+    """
+    if not is_known or step_length(walker, gait.states[0]) is None:
         return np.nan
     slope = jnp.sin(vars(walker)["slope"])
-    if walker.driven_by_gravity():
+    if by_gravity:
         return slope
     works = [
         walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x))
@@ -164,10 +172,9 @@ KNOWN: dict[str, Callable[..., Any]] = {
     "step-length": mean_step_length,
     "speed": speed,
     "spectral-radius": spectral_radius,
-    "cost-of-transport": cost_of_transport,
 }
 """Measures of any walker's gaits, as functions of a tolerance, a walker and a gait."""
-GAIT_MEASURES = tuple(KNOWN)
+GAIT_MEASURES = (*KNOWN, "cost-of-transport")
 
 
 def mean_integrals(

@@ -84,8 +84,8 @@ def robustness(
       all feasible angles, with sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others.
       For any other walker it is a slice around the gait, in space over yaw and leandot.
     - `levels`, `check`: of refinement; in space, where strides take longer, choose fewer starts.
-    - `disturbances`: for `basin_stability`, as shares of the coordinates of the gait's own state; of
-      the largest where one is 0, and of 1 where all are.
+    - `disturbances`: for `basin_stability`, as shares of the coordinates of the gait's own state,
+      of the largest where one is 0, and of 1 where all are.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
     - `ground`: standard deviation of normally distributed heights of steps, in the unit of length,
