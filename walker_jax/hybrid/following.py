@@ -14,13 +14,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
-from walker_jax.hybrid.crossings import (
-    Crossing,
-    begins_below,
-    first_rise,
-    may_rise,
-    rounding_of,
-)
+from walker_jax.hybrid.beginnings import is_below, side_at_start
+from walker_jax.hybrid.crossings import Crossing, first_rise, may_rise
 from walker_jax.hybrid.misses import (
     Misses,
     Seen,
@@ -44,8 +39,6 @@ FIRST_ORDER = 6
 one, they are expanded in full."""
 NO_GUARD, NOT_FOLLOWED = -1, -2
 """In place of a guard's number: none has ended the mode, or it was not followed."""
-ON_ZERO = 0.5
-"""Side of a guard that begins at zero, to rounding. It is below zero then if it falls."""
 Violated = dict[str, Bool[Array, ""]]
 """Whether each condition was violated, by the failure to which it leads."""
 
@@ -75,8 +68,8 @@ class Step(NamedTuple):
     """Time at its start."""
     length: Scalar
     sides: list[Scalar]
-    """For each guard, -1 below zero at the start of the step and 1 above; before the first 0, or
-    `ON_ZERO`."""
+    """For each guard, -1 below zero at the start of the step and 1 above; before the first, that of
+    `side_at_start`."""
     ends: list[Scalar]
     """The sides at its end."""
     watched: list[tuple[tuple, tuple]]
@@ -344,56 +337,6 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
         (value, *admits), found = found[: len(guard)], found[len(guard) :]
         pairs.append((value, admits))
     return pairs
-
-
-class Due(NamedTuple):
-    """A guard as a mode begins."""
-
-    ends: Bool[Array, ""]
-    """Whether the mode is over at once."""
-    rises: Bool[Array, ""]
-    """Whether the guard rises just then, so that the time until then, zero, has derivatives."""
-
-
-def is_due(mode: Mode, guard: Guard, method: Method, start: Any) -> Due:
-    """Return whether a mode that begins in a state is over at once, by one of its guards.
-
-    The state may be on a guard, but for errors, as the mode before ended there: it may then fall.
-    """
-    value = guard.value
-    known = lax.stop_gradient((start, mode.rates(start)))
-    rounding = rounding_of(value, *known, method.tolerance)
-    series = method.series(value, start, 2)
-    due = ~begins_below(series, rounding)
-    if guard.admits or guard.admits_at_rise:
-        due &= guard.admitted(start)
-    return Due(due, due & (series[0] <= rounding) & (series[1] > rounding))
-
-
-def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:
-    """Return the side of zero on which a guard begins; zero if it is read from the first series.
-
-    One rule serves all methods (`begins_below`), by the series of the solution. An interpolation
-    is no such series. A mode that begins where a guard is zero has not come there, though by
-    rounding the value may be negative: a stride does not end as it leaves the section.
-    """
-    side = zero_at(start)
-    if not guard.at_once:
-        known = lax.stop_gradient(start)
-        on_zero = jnp.abs(guard.value(known)) <= rounding_of(guard.value, known, known, 0.0)
-        side = jnp.where(on_zero, ON_ZERO, side)
-    if method.is_series:
-        return side
-    below = is_below(guard, side, method.series(guard.value, start, 2))
-    return jnp.where(below, -1, 1) + zero_at(start)
-
-
-def is_below(guard: Guard, side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
-    """Return whether a guard is below zero as a step begins, by its side or first value."""
-    below = jnp.where(side == 0, begins_below(value), side < 0)
-    if guard.at_once:
-        return below
-    return jnp.where(side == ON_ZERO, begins_below([jnp.zeros_like(side), *value[1:]]), below)
 
 
 def rises_perhaps(

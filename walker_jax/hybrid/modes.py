@@ -141,7 +141,7 @@ class Mode(NamedTuple):
     @property
     def rates(self) -> Callable[[Any], Any]:
         """The time derivative of the state, evaluated at a single state."""
-        return self.field if self.rates_at is None else self.rates_at  # pyright: ignore
+        return self.field if self.rates_at is None else self.rates_at
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
         """Return the value of each guard and the functions that admit it; all if `whole`."""

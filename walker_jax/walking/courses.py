@@ -19,7 +19,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from walker_jax.hybrid.following import NO_GUARD, Due, End, Violated, follow_mode, is_due
+from walker_jax.hybrid.beginnings import Due, is_due
+from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.graphs import (
     check_one_kind,
     check_state,
