@@ -34,7 +34,7 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
     monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)  # of the picture
     if made_up:
         for module in ("climbs", "evaluation", "limits"):
-            monkeypatch.setattr(f"walker_jax.design.{module}.measure_gait", proportional)
+            monkeypatch.setattr(f"walker_jax.design.{module}.differentiate_measures", proportional)
     code, out, err = run(*FASTEST, "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)
@@ -60,7 +60,7 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, s
 def test_an_optimisation_that_is_out_of_time_goes_on(run, monkeypatch):
     monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)
     for module in ("climbs", "evaluation", "limits"):
-        monkeypatch.setattr(f"walker_jax.design.{module}.measure_gait", proportional)
+        monkeypatch.setattr(f"walker_jax.design.{module}.differentiate_measures", proportional)
     code, out, err = run(*FASTEST, "--seconds", "1e-9", "--json")
     short = json.loads(out)
     assert (code, err) == (0, "") and short["out_of_time"] and not short["converged"]

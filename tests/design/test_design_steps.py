@@ -186,7 +186,8 @@ def test_where_nothing_walks_steps_lead_to_more_stable_gaits(monkeypatch, walkin
     problem = problem_of(wj.SpringWalker(0.019, 0.4), bounds)._replace(weights={"area": 1.0})
     radius = Measure(1.5, np.array([2 / 0.02, -1 / 2]))
     monkeypatch.setattr(
-        "walker_jax.design.climbs.measure_gait", lambda *_, **__: {"spectral-radius": radius}
+        "walker_jax.design.climbs.differentiate_measures",
+        lambda *_, **__: {"spectral-radius": radius},
     )
     monkeypatch.setattr(Trace, "gait", lambda *_: None)
     asked = []
@@ -203,7 +204,7 @@ def test_where_nothing_walks_steps_lead_to_more_stable_gaits(monkeypatch, walkin
     np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)
     assert (found is not None) == (steps == 4)
     flat = {"spectral-radius": Measure(1.5, np.zeros(2))}
-    monkeypatch.setattr("walker_jax.design.climbs.measure_gait", lambda *_, **__: flat)
+    monkeypatch.setattr("walker_jax.design.climbs.differentiate_measures", lambda *_, **__: flat)
     assert climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0)) is None
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.design.evaluation import STEP_SIZES, Evaluation
-from walker_jax.design.measures import measure_gait
+from walker_jax.design.measures import differentiate_measures
 from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.trace import Trace
 from walker_jax.execution.threads import stopped_when
@@ -231,7 +231,9 @@ def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
         gait = trace.gait(row.parameters)
         walker = problem.walker_at(row.parameters)
         wanted = ("spectral-radius",)
-        measures = measure_gait(walker, problem.names, gait, wanted, {}, problem.tolerance)
+        measures = differentiate_measures(
+            walker, problem.names, gait, wanted, {}, problem.tolerance
+        )
         growth = measures["spectral-radius"].gradient * problem.scale
         steepest = np.abs(growth).max()
         if not (np.isfinite(steepest) and steepest > 0):
@@ -254,7 +256,7 @@ def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> st
         return f"{where}: {refusal}"
     gait = trace.gait(values)
     how = ("spectral-radius", *problem.limits), problem.functions, problem.tolerance
-    measures = measure_gait(problem.walker_at(values), (), gait, *how)
+    measures = differentiate_measures(problem.walker_at(values), (), gait, *how)
     radius = measures["spectral-radius"].value
     if np.isnan(radius):
         return f"{where}: no gait is found"

@@ -10,7 +10,7 @@ from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.design.area_gradients import AreaSettings, MeasuredArea, differentiate_area
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.fall_gradients import fall_gradient
-from walker_jax.design.measures import Measure, measure_gait
+from walker_jax.design.measures import Measure, differentiate_measures
 from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.sensitivity_gradients import sensitivity_gradient
 from walker_jax.gaits.cycles import Gait
@@ -108,7 +108,7 @@ def evaluate_objective(
         gait = gait_of(values)
         others = [name for name in problem.measures if name not in BY_THEMSELVES]
         how = others, problem.functions, problem.tolerance
-        found |= measure_gait(walker, names, gait, *how)
+        found |= differentiate_measures(walker, names, gait, *how)
         if "sensitivity-norm" in problem.weights:
             found["sensitivity-norm"] = Measure(
                 *sensitivity_gradient(

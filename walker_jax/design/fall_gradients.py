@@ -77,26 +77,19 @@ def fall_gradient(
     same = in_dtype(walker, x.dtype, jnp.asarray)
     even = np.zeros((max(0, fall.strides + 1 - len(fall.disturbances)), 3))
     rows = np.concatenate([fall.disturbances, even])[: fall.strides + 1]
-    by_scale, by_numbers = 0.0, np.zeros(len(names))
-
-    def add(pulled: tuple[Any, tuple], row: Float[np.ndarray, " 3"]) -> Array:
-        nonlocal by_scale, by_numbers
-        by_walker, (by_state, by_row) = pulled
-        by_scale += float(np.asarray(by_row) @ row)
-        by_numbers = by_numbers + values_of(by_walker, names)
-        return by_state
-
     for beyond in BEYOND:
         last = jnp.asarray(fall.states[-1]), jnp.asarray(beyond * rows[-1], x.dtype)
-        pulled = pull_fall(same, integrator, *last)
-        if np.isfinite(np.asarray(pulled[1][0])).all():
+        by_walker, (by_state, by_row) = pull_fall(same, integrator, *last)
+        if np.isfinite(np.asarray(by_state)).all():
             break
-    change = add(pulled, rows[-1])
+    by_scale, by_numbers = float(np.asarray(by_row) @ rows[-1]), values_of(by_walker, names)
     for state, row in [*zip(fall.states, rows[:-1], strict=False)][::-1]:
-        pulled = pull_step(same, integrator, jnp.asarray(state), jnp.asarray(row, x.dtype), change)
-        change = add(pulled, row)
+        given = jnp.asarray(state), jnp.asarray(row, x.dtype), by_state
+        by_walker, (by_state, by_row) = pull_step(same, integrator, *given)
+        by_scale += float(np.asarray(by_row) @ row)
+        by_numbers = by_numbers + values_of(by_walker, names)
     lift = lambda walker, x: jnp.stack(walker.lift(x))
-    by_walker, by_state = pull_back(lift, same, x, change)
+    by_walker, by_state = pull_back(lift, same, x, by_state)
     by_numbers = by_numbers + values_of(by_walker, names)
     by_gait = GaitPull(walker, gait, names, tolerance)
     none = np.zeros(len(gait.states)), np.zeros(len(x), complex)

@@ -174,19 +174,14 @@ def pareto(
     check_whole("starts", starts)
     (*named, low, high), functions = name_functions(*objectives, at_least, at_most)
     further = further_measures(walker, functions)
-    goals, limits = (
-        [parse_objective(one, further) for one in named],
-        parse_limits(low, high, further),
-    )
+    goals = [parse_objective(one, further) for one in named]
+    limits = parse_limits(low, high, further)
     free = read_bounds(walker, bounds, parameters)
-    pose = lambda goal, grid: pose_problem(
-        walker,
-        free,
-        goal,
-        limits,
-        (grid, levels or default_levels(goal[0]), strides, seed, tolerance, None, functions),
-    )
-    problems = [pose(goal, grid) for goal in goals]
+    problems = []
+    for goal in goals:
+        finest = default_levels(goal[0]) if levels is None else levels
+        how = (grid, finest, strides, seed, tolerance, None, functions)
+        problems.append(pose_problem(walker, free, goal, limits, how))
     places = starting_places(problems[0], starts)
     problems = [with_grid(one, places) for one in problems]
     traces = [Trace(one, None, None, False, 1) for one in problems]

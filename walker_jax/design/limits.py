@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.design.measures import measure_gait
+from walker_jax.design.measures import differentiate_measures
 from walker_jax.design.problem import BINDING_SLACK, Problem
 from walker_jax.gaits.cycles import Gait
 
@@ -42,7 +42,7 @@ class Limits:
             return self.known[values.tobytes()]
         walker, gait = problem.walker_at(values), self.gait_of(values)
         how = tuple(problem.limits), problem.functions, problem.tolerance
-        measures = measure_gait(walker, problem.names, gait, *how)
+        measures = differentiate_measures(walker, problem.names, gait, *how)
         found = []
         for name, ends in problem.limits.items():
             for limit, side in zip(ends, (1, -1), strict=True):

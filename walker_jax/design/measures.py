@@ -74,7 +74,7 @@ def gait_measures(
     names = numbers_chosen(walker, parameters)
     gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
-    return measure_gait(walker, names, gait, measures_known(walker), {}, tolerance)
+    return differentiate_measures(walker, names, gait, measures_known(walker), {}, tolerance)
 
 
 def measures_known(walker: System) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ def measures_known(walker: System) -> tuple[str, ...]:
     return (*GAIT_MEASURES, *named)
 
 
-def measure_gait(
+def differentiate_measures(
     walker: System,
     names: Sequence[str],
     gait: Gait,

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.kernels.transposes import FEWEST_FOR_ADJOINT
 from walker_jax.systems.system import System, leaves_of
 from walker_jax.systems.trees import names_in_tree, own_shape
 from walker_jax.walkers.parameters import check_parameter, is_number_of, parse_entry
@@ -20,9 +21,9 @@ Choice = str | Sequence[str] | Callable[[Any], Any]
 """A name, several names, or a function of a walker that returns leaves of it, as for
 `eqx.tree_at`."""
 
-MANY = 16
-"""Numbers from which on derivatives are computed in reverse: from so many on the kernels transpose
-the steps of a stride, at the cost of some five strides for any number."""
+MANY = FEWEST_FOR_ADJOINT
+"""Numbers from which on derivatives are computed in reverse: the kernels then transpose the steps
+of a stride, at the cost of three to six strides for any number."""
 
 
 def numbers_chosen(walker: System, parameters: Choice) -> tuple[str, ...]:
