@@ -15,15 +15,12 @@ from collections.abc import Iterator
 
 import jax
 import pytest
+from compiler_flags import QUICK
 from hypothesis import settings
 from matplotlib.figure import Figure
 from waiting import Waiting
 from xdist.scheduler import LoadFileScheduling
 
-QUICK = "--xla_backend_optimization_level=0"
-"""Flags that halve the time of XLA's compilation."""
-if jax.__version_info__ < (0, 11):  # later versions do not know this one
-    QUICK += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", QUICK)
 
 jax.config.update("jax_enable_x64", True)

@@ -15,4 +15,4 @@ from importlib.metadata import version
 from walker_jax.lazy_names import load_lazily
 
 __version__ = version("walker-jax")
-__getattr__, __dir__, __all__ = load_lazily(globals())  # pyright: ignore[reportUnsupportedDunderAll]
+__getattr__, __dir__, __all__ = load_lazily(globals())  # pyright: ignore[reportUnsupportedDunderAll] (from the stub)

@@ -369,7 +369,7 @@ def test_every_picture_on_given_axes_has_the_same_options():
         assert only == ["style"], name
     assert PARTS == [*figures.Style.__annotations__]
     with pytest.raises(ValueError, match="style must be of title, subtitle, legend, labels, not t"):
-        figures.basin(every_fate(), **{"tilte": True})  # pyright: ignore[reportArgumentType]
+        figures.basin(every_fate(), **{"tilte": True})  # pyright: ignore[reportArgumentType] (wrong use)
 
 
 PAIRS = [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES, "robustness_measures"][1::2], strict=True)]

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from compiler_flags import AS_USERS
 from jax import lax
 
 from walker_jax.integrators.expansion import with_fast_sincos
@@ -24,8 +25,7 @@ def angles(dtype):
 
 def sincos_errors(x):
     """Error of each result, and the result, of `sincos` at x, by the code XLA makes for users."""
-    as_users = {"xla_backend_optimization_level": 3}
-    results = jax.jit(sincos, compiler_options=as_users)(jnp.asarray(x))
+    results = jax.jit(sincos, compiler_options=AS_USERS)(jnp.asarray(x))
     for function, result in zip((mpmath.sin, mpmath.cos), results, strict=True):
         assert result.dtype == x.dtype
         with mpmath.workdps(40):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from compiler_flags import AS_USERS
 from jax import lax
 from jax.scipy.special import erf, erfc
 
@@ -42,8 +43,7 @@ def run(function, *cells, shared=()):
 
 def of_both(function, *cells, shared=()):
     """The results of a kernel, and those of JAX, by the code that XLA makes for users."""
-    as_users = {"xla_backend_optimization_level": 3}
-    mapped = jax.jit(jax.vmap(lambda *cell: function(*shared, *cell)), compiler_options=as_users)
+    mapped = jax.jit(jax.vmap(lambda *cell: function(*shared, *cell)), compiler_options=AS_USERS)
     expected = mapped(*map(jnp.asarray, cells))
     return run(function, *cells, shared=shared), jax.tree.map(np.asarray, expected)
 

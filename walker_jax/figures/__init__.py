@@ -12,4 +12,4 @@ hue, so that they can be told apart in grey print and by the colour-blind.
 
 from walker_jax.lazy_names import load_lazily
 
-__getattr__, __dir__, __all__ = load_lazily(globals())  # pyright: ignore[reportUnsupportedDunderAll]
+__getattr__, __dir__, __all__ = load_lazily(globals())  # pyright: ignore[reportUnsupportedDunderAll] (from the stub)

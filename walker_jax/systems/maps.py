@@ -43,9 +43,9 @@ class Map(System):
     """
 
     f: Callable = code_field()
-    section: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride]
-    parameters: dict[str, Any]  # pyright: ignore[reportGeneralTypeIssues]
-    angles: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride]
+    section: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride] (of each map)
+    parameters: dict[str, Any]  # pyright: ignore[reportGeneralTypeIssues] (no default; __init__ is our own)
+    angles: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride] (of each map)
     within: Callable | None = code_field()
     region: tuple | None = code_field()
 
