@@ -54,8 +54,8 @@ def explain(walker: "wj.System", start: Start, form: Json) -> None:
 
 def with_words(text: str, walker: "wj.System") -> str:
     """Write an explanation with words in the places of the names of outcomes."""
-    from walker_jax.systems.outcomes import WORDS
+    from walker_jax.systems.outcomes import Outcome
 
     text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", text)
-    text = re.sub(rf"\bleads to ({'|'.join(WORDS)})\b", r"the end: \1", text)
+    text = re.sub(rf"\bleads to ({'|'.join(Outcome.__members__)})\b", r"the end: \1", text)
     return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)

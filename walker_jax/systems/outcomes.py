@@ -15,33 +15,46 @@ from walker_jax.systems.html_tables import html_table, list_numbers
 
 
 class Outcome(enum.IntEnum):
-    """How a stride ends."""
+    """How a stride ends: a number, with words for it; for a failure also the word for its margin.
 
-    STRIDE = 0
+    Four outcomes are for all systems. The others are failures with the same name in the walkers and
+    in other machines with legs; a system names its own in `System.failures`.
+    """
+
+    _value_: int
+    words: str
+    margin: str
+
+    def __new__(cls, value: int, words: str = "", margin: str = ""):
+        one = int.__new__(cls, value)
+        one._value_, one.words, one.margin = value, words, margin
+        return one
+
+    STRIDE = 0, "walks"
     """Heel strike: the next stride begins."""
-    FORWARD = 1
+    FORWARD = 1, "falls forward", "forward"
     """The stance leg reaches theta = -pi/2 without a heel strike."""
-    BACKWARD = 2
+    BACKWARD = 2, "falls backward", "backward"
     """The stance leg stops before a heel strike, or the heel strike turns the next one back."""
-    RUNNING = 3
+    RUNNING = 3, "runs", "running"
     """The contact force is tensile at the start, or during a stride that reaches heel strike."""
-    STOPPED = 4
+    STOPPED = 4, "stops on both feet", "stopping"
     """At heel strike the trailing foot does not lift: both feet stay down."""
-    OUTSIDE = 5
+    OUTSIDE = 5, "not a feasible start", "outside"
     """The start is not feasible."""
-    UNDECIDED = 6
+    UNDECIDED = 6, "undecided"
     """The integration gave no answer."""
-    LEFT_GRID = 7
+    LEFT_GRID = 7, "leaves the grid"
     """Cell mapping only: the stride ended outside the grid."""
-    BENT_KNEE = 8
+    BENT_KNEE = 8, "lands on a bent knee", "landing"
     """The swing foot comes down in front of the stance foot while the knee is bent."""
-    BUCKLED = 9
+    BUCKLED = 9, "buckles", "buckling"
     """The stance knee would have had to resist bending, in a stride that reaches heel strike; only
     if that is checked."""
-    SCUFFED = 10
+    SCUFFED = 10, "scuffs", "scuffing"
     """The bent leg's foot, or the swing disc of a walker in space, was below the ground, in a
     stride that reaches heel strike. For the bent leg, only if that is checked."""
-    SIDEWAYS = 11
+    SIDEWAYS = 11, "falls sideways", "sideways"
     """A walker in space has fallen to a side."""
 
     @classmethod
@@ -51,6 +64,7 @@ class Outcome(enum.IntEnum):
             return None
         own = int.__new__(cls, value)
         own._name_, own._value_ = f"OWN_{value - OWN + 1}", int(value)
+        own.words = own.margin = ""
         return own
 
 
@@ -58,23 +72,6 @@ OWN = 12
 """Number of the first failure that a system names itself in `System.failures`; others follow."""
 OUTCOMES = 32
 """The numbers of outcomes are below this one, so a system may name 20 failures."""
-
-
-WORDS = {
-    "STRIDE": "walks",
-    "FORWARD": "falls forward",
-    "BACKWARD": "falls backward",
-    "RUNNING": "runs",
-    "STOPPED": "stops on both feet",
-    "OUTSIDE": "not a feasible start",
-    "UNDECIDED": "undecided",
-    "LEFT_GRID": "leaves the grid",
-    "BENT_KNEE": "lands on a bent knee",
-    "BUCKLED": "buckles",
-    "SCUFFED": "scuffs",
-    "SIDEWAYS": "falls sideways",
-}
-"""Outcomes in words, by their names."""
 
 
 def failures_of(data: Any) -> tuple[str, ...]:
@@ -110,7 +107,8 @@ def names_of_outcomes(failures: Sequence[str] = ()) -> dict[Outcome, str]:
 
 def outcome_in_words(name: str) -> str:
     """Describe an outcome in words, given its name; a system's own failure is its name."""
-    return WORDS.get(name) or name.replace("_", " ")
+    known = Outcome.__members__.get(name)
+    return known.words if known else name.replace("_", " ")
 
 
 def stride_table(stride: "Stride") -> str | None:

@@ -37,31 +37,16 @@ from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import during_stride, on_section, prepare
 from walker_jax.walking.stride import first_of, modes_from, start_course
 
-WAYS = {
-    "BACKWARD": "backward",
-    "FORWARD": "forward",
-    "RUNNING": "running",
-    "STOPPED": "stopping",
-    "BENT_KNEE": "landing",
-    "BUCKLED": "buckling",
-    "SCUFFED": "scuffing",
-    "SIDEWAYS": "sideways",
-    "OUTSIDE": "outside",
-}
+WAYS = {one.name: one.margin for one in Outcome if one.margin}
 """The words for the margins of failures that all systems share."""
-
-
-def margin_of(failure: str) -> property:
-    """Return an attribute for the margin of a failure; NaN where nothing leads to it."""
-    return property(lambda self: self.by_name.get(failure, jnp.full_like(self.failed, jnp.nan)))
 
 
 class Margins(NamedTuple):
     """A stride, and the margins by which it misses each way to fail; NaN where none applies.
 
     A failure's own margin is negative. Margins of falls that did not happen before it are positive,
-    and margins of conditions are known where there was a heel strike. Attributes are those of the
-    failures that walkers share.
+    and margins of conditions are known where there was a heel strike. Those of shared failures are
+    attributes too, by the word for the margin (`Outcome.margin`), such as `backward`.
     """
 
     stride: Stride
@@ -71,28 +56,12 @@ class Margins(NamedTuple):
     """The margin of each failure to which a guard or a condition of the system leads, by its name,
     such as "FORWARD" or one of `System.failures`."""
 
-    backward = margin_of("BACKWARD")
-    """In the plane, thetadot^2 / 2 where the stance leg is slowest, after the impact too. In space,
-    the least distance of theta from pi/2."""
-    forward = margin_of("FORWARD")
-    """The least of three: the depth to which the swing foot passes the contact, -h; how far ahead
-    it comes down (`is_ahead`); and how far the leg then is from the ground, theta + pi/2."""
-    running = margin_of("RUNNING")
-    """The least contact force Q_v up to heel strike; or that at the start, if it is negative."""
-    stopping = margin_of("STOPPED")
-    """Velocity v of the trailing foot after the impact."""
-    landing = margin_of("BENT_KNEE")
-    """The least height of a foot in front while it must not come down, as the knee is bent."""
-    buckling = margin_of("BUCKLED")
-    """The least moment that presses the stance knee on its stop, up to heel strike."""
-    scuffing = margin_of("SCUFFED")
-    """The least height of the bent leg's foot, up to heel strike. In space, the height at which the
-    swing disc turns upwards."""
-    sideways = margin_of("SIDEWAYS")
-    """In space, the least of (l^2 - lean^2) / 2l, with l the limit of the lean: near the limit, the
-    distance from it."""
-    outside = margin_of("OUTSIDE")
-    """Margin by which the start is feasible, where a system defines it (`System.margin`)."""
+    def __getattr__(self, word: str) -> Float[Array, "*cells"]:
+        """Return the margin of a shared failure by its word; NaN where nothing leads to it."""
+        for name, known in WAYS.items():
+            if word == known:
+                return self.by_name.get(name, jnp.full_like(self.failed, jnp.nan))
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {word!r}")
 
     @property
     def own(self) -> Float[Array, "*cells"]:
