@@ -38,7 +38,7 @@ from search_regions import FAMILIES
 import walker_jax as wj
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.walking.stride import follow_step
+from walker_jax.walking.stride import follow_stride
 
 jax.config.update("jax_enable_x64", True)
 FINE, NEAR, AT_ONCE = 1e-15, 1e-9, 100_000
@@ -69,7 +69,7 @@ def make_strides(walkers: Any, xs: np.ndarray, steps: np.ndarray | None, fine: b
         return wj.strides(walkers, xs, tolerance=tolerance)
     integrator = integrator_of(xs.dtype, tolerance).in_dtype(xs.dtype)
     many = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(xs),)), walkers)
-    return map_cells(follow_step, (many, xs, steps, integrator), (True, True, True, False))
+    return map_cells(follow_stride, (many, xs, integrator, steps), (True, True, False, True))
 
 
 def survey(name: str, strides: int) -> None:

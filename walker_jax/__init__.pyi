@@ -87,6 +87,7 @@ from walker_jax.stability.sensitivity import GaitSensitivity as GaitSensitivity
 from walker_jax.stability.sensitivity import gait_sensitivity as gait_sensitivity
 from walker_jax.stability.steps_down import LeastStepDown as LeastStepDown
 from walker_jax.stability.steps_down import least_step_down as least_step_down
+from walker_jax.stability.steps_down import step_down as step_down
 from walker_jax.stability.stochastic_map import metastability as metastability
 from walker_jax.stability.tipping import Tipping as Tipping
 from walker_jax.stability.tipping import tipping_probability as tipping_probability
@@ -138,7 +139,6 @@ from walker_jax.walking.integrals import integrals as integrals
 from walker_jax.walking.iteration import strides as strides
 from walker_jax.walking.iteration import walk as walk
 from walker_jax.walking.movement import motion as motion
-from walker_jax.walking.stride import step_down as step_down
 from walker_jax.walking.stride import stride as stride
 from walker_jax.walking.trajectories import phase_times as phase_times
 from walker_jax.walking.trajectories import trajectory as trajectory

@@ -12,7 +12,7 @@ from part_of_swing import PartOfSwing
 import walker_jax as wj
 from walker_jax.hybrid.graphs import entered_again, in_order, kinds_of_states
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walking.courses import begin_course, follow_graph
+from walker_jax.walking.stride import begin_course, follow_graph
 
 
 class Moving(NamedTuple):
@@ -133,7 +133,7 @@ def test_modes_have_one_order_whatever_hashes_names_have():
 
         def follow(x):
             begun = begin_course(name("a"), x, jnp.asarray(True))
-            return follow_graph(system, modes, begun, Integrator(1e-12))
+            return follow_graph(system, modes, begun, Integrator(1e-12))[0]
 
         return re.sub("0x[0-9a-f]+", "", str(jax.make_jaxpr(follow)(jnp.array([0.2]))))
 

@@ -31,7 +31,7 @@ from walker_jax.stability.sampling import (
 )
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
 from walker_jax.systems.outcomes import OUTCOMES
-from walker_jax.walking.stride import follow_step
+from walker_jax.walking.stride import follow_stride
 
 WALKER = wj.SimplestWalker(0.004)
 
@@ -298,9 +298,9 @@ def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
     heights = np.arange(0.001, 1.01, 0.001) * fall.size
     state = np.broadcast_to(steep.states[0], (len(heights), 2))
     down = map_cells(
-        follow_step,
-        (STEEP, state, -heights, Integrator(np.float64(1e-12))),
-        (False, True, True, False),
+        follow_stride,
+        (STEEP, state, Integrator(np.float64(1e-12)), -heights),
+        (False, True, False, True),
     )
     back, fallen = ends_of(wj.strides(STEEP, down.state).state, steep)
     assert first.size == pytest.approx(heights[(~back).argmax()], abs=1.1e-3 * fall.size)

@@ -14,7 +14,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.hybrid_system import failures_by_name, has_ground
 from walker_jax.walkers.ground import LOWER
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed, follow_disturbed_margins
-from walker_jax.walking.stride import follow_step
+from walker_jax.walking.stride import follow_stride
 
 INTEGRATOR = Integrator(np.float64(1e-12))
 WALKER = wj.SimplestWalker(0.004)
@@ -36,7 +36,7 @@ def test_a_stride_is_smooth_as_a_step_up_turns_into_one_down():
     """Its derivative by the step at 0, where no swing is left below the level, is the limit."""
 
     def ends(step):
-        made = follow_step(WALKER, X, step, INTEGRATOR)
+        made = follow_stride(WALKER, X, INTEGRATOR, step)
         return jnp.append(made.state, made.time)
 
     zero, width = jnp.asarray(0.0), 1e-5
@@ -50,9 +50,9 @@ def test_the_foot_is_on_the_ground_of_the_step():
     """Of the feet at a heel strike, the new one is higher by the step: l cos by the geometry."""
     steps = np.array([0.02, 1e-9, 0.0, -1e-9, -0.02, -0.1])
     made = map_cells(
-        follow_step,
-        (jax.tree.map(np.asarray, WALKER), np.tile(X, (6, 1)), steps, INTEGRATOR),
-        (False, True, True, False),
+        follow_stride,
+        (jax.tree.map(np.asarray, WALKER), np.tile(X, (6, 1)), INTEGRATOR, steps),
+        (False, True, False, True),
     )
     assert (made.outcome == wj.Outcome.STRIDE).all()
     theta, phi = made.state[:, 0], made.state[:, 1]

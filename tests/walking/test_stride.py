@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 from walker_jax import Outcome, SimplestWalker, State
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walking.stride import follow_step
+from walker_jax.walking.stride import follow_stride
 
 # Literature
 
@@ -251,9 +251,9 @@ LAUNCH = [0.2, 0.4, -0.2, -0.25]
 def steps_down(starts, drop, at, width, jumps=0.0, tolerance=1e-12):
     """Steps down of such walkers, each pulled at a place of its own."""
     pulled = lambda at: PulledWalker(0.009, at, jnp.asarray(width), jnp.asarray(jumps))
-    cells = jax.vmap(pulled)(jnp.asarray(at)), np.array(starts), np.full(len(starts), -drop)
-    args = *cells, Integrator(np.float64(tolerance))
-    return map_cells(follow_step, args, (True, True, True, False))
+    walkers, steps = jax.vmap(pulled)(jnp.asarray(at)), np.full(len(starts), -drop)
+    args = walkers, np.array(starts), Integrator(np.float64(tolerance)), steps
+    return map_cells(follow_stride, args, (True, True, False, True))
 
 
 @pytest.mark.parametrize("tolerance", [1e-12, 1e-5])

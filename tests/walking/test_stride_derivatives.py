@@ -12,7 +12,7 @@ import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker, State
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walking.stride import follow_step
+from walker_jax.walking.stride import follow_stride
 
 # Precision, wrong use, transformations
 
@@ -165,9 +165,9 @@ def test_a_step_down_by_nothing_is_a_stride_from_anywhere():
     for drop in (0.0, 1e-9):
         drops = np.full(len(starts), drop)
         down = map_cells(
-            follow_step,
-            (walker, starts, -drops, Integrator(np.float64(1e-12))),
-            (False, True, True, False),
+            follow_stride,
+            (walker, starts, Integrator(np.float64(1e-12)), -drops),
+            (False, True, False, True),
         )
         np.testing.assert_array_equal(down.outcome, level.outcome)
         np.testing.assert_allclose(down.time, level.time, rtol=0, atol=1e-6)

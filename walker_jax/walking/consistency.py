@@ -11,7 +11,7 @@ from walker_jax.systems.angles import unnamed_angles
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import System
 from walker_jax.walking.starts import on_section
-from walker_jax.walking.stride import first_of, modes_from
+from walker_jax.walking.stride import modes_from
 from walker_jax.walking.undecided import not_finite
 
 
@@ -30,7 +30,8 @@ def check_point(system: System, x: Any) -> list[str]:
     first = system.launch(x)
     if names := not_finite(first):
         return [f"the state that lift returns is not finite: {names}"]
-    if names := not_finite(first_of(modes_from(system, x)).rates(first)):
+    first_mode, *_ = modes_from(system, x).values()
+    if names := not_finite(first_mode.rates(first)):
         return [f"the vector field at the start is not finite: the rate of {names}"]
     if not bool(system.may_launch(x, first)):
         return ["the start is not feasible"]
@@ -58,7 +59,8 @@ def check_landing(system: HybridSystem, landed: Any) -> list[str]:
     if jax.tree.structure(again) != jax.tree.structure(landed):
         return ["the last reset leads to a state of another kind than lift"]
     # A state may count time, or turns, from anywhere, but must move on alike.
-    rates = first_of(system.modes()).rates
+    first, *_ = system.modes().values()
+    rates = first.rates
     known, found = rates(system.begin(again)), rates(system.begin(landed))
     largest = lambda tree: max(float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(tree))
     miss = largest(jax.tree.map(jnp.subtract, known, found))

@@ -24,7 +24,7 @@ from walker_jax.walking.failure_margins import (
 )
 from walker_jax.walking.scan import Walked, scan_strides
 from walker_jax.walking.starts import during_stride, on_section
-from walker_jax.walking.stride import follow_step, modes_from, with_full_state
+from walker_jax.walking.stride import follow_stride, modes_from, with_full_state
 
 
 class Disturbance(NamedTuple):
@@ -46,7 +46,8 @@ def follow_disturbed(
     integrator: Integrator,
 ) -> Stride:
     """Follow one disturbed stride; the result's state is a full state."""
-    return follow_step(*disturbed_start(walker, x, disturbance), integrator)
+    walker, x, step = disturbed_start(walker, x, disturbance)
+    return follow_stride(walker, x, integrator, step)
 
 
 def disturbed_start(

@@ -37,7 +37,7 @@ from walker_jax.walking.consistency import (
     check_projection,
     format_point,
 )
-from walker_jax.walking.courses import Numbers, fall_of, guard_due, method_of
+from walker_jax.walking.guards import Numbers, fall_of, guard_due, method_of
 from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.stride import modes_from, stride
 from walker_jax.walking.undecided import (

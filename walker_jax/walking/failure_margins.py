@@ -32,10 +32,17 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, Stride, nan_unless
 from walker_jax.systems.system import System, apply_map
-from walker_jax.walking.courses import Course, Numbers, Part, end_course, fold_parts
+from walker_jax.walking.guards import Numbers
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import during_stride, on_section, prepare
-from walker_jax.walking.stride import first_of, modes_from, start_course
+from walker_jax.walking.stride import (
+    Course,
+    Part,
+    end_course,
+    follow_graph,
+    modes_from,
+    start_course,
+)
 
 WAYS = {one.name: one.margin for one in Outcome if one.margin}
 """The words for the margins of failures that all systems share."""
@@ -113,13 +120,13 @@ def measure_modes(
     walker: HybridSystem, x: Float[Array, " n"], modes: dict[str, Mode], integrator: Integrator
 ) -> tuple[Margins, Course]:
     """Follow modes from x, and return their margins, and their course."""
-    begun, first = start_course(walker, modes, x), first_of(modes)
+    begun, (first, *_) = start_course(walker, modes, x), modes.values()
     (start,) = begun.entries.values()
     zero = zero_at(start.state)
     unit, known = zero + walker.unit_of_time(), nothing_measured(walker, modes, zero)
     measure = lambda known, part: with_fast_sincos(partial(add_part, known, part, walker, unit))()
-    course, known = fold_parts(walker, modes, begun, integrator, measure, known, measured=True)
-    stride = end_course(walker, first, course)
+    course, known = follow_graph(walker, modes, begun, integrator, measure, known, measured=True)
+    stride = end_course(walker, modes, course)
     found = with_fast_sincos(partial(measure_stride, walker, first, course, known, stride))()
     outside = margin_of_start(walker, x)
     if outside is None:

@@ -24,10 +24,9 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
 from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.systems.system import System
-from walker_jax.walking.courses import end_course, fold_parts
 from walker_jax.walking.failure_margins import add_conditions, nothing_violated
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import first_of, modes_from, start_course
+from walker_jax.walking.stride import end_course, follow_graph, modes_from, start_course
 
 
 def integrals(
@@ -98,7 +97,7 @@ def follow_integrals(
     add = lambda known, part: with_fast_sincos(lambda: add_conditions(known, part, numbers))()
     known = nothing_violated(longer, course.time)
     fold = add if peaks else lambda known, _: known
-    course, known = fold_parts(
+    course, known = follow_graph(
         system, longer, course, integrator, fold, known, measured=bool(peaks)
     )
     section = course.entries[SECTION]
@@ -106,7 +105,7 @@ def follow_integrals(
     least = {name: -known.value[name] for name in peaks}
     made = end_course(
         system,
-        first_of(modes),
+        modes,
         course._replace(
             entries={SECTION: section._replace(state=state)},
             violated={name: flag for name, flag in course.violated.items() if name not in peaks},

@@ -40,8 +40,8 @@ from walker_jax.systems.trees import (
 )
 from walker_jax.walkers.parameters import Parameter, described_by, with_values
 from walker_jax.walking.scan import scan_strides
-from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
-from walker_jax.walking.stride import check_ground, follow_step, follow_stride
+from walker_jax.walking.starts import as_floating, check_ground, prepare, sizes_of_starts
+from walker_jax.walking.stride import follow_stride
 
 ROUNDS = 4, 16, 64
 """Number of strides in each round of an iteration; the last number holds for all later rounds. Only
@@ -249,7 +249,7 @@ def follow_walk(
     if isinstance(walker, HybridSystem) and ground is not None:
         x = jnp.stack(jax.tree.leaves(walker.lift(start)))
         start = nan_unless(walker.feasible(start), x)
-        step = lambda x, i: follow_step(walker, x, ground[i], integrator)
+        step = lambda x, i: follow_stride(walker, x, integrator, ground[i])
     _, made = scan_strides(step, start, n, record=lambda stride: stride)
     return Walk(jnp.concatenate([x[None], made.state]), made.outcome, made.time)
 

@@ -27,10 +27,9 @@ from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.phase import legs
-from walker_jax.walking.courses import follow_modes
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import modes_from, start_course
+from walker_jax.walking.stride import follow_modes, modes_from, start_course
 from walker_jax.walking.trajectories import trajectory
 
 

@@ -1,16 +1,18 @@
-"""The start of a stride: a walker and a point of its section, or a full state, checked."""
+"""The start of a stride: a walker and a point of its section, or a full state; and its ground."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.checks import WrongUse, check_kind, check_number, short
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
-from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.hybrid_system import HybridSystem, has_ground
 from walker_jax.systems.system import AnySystem, System, check_single
 from walker_jax.systems.trees import in_dtype, with_static_functions
 
@@ -59,6 +61,22 @@ def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
 def on_section(walker: System, x: Float[Array, " coordinates"]) -> bool:
     """Return whether a start is a point of the section, and no full state."""
     return x.shape == (len(walker.section),)
+
+
+def check_ground(walker: System) -> HybridSystem:
+    """Raise `WrongUse` for a system without ground that may be raised."""
+    if not has_ground(walker):
+        raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
+    return cast("HybridSystem", walker)
+
+
+def height_of_step(step: Any, dtype) -> Float[Array, ""]:
+    """Return a step's height, checked."""
+    if not isinstance(step, Tracer):
+        check_number("step", step)
+        if not abs(step) <= np.finfo(float).max:
+            raise WrongUse(f"step must be one finite number, not {short(step)}")
+    return jnp.asarray(step, dtype)
 
 
 def during_stride(walker: AnySystem, x: Float[Array, " coordinates"]) -> AnySystem:

@@ -1,37 +1,66 @@
 """The stride function: from one heel strike to the next (Schwab and Wisse 2001, section 3.3).
 
-A stride follows the modes of a walker: its phases and, last, the swing, which ends at heel strike
-or in a fall (`courses`).
+A stride follows the modes of a walker, or of any hybrid system, from guard to guard, to the
+section: for a walker its phases and, last, the swing, which ends at heel strike or in a fall. A
+mode is entered in the state to which a guard of another one was reset. It is over at once if a
+fall or a guard that leads on is due by then. All lanes of a batch pass all modes; those that have
+not entered a mode wait until the others have left it.
+
+Conditions, such as a contact force that would have to pull (`RUNNING`), count in strides that reach
+the section. A stride that starts in tension is over at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, cast
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial, reduce
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.core import Tracer
+from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.checks import WrongUse, check_number, check_whole, short
+from walker_jax.checks import check_whole
+from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
+from walker_jax.hybrid.graphs import (
+    check_one_kind,
+    check_state,
+    entered_again,
+    in_order,
+    kind_of,
+    kinds_of_states,
+    suit_state,
+)
 from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.integrators.expansion import with_fast_sincos
-from walker_jax.integrators.integrator import AnySolver, Integrator
+from walker_jax.integrators.integrator import AnySolver, Integrator, zero_at
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels import kernel
-from walker_jax.systems.hybrid_system import HybridSystem, has_ground, modes_of
-from walker_jax.systems.outcomes import Stride, make_stride
+from walker_jax.kernels.reverse import with_transposed_turns, zero_where_unused
+from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name, modes_of
+from walker_jax.systems.outcomes import Outcome, Stride, make_stride
 from walker_jax.systems.system import System, apply_map
-from walker_jax.walking.courses import (
-    Course,
-    begin_course,
-    end_course,
-    follow_graph,
+from walker_jax.walking.guards import (
+    Numbers,
+    Verdict,
+    failure_at_start,
+    fall_of,
+    guard_due,
+    method_of,
+    take_guard,
 )
-from walker_jax.walking.starts import during_stride, on_section, prepare
+from walker_jax.walking.starts import (
+    check_ground,
+    during_stride,
+    height_of_step,
+    on_section,
+    prepare,
+)
+
+MOST_PASSES = 1000
+"""A stride whose modes are entered again is `UNDECIDED` after so many passes through them."""
 
 
 def stride(
@@ -79,35 +108,75 @@ def stride(
     walker, x, integrator = prepare(walker, x, tolerance, solver)
     if step is None:
         return follow_stride(walker, x, integrator)
-    return follow_step(check_ground(walker), x, height_of_step(step, x.dtype), integrator)
-
-
-def check_ground(walker: System) -> HybridSystem:
-    """Raise `WrongUse` for a system without ground that may be raised."""
-    if not has_ground(walker):
-        raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
-    return cast("HybridSystem", walker)
-
-
-def height_of_step(step: Any, dtype) -> Float[Array, ""]:
-    """Return a step's height, checked."""
-    if not isinstance(step, Tracer):
-        check_number("step", step)
-        if not abs(step) <= np.finfo(float).max:
-            raise WrongUse(f"step must be one finite number, not {short(step)}")
-    return jnp.asarray(step, dtype)
+    return follow_stride(check_ground(walker), x, integrator, height_of_step(step, x.dtype))
 
 
 @kernel
 def follow_stride(
-    walker: System, x: Float[Array, " coordinates"], integrator: Integrator
+    walker: System,
+    x: Float[Array, " coordinates"],
+    integrator: Integrator,
+    step: Float[Array, ""] | None = None,
 ) -> Stride:
+    """Make one stride; to ground that is higher by `step`, if given, it ends in a full state."""
     walker = during_stride(walker, x)
     if not isinstance(walker, HybridSystem):
         return apply_map(walker, x)
-    modes = modes_from(walker, x)
-    course = follow_graph(walker, modes, start_course(walker, modes, x), integrator)
-    return end_course(walker, first_of(modes), course)
+    modes = modes_from(walker, x, step)
+    course, _ = follow_graph(walker, modes, start_course(walker, modes, x), integrator)
+    made = end_course(walker, modes, course)
+    return made if step is None else with_full_state(made, course)
+
+
+def with_full_state(stride: Stride, course: Course) -> Stride:
+    """Return a stride with the full state after its last reset."""
+    state = jnp.stack(jax.tree.leaves(course.entries[SECTION].state))
+    return make_stride(state, stride.outcome, stride.time)
+
+
+class Entry(NamedTuple):
+    """A mode, or the section, as a course reaches it."""
+
+    reached: Bool[Array, ""]
+    state: Any
+
+
+class Part(NamedTuple):
+    """A mode on a course."""
+
+    name: str
+    mode: Mode
+    start: Any
+    time: Scalar
+    """Time since the start of the stride."""
+    reached: Bool[Array, ""]
+    begun: Verdict
+    """The failure with which the mode began; `UNDECIDED` if it did not fail."""
+    followed: Bool[Array, ""]
+    """Whether it was followed: not if it was over as it began."""
+    taken: Int[Array, ""]
+    """The number of the guard that ended it, at once or later; negative if none did."""
+    passed: Bool[Array, ""]
+    """Whether the stride went on from it, to another mode or to the section."""
+    end: End
+
+
+class Course(NamedTuple):
+    """A stride as far as it has been followed."""
+
+    entries: dict[str, Entry]
+    """Modes that it may have reached and that are still to be followed, and the section."""
+    time: Scalar
+    """Time since the start of the stride."""
+    verdict: Verdict
+    """`UNDECIDED` while it goes on, `STRIDE` on the section, or a failure."""
+    held: Verdict
+    """On the section, the failure if something did not hold where the last guard rose; `STRIDE` if
+    all did."""
+    violated: Violated
+    """Conditions that were violated, by the failure's name."""
+    parts: tuple[Part, ...] = ()
+    """The modes that have been followed; none if modes can be entered again."""
 
 
 def modes_from(
@@ -135,11 +204,6 @@ def modes_from(
     return modes
 
 
-def first_of(modes: dict[str, Mode]) -> Mode:
-    """Return the mode in which strides begin."""
-    return next(iter(modes.values()))
-
-
 def start_course(
     walker: HybridSystem, modes: dict[str, Mode], x: Float[Array, " coordinates"]
 ) -> Course:
@@ -153,46 +217,181 @@ def start_course(
     return begin_course(first, *with_fast_sincos(begin)(walker, x))
 
 
-def step_down(
-    walker: HybridSystem,
-    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
-    drop: Real,
-    *,
-    tolerance: Real | None = None,
-) -> Stride:
-    """Make one stride whose heel strike is on ground lower by `drop`, which is not negative.
-
-    It is `stride(walker, x, step=-drop)`; `drop` is in the unit of length.
-
-    ```python
-    walker = wj.SimplestWalker(0.004)
-    end = wj.step_down(walker, wj.find_gait(walker).states[0], 0.001)
-    end.state  # a full state: the feet stand at different heights
-    ```
-    """
-    if not isinstance(drop, Tracer):
-        check_number("drop", drop)
-        if not 0 <= drop < np.inf:
-            raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
-    step = -drop if isinstance(drop, Tracer) else -float(drop)
-    return stride(walker, x, step=step, tolerance=tolerance)
+def begin_course(name: str, state: Any, feasible: Bool[Array, ""]) -> Course:
+    """Return the course of a stride that begins in a mode; it is over unless it is `feasible`."""
+    check_state(name, state)
+    zero, stride = zero_at(state), jnp.asarray(Outcome.STRIDE, jnp.int8)
+    verdict = jnp.where(feasible, Outcome.UNDECIDED, Outcome.OUTSIDE).astype(jnp.int8)
+    return Course({name: Entry(jnp.asarray(True), state)}, zero, verdict, stride, {})
 
 
-@kernel
-def follow_step(
-    walker: HybridSystem,
-    x: Float[Array, " coordinates"],
-    step: Float[Array, ""],
+def follow_graph(
+    system: HybridSystem,
+    modes: Mapping[str, Mode],
+    begun: Course,
     integrator: Integrator,
-) -> Stride:
-    """Make one stride to ground higher by `step`; the result's state is a full state."""
-    walker = during_stride(walker, x)
-    modes = modes_from(walker, x, step)
-    course = follow_graph(walker, modes, start_course(walker, modes, x), integrator)
-    return with_full_state(end_course(walker, first_of(modes), course), course)
+    fold: Callable[[Any, Part], Any] = lambda known, _: known,
+    known: Any = (),
+    *,
+    measured: bool = False,
+) -> tuple[Course, Any]:
+    """Follow modes from the first one to the section, or to a failure.
+
+    Also return what is known after the last part: known = fold(known, part) after each. If
+    `measured`, the parts have their misses.
+    """
+    again = entered_again(modes)
+    if not again:
+        course = follow_modes(system, modes, begun, integrator, measured)
+        return course, reduce(fold, course.parts, known)
+    first, *_ = modes
+    kinds = kinds_of_states(modes, begun.entries[first].state)
+    never = jnp.asarray(False)
+    empty = lambda name: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), kinds[name])
+    begun_in = [*dict.fromkeys((first, *again))]
+    waiting = {name: Entry(never, empty(name)) for name in (*begun_in, SECTION)}
+    violated = dict.fromkeys((one.leads_to for m in modes.values() for one in m.conditions), never)
+    course = begun._replace(entries=waiting | begun.entries, violated=violated)
+
+    def goes_on(carry):
+        (course, _), passes = carry
+        reached = [course.entries[name].reached for name in begun_in]
+        going = course.verdict == Outcome.UNDECIDED
+        return going & reduce(jnp.logical_or, reached) & (passes < MOST_PASSES)
+
+    def follow(carry):
+        course, known = carry
+        found = follow_modes(system, modes, course, integrator, measured, again)
+        known = reduce(fold, found.parts, known)
+        return found._replace(entries=waiting | found.entries, parts=()), known
+
+    def find(start, writer):
+        def make(carry):
+            now, passes, tapes = carry
+            tapes = tapes if writer is None else writer.put(tapes, passes, now)
+            return follow(now), passes + 1, tapes
+
+        begun = start, jnp.asarray(0), writer and writer.tapes
+        end, passes, tapes = lax.while_loop(lambda now: goes_on(now[:2]), make, begun)
+        return end, passes, (), tapes
+
+    return with_transposed_turns(
+        find, lambda _: (), lambda carry, _: follow(carry), (course, known)
+    )[0]
 
 
-def with_full_state(stride: Stride, course: Course) -> Stride:
-    """Return a stride with the full state after its last reset."""
-    state = jnp.stack(jax.tree.leaves(course.entries[SECTION].state))
-    return make_stride(state, stride.outcome, stride.time)
+def follow_modes(
+    system: HybridSystem,
+    modes: Mapping[str, Mode],
+    course: Course,
+    integrator: Integrator,
+    measured: bool = False,
+    again: list[str] | None = None,
+) -> Course:
+    """Follow each of some modes once, in order, and leave all others to which they lead.
+
+    If `measured`, the parts have their misses. Modes that a course can enter `again` may have been
+    entered from others even where they come first.
+    """
+    numbers, (first, *_) = failures_by_name(system), modes
+    for name in in_order(modes):
+        switched: Any = name != first
+        if again and name == first:
+            switched = (course.time > 0) if name in again else False
+        course = follow_one(name, modes, numbers, course, integrator, measured, switched)
+    return course
+
+
+def follow_one(
+    name: str,
+    modes: Mapping[str, Mode],
+    numbers: Numbers,
+    course: Course,
+    integrator: Integrator,
+    measured: bool,
+    switched: bool | Bool[Array, ""],
+) -> Course:
+    """Follow one mode, from where the course enters it to where its guard leads."""
+    entry = course.entries[name]
+    mode = suit_state(name, modes[name], entry.state)
+    method = method_of(mode, entry.state, integrator)
+    going = entry.reached & (course.verdict == Outcome.UNDECIDED)
+    due, rises = guard_due(mode, numbers, method, entry.state, switched)
+    begun = failure_at_start(mode, numbers, entry.state, switched)
+    for one in mode.conditions:
+        if one.at_start:
+            pulled = (course.time == 0) & one.is_negative(entry.state)
+            pulled = pulled if due is None else pulled & (due < 0)
+            begun = jnp.where(pulled, numbers[one.leads_to], begun)
+    begun = begun.astype(jnp.int8)
+    fallen = going & (begun != Outcome.UNDECIDED)
+    at_once = jnp.asarray(False) if due is None else going & ~fallen & (due >= 0)
+    followed = going & ~fallen & ~at_once
+    risen = None if due is None else jnp.where(at_once & rises, due, NO_GUARD)
+    end = follow_mode(mode, entry.state, followed, method, risen=risen, measured=measured)
+    taken = end.guard if due is None else jnp.where(at_once, due, end.guard)
+    verdict = jnp.where(fallen, begun, course.verdict)
+    if mode.foregone is not None:
+        foregone = end.guard == len(mode.guards)
+        verdict = jnp.where(foregone, numbers[mode.foregone.leads_to], verdict)
+    held, passed = course.held, jnp.asarray(False)
+    entries = {of: one for of, one in course.entries.items() if of != name}
+    for i, guard in enumerate(mode.guards):
+        took = taken == i
+        if guard.leads_to in numbers:
+            verdict = jnp.where(took, numbers[guard.leads_to], verdict)
+            continue
+        take = with_fast_sincos(partial(take_guard, guard, numbers))
+        holds, state = zero_where_unused(take, end.state)
+        if guard.leads_to == SECTION:
+            verdict = jnp.where(took, Outcome.STRIDE, verdict)
+            held = jnp.where(took, holds, held).astype(jnp.int8)
+        else:
+            verdict = jnp.where(took & (holds != Outcome.STRIDE), holds, verdict)
+            took &= holds == Outcome.STRIDE
+        passed |= took & (holds == Outcome.STRIDE)
+        known = entries.get(guard.leads_to)
+        entries[guard.leads_to] = join(guard.leads_to, known, Entry(took, state))
+    violated = either(course.violated, end.violated)
+    part = Part(name, mode, entry.state, course.time, going, begun, followed, taken, passed, end)
+    parts = *course.parts, part
+    verdict = verdict.astype(jnp.int8)
+    return Course(entries, course.time + end.time, verdict, held, violated, parts)
+
+
+def join(name: str, known: Entry | None, other: Entry) -> Entry:
+    """Return two ways into a mode as one."""
+    if known is None:
+        return other
+    check_one_kind(name, kind_of(known.state), kind_of(other.state))
+    state = jax.tree.map(partial(jnp.where, other.reached), other.state, known.state)
+    return Entry(known.reached | other.reached, state)
+
+
+def either(known: Violated, found: Violated) -> Violated:
+    """Return whether conditions were violated in either of two parts."""
+    both = {name: known[name] | found[name] for name in known if name in found}
+    return dict(known) | found | both
+
+
+def end_course(system: HybridSystem, modes: Mapping[str, Mode], course: Course) -> Stride:
+    """Return the stride: its point on the section, unless it failed, and its outcome.
+
+    The next stride, which begins in the first mode, may be over as it begins.
+    """
+    numbers, (first, *_) = failures_by_name(system), modes.values()
+
+    def judge(system, state, course: Course):
+        point = system.project(state)
+        fallen = fall_of(first, numbers, system.begin(state))
+        struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
+        struck = jnp.where(jnp.all(jnp.isfinite(point)), struck, Outcome.UNDECIDED)
+        struck = jnp.where(course.held == Outcome.STRIDE, struck, course.held)
+        for name in sorted(course.violated, key=numbers.__getitem__, reverse=True):
+            struck = jnp.where(course.violated[name], numbers[name], struck)
+        verdict = jnp.where(course.verdict == Outcome.STRIDE, struck, course.verdict)
+        return make_stride(point, verdict.astype(jnp.int8), course.time)
+
+    state = course.entries[SECTION].state
+    judged = course._replace(entries={}, parts=())
+    return zero_where_unused(with_fast_sincos(judge), system, state, judged)

@@ -22,18 +22,18 @@ from walker_jax.kernels import kernel
 from walker_jax.kernels.primitive import nan_allowed
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, nan_unless
-from walker_jax.walking.courses import (
-    Part,
-    begin_course,
-    end_course,
-    fold_parts,
-    follow_graph,
-    leads_on,
-)
+from walker_jax.walking.guards import leads_on
 from walker_jax.walking.integrals import with_integrals
 from walker_jax.walking.iteration import check_on_section, follow_walk
 from walker_jax.walking.starts import as_floating, during_stride, prepare
-from walker_jax.walking.stride import first_of, modes_from, start_course
+from walker_jax.walking.stride import (
+    Part,
+    begin_course,
+    end_course,
+    follow_graph,
+    modes_from,
+    start_course,
+)
 
 
 def trajectory(
@@ -105,7 +105,7 @@ def state_after(
     until = {name: to_time(walker, name, mode, time, kind) for name, mode in modes.items()}
     both = start, {CLOCK: zero_at(start)}
     course = begin_course(next(iter(modes)), both, jnp.isfinite(time))
-    course = follow_graph(walker, until, course, integrator)
+    course, _ = follow_graph(walker, until, course, integrator)
     arrived = course.verdict == Outcome.STRIDE
     return jax.tree.map(partial(nan_unless, arrived), course.entries[SECTION].state)
 
@@ -180,8 +180,8 @@ def follow_phase_times(
         return PhaseEnds(known.times | {part.name: time}, known.is_last | {part.name: is_last})
 
     none = PhaseEnds(dict.fromkeys(modes, nan), dict.fromkeys(modes, jnp.asarray(False)))
-    course, ends = fold_parts(walker, modes, begun, integrator, add, none)
-    made = end_course(walker, first_of(modes), course)
+    course, ends = follow_graph(walker, modes, begun, integrator, add, none)
+    made = end_course(walker, modes, course)
     walks = made.outcome == Outcome.STRIDE  # or a later stride's failure, known at its end
     return jnp.stack([nan_unless(~ends.is_last[name] | walks, ends.times[name]) for name in modes])
 
