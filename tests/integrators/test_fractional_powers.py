@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.special import gamma
+from switching import switching_series
 
 import walker_jax as wj
 from walker_jax.integrators.series import short_log
-from walker_jax.integrators.taylor import function_series, power_bases, switching_series
+from walker_jax.integrators.taylor import function_series, power_bases
 
 CONTACTS = {
     "power of a maximum": lambda d: jnp.maximum(d, 0) ** 1.5,

@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,19 +11,17 @@ from hypothesis import strategies as st
 from jax import lax
 from polynomials import ascending
 from scipy.integrate import solve_ivp
+from solving import solve
 
 from walker_jax.hybrid.crossings import Crossing, begins_below, rise_of
 from walker_jax.integrators.integrator import Method, default_tolerance
-from walker_jax.integrators.roots import bracketed_newton, polynomial_jet
+from walker_jax.integrators.roots import bracketed_newton, derivative_of, polynomial_jet
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.taylor import solution_series
+from walker_jax.integrators.step_lengths import step_size
+from walker_jax.integrators.taylor import evaluate_series, is_list, solution_series
 from walker_jax.integrators.taylor_steps import (
     SERIES_ORDER,
-    SeriesSteps,
     Taylor,
-    TaylorInterpolation,
-    evaluate_series,
-    step_size,
 )
 from walker_jax.kernels import kernel
 
@@ -55,95 +52,66 @@ def errors(times, states):
 # The solver
 
 
-@pytest.mark.slow
+def along(state):
+    """The rates of the time and of the state."""
+    time, y = state
+    return jnp.ones_like(time), rates(time, y, None)
+
+
 @pytest.mark.parametrize(("order", "steps"), [(3, 48), (6, 14)])
 def test_error_falls_with_the_order_also_between_steps(order, steps):
-    times = jnp.linspace(0.0, 1.0, 37)
-
     @jax.jit
-    def solve(length):
-        return diffrax.diffeqsolve(
-            diffrax.ODETerm(rates),
-            Taylor(order),
-            t0=0.0,
-            t1=1.0,
-            dt0=length,
-            y0=START,
-            saveat=diffrax.SaveAt(ts=times),
-        ).ys
+    def step(state, length):
+        series = solution_series(along, state, order)
+        return [evaluate_series(series, part * length) for part in (1.0, 0.4)]
 
-    coarse, fine, finer = [errors(times, solve(1.0 / n)) for n in (steps, 2 * steps, 4 * steps)]
+    def error_of(count):
+        state, worst = (jnp.array(0.0), START), 0.0
+        for _ in range(count):
+            state, between = step(state, 1.0 / count)
+            worst = np.maximum(worst, np.maximum(errors(*state), errors(*between)))
+        return worst
+
+    coarse, fine, finer = [error_of(steps * twice) for twice in (1, 2, 4)]
     assert np.all(finer > 1e-14)  # rounding has no part in it
     np.testing.assert_allclose(np.log2(coarse / fine), order, atol=0.35)
     np.testing.assert_allclose(np.log2(fine / finer), order, atol=0.25)
 
 
-@pytest.fixture(scope="module")
-def adaptive():
-    return jax.jit(
-        lambda times: diffrax.diffeqsolve(
-            diffrax.ODETerm(rates),
-            Taylor(10),
-            t0=0.0,
-            t1=1.4,
-            dt0=None,
-            y0=START,
-            saveat=diffrax.SaveAt(ts=times, dense=True),
-            stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-12),
-            max_steps=64,
-        )
-    )(jnp.linspace(0.0, 1.4, 57))
-
-
-def test_adaptive_steps_keep_the_tolerance_at_all_times(adaptive):
-    assert np.all(errors(adaptive.ts, adaptive.ys) < 1e-11)
-    assert 4 <= adaptive.stats["num_accepted_steps"] < 40
-
-
-def test_the_derivative_of_dense_output_is_the_right_hand_side(adaptive):
-    times = jnp.linspace(0.05, 1.35, 11)
+def test_steps_keep_the_tolerance_and_solve_the_equation_at_all_times():
+    """Half way through each step too, where the rate is the right-hand side."""
+    method = Method(along, Taylor(10), TOLERANCE)
 
     @jax.jit
-    @jax.vmap
-    def look(t):
-        return jax.jvp(adaptive.evaluate, (t,), (jnp.ones_like(t),))
+    def step(state):
+        series, end, length, _ = method.step(state, method.begin(state))
+        slopes = jax.tree.map(derivative_of, series, is_leaf=is_list)
+        return end, *(evaluate_series(one, length / 2) for one in (series, slopes))
 
-    values, slopes = look(times)
-    assert np.all(errors(times, values) < 1e-11)
-    expected = rates(times, exact(times), None)
-    for slope, right in zip(jax.tree.leaves(slopes), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(slope, right, rtol=1e-9, atol=1e-9)
-
-
-def test_interpolation_is_the_polynomial_of_the_step():
-    """p(s) = 3 - s + 2 s^2, s = t - 5."""
-    series = [jnp.array(3.0), jnp.array(-1.0), jnp.array(2.0)]
-    interpolation = TaylorInterpolation(t0=jnp.array(5.0), t1=jnp.array(6.0), series=series)
-    assert interpolation.evaluate(jnp.array(5.5)) == 3.0
-    assert interpolation.evaluate(jnp.array(5.5), jnp.array(6.0)) == 1.0
+    state, made = (jnp.array(0.0), START), 0
+    while state[0] < 1.4:
+        state, between, slope = step(state)
+        made += 1
+        assert np.all(errors(*state) < 1e-11) and np.all(errors(*between) < 1e-11)
+        expected = rates(between[0], exact(between[0]), None)
+        for one, right in zip(jax.tree.leaves(slope[1]), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_allclose(one, right, rtol=1e-9, atol=1e-9)
+    assert 4 <= made < 60
 
 
-def test_solver_follows_its_arguments_and_differentiates():
+def test_a_solution_follows_parameters_and_differentiates():
     """y' = a y: dy(1)/da = y(1), in float32 too."""
 
     @jax.jit
     def final(a):
-        return diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, y, args: args * y),
-            Taylor(8),
-            t0=jnp.zeros_like(a),
-            t1=jnp.ones_like(a),
-            dt0=jnp.full_like(a, 0.25),
-            y0=jnp.ones_like(a),
-            args=a,
-            adjoint=diffrax.ForwardMode(),
-        ).ys
+        method = Method(lambda y: a * y, Taylor(8), 1e-12 if a.dtype == jnp.float64 else 1e-6)
+        return solve(method, jnp.ones_like(a), jnp.ones_like(a))
 
     value, derivative = jax.jvp(final, (jnp.array(-0.7),), (jnp.array(1.0),))
-    np.testing.assert_allclose((value[0], derivative[0]), np.exp(-0.7), rtol=1e-10)
+    np.testing.assert_allclose((value, derivative), np.exp(-0.7), rtol=1e-10)
     low = final(jnp.array(-0.7, jnp.float32))
     assert low.dtype == jnp.float32
-    assert low[0] == pytest.approx(np.exp(-0.7), rel=1e-6)
+    assert low == pytest.approx(np.exp(-0.7), rel=1e-6)
 
 
 # Step lengths and tolerances
@@ -240,24 +208,6 @@ def single_steps():
     return np.array(times), np.array(states)
 
 
-@pytest.mark.slow
-def test_steps_equal_those_of_diffeqsolve_at_the_same_times(single_steps):
-    times, states = single_steps
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
-        Taylor(SERIES_ORDER[jnp.dtype("float64")]),
-        t0=times[0],
-        t1=times[-1],
-        dt0=None,
-        y0=tuple(jnp.asarray(states[0])),
-        saveat=diffrax.SaveAt(steps=True),
-        stepsize_controller=diffrax.StepTo(ts=times),
-        max_steps=12,
-    )
-    np.testing.assert_array_equal(solution.ts, times[1:])
-    np.testing.assert_allclose(np.array(solution.ys).T, states[1:], rtol=0, atol=5e-15)
-
-
 def test_steps_equal_a_runge_kutta_solution(single_steps):
     times, states = single_steps
     solution = solve_ivp(
@@ -273,34 +223,6 @@ def test_steps_equal_a_runge_kutta_solution(single_steps):
     x, y, z = states.T
     for conserved in (x**2 - z**2, 2 * x**2 + y**2):
         np.testing.assert_allclose(conserved, conserved[0], rtol=1e-11)
-
-
-def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
-    """None is rejected, and none of their lengths is guessed."""
-    times, states = single_steps
-    order = SERIES_ORDER[jnp.dtype("float64")]
-
-    @kernel
-    def solve(start):
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
-            Taylor(order),
-            t0=0.0,
-            t1=times[-1],
-            dt0=None,
-            y0=tuple(start),
-            saveat=diffrax.SaveAt(steps=True),
-            stepsize_controller=SeriesSteps(three_body_like, order, TOLERANCE),
-            max_steps=20,
-            adjoint=diffrax.ForwardMode(),
-            throw=False,
-        )
-        return solution.ts, solution.ys, solution.stats["num_rejected_steps"]
-
-    found, solution, rejected = solve(jnp.asarray(states[0]))
-    assert rejected == 0
-    np.testing.assert_allclose(found[:12], times[1:], rtol=1e-13)
-    np.testing.assert_allclose(np.array(solution).T[:12], states[1:], rtol=0, atol=1e-13)
 
 
 # Roots of polynomials

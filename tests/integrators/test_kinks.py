@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
 from scipy.integrate import solve_ivp
+from switching import switching_series
 
 import walker_jax as wj
 from walker_jax.gaits.cycles import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import cut_at_switches, first_zero
-from walker_jax.integrators.taylor import function_series, solution_series, switching_series
+from walker_jax.integrators.taylor import function_series, solution_series
 from walker_jax.kernels import kernel
 from walker_jax.multibody import System
 from walker_jax.multibody.single_support import SingleSupport

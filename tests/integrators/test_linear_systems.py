@@ -8,9 +8,10 @@ import jax.scipy.linalg as jsl
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from switching import switching_series
 
 import walker_jax as wj
-from walker_jax.integrators.taylor import function_series, solution_series, switching_series
+from walker_jax.integrators.taylor import function_series, solution_series
 from walker_jax.kernels import kernel, why_not
 
 ORDER, SIZE = 6, 4

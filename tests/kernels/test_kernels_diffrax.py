@@ -14,7 +14,6 @@ import optimistix
 import pytest
 from test_kernels import run
 
-from walker_jax.integrators.taylor_steps import Taylor
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
 TIMES = jnp.linspace(0.0, 6.0, 7)
@@ -142,18 +141,6 @@ def test_steps_that_adapt_until_an_event():
     assert 0 < happened.sum() < len(CELLS) and len(set(steps.tolist())) > 10
     number = np.isfinite(CELLS[:, 0])
     np.testing.assert_array_equal(happened[number], times[number, 0] < 6)
-
-
-def test_taylor_series_until_a_flag_and_their_derivative():
-    options = dict(solver=Taylor(8), event=EVENTS["flag"])
-
-    def function(x):
-        value = lambda x: results(x, **options)
-        (counts, numbers), (_, change) = jax.jvp(value, (x,), (jnp.ones(2),))
-        return counts, (numbers, change)
-
-    # The steps' ends are where the flag is looked at.
-    compared(function, rtol=1e-4)
 
 
 def test_checks_at_run_time_have_no_kernel():

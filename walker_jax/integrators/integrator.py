@@ -47,14 +47,13 @@ from walker_jax.integrators.taylor import (
 )
 from walker_jax.integrators.taylor_steps import (
     SERIES_ORDER,
-    SeriesSteps,
     Taylor,
     taylor_step,
     usable_series,
 )
 
-AnySolver = diffrax.AbstractSolver
-Solver = diffrax.AbstractAdaptiveSolver
+AnySolver = diffrax.AbstractSolver | Taylor
+Solver = diffrax.AbstractAdaptiveSolver | Taylor
 
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
@@ -136,8 +135,9 @@ def integrator_of(
     tolerance = tolerance if isinstance(tolerance, Tracer) else float(tolerance)
     if solver is None:
         return Integrator(tolerance)
-    known = isinstance(solver, (diffrax.AbstractERK, diffrax.AbstractESDIRK, Taylor))
-    if not (known and isinstance(solver, diffrax.AbstractAdaptiveSolver)):
+    runge_kutta = isinstance(solver, (diffrax.AbstractERK, diffrax.AbstractESDIRK))
+    estimates_errors = isinstance(solver, diffrax.AbstractAdaptiveSolver)
+    if not isinstance(solver, Taylor) and not (runge_kutta and estimates_errors):
         raise WrongUse(
             "solver must be a Runge-Kutta method of diffrax that estimates its error, such as "
             "diffrax.Dopri8() or, for stiff equations, diffrax.Kvaerno5(), or a Taylor, "
@@ -188,7 +188,7 @@ class Method(eqx.Module):
 
     @property
     def terms(self):
-        field = self.field if isinstance(self.solver, Taylor) else with_fast_sincos(self.field)
+        field = with_fast_sincos(self.field)
         return diffrax.ODETerm(lambda t, y, args: field(y))
 
     @property
@@ -197,10 +197,8 @@ class Method(eqx.Module):
         return isinstance(self.solver, Taylor)
 
     @property
-    def forward_solver(self) -> Solver:
-        """Return the solver with a loop over stages that supports forward mode."""
-        if not isinstance(self.solver, diffrax.AbstractRungeKutta):
-            return self.solver
+    def forward_solver(self) -> Any:
+        """Return a Runge-Kutta method with a loop over stages that supports forward mode."""
         solver = eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=is_absent)
         finder: Any = getattr(solver, "root_finder", None)
         if finder is None or isinstance(finder.rtol, float):
@@ -209,22 +207,17 @@ class Method(eqx.Module):
         where = lambda s: (s.root_finder.rtol, s.root_finder.atol, s.root_finder.norm)
         return eqx.tree_at(where, solver, (self.tolerance, self.tolerance, optimistix.max_norm))
 
-    def controller(self) -> diffrax.AbstractStepSizeController:
-        if isinstance(self.solver, Taylor):
-            order = self.solver.taylor_order
-            return SeriesSteps(self.field, order, self.tolerance, self.others)
-        return controller_of(self.tolerance, self.limits.longest)
-
     def begin(self, state: PyTree) -> Memory:
         """Return the memory for the first step, of the same types as those after steps."""
         solver, control, series = self.solver, (), None
         carries = len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
         if isinstance(solver, Taylor):
-            order = solver.taylor_order
+            order = solver.order
             carries |= isinstance(self.field, PowerBalance)
         else:
             carries, order = True, SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
-            zero, terms, controller = zero_at(state), self.terms, self.controller()
+            zero, terms = zero_at(state), self.terms
+            controller = controller_of(self.tolerance, self.limits.longest)
             first = self.forward_solver.init(terms, zero, zero + 1, state, None)
             about = state, None, None, solver.func, solver.error_order(terms)
             length, kept = controller.init(terms, zero, jnp.full_like(zero, jnp.inf), *about)
@@ -241,7 +234,7 @@ class Method(eqx.Module):
         step; and the memory for the next step.
         """
         if isinstance(self.solver, Taylor):
-            order = self.solver.taylor_order
+            order = self.solver.order
             series, length = taylor_step(
                 self.field,
                 state,
@@ -254,7 +247,8 @@ class Method(eqx.Module):
             kept = None if memory.series is None else series
             return series, evaluate_series(series, length), length, Memory((), kept)
         length, kept, first = memory.control
-        zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
+        zero, terms = jnp.zeros_like(length), self.terms
+        controller = controller_of(self.tolerance, self.limits.longest)
         end, error, dense, last, _ = self.forward_solver.step(
             terms, zero, length, state, None, first, False
         )
@@ -295,7 +289,7 @@ class Method(eqx.Module):
     def expand(self, state: PyTree) -> PyTree[list]:
         """Return the series of the solution from a state, for a Taylor method."""
         assert isinstance(self.solver, Taylor)
-        series = solution_series(self.field, state, self.solver.taylor_order)
+        series = solution_series(self.field, state, self.solver.order)
         return usable_series(self.field, series)
 
     def state_at(self, state: PyTree, series: PyTree[list], time: Scalar) -> PyTree:

@@ -11,7 +11,7 @@ any function of JAX primitives that `expansion` has a rule for.
 Coefficients are Taylor coefficients, derivatives divided by k!.
 
 If f has a kink, its series continues the branch on which it starts, and is valid until a switching
-function changes sign. `switching_series` returns the series of these functions.
+function changes sign. `series_of_switches` returns the series of these functions.
 """
 
 from collections.abc import Callable
@@ -190,9 +190,15 @@ def order_of(series: PyTree[list]) -> int:
     return len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
 
 
-def switching_series(
+def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> list[list[Array]]:
+    """Expand the bases of fractional powers, of which derivatives are infinite at zero."""
+    return series_of_switches(function, series)[1]
+
+
+@traced_once
+def series_of_switches(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
-) -> list[list[Array]]:
+) -> tuple[list[list[Array]], list[list[Array]]]:
     """Expand the switching functions, whose zeros are the kinks and jumps of function(y(t)).
 
     **Arguments:**
@@ -201,28 +207,9 @@ def switching_series(
     - `series`: the coefficients of y(t), to some order.
 
     **Returns** a list of coefficients for each scalar whose sign selects a branch and changes with
-    time; an empty list if `function` is smooth. Their order is that of the series, less two for a
-    `PowerBalance`.
-    """
-    kinks, of_powers = series_of_switches(function, series)
-    return [*kinks, *of_powers]
-
-
-def power_bases(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> list[list[Array]]:
-    """Expand the bases of fractional powers, of which derivatives are infinite at zero.
-
-    Arguments and result are those of `switching_series`, which has these functions too.
-    """
-    return series_of_switches(function, series)[1]
-
-
-@traced_once
-def series_of_switches(
-    function: Callable[[PyTree], PyTree], series: PyTree[list]
-) -> tuple[list[list[Array]], list[list[Array]]]:
-    """Expand the switching functions: the bases of fractional powers last, on their own.
-
-    Those of a long array, as of a layer of a network, are one list of arrays.
+    time, and on their own those of the bases of fractional powers. Their order is that of the
+    series, less two for a `PowerBalance`. Those of a long array, as of a layer of a network, are
+    one list of arrays.
     """
     kinks, of_powers = find_switches(function, series, together=True)
     return [one for _, one in kinks], [one for _, one in of_powers]

@@ -1,13 +1,10 @@
-"""Steps by Taylor series: their size, and a solver that makes them in `diffrax.diffeqsolve`.
+"""Steps by Taylor series: their order and their length.
 
-`SeriesSteps` is the step size controller that suits the solver, which never rejects a step.
 Derivatives are taken in forward mode; `kernels.kernel` derives reverse mode from them.
 """
 
 from collections.abc import Callable
-from typing import ClassVar
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,7 +21,6 @@ from walker_jax.integrators.step_lengths import (
     cut_for_function,
     longest_step,
     scale_of,
-    step_size,
 )
 from walker_jax.integrators.taylor import (
     VectorField,
@@ -33,7 +29,6 @@ from walker_jax.integrators.taylor import (
     power_bases,
     series_of_switches,
     solution_series,
-    switching_series,
 )
 
 SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
@@ -41,6 +36,12 @@ SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
 
 A higher order takes fewer steps, with more work for each.
 """
+
+
+class Taylor(eqx.Module):
+    """The method of Taylor series, of an order."""
+
+    order: int = eqx.field(static=True, default=SERIES_ORDER[jnp.dtype("float64")])
 
 
 def taylor_step(
@@ -115,109 +116,3 @@ def usable_series(vector_field: VectorField, series: PyTree[list]) -> PyTree[lis
     """Return the series of a solution; a line very near to the zero of a fractional power."""
     bases = power_bases(vector_field, series)
     return straighten(series, bases, scale_of(series))[0] if bases else series
-
-
-class TaylorInterpolation(diffrax.AbstractLocalInterpolation):
-    """A step's own polynomial."""
-
-    t0: Scalar
-    t1: Scalar
-    series: PyTree
-
-    def evaluate(self, t0, t1=None, left=True):
-        del left
-        if t1 is not None:
-            return jax.tree.map(lambda a, b: a - b, self.evaluate(t1), self.evaluate(t0))
-        return evaluate_series(self.series, t0 - self.t0)
-
-
-class Taylor(diffrax.AbstractAdaptiveSolver):
-    """Explicit Taylor method for `diffrax.diffeqsolve`, of any order.
-
-    The error estimate is the last term of the series, so adaptive steps keep that term below the
-    tolerance. Dense output is the series itself, of the full order. Equations may depend on time.
-    """
-
-    taylor_order: int = eqx.field(static=True, default=SERIES_ORDER[jnp.dtype("float64")])
-    field: VectorField | None = None
-    """f, if it depends on the state alone; it may be a `PowerBalance`."""
-
-    term_structure: ClassVar = diffrax.ODETerm
-    interpolation_cls: ClassVar = TaylorInterpolation
-
-    def order(self, terms):
-        return self.taylor_order
-
-    def error_order(self, terms):
-        return self.taylor_order
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
-
-    def expand(self, terms, t0, y0, args) -> tuple[PyTree[list], PyTree, list[list[Scalar]]]:
-        """Expand the solution from a state: its series, last terms and switching functions."""
-
-        def autonomous(state):
-            time, y = state
-            return jnp.ones_like(time), terms.vf(time, y, args)
-
-        field = autonomous if self.field is None else self.field
-        state = (jnp.asarray(t0), y0) if self.field is None else y0
-        known = solution_series(field, state, self.taylor_order)
-        series = usable_series(field, known)
-        last = jax.tree.map(lambda c: c[-1], known, is_leaf=is_list)
-        switches = switching_series(field, series)
-        return (
-            (series, last, switches) if self.field is not None else (series[1], last[1], switches)
-        )
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        del solver_state, made_jump
-        series, last, switches = self.expand(terms, t0, y0, args)
-        length = jnp.asarray(t1 - t0)
-        power = length**self.taylor_order
-        error = jax.tree.map(lambda c: c * power, last)
-        if switches:
-            # A step over a kink gets an error that every controller rejects; a step that ends just
-            # behind the kink does not.
-            eps = float(jnp.finfo(length.dtype).eps)
-            least = 1e3 * eps * jnp.maximum(step_size(series, eps), jnp.abs(t1))
-            over = length > cut_at_switches(switches, length, least)
-            error = jax.tree.map(lambda e: jnp.where(over, scale_of(series), e), error)
-        return (
-            evaluate_series(series, length),
-            error,
-            dict(series=series),
-            None,
-            diffrax.RESULTS.successful,
-        )
-
-
-class SeriesSteps(diffrax.AbstractStepSizeController):
-    """Makes steps as long as the series of the solution allows, so that none is rejected.
-
-    The steps and the arguments are those of `taylor_step`.
-    """
-
-    field: VectorField
-    order: int = eqx.field(static=True)
-    tolerance: Real
-    others: tuple[Callable[[PyTree], PyTree], ...] = ()
-
-    def wrap(self, direction):
-        return self
-
-    def longest(self, state: PyTree) -> Scalar:
-        return taylor_step(self.field, state, self.order, self.tolerance, *self.others)[1]
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        return t0 + self.longest(y0), None
-
-    def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
-        following = t1 + self.longest(y1_candidate)
-        return jnp.array(True), t1, following, False, None, diffrax.RESULTS.successful

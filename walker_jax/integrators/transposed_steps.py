@@ -36,7 +36,7 @@ def transpose_steps(
 
     def expand(state):
         assert isinstance(method.solver, Taylor)
-        return solution_series(field, state, method.solver.taylor_order)
+        return solution_series(field, state, method.solver.order)
 
     def decide(carry):
         state, _ = carry

@@ -12,9 +12,9 @@ from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Method
 from walker_jax.integrators.own_sizes import proportional_variables
 from walker_jax.integrators.roots import first_zero
-from walker_jax.integrators.step_lengths import has_sharp_features
+from walker_jax.integrators.step_lengths import has_sharp_features, step_size
 from walker_jax.integrators.taylor import evaluate_series, located_switches
-from walker_jax.integrators.taylor_steps import Taylor, step_size
+from walker_jax.integrators.taylor_steps import Taylor
 from walker_jax.kernels.jaxprs import line_of
 
 FAINT, A_WHILE = 1e-12, 0.1
