@@ -12,7 +12,6 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.integrators.closures import convert_closure
@@ -70,13 +69,12 @@ def write_steps(
     """Make the same steps, and write on tapes where each begins: `start_of` the step before it."""
 
     def make(now):
-        last, _, made, tapes = now
-        tapes = writer.put(tapes, made, start_of(last))
-        last = jax.tree.map(jnp.asarray, step(last))
-        return last, goes_on(last), made + 1, tapes
+        last, count, tapes = now
+        tapes = writer.put(tapes, count, start_of(last))
+        return step(last), count + 1, tapes
 
-    unfinished = lambda now: now[1] & (now[2] < most)
-    last, _, made, tapes = lax.while_loop(unfinished, make, (last, going, made, writer.tapes))
+    begun = last, made, writer.tapes
+    (last, _, tapes), made = make_steps(make, begun, lambda now: goes_on(now[0]), going, made, most)
     return last, made, tapes
 
 
