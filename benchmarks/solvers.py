@@ -158,7 +158,7 @@ def look_at(mode: Any, numbers: Any) -> Any:
     """The functions that end a mode, those that admit each end, and its conditions."""
 
     def look(y):
-        least = lambda guard: [one(y) for one in (*guard.admits, *guard.admits_at_rise)]
+        least = lambda guard: [one(y) for one in guard.admits]
         values = [guard.value(y) for guard in mode.guards]
         admits = [
             jnp.min(jnp.stack([jnp.ones_like(values[0]), *least(guard)])) for guard in mode.guards

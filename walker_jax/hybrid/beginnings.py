@@ -34,7 +34,7 @@ def is_due(mode: Mode, guard: Guard, method: Method, start: Any) -> Due:
     rounding = rounding_of(value, *known, method.tolerance)
     series = method.series(value, start, 2)
     due = ~begins_below(series, rounding)
-    if guard.admits or guard.admits_at_rise:
+    if guard.admits:
         due &= guard.admitted(start)
     return Due(due, due & (series[0] <= rounding) & (series[1] > rounding))
 

@@ -288,7 +288,7 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     last = now.last
     series = method.series_of(last.start, last.memory)
     crossings = []
-    ends = zip(mode.guards, last.sides, last.ends, along(mode, series, whole=True), strict=True)
+    ends = zip(mode.guards, last.sides, last.ends, along(mode, series), strict=True)
     for guard, side, end, (value, admits) in ends:
         below = is_below(guard, side, value)
         may = may_rise(value, admits, last.length, below, end < 0)
@@ -327,9 +327,9 @@ def watched(mode: Mode) -> list[Condition]:
     return [one for one in mode.conditions if not one.least_at_ends]
 
 
-def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, list[list]]]:
-    """Expand each guard's value and the functions that admit it; all of these if `whole`."""
-    functions = mode.functions(whole)
+def along(mode: Mode, series: PyTree) -> list[tuple[list, list[list]]]:
+    """Expand each guard's value and the functions that admit it."""
+    functions = mode.functions()
     flat = [function for guard in functions for function in guard]
     found = function_series(lambda y: [one(y) for one in flat], lax.stop_gradient(series))
     pairs = []

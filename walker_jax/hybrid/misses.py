@@ -122,7 +122,7 @@ class Turns(NamedTuple):
 def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
     """Find where a guard turns in a step, and where it rises without being admitted."""
     value = function_series(guard.value, step.series)
-    admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
+    admits = [function_series(one, step.series) for one in guard.admits]
 
     def admitted(time: Scalar) -> Scalar:
         """Return the least of the functions that admit a rise."""

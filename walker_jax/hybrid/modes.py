@@ -62,9 +62,7 @@ class Guard(NamedTuple):
     """The name of a mode, `SECTION`, or the name of a failure. A guard that leads to a mode and is
     due as its own mode begins ends that at once."""
     admits: tuple[Function, ...] = ()
-    """The rise counts where all of these are positive. Their polynomials exclude whole steps."""
-    admits_at_rise: tuple[Function, ...] = ()
-    """Further such functions, evaluated only at a rise because they are costly to expand."""
+    """The rise counts where all of these are positive."""
     reset: Callable[[Any], Any] = lambda state: state
     """Function from the state in which the guard has risen to the state in which the next mode
     begins, or to the state on the section."""
@@ -91,7 +89,7 @@ class Guard(NamedTuple):
     def admitted(self, state: Any) -> Bool[Array, ""]:
         """Return whether a rise in a state counts."""
         counts = jnp.asarray(True)
-        for one in (*self.admits, *self.admits_at_rise):
+        for one in self.admits:
             counts &= value_at(one, state) > 0
         return counts
 
@@ -143,11 +141,9 @@ class Mode(NamedTuple):
         """The time derivative of the state, evaluated at a single state."""
         return self.field if self.rates_at is None else self.rates_at
 
-    def functions(self, whole: bool = True) -> list[list[Function]]:
-        """Return the value of each guard and the functions that admit it; all if `whole`."""
-        return [
-            [one.value, *one.admits, *(one.admits_at_rise if whole else ())] for one in self.guards
-        ]
+    def functions(self) -> list[list[Function]]:
+        """Return the value of each guard and the functions that admit it."""
+        return [[one.value, *one.admits] for one in self.guards]
 
 
 def ends_at_once(

@@ -65,7 +65,7 @@ def measure(walker, state) -> Measures:
         [one.value(state) for one in falls],
         value,
         rate,
-        [one(state) for one in (*strike.admits, *strike.admits_at_rise)],
+        [one(state) for one in strike.admits],
         [one.value(state) for one in mode.conditions],
     )
 

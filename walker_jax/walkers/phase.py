@@ -106,7 +106,7 @@ class Phase(eqx.Module):
         )
         if may_land is not None:
             below = lambda state: -cast("Scalar", self.clearance(state))
-            guards.append(Guard(below, Outcome.BENT_KNEE.name, (walker.is_ahead,), (self.reach,)))
+            guards.append(Guard(below, Outcome.BENT_KNEE.name, (walker.is_ahead, self.reach)))
         guards.append(Guard(self.event, onto, reset=self.end))
         hooks = *((self, name) for name in ("event", "clearance", "reach")), (walker, "falls")
         hooks = *hooks, (walker, "is_ahead")

@@ -298,7 +298,7 @@ def guards_of(part: Part) -> list[GuardEnds]:
             """Return the value, and the least of the functions that admit it."""
             value = guard.value(state)
             least = jnp.full_like(value, jnp.inf)
-            for one in (*guard.admits, *guard.admits_at_rise):
+            for one in guard.admits:
                 least = jnp.minimum(least, one(state))
             return value, least
 

@@ -138,7 +138,6 @@ def with_integrals(mode: Mode, names: list[str]) -> Mode:
         return one._replace(
             value=of_state(one.value),
             admits=every(one.admits),
-            admits_at_rise=every(one.admits_at_rise),
             reset=lambda both: (one.reset(both[0]), both[1]),
             must_hold=conditions(one.must_hold),
             surface=one.surface and of_state(one.surface),
