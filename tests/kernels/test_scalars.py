@@ -413,13 +413,14 @@ def test_known_numbers_are_computed_as_jax_does(dtype):
     special = [0.0, 1.0, 0.1, 3.0, 7.0, 200.0]
     kind = np.dtype(dtype).kind
     special += [-0.0, -2.5, np.inf, -np.inf, np.nan, 1e30, 3e38] * (kind == "f")
-    logical, arithmetic = {"and", "not", "or"}, {"add", "add_any", "mul", "neg", "sub"}
-    undefined = {"f": logical, "b": {"is_finite"} | arithmetic}.get(kind, {"is_finite"})
+    logical, of_reals = {"and", "not", "or"}, {"is_finite", "nextafter"}
+    arithmetic = of_reals | {"abs", "add", "add_any", "mul", "neg", "sub"}
+    undefined = {"f": logical, "b": arithmetic, "u": of_reals | {"abs"}}.get(kind, of_reals)
     numbers = np.array(special, dtype)
     left, right = (np.ravel(part) for part in np.meshgrid(numbers, numbers))
     for name in EXACT.keys() - undefined:
         function = EXACT[name]
-        operands = (numbers,) if name in ("is_finite", "neg", "not") else (left, right)
+        operands = (numbers,) if name in ("abs", "is_finite", "neg", "not") else (left, right)
         primitive = jax.lax.add_p if name == "add_any" else getattr(jax.lax, f"{name}_p")
         with np.errstate(all="ignore"):
             found = np.array(

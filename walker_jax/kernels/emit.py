@@ -195,7 +195,8 @@ class LLVMEmitter(Unrolling):
         if equation.effects or primitive.name.endswith("callback"):
             # An effect would happen once, while the program is emitted.
             raise UnsupportedPrimitive(primitive.name)
-        if primitive.name != "cond" and self.all_known(operands):
+        by_xla = primitive.name != "cond" and not implemented_in_jax(primitive)
+        if by_xla and self.all_known(operands):
             with contextlib.suppress(TypeError):  # a random key has no numerical value
                 return super().keep(equation, operands)
         if primitive.name in ARRAY_RULES:

@@ -131,8 +131,10 @@ class Unrolling(Interpreter):
         if now and primitive.name in EXACT:
             with np.errstate(all="ignore"):
                 return EXACT[primitive.name](*map(np.asarray, operands, dtypes)).item()
-        if now and primitive.name == "convert_element_type" and np.dtype(dtypes[0]).kind in "biu":
-            return np.asarray(*operands, *dtypes).astype(params["new_dtype"]).item()
+        if now and primitive.name == "convert_element_type":
+            known, to = np.asarray(*operands, *dtypes), np.dtype(params["new_dtype"])
+            if known.dtype.kind in "biu" or to.kind == "f":
+                return known.astype(to).item()
         scalars = [
             np.asarray(x, dtype) if is_known(x) else x
             for x, dtype in zip(operands, dtypes, strict=True)
@@ -244,6 +246,7 @@ def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -
 
 
 EXACT = {
+    "abs": np.abs,
     "add": np.add,
     "add_any": np.add,
     "and": np.bitwise_and,
@@ -253,9 +256,12 @@ EXACT = {
     "is_finite": np.isfinite,
     "le": np.less_equal,
     "lt": np.less,
+    "max": np.maximum,
+    "min": np.minimum,
     "mul": np.multiply,
     "ne": np.not_equal,
     "neg": np.negative,
+    "nextafter": np.nextafter,
     "not": np.invert,
     "or": np.bitwise_or,
     "sub": np.subtract,

@@ -97,14 +97,18 @@ def is_code(file: str) -> bool:
 
 
 def equations_in(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
-    """Yield the equations of a function and of all functions that it calls."""
-    for equation in jaxpr.eqns:
-        yield equation
-        inner = [*jaxprs_in_params(equation.params)]
-        if equation.primitive.name == "call_hi_primitive":
-            inner.append(called_function(equation).jaxpr)
-        for one in inner:
-            yield from equations_in(one)
+    """Yield the equations of a function and of all functions that it calls, of each only once."""
+    seen, left = {}, [jaxpr]
+    while left:
+        one = left.pop()
+        if id(one) in seen:
+            continue
+        seen[id(one)] = one  # kept, so that no other function gets its number
+        for equation in one.eqns:
+            yield equation
+            left += jaxprs_in_params(equation.params)
+            if equation.primitive.name == "call_hi_primitive":
+                left.append(called_function(equation).jaxpr)
 
 
 def shape_dtype(aval) -> jax.ShapeDtypeStruct:
