@@ -39,6 +39,21 @@ def starts(walker, count=3000, seed=0):
     return np.stack(x, axis=1)
 
 
+def test_margins_of_shared_failures_are_attributes():
+    """By the word of the failure's outcome; NaN where nothing leads to it."""
+    one, other = jnp.array([0.5, -0.2]), jnp.array([-0.1, 0.3])
+    stride = wj.Stride(jnp.zeros((2, 1)), jnp.zeros(2, jnp.int8), jnp.ones(2))
+    found = Margins(stride, one, {"BACKWARD": one, "sticks": other, "slips": -other})
+    assert Outcome.BACKWARD.margin == "backward" and Outcome.BACKWARD.words == "falls backward"
+    np.testing.assert_array_equal(found.backward, one)
+    for word in (outcome.margin for outcome in Outcome if outcome.margin):
+        assert getattr(found, word).shape == (2,)
+        assert word == "backward" or np.isnan(getattr(found, word)).all()
+    np.testing.assert_array_equal(found.own, [-0.1, -0.3])
+    with pytest.raises(AttributeError, match="have no 'sitting', only forward, backward"):
+        _ = found.sitting
+
+
 PARAMS = [pytest.param(name, marks=[pytest.mark.slow] * (name != "simplest")) for name in WALKERS]
 
 

@@ -68,7 +68,7 @@ class Margins(NamedTuple):
         for name, known in WAYS.items():
             if word == known:
                 return self.by_name.get(name, jnp.full_like(self.failed, jnp.nan))
-        raise AttributeError(f"{type(self).__name__!r} object has no attribute {word!r}")
+        raise AttributeError(f"margins have no {word!r}, only {', '.join(WAYS.values())}")
 
     @property
     def own(self) -> Float[Array, "*cells"]:
