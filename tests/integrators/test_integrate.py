@@ -78,7 +78,7 @@ def test_error_falls_with_the_order_also_between_steps(order, steps):
     np.testing.assert_allclose(np.log2(fine / finer), order, atol=0.25)
 
 
-def test_steps_keep_the_tolerance_and_solve_the_equation_at_all_times():
+def test_steps_keep_the_tolerance_at_all_times():
     """Half way through each step too, where the rate is the right-hand side."""
     method = Method(along, Taylor(10), TOLERANCE)
 
