@@ -36,7 +36,7 @@ from walker_jax.integrators.taylor import (
     switching_series,
 )
 
-SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
+SERIES_ORDER = {jnp.dtype("float64"): 14, jnp.dtype("float32"): 8}
 """Order of the series: the fastest, or nearly, at the default tolerance (benchmarks/README.md).
 
 A higher order takes fewer steps, with more work for each.
