@@ -108,8 +108,11 @@ def follow_mode(
     A guard that has just `risen` as the mode begins ends it there, with the derivatives of that
     event. If `measured`, every step is searched, and its misses are recorded.
     """
+    in_reverse = reversing.value and method.is_series and not measured
+    if in_reverse:
+        method = method.in_reverse()
     find = partial(find_event, mode, going=going, method=method, risen=risen, measured=measured)
-    if reversing.value and method.is_series and not measured:
+    if in_reverse:
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
         last, _ = find(start)

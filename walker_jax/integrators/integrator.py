@@ -215,6 +215,10 @@ class Method(eqx.Module):
             return SeriesSteps(self.field, order, self.tolerance, self.others)
         return controller_of(self.tolerance, self.limits.longest)
 
+    def in_reverse(self) -> "Method":
+        """Return the method whose steps reverse mode transposes."""
+        return eqx.tree_at(lambda one: one.limits.in_reverse, self, True)
+
     def begin(self, state: PyTree) -> Memory:
         """Return the memory for the first step, of the same types as those after steps."""
         solver, control, series = self.solver, (), None

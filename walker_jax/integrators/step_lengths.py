@@ -85,6 +85,8 @@ class StepLimits(NamedTuple):
     proportional: PyTree | None = None
     """Variables whose errors are relative to their own size where there are no scales
     (`own_sizes`)."""
+    in_reverse: bool = False
+    """Whether reverse mode transposes the steps (`steps_in_reverse`)."""
 
 
 NO_LIMITS = StepLimits()
@@ -360,12 +362,13 @@ def sum_of_terms(series: PyTree, length: Scalar, orders: Sequence[int]) -> Scala
 
 def has_sharp_features(function: Callable, state: PyTree) -> bool:
     """Return whether a function contains primitives whose series may not show what lies ahead."""
-
-    def is_sharp(equation) -> bool:
-        name = equation.primitive.name
-        return name in SHARP or (name == "integer_pow" and equation.params["y"] > LOW_POWER)
-
     return any(map(is_sharp, equations_in(jax.make_jaxpr(function)(state).jaxpr)))
+
+
+def is_sharp(equation) -> bool:
+    """Return whether the series of an equation's result may not show what lies ahead."""
+    name = equation.primitive.name
+    return name in SHARP or (name == "integer_pow" and equation.params["y"] > LOW_POWER)
 
 
 def field_fits(

@@ -26,6 +26,7 @@ from walker_jax.integrators.step_lengths import (
     scale_of,
     step_size,
 )
+from walker_jax.integrators.steps_in_reverse import cut_in_reverse
 from walker_jax.integrators.taylor import (
     VectorField,
     evaluate_series,
@@ -75,6 +76,8 @@ def smooth_length(
 ) -> Scalar:
     """Return the length of a step from a state, if it meets no kink; constant to derivatives."""
     length = longest_step(vector_field, state, series, tolerance, limits)
+    if limits.in_reverse:
+        length = cut_in_reverse(vector_field, series, length, tolerance)
     for function in watched:
         length = cut_for_function(function, lax.stop_gradient(series), length, tolerance)
     return length
