@@ -45,6 +45,7 @@ def test_a_step_that_its_method_rejects_changes_no_side():
     guards = [Guard(value, SECTION) for value in (RISES, lambda state: state[0], ALWAYS)]
     mode = Mode(lambda state: (jnp.ones(()),), tuple(guards))
     method: Any = SimpleNamespace(
+        is_series=False,
         step=lambda state, memory: ((), state, 0 * state[0], memory),
     )
     below = [jnp.asarray(True), jnp.asarray(True), jnp.asarray(False)]

@@ -256,10 +256,9 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
     series, end, length, memory = method.step(begins, step.memory)
     may, ends = ~jnp.isfinite(length), []
     known = along(mode, jax.tree.map(lambda c: c[: FIRST_ORDER + 1], series, is_leaf=is_list))
-    for guard, side, polynomials in zip(mode.guards, below, known, strict=True):
-        rises, ends_below = rises_perhaps(guard, method, side, polynomials, length, end)
-        may |= rises
-        ends.append(ends_below)
+    for guard, side, (value, admits) in zip(mode.guards, below, known, strict=True):
+        ends.append(side_at_end(guard, method, side, length, end))
+        may |= rises_perhaps(guard, Crossing(value, admits, side, ends[-1]), length, end)
     seen = []
     for condition, (_, before) in zip(watched(mode), step.watched, strict=True):
         value, rate = after = condition.and_rate(end)
@@ -274,9 +273,8 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
 def measured_step(mode: Mode, method: Method, step: Step) -> Step:
     """Make the next step, all of which is searched and recorded."""
     _, end, length, memory = method.step(step.end, step.memory)
-    ends = []
-    for guard, below in zip(mode.guards, step.ends_below, strict=True):
-        ends.append(jnp.where(length == 0, below, value_at(guard.value, end) < 0))
+    sides = zip(mode.guards, step.ends_below, strict=True)
+    ends = [side_at_end(guard, method, below, length, end) for guard, below in sides]
     time, quiet = step.time + step.length, jnp.asarray(False)
     return Step(step.end, end, time, length, step.ends_below, ends, step.watched, quiet, memory)
 
@@ -285,11 +283,12 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     """Find the first event in the last step, if there is one, and earlier violations."""
     last = now.last
     series = method.series_of(last.start, last.memory)
-    crossings = []
-    ends = zip(last.below, last.ends_below, along(mode, series, whole=True), strict=True)
-    for below, ends_below, (value, admits) in ends:
-        may = may_rise(value, admits, last.length, below, ends_below)
-        crossings.append(Crossing(value, admits, below, ends_below, may))
+    crossings, whole = [], along(mode, series, whole=True)
+    sides = zip(last.below, last.ends_below, strict=True)
+    for guard, polynomials, side in zip(mode.guards, whole, sides, strict=True):
+        one = Crossing(*polynomials, *side)
+        may = rises_perhaps(guard, one, last.length, last.end)
+        crossings.append(one._replace(wanted=may))
     number, when = first_rise(crossings, last.length)
     until = jnp.minimum(when, last.length)
     event = partial(value_of_guard, mode, number)
@@ -336,26 +335,27 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
     return pairs
 
 
-def rises_perhaps(
-    guard: Guard,
-    method: Method,
-    below: Bool[Array, ""],
-    polynomials: tuple,
-    length: Scalar,
-    end: Any,
-) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Return whether a guard may rise in a step, and whether it ends below zero."""
-    value, admits = polynomials
+def side_at_end(
+    guard: Guard, method: Method, below: Bool[Array, ""], length: Scalar, end: Any
+) -> Bool[Array, ""]:
+    """Return whether a guard is below zero at the end of a step that begins below it or not."""
     ends_below = value_at(guard.value, end) < 0
-    if not method.is_series:  # which may reject a step: it then has no length, and changes no side
-        ends_below = jnp.where(length == 0, below, ends_below)
+    if method.is_series:
+        return ends_below
+    return jnp.where(length == 0, below, ends_below)  # a step that is rejected changes no side
+
+
+def rises_perhaps(guard: Guard, one: Crossing, length: Scalar, end: Any) -> Bool[Array, ""]:
+    """Return whether a guard may rise in a step, by cheap bounds."""
     if not guard.persists:
-        return may_rise(value, admits, length, below, ends_below), ends_below
-    slope = evaluate_polynomial(derivative_of(value), length)
-    rises = ~ends_below & (below | ((value[1] < 0) & (slope > 0)))
-    for function, series in zip(guard.admits, admits, strict=True):
+        return may_rise(one.value, one.admits, length, one.below, one.ends_below)
+    if guard.begins_below:
+        return one.below & ~one.ends_below
+    slope = evaluate_polynomial(derivative_of(one.value), length)
+    rises = ~one.ends_below & (one.below | ((one.value[1] < 0) & (slope > 0)))
+    for function, series in zip(guard.admits, one.admits, strict=False):
         rises &= (series[0] > 0) | (value_at(function, end) > 0)
-    return rises, ends_below
+    return rises
 
 
 def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any, surface: bool = False) -> Scalar:
