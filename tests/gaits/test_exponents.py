@@ -112,7 +112,7 @@ def test_multipliers_that_rounding_hides_are_left_to_walks():
         assert found.states.any() == walked
 
 
-def test_exponents_beyond_the_accuracy_of_derivatives_have_errors_that_say_so():
+def test_errors_of_exponents_contain_those_of_derivatives():
     """A matrix with the eigenvalues 1/2 and e^-rate, by one turn of its fixed point and by walks.
 
     Rounding hides the second from e^-35 on. It is then found too large, but within its error.

@@ -42,7 +42,7 @@ def begins_on_its_lower_side(guard: Guard, method: Method, start: Any) -> Bool[A
     where a guard is zero has not come there, though by rounding the value may be negative: a stride
     does not end as it leaves the section.
     """
-    if guard.begins_below:
+    if guard.always_begins_below:
         return jnp.asarray(True)
     value, *rates = method.series(guard.value, start, 2)
     if not guard.at_once:

@@ -349,7 +349,7 @@ def rises_perhaps(guard: Guard, one: Crossing, length: Scalar, end: Any) -> Bool
     """Return whether a guard may rise in a step, by cheap bounds."""
     if not guard.persists:
         return may_rise(one.value, one.admits, length, one.below, one.ends_below)
-    if guard.begins_below:
+    if guard.always_begins_below:
         return one.below & ~one.ends_below
     slope = evaluate_polynomial(derivative_of(one.value), length)
     rises = ~one.ends_below & (one.below | ((one.value[1] < 0) & (slope > 0)))

@@ -89,7 +89,7 @@ class Guard(NamedTuple):
     from that where a parameter moves the event, but not `value`."""
 
     @property
-    def begins_below(self) -> bool:
+    def always_begins_below(self) -> bool:
         """Whether it is below zero in every mode that is followed, as it ends others at once."""
         return self.at_once and not (self.admits or self.admits_at_rise)
 
