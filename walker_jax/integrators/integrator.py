@@ -355,7 +355,8 @@ class Method(eqx.Module):
         """
         method, state = stop_gradients((self, state))
         if isinstance(method.solver, Taylor):
-            return function_series(function, solution_series(method.field, state, order))
+            known = solution_series(method.field, state, order)
+            return function_series(function, usable_series(method.field, known))
         known, along = [state], lambda state: state
         for k in range(1, order + 1):
             along = lambda state, last=along: jax.jvp(last, (state,), (method.field(state),))[1]

@@ -31,7 +31,7 @@ from walker_jax.integrators.integrals import beside, motion_of
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
-from walker_jax.integrators.series import evaluate_polynomial, short_log
+from walker_jax.integrators.series import evaluate_polynomial, short_logs
 from walker_jax.integrators.taylor import (
     VariedField,
     VectorField,
@@ -169,13 +169,11 @@ def step_size(
 
 def uncapped_step_size(series: PyTree, tolerance: Real, sizes: PyTree) -> Scalar:
     """Return the h of `step_size` without its cap, infinite if the last terms vanish; float32."""
-    order = order_of(series)
+    orders = order_of(series) - 1, order_of(series)
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
-
-    def log_length(k):
-        return (log_tolerance - short_log(relative_size(series, k, sizes))) / k
-
-    return jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
+    logs = short_logs(*(relative_size(series, k, sizes) for k in orders))
+    lengths = [(log_tolerance - log) / k for k, log in zip(orders, logs, strict=True)]
+    return jnp.exp(jnp.minimum(*lengths))
 
 
 def sizes_of(
