@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walkers.parameters import with_parameter
@@ -126,3 +127,17 @@ def test_find_attractors_and_label_refuse_what_is_no_start():
         wj.find_attractors(walker, (0.2, -0.2))
     with pytest.raises(ValueError, match="start must be on the section"):
         wj.label(walker, [], (0.2, 0.4, -0.2, 0.1))
+
+
+def test_label_refuses_attractors_that_do_not_attract():
+    """An unstable gait, and the gait of another walker; traced attractors are the caller's own."""
+    walker, start = wj.SimplestWalker(0.0152), (0.3, -0.3)
+    unstable = Attractor(np.asarray(wj.find_gait(walker).states))
+    (other,) = wj.find_attractors(wj.SimplestWalker(0.004), [(0.2, -0.2)])
+    for one in (unstable, other):
+        label = lambda x, one=one: wj.label(walker, [one], x)
+        for run in (label, jax.jit(label)):
+            with pytest.raises(ValueError, match="attractors must attract walkers of this system"):
+                run(jnp.array(start))
+    traced = jax.jit(lambda cycle, x: wj.label(walker, [cycle], x))(unstable, unstable.states[0])
+    assert (traced.fate, traced.attractor, traced.strides) == (0, 0, 0)

@@ -7,11 +7,9 @@ that come to none of them lead to the other attractors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.attractor import (
@@ -27,17 +25,8 @@ from walker_jax.basins.attractor import (
 )
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.labels import CLOSE, LONGEST_PERIOD, SURVIVAL, Label
-from walker_jax.basins.mapper import Mapper, largest_distances, match_approaching
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.motions import SPARSE, clouds_of, distinct_motions, nearest_motion
-from walker_jax.checks import (
-    WrongUse,
-    check_kind,
-    check_precision,
-    check_whole,
-    numbers,
-    refuses_tracers,
-    short,
-)
 from walker_jax.gaits.cycles import (
     find_multipliers,
     gait_at,
@@ -46,11 +35,10 @@ from walker_jax.gaits.cycles import (
     multiply_jacobians,
 )
 from walker_jax.gaits.search import cycle_guesses
-from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
-from walker_jax.integrators.roots import Real
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome
-from walker_jax.systems.system import System, check_single
+from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate, orbits
 
 SCOUTS = 2**8
@@ -70,52 +58,6 @@ WITNESSES = 128
 MOST_MOTIONS = 16
 """Most motions without a period that count as attractors of their own. Walkers of a conservative
 system have each their own motion: all of these count as one."""
-
-
-@refuses_tracers("find them first, and give them to label as operands")
-def find_attractors(
-    system: System,
-    starts: Float[ArrayLike, "n section"] | Sequence[Any],
-    *,
-    strides: int = 200,
-    tolerance: Real | None = None,
-    solver: AnySolver | None = None,
-) -> list[Attractor]:
-    """Find the attractors to which walkers converge from some starts.
-
-    ```python
-    walker = wj.SimplestWalker(0.004)
-    grid = wj.Grid.sheared(theta=(0, 0.4, 30), sum=(-0.04, 0.01, 30))
-    attractors = wj.find_attractors(walker, grid.centres(np.arange(grid.size)))
-    attractors[0].period, attractors[0].states
-    ```
-
-    **Arguments:**
-
-    - `system`: one system, with numbers for parameters.
-    - `starts`: points of the section, as many as find every basin that matters.
-    - `strides`: number of strides for which walkers are followed before the rest are examined.
-    - `tolerance`, `solver`: of the integration, as in `stride`.
-
-    **Returns** a list, by period, then by the angle of the first state; motions without a period
-    come last. Each has its `states`, the `cloud` of points of a motion without a period, and its
-    `period`, None for such a motion. They are operands of `label`, and tell the walks of several
-    motions without a period apart by the points that these visit.
-
-    Raises `ValueError` for starts that are no points of the section.
-    """
-    check_kind("system", system, System)
-    check_single(system)
-    check_whole("strides", strides)
-    x = numbers("starts", starts)
-    if x.ndim != 2 or x.shape[1] != len(system.section):
-        raise WrongUse(
-            f"starts must be points of the section {system.section}, not {short(starts)}"
-        )
-    x = x.astype(jnp.asarray(0.0).dtype)
-    check_precision(x.dtype)
-    integrator = integrator_of(x.dtype, tolerance, solver)
-    return list(survey(system, x, integrator, strides).mapper.attractors)
 
 
 def survey(
@@ -342,10 +284,11 @@ def lasting_motions(
     early, late = SURVIVAL
     end = iterate(walker, x, early, integrator)
     x = end.state[end.outcome == Outcome.STRIDE]
-    x = x[match_approaching(walker, x, found, integrator) < 0]
+    mapper = Mapper(walker, [*found], integrator, early)
+    x = x[mapper.approached(x) < 0]
     walks, outcome = orbits(walker, x, late, integrator)
     lasts = outcome == Outcome.STRIDE
-    lasts[lasts] = match_approaching(walker, walks[lasts, -1], found, integrator) < 0
+    lasts[lasts] = mapper.approached(walks[lasts, -1]) < 0
     known = [one.cloud for one in found if one.cloud is not None]
     new = distinct_motions(walks[lasts], known, MOST_MOTIONS + 1)
     if new and not lasts.all():  # walkers leave the nearest motion, which is then a transient
@@ -367,7 +310,8 @@ def attracts(
     """
     radius, axes = capture_radius(cycle.dtype), np.eye(len(cycle[0]))
     beside = cycle[0] + radius * np.concatenate([axes, -axes])
-    largest = largest_distances(walker, beside, [Attractor(cycle)], integrator).max(axis=0)
+    _, largest = Mapper(walker, [Attractor(cycle)], integrator, 0).follow_near(beside)
+    largest = largest.max(axis=0)
     if largest[0] < CLOSE and largest[-1] < radius / (2 * len(axes)):  # False for NaN
         return True
     jacobians = linearise(walker, cycle[None], integrator).jacobian
