@@ -6,6 +6,7 @@ from walker_jax.basins.computation import compare_methods as compare_methods
 from walker_jax.basins.edge_states import EdgeState as EdgeState
 from walker_jax.basins.edge_states import edge_state as edge_state
 from walker_jax.basins.labels import Label as Label
+from walker_jax.basins.own_labels import Clusters as Clusters
 from walker_jax.basins.refinement import refine as refine
 from walker_jax.basins.stable_manifolds import stable_manifold as stable_manifold
 from walker_jax.basins.start_labels import find_attractors as find_attractors

@@ -109,21 +109,21 @@ class Mapper(NamedTuple):
     def nearest_motions(self, x: Float[Any, "*n section"]) -> Int[Any, "*n"]:
         """Return the motions without a period that are nearest to walks.
 
-        They are -1 for walks that repeat themselves, as on an unstable cycle. Of several motions,
-        it is the one that a walk on none of them comes to in more strides.
+        They are -1 for walks that repeat themselves, as on an unstable cycle. A walk on no known
+        motion belongs to the cycle or the motion that it comes to in more strides.
         """
         xp, clouds, walks = x.__array_namespace__(), motions_apart(self.attractors), self.visited(x)
         numbers = xp.asarray(without_period(self.attractors), dtype=xp.int32)
         none = xp.full(x.shape[:-1], -1, dtype=xp.int32)
-        nearest = none + 1
-        if clouds is not None and len(numbers) > 1:
+        number = xp.full_like(none, numbers[0])
+        if clouds is not None:
             closest = lambda walks: nearest_motion(clouds, walks[..., ::SKIPPED, :])
-            ahead = self._replace(attractors=[], strides=SURVIVAL[0])
-            at_end = lambda x: closest(self.visited(x))[0]
+            ahead = self._replace(strides=SURVIVAL[0])
+            at_end = lambda x: numbers[closest(self.visited(x))[0]]
             nearest, near = closest(walks)
-            later = fill(none, ~near, x, lambda x: ahead.walk(x).filled(at_end).attractor)
-            nearest = xp.where(later < 0, nearest, later)
-        return xp.where(repeats(walks), -1, numbers[nearest])
+            later = fill(none, ~near, x, lambda x: ahead.follow(x).filled(at_end).attractor)
+            number = xp.where(later < 0, numbers[nearest], later)
+        return xp.where(repeats(walks), -1, number)
 
     def on_known_motions(self, x: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
         """Return whether each walker is on one of the known motions without a period."""
