@@ -141,3 +141,5 @@ def test_walks_to_one_point_are_one_cluster():
         grid = wj.Grid.plain(x=(-1, 3, cells))
         data = wj.basin(system, grid, "direct", strides=300, label=label, progress=False)
         np.testing.assert_array_equal(data.attractor, number)
+    with pytest.raises(ValueError, match="label must have features in one row"):
+        wj.basin(system, grid, "direct", label=wj.Clusters(jnp.mean), progress=False)

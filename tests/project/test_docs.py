@@ -194,6 +194,7 @@ SLOW = pytest.mark.slow
         pytest.param(OWN_MACHINE, 3, marks=SLOW),
         pytest.param(COMING_FROM, 0, marks=SLOW),
         (COMING_FROM, 1),
+        (COMING_FROM, 2),
         pytest.param(VIABILITY, 0, marks=SLOW),
         *((KERNELS, number) for number in range(4)),
     ],

@@ -95,8 +95,9 @@ def basin(
     - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it converges to an
       attractor, or walks to the last stride (direct);
     - `attractor`: number of the attractor it converges to, -1 for none. If direct iteration finds
-      motions without a period, all walks that go on after `strides` have the number of the nearest;
-      a few of these may still fall or converge to a cycle. Walks on an unstable cycle have none;
+      motions without a period, walks that go on after `strides` have the number of the one that
+      they are on, or of what they come to in 1000 more; a few of these may still fall or converge
+      to a cycle. Walks on an unstable cycle have none;
     - `strides`: strides completed before the walker converges or fails.
 
     Over the attractors it has `period` (0 where the motion does not repeat itself) and `states`

@@ -27,11 +27,6 @@ class Clusters(NamedTuple):
     Walks with similar features converge to one attractor. (Campello, Moulavi and Sander 2013;
     Stender and Hoffmann 2022, of basins.) Features are scaled to their ranges. Clusters are
     numbered in the order of the cells that are first in each; -1 is noise.
-
-    ```python
-    spread = wj.Clusters(lambda states: jnp.std(states, axis=0))
-    wj.basin(system, grid, "direct", label=spread)  # takes scikit-learn
-    ```
     """
 
     features: Callable[[Float[Array, "states section"]], Float[Array, " features"]]

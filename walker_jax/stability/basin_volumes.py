@@ -107,7 +107,7 @@ def basin_volume(
     - `seed`, `tolerance`: of random numbers, and of the integration.
     - `progress`: whether to show progress on a terminal, after a second.
 
-    Raises `ValueError` for an attractor without a period, or outside the region;
+    Raises `ValueError` for an attractor that has no period, repels, or is outside the region;
     `ComputationFailed` where no ball around it is in its basin.
     """
     check_kind("system", system, System)
