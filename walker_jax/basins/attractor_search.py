@@ -41,6 +41,8 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate, orbits
 
+Points = Float[np.ndarray, "n section"]
+
 SCOUTS = 2**8
 """Number of starts that are followed first; most of the others end on the cycles that these
 find."""
@@ -61,12 +63,7 @@ system have each their own motion: all of these count as one."""
 
 
 def survey(
-    walker: System,
-    starts: Float[np.ndarray, "n section"],
-    integrator: Integrator,
-    strides: int,
-    *,
-    boxes: bool = False,
+    walker: System, starts: Points, integrator: Integrator, strides: int, *, boxes: bool = False
 ) -> Found:
     """Find the attractors of starts, in the order in which a basin numbers them, and the labels."""
     scouts = starts[scouts_among(len(starts))]
@@ -83,12 +80,7 @@ def scouts_among(n: int) -> Int[np.ndarray, " m"]:
 
 
 def mapper_of_scouts(
-    walker: System,
-    scouts: Float[np.ndarray, "n section"],
-    integrator: Integrator,
-    strides: int,
-    *,
-    boxes: bool = False,
+    walker: System, scouts: Points, integrator: Integrator, strides: int, *, boxes: bool = False
 ) -> Mapper:
     """Return the mapper to the cycles to which scouts converge, perhaps with capture boxes."""
     cycles: list[Attractor] = []
@@ -108,7 +100,7 @@ class Found(NamedTuple):
 
 def label_and_find(
     mapper: Mapper,
-    starts: Float[np.ndarray, "n section"],
+    starts: Points,
     *,
     boxes: bool = False,
     most: int = SAMPLE,
@@ -119,66 +111,45 @@ def label_and_find(
     Other arguments are those of `complete`.
     """
     labels = mapper.follow(starts, progress=progress)
-    made, left = labels.total_strides, labels.remaining
-    rest = complete(mapper, starts[left], labels.state[left], boxes=boxes, most=most)
-    labels.attractor[left], labels.strides[left] = rest.attractor, rest.strides
-    return Found(labels, rest.mapper, made + rest.again)
-
-
-class Completed(NamedTuple):
-    """The labels of walks that came to no known attractor."""
-
-    attractor: Int[np.ndarray, " n"]
-    strides: Int[np.ndarray, " n"]
-    mapper: Mapper
-    """Maps to all attractors."""
-    again: int
-    """Number of strides that were counted again."""
+    return complete(mapper, starts, labels, boxes=boxes, most=most)
 
 
 def complete(
-    mapper: Mapper,
-    starts: Float[np.ndarray, "n section"],
-    ends: Float[np.ndarray, "n section"],
-    *,
-    boxes: bool = False,
-    most: int = SAMPLE,
-) -> Completed:
+    mapper: Mapper, starts: Points, labels: Label, *, boxes: bool = False, most: int = SAMPLE
+) -> Found:
     """Label walks that have made all strides, and find their attractors from `most` of them.
 
     Walks to a cycle that was unknown went on beyond its capture boxes, so their strides are counted
     again. With `boxes` the new cycles get boxes that shorten walks.
     """
-    strides, known = np.full(len(ends), mapper.strides, np.int32), len(mapper.attractors)
-    if len(ends) == 0:
-        return Completed(np.zeros(0, np.int32), strides, mapper, 0)
-    strange = ends[~mapper.on_known_motions(ends)]
-    mapper = with_attractors_from(mapper, sample(strange, most))
-    if boxes and len(mapper.attractors) > known:
-        mapper = with_capture_boxes(mapper)
-    number = mapper.identify(ends)
-    cycles = [i for i, one in enumerate(mapper.attractors) if i >= known and one.period]
-    late = np.isin(number, cycles)
-    strides[late] = mapper.follow(starts[late]).strides
-    return Completed(number, strides, mapper, int(strides[late].sum()))
+    made, left, known = labels.total_strides, labels.remaining, len(mapper.attractors)
+    if len(left):
+        ends = labels.state[left]
+        strange = ends[~mapper.on_known_motions(ends)]
+        mapper = with_attractors_from(mapper, sample(strange, most))
+        if boxes and len(mapper.attractors) > known:
+            mapper = with_capture_boxes(mapper)
+        number = labels.attractor[left] = mapper.identify(ends)
+        cycles = [i for i, one in enumerate(mapper.attractors) if i >= known and one.period]
+        late = left[np.isin(number, cycles)]
+        labels.strides[late] = mapper.follow(starts[late]).strides
+        made += int(labels.strides[late].sum())
+    return Found(labels, mapper, made)
 
 
-def with_attractors_from(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:
+def with_attractors_from(mapper: Mapper, starts: Points) -> Mapper:
     """Return the mapper to the attractors of some starts too."""
     found = search(mapper.walker, starts, mapper.integrator, mapper.attractors)
     return mapper._replace(attractors=found)
 
 
-def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
+def sample(x: Points, most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
     """Return some of many points, evenly spread over their order."""
     return x[sample_indices(len(x), most)]
 
 
 def search(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    integrator: Integrator,
-    known: Sequence[Attractor] = (),
+    walker: System, x: Points, integrator: Integrator, known: Sequence[Attractor] = ()
 ) -> list[Attractor]:
     """Find the attractors to which walkers converge from x, and add them to the known ones.
 
@@ -199,10 +170,7 @@ def search(
 
 
 def add_cycles(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    found: list[Attractor],
-    integrator: Integrator,
+    walker: System, x: Points, found: list[Attractor], integrator: Integrator
 ) -> tuple[Float[np.ndarray, "m section"], bool]:
     """Add the cycles to which walkers converge.
 
@@ -223,10 +191,7 @@ def add_cycles(
 
 
 def add_repeated(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    found: list[Attractor],
-    integrator: Integrator,
+    walker: System, x: Points, found: list[Attractor], integrator: Integrator
 ) -> tuple[Float[np.ndarray, "m section"], Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Add the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
 
@@ -259,10 +224,7 @@ def add_repeated(
 
 
 def stay_undecided(
-    found: Sequence[Attractor],
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    integrator: Integrator,
+    found: Sequence[Attractor], walker: System, x: Points, integrator: Integrator
 ) -> Bool[np.ndarray, " n"]:
     """Return whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
     targets, _ = targets_of(found, x.shape[1])
@@ -271,10 +233,7 @@ def stay_undecided(
 
 
 def lasting_motions(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    found: Sequence[Attractor],
-    integrator: Integrator,
+    walker: System, x: Points, found: Sequence[Attractor], integrator: Integrator
 ) -> list[Attractor]:
     """Return the motions without a period on which walkers last, apart from those already found.
 

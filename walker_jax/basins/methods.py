@@ -183,9 +183,11 @@ class DirectIteration(Method):
             cells.append(block_at(self.grid, place, i).first + remaining[-1])
         starts, x = window.centres(np.concatenate(cells)), np.concatenate(ends)
         if self.label is None:
-            rest = complete(self.mapper(place.notes), starts, x)
-            attractors, number = in_order(seen(rest.mapper.attractors, rest.attractor))
-            late, strides = number[rest.attractor], rest.strides + made
+            mapper, count = self.mapper(place.notes), len(x)
+            unknown = np.full(count, -1, np.int32), np.full(count, mapper.strides, np.int32)
+            rest = complete(mapper, starts, Label(np.zeros(count, np.int8), *unknown, x))
+            attractors, number = in_order(seen(rest.mapper.attractors, rest.labels.attractor))
+            late, strides = number[rest.labels.attractor], rest.labels.strides + made
         else:
             attractors, late = label_ends(self.label, self.walker, x, self.integrator)
             number, strides = np.full(1, -1, np.int32), np.full(len(x), self.settings["strides"])
