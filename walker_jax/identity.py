@@ -319,10 +319,8 @@ class StoreDescriber(Describer):
         return name, getattr(home_of(definition), "__name__", None)
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
-        if self.add_file_of(function):  # which may have several functions of one name
-            code = function.__code__
-            own = hash_of_code(code) if code.co_name == "<lambda>" else None
-            return self.name(function), code.co_firstlineno, own
+        if self.add_file_of(function):  # where several functions may have one name
+            return self.name(function), max(map(str, function.__code__.co_positions()))
         for name in names_used(function.__code__, "IMPORT_NAME"):
             for path in located(Path(), name.split(".")):
                 self.add_file(path.absolute(), Path.cwd())

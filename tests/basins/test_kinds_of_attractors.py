@@ -73,7 +73,7 @@ def wanted(features):
     return np.where(spread < 1e-6, 0, np.where(least < -0.6, 1, 2))
 
 
-def test_lorenz_84_has_a_fixed_point_a_cycle_and_a_chaotic_attractor(wanted):
+def test_a_fixed_point_a_cycle_and_chaos_of_lorenz_84(wanted):
     """After each unit of time the cycle is a closed curve without a period, beside the others."""
     data = wj.basin(LORENZ, STARTS, "direct", strides=300, progress=False)
     assert data.period.values.tolist() == [1, 0, 0]
