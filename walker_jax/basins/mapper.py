@@ -116,7 +116,7 @@ class Mapper(NamedTuple):
         numbers = xp.asarray(without_period(self.attractors), dtype=xp.int32)
         none = xp.full(x.shape[:-1], -1, dtype=xp.int32)
         number = xp.full_like(none, numbers[0])
-        if clouds is not None:
+        if clouds is not None and (self.further or len(numbers) > 1):
             closest = lambda walks: nearest_motion(clouds, walks[..., ::SKIPPED, :])
             ahead = self._replace(strides=SURVIVAL[0])
             at_end = lambda x: numbers[closest(self.visited(x))[0]]
