@@ -185,7 +185,7 @@ def work_of(wanted: Measurement, about: xr.Dataset, request: dict) -> Work:
         alike = number_alike(period, states, turns_of(wanted.walker))
         return about.assign({"attractor_number": ((*wanted.names, "own"), alike)})
 
-    compute, block = partial(compute_combination, wanted), (1,) * len(shape)
+    compute, block = partial(compute_row, wanted), (1,) * len(shape)
     return Work(request, about, fields, block, finish, values_of, compute)
 
 
@@ -214,17 +214,20 @@ def broadcast(value: xr.Variable, names: Sequence[str], shape: list[int]) -> xr.
     return xr.Variable((*names, *value.dims), everywhere, value.attrs)
 
 
-def compute_combination(
-    plan: Measurement, _notes: dict, values: tuple[float, ...]
-) -> dict[str, Any]:
-    """Compute the variables of one combination of values, or the reason why it failed."""
+def compute_row(plan: Measurement, _notes: dict, values: tuple[float, ...]) -> dict[str, Any]:
+    """Compute all variables of one combination of values, unknown ones included."""
     unknown = {name: value.values for name, value in empty_row(plan).items()}
+    return unknown | compute_combination(plan, values)
+
+
+def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[str, Any]:
+    """Compute the variables of one combination of values, or the reason why it failed."""
     try:
         there = plan.walker
         for name, value in zip(plan.names, values, strict=True):
             check_parameter(there, name, value)
             there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
-        return unknown | measure_basin(there, plan)
+        return measure_basin(there, plan)
     except Exception as error:  # one bad combination must not cost the others
         full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
         if full or isinstance(error, MemoryError | OSError | ImportError):
@@ -232,7 +235,7 @@ def compute_combination(
         words = str(error).split()
         if not isinstance(error, WrongUse):
             words.insert(0, f"{type(error).__name__}{':' * bool(words)}")
-        return unknown | {"failed": 1, "reason": " ".join(words)}
+        return {"failed": 1, "reason": " ".join(words)}
 
 
 def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
