@@ -98,7 +98,8 @@ def test_two_logistic_maps_side_by_side_are_two_attractors():
     assert data.period.values.tolist() == [0, 0] and data.cells.values.tolist() == [40, 40]
     for side, one in enumerate(wj.find_attractors(system, x)):
         ends = side + np.array([LOGISTIC**2 * (4 - LOGISTIC) / 16, LOGISTIC / 4])
-        np.testing.assert_allclose([one.cloud[:, 0].min(), one.cloud[:, 0].max()], ends, atol=1e-3)
+        found = one.points[:, 0].min(), one.points[:, 0].max()
+        np.testing.assert_allclose(found, ends, atol=1e-3)
 
 
 def test_a_closed_curve_beside_a_fixed_point():
