@@ -25,7 +25,7 @@ from walker_jax.controlled_maps import (
 
 PUBLISHED = dict(np.load(DATA / "slip_map.npz"))
 ENERGY = 0.85 + 5.5**2 / (2 * 9.81)
-RUNNER = wj.SpringMassRunner(stiffness=8200 / (80 * 9.81), energy=ENERGY)
+RUNNER = wj.systems.SpringMassRunner(stiffness=8200 / (80 * 9.81), energy=ENERGY)
 
 
 def test_no_action_leads_to_anything_of_value_zero():

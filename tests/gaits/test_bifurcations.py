@@ -8,6 +8,7 @@ from simplest_gaits import REGION, walker
 import walker_jax as wj
 from walker_jax.gaits import branch_search, crises, long_runs
 from walker_jax.gaits.arclength import correct
+from walker_jax.gaits.branches import Branch
 from walker_jax.gaits.continuation import Start
 from walker_jax.walking.iteration import WalkEnd
 
@@ -92,7 +93,7 @@ def branch_of(period, sizes, values=None, states=None):
     values = np.linspace(0, 1, len(sizes)) if values is None else values
     states = np.zeros((len(sizes), period, 2)) if states is None else states
     multipliers = np.stack([-sizes, 0.1 * sizes], axis=1).astype(complex)
-    return wj.Branch("slope", values, states, multipliers, states[..., 0], [], [], ("", ""))
+    return Branch("slope", values, states, multipliers, states[..., 0], [], [], ("", ""))
 
 
 def test_the_cascade_stems_from_the_most_stable_gait():

@@ -39,7 +39,7 @@ FINEST = 30
 """Largest number of levels; memory ends far below."""
 
 
-@refuses_tracers("area_gradient gives derivatives of a basin's area")
+@refuses_tracers("measure gives derivatives of a basin's area")
 def refine(
     walker: System,
     grid: Grid,
