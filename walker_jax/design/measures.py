@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import GaitPull
 from walker_jax.systems.system import System
@@ -90,7 +90,8 @@ def differentiate_measures(
     by_gait = GaitPull(walker, gait, names, tolerance)
     real, exact = eqx.partition(walker, eqx.is_inexact_array_like)
     arrays = [jnp.asarray(one) for one in (gait.states, gait.step_times, gait.multipliers)]
-    known = {name: partial(one, tolerance) for name, one in KNOWN.items()} | dict(functions)
+    known = {name: partial(one, tolerance) for name, one in KNOWN.items()}
+    known |= {name: partial(number_from, name, one) for name, one in functions.items()}
     known["cost-of-transport"] = partial(
         cost_of_transport, tolerance, cost_is_known(walker), walker.driven_by_gravity()
     )
@@ -115,6 +116,21 @@ def differentiate_measures(
         means = partial(mean_integrals, summed, tolerance)
         found |= zip(summed, measure(means), strict=True)
     return {name: found[name] for name in wanted}
+
+
+def number_from(name: str, function: GaitFunction, walker: Any, gait: Gait) -> Scalar:
+    """Return the number of a function of a gait; refuse a function that returns another thing."""
+    value = function(walker, gait)
+    try:
+        number = jnp.asarray(value)
+        number = number.astype(float) if number.dtype.kind in "iu" else number
+        single = number.shape == () and jnp.issubdtype(number.dtype, jnp.floating)
+    except (TypeError, ValueError):
+        number, single = jnp.zeros(()), False
+    if not single:
+        array = f"an array of shape {np.shape(value)}" if hasattr(value, "dtype") else short(value)
+        raise WrongUse(f"{name} must return one real number, not {array}")
+    return number
 
 
 def mean_step_length(tolerance: float | None, walker: Any, gait: Gait) -> Scalar | float:

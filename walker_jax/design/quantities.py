@@ -142,8 +142,8 @@ def measure(
     options |= {"directions": directions, "strides": strides}
     how: Any = check_options(walker, quantity, options) | {"tolerance": tolerance}
     if callable(quantity):
-        name = "function"
-        return measure_gait(walker, name, numbers, gait, tolerance, {name: quantity})
+        function = {"quantity": quantity}
+        return measure_gait(walker, "quantity", numbers, gait, tolerance, function)
     if quantity in SIZES:
         axes = len(how["grid"].names)
         if axes != SIZES[quantity] and quantity != "basin-stability":
