@@ -466,7 +466,7 @@ def test_wrong_arguments_are_refused():
         wj.measure(walker, "area", ["slope"], grid=SECTION, levels=-1)
     with pytest.raises(ValueError, match="strides must be at least 1"):
         wj.measure(walker, "area", ["slope"], grid=SECTION, strides=0)
-    with pytest.raises(ValueError, match="grid must have the 2 dimensions"):
+    with pytest.raises(ValueError, match="grid must have 2 axes for area, not 1"):
         wj.measure(walker, "area", ["slope"], grid=wj.Grid.plain(theta=(0, 1, 5)))
     for bands in [(0.0,), (1e-4, 1e-4), (np.inf,)]:
         with pytest.raises(ValueError, match="bands must be a number above 0 for each parameter"):

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import walker_jax as wj
 from walker_jax.design.measures import Measure, measures_known
+from walker_jax.gaits.search import search_gait
 
 
 def all_measures(
     walker: wj.System, parameters: Sequence[str] = (), gait: wj.Gait | None = None
 ) -> dict[str, Measure]:
-    gait = wj.find_gait(walker) if gait is None else gait
+    gait = search_gait(walker) if gait is None else gait
     return {name: wj.measure(walker, name, parameters, gait) for name in measures_known(walker)}
