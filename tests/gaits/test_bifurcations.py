@@ -7,7 +7,7 @@ from simplest_gaits import REGION, walker
 
 import walker_jax as wj
 from walker_jax.gaits import branch_search, crises, long_runs
-from walker_jax.gaits.arclength import correct
+from walker_jax.gaits.arclength import correct_point
 from walker_jax.gaits.branches import Branch
 from walker_jax.gaits.continuation import Start
 from walker_jax.walking.iteration import WalkEnd
@@ -117,7 +117,7 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
         return np.stack([x, 0.3 * x[::-1]], axis=1)
 
     def solve_at(walker, parameter, guesses, tolerance):
-        points = [done_with(henon, correct(a, x, None, 1.0)) for a, x in guesses]
+        points = [done_with(henon, correct_point(a, x, None, 1.0)) for a, x in guesses]
         return [point and point.cycle for point in points]
 
     monkeypatch.setattr("walker_jax.gaits.branch_search.solve_at", solve_at)

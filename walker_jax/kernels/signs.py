@@ -1,4 +1,4 @@
-"""Arithmetic with signs apart from numbers, so that hardly a number is negated.
+"""Arithmetic that propagates signs apart from numbers, to avoid negations.
 
 Derivatives are full of signs, as that of a cosine is the negative of a sine. Here a sign passes
 through products and sums until it makes a sum a difference. Results are the same to the bit, but

@@ -25,7 +25,7 @@ from walker_jax.checks import (
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
-from walker_jax.identity import AsItIs
+from walker_jax.identity import FunctionByCode
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import check_single
@@ -105,7 +105,7 @@ def walk_disturbed(
     while len(active) and done < limit:
         count = min(STRIDES_PER_CALL, limit - done)
         own = keys[pad_to_power_of_two(active)]
-        drawn = np.asarray(draw(AsItIs(ground), own, done, count))[: len(active)]
+        drawn = np.asarray(draw(FunctionByCode(ground), own, done, count))[: len(active)]
         part = map_cells(
             follow_disturbed_walk,
             (walker, end.state[active], drawn.astype(states.dtype), integrator),

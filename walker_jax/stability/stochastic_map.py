@@ -336,19 +336,19 @@ def solve_chain(
     count = len(chain.indptr) - 1
     backward = chain.T.tocsr()
     survival, distribution = largest_eigenvector(backward, count)
-    _, promise = largest_eigenvector(chain, count)
-    promise = promise / (distribution @ promise)
+    _, right_eigenvector = largest_eigenvector(chain, count)
+    right_eigenvector = right_eigenvector / (distribution @ right_eigenvector)
     if 1 - survival < SETTLED:  # nothing falls: 1 to rounding
         return 1.0, distribution, np.full(count, np.inf)
     life = survival / (1 - survival)
-    source = chain @ np.ones(len(promise)) - survival * promise
-    rest = np.zeros_like(promise)
+    source = chain @ np.ones(len(right_eigenvector)) - survival * right_eigenvector
+    rest = np.zeros_like(right_eigenvector)
     for _ in range(MAX_ITERATIONS):
         former, rest = rest, source + chain @ rest
-        rest = rest - (distribution @ rest) * promise
+        rest = rest - (distribution @ rest) * right_eigenvector
         if np.abs(rest - former).max() <= SETTLED * life:
             break
-    return survival, distribution, life * promise + rest
+    return survival, distribution, life * right_eigenvector + rest
 
 
 def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.ndarray, " cells"]]:
