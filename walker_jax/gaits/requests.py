@@ -36,8 +36,7 @@ class SecondOrderRequest(NamedTuple):
 
 
 Task = Generator[Any, Any, Any]
-"""A generator that yields a `Request`, a `SecondOrderRequest` or `Curves`, and receives derivatives.
-"""
+"""A generator that yields a `Request`, a `SecondOrderRequest` or `Curves`, and gets derivatives."""
 
 
 def run_batched(tasks: Sequence[Task], compute: Callable[[list[Any]], list[Any]]) -> list[Any]:
