@@ -137,7 +137,7 @@ class Expansion(Interpreter):
         finally:
             self.source = caller
 
-    def keep(self, equation, operands: list[Series]) -> list[Series]:
+    def default_rule(self, equation, operands: list[Series]) -> list[Series]:
         """Evaluate a primitive without a rule; raise if an operand varies with time."""
 
         def rule(k, operands, bind):

@@ -102,8 +102,8 @@ class Signed(Unrolling):
             return 2, "", super().identity(entry.of)
         return super().identity(entry)
 
-    def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        return super().keep(equation, list(map(self.all_computed, operands)))
+    def default_rule(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        return super().default_rule(equation, list(map(self.all_computed, operands)))
 
     # Rules: (primitive, parameters, operands, types) -> result.
 
