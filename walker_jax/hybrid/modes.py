@@ -86,6 +86,11 @@ class Guard(NamedTuple):
     """The function whose zero defines the event for derivatives, by default `value`. It differs
     from that where a parameter moves the event, but not `value`."""
 
+    @property
+    def always_begins_below(self) -> bool:
+        """Whether it is below zero in every mode that is followed, as it ends others at once."""
+        return self.at_once and not self.admits
+
     def admitted(self, state: Any) -> Bool[Array, ""]:
         """Return whether a rise in a state counts."""
         counts = jnp.asarray(True)
@@ -94,7 +99,7 @@ class Guard(NamedTuple):
         return counts
 
 
-class Foregone(NamedTuple):
+class EarlyExit(NamedTuple):
     """A sufficient condition for a mode to end in one way: it need not be followed any further."""
 
     holds: Callable[[Any], Bool[Array, ""]]
@@ -111,7 +116,7 @@ class Mode(NamedTuple):
     guards: tuple[Guard, ...]
     """The earliest rise ends the mode; of rises at the same time, the first guard's counts."""
     conditions: tuple[Condition, ...] = ()
-    foregone: Foregone | None = None
+    foregone: EarlyExit | None = None
     rates_at: Callable[[Any], Any] | None = None
     """The time derivative of a single state, where `field` is no function."""
     as_smooth: bool = False

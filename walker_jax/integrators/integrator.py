@@ -207,6 +207,10 @@ class Method(eqx.Module):
         where = lambda s: (s.root_finder.rtol, s.root_finder.atol, s.root_finder.norm)
         return eqx.tree_at(where, solver, (self.tolerance, self.tolerance, optimistix.max_norm))
 
+    def in_reverse(self) -> "Method":
+        """Return the method whose steps reverse mode transposes."""
+        return eqx.tree_at(lambda one: one.limits.in_reverse, self, True)
+
     def begin(self, state: PyTree) -> Memory:
         """Return the memory for the first step, of the same types as those after steps."""
         solver, control, series = self.solver, (), None
@@ -345,7 +349,8 @@ class Method(eqx.Module):
         """
         method, state = stop_gradients((self, state))
         if isinstance(method.solver, Taylor):
-            return function_series(function, solution_series(method.field, state, order))
+            known = solution_series(method.field, state, order)
+            return function_series(function, usable_series(method.field, known))
         known, along = [state], lambda state: state
         for k in range(1, order + 1):
             along = lambda state, last=along: jax.jvp(last, (state,), (method.field(state),))[1]

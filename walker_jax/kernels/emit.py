@@ -190,7 +190,7 @@ class LLVMEmitter(Unrolling):
             self.alternatives[id(result)] = (result, *operands)
         return result
 
-    def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    def default_rule(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive = equation.primitive
         if equation.effects or primitive.name.endswith("callback"):
             # An effect would happen once, while the program is emitted.
@@ -198,7 +198,7 @@ class LLVMEmitter(Unrolling):
         by_xla = primitive.name != "cond" and not implemented_in_jax(primitive)
         if by_xla and self.all_known(operands):
             with contextlib.suppress(TypeError):  # a random key has no numerical value
-                return super().keep(equation, operands)
+                return super().default_rule(equation, operands)
         if primitive.name in ARRAY_RULES:
             return ARRAY_RULES[primitive.name](self, equation, operands)
         inner = self.inner(equation)

@@ -11,16 +11,16 @@ from jaxtyping import Float, Int
 from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.edge_states import EdgeState, edge_state, fate_of
-from walker_jax.basins.runs import label_of
+from walker_jax.basins.runs import attractors_of, fates_of, label_of
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
-from walker_jax.entropies import BOX, basin_entropy
 from walker_jax.execution.progress import bar, track
+from walker_jax.fractals.entropies import BOX, basin_entropy
+from walker_jax.fractals.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.systems.outcomes import OUTCOMES, Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System, check_single
-from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 
 NO_REGION = (Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells in no region, as no walk is known. Cells that are not feasible starts are in none
@@ -66,9 +66,7 @@ def boundary(
     - `grid`: region or slice, and its cells, which are followed directly.
     - `side`: cells along a side of the boxes of `basin_entropy`.
     - `radius`: as in `merge_regions`, in cells.
-    - `strides`: number of strides for which a walker is followed.
-    - `tolerance`: of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal, after a second.
+    - `strides`, `tolerance`, `progress`: as in `refine`.
 
     **Returns** the data set of `basin`, and
 
@@ -157,16 +155,6 @@ def label_regions(walker: System, grid: Grid, data: xr.Dataset) -> Int[np.ndarra
     if data.sizes["number"]:
         known &= ~unmatched_cells(fate, attractor)
     return np.where(known, label_of(fate, attractor), -1)
-
-
-def fates_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-    """Return the fates of regions."""
-    return np.where(labels < OUTCOMES, labels, int(Outcome.STRIDE))
-
-
-def attractors_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-    """Return the attractors of regions; -1 for failures."""
-    return np.where(labels < OUTCOMES, -1, labels - OUTCOMES)
 
 
 def region_name(data: xr.Dataset, fate: int, attractor: int) -> str:

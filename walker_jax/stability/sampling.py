@@ -4,8 +4,8 @@ The same starts also show the way back: the number of strides, also per unit of 
 the sizes of disturbances that the walker survives. The terms are those of the stability quantifiers
 of Attractors.jl, but three definitions differ. Means here are over the starts that return; there,
 sums over these are divided by the weight of all starts. The size of a disturbance here is its
-distance from the nearest state of the gait; there, by default, from the centroid of the states. A
-start at the gait has no pace here; there, up to a distance, it has a pace of zero.
+distance from the nearest state of the gait; there, by default, from the centroid of the states. The
+pace is undefined here at zero disturbance; there, up to a distance, it is zero.
 """
 
 from __future__ import annotations
@@ -120,8 +120,7 @@ def basin_stability(
     - `strides`: number of strides in which a walker may come that close, or enter the gait's
       capture box, from which all walkers converge to it.
     - `confidence`: of the interval.
-    - `seed`: of random numbers.
-    - `tolerance`: of the integration, as in `stride`.
+    - `seed`, `tolerance`: as in `refine`.
 
     Raises `ValueError` for a single walker without a stable gait, and for arguments out of range.
     """

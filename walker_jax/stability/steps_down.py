@@ -1,24 +1,19 @@
 """Steps down of the ground, and the least one from which a walker does not return to its gait."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jax.core import Tracer
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import WrongUse, check_number, refuses_tracers, short
+from walker_jax.checks import refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
-from walker_jax.integrators.roots import Real
 from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait
 from walker_jax.stability.rays import FINE, bisect, first_failures, scan
-from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.iteration import strides as take_strides
@@ -45,31 +40,6 @@ class LeastStepDown(NamedTuple):
 
 NO_STEP_DOWN = LeastStepDown(np.nan, np.full(4, np.nan), 0, Outcome.UNDECIDED, 0)
 """Result where no step down is known."""
-
-
-def step_down(
-    walker: HybridSystem,
-    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
-    drop: Real,
-    *,
-    tolerance: Real | None = None,
-) -> Stride:
-    """Make one stride whose heel strike is on ground lower by `drop`, which is not negative.
-
-    It is `stride(walker, x, step=-drop)`; `drop` is in the unit of length.
-
-    ```python
-    walker = wj.SimplestWalker(0.004)
-    end = wj.step_down(walker, wj.find_gait(walker).states[0], 0.001)
-    end.state  # a full state: the feet stand at different heights
-    ```
-    """
-    if not isinstance(drop, Tracer):
-        check_number("drop", drop)
-        if not 0 <= drop < np.inf:
-            raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
-    step = -drop if isinstance(drop, Tracer) else -float(drop)
-    return stride(walker, x, step=step, tolerance=tolerance)
 
 
 @refuses_tracers()
@@ -114,7 +84,7 @@ def least_step_down(
     beyond = end(states[phase], BEYOND * height)
     first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
-    down = step_down(walker, states[phase], height, tolerance=tolerance)
+    down = stride(walker, states[phase], step=-height, tolerance=tolerance)
     return LeastStepDown(height, np.asarray(down.state), phase, failure, made)
 
 

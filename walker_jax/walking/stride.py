@@ -91,7 +91,8 @@ def stride(
       (theta, phi, thetadot, phidot), for a launch or after a push. A full state is feasible if it
       is finite and the stance leg stands, |theta| < pi/2.
     - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
-      length; by default 0. The swing foot comes down there ahead of the other, with a straight
+      length; by default 0. It is negative for a step down, as in `stride(walker, x, step=-0.001)`.
+      The swing foot comes down there ahead of the other, with a straight
       knee; if it does not rise that high, the walker falls. Scuffing is judged by the present
       level. The result's state is then a full state, just after heel strike and off the section, as
       one foot is lower. `stride` takes it from there, on a slope through the standing foot.
