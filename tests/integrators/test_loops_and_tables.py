@@ -4,6 +4,8 @@ The stiffness of an oscillator's spring changes at two knots, where its force ha
 starts anew at each of them. Its speed solves Kepler's equation, by eight turns of its iteration.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,19 +49,20 @@ class Oscillator(wj.HybridSystem):
         return {"flow": wj.Mode(field, (wj.Guard(lambda state: state["time"] - TIME, wj.SECTION),))}
 
 
+def rate(e, force, stiffness, _, x):
+    speed = x[1]
+    for _ in range(TURNS):
+        speed = x[1] + e * np.sin(speed)
+    return [speed, -force - stiffness * x[0] - x[1] / 5]
+
+
 def by_scipy(values):
     """The state after `TIME`, from q, v, the eccentricity and both knots."""
     x, e, knots = values[:2], values[2], values[3:]
     place, time, kinks = int(np.searchsorted(knots, x[0])), 0.0, 0
     forces = np.asarray(offsets(knots))
     while time < TIME:
-
-        def rate(_, x, place=place):
-            speed = x[1]
-            for _ in range(TURNS):
-                speed = x[1] + e * np.sin(speed)
-            return [speed, -forces[place] - STIFFNESS[place] * x[0] - x[1] / 5]
-
+        field = partial(rate, e, forces[place], STIFFNESS[place])
         events = []
         for knot, direction in ((place - 1, -1), (place, 1)):
             if 0 <= knot < len(knots):
@@ -67,7 +70,7 @@ def by_scipy(values):
                 event.terminal, event.direction = True, direction
                 events.append(event)
         how = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15, "events": events}
-        found = solve_ivp(rate, (time, TIME), x, **how)
+        found = solve_ivp(field, (time, TIME), x, **how)
         time, x = found.t[-1], found.y[:, -1]
         for event, at in zip(events, found.t_events, strict=True):
             place, kinks = place + event.direction * len(at), kinks + len(at)

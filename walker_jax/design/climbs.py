@@ -66,8 +66,9 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
 def with_highest(trace: Trace, run: int, stage: int, found: Climb) -> Climb:
     """Return a climb that was cut within a step with the highest place measured in that step."""
     best = found.best
-    for row in trace.rows_of(run, stage) if best is not None else ():
-        best = row if is_higher(trace.problem, best, row) else best
+    if best is not None:
+        for row in trace.rows_of(run, stage):
+            best = row if is_higher(trace.problem, best, row) else best
     return found._replace(best=best)
 
 
