@@ -98,7 +98,7 @@ def test_with_enough_time_nothing_is_left_out(clock):
     assert {"scan_value", "fate_start"} <= {*found} and {-2, -1} < {*found.stage.values.tolist()}
 
 
-def test_the_ends_the_scan_and_the_basins_have_a_third_more(clock, monkeypatch):
+def test_ends_scan_and_basins_have_a_third_more(clock, monkeypatch):
     """A climb that converges leaves them what it did not use; without time they are left out."""
     monkeypatch.setattr("walker_jax.execution.threads.cores", lambda: 1)
     _, climbed = optimum_within(clock, None)

@@ -174,7 +174,7 @@ def test_the_nearest_of_rays_is_found_as_if_all_were_followed(count):
 
 
 @pytest.mark.parametrize(("scale", "share"), [(0.04, 0.5), (1.0, 0.8), (30.0, 0.96)])
-def test_a_scan_outwards_finds_the_nearest_as_one_of_all_distances(scale, share):
+def test_a_scan_outwards_finds_the_nearest_of_all(scale, share):
     """Bit by bit, from fewer points; farther failures are left out."""
     rays, followed = spread_directions(2, 720), []
 
