@@ -10,6 +10,7 @@ from optima import FEW, SLOPES, WALKER
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.cli.optimise_command import optimum_in_words
 from walker_jax.design.budget import Budget
 from walker_jax.design.evaluation import ENDS_STAGE, Evaluation
 from walker_jax.design.optimisation import optimise
@@ -125,6 +126,8 @@ def test_results_without_all_their_parts_are_told_and_drawn(clock):
     assert found.start.item() == found.optimum.item() == 0.004
     answer = summarise_optimum(found)
     assert answer["first_seconds"] == FIRST and answer["out_of_time"]
+    told = "\n".join(optimum_in_words(WALKER, answer, "speed"))
+    assert "out of time after a first measurement of 12 s: the same command goes on" in told
     assert [one.best for one in runs(found, "slope")] == [True]
     figures.optimum(found)
     again, took = optimum_within(clock, 30.0, known=found)
