@@ -32,6 +32,9 @@ from walker_jax.design.sweeps import sweep as sweep
 from walker_jax.entropies import BasinEntropy as BasinEntropy
 from walker_jax.entropies import basin_entropy as basin_entropy
 from walker_jax.explorer.notebook import explore as explore
+from walker_jax.fitting.fits import fit as fit
+from walker_jax.fitting.reading import read_recordings as read_recordings
+from walker_jax.fitting.results import Fit as Fit
 from walker_jax.fractals import Dimension as Dimension
 from walker_jax.fractals import Uncertainty as Uncertainty
 from walker_jax.fractals import box_counting as box_counting
