@@ -20,6 +20,8 @@ UNITS = {
 """Sizes of units, in rad, seconds and metres."""
 LARGEST_ANGLE = np.pi
 """No leg turns so far within a step (rad): larger numbers are degrees, or counts of an encoder."""
+ANGLES = "theta", "phi", "knee"
+"""Names that walkers have for angles."""
 JUMP = 8.0
 """A change between samples is a heel strike if it is so many times as large as any of the changes
 just before and after it, and at least a `SHARE` of the column's range."""
@@ -81,7 +83,7 @@ def make_recording(
         raise WrongUse("columns must name one coordinate or more, not none", of="columns")
     for name, one in known.items():
         largest = np.nanmax(np.abs(one))
-        if not name.endswith("dot") and largest > LARGEST_ANGLE:
+        if name in ANGLES and largest > LARGEST_ANGLE:
             raise WrongUse(
                 f"columns must be in rad, but {name} reaches {largest:.4g}: give its unit, such as "
                 f"units={{{name!r}: 'deg'}}",

@@ -27,6 +27,9 @@ from walker_jax.systems.html_tables import html_table
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.walkers.parameters import describe_source, with_values
 
+AT_BOUND = 1e-6
+"""A parameter is at its bound if it moves so little with the variable of the search, relative to
+the one that moves most."""
 predicted_jit = jax.jit(predicted, static_argnums=0)
 
 
@@ -80,12 +83,14 @@ class Fit:
     def sample(self, count: int, seed: int = 0) -> Float[np.ndarray, "draws parameters"]:
         """Draw parameters from the normal distribution of their errors, kept within bounds.
 
-        It is normal in the variables without bounds that the search uses.
+        It is normal in the variables without bounds that the search uses. Parameters without
+        information stay as they are.
         """
         middle = np.array([*self.parameters.values()])
         free = to_free(middle, self.bounds)
         rates = np.asarray(slopes(free, self.bounds))
-        spread = root_of(self.covariance / np.outer(rates, rates))
+        covariance = np.where(np.isfinite(self.covariance), self.covariance, 0)
+        spread = root_of(covariance / np.outer(rates, rates))
         noise = np.random.default_rng(seed).normal(size=(count, len(middle)))
         return np.asarray(jax.vmap(from_free, (0, None))(free + noise @ spread.T, self.bounds))
 
@@ -123,7 +128,9 @@ def fit_of(
     """Return the result of a search."""
     names, values = layout.names, np.asarray(solved.motion.values)
     rates = np.asarray(slopes(solved.unknowns.free, data.bounds))
-    root = information(np.asarray(solved.jacobian), len(names)) / rates
+    # At a bound the recordings say nothing: the search would go on, but for the bound.
+    moving = np.where(np.abs(rates) > AT_BOUND * np.max(np.abs(rates)), rates, np.inf)
+    root = information(np.asarray(solved.jacobian), len(names)) / moving
     sizes = np.where(values == 0, 1, np.abs(values))
     covariance, directions = covariance_and_directions(root, names, sizes)
     errors = np.sqrt(np.diag(covariance)).tolist()

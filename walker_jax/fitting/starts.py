@@ -12,11 +12,15 @@ from jaxtyping import Float
 from walker_jax.checks import WrongUse
 from walker_jax.fitting.steps import Steps
 from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.walking.stride import first_of, modes_from
 
 SHARE = 0.25
 """Share of a step's duration, from its start, over which a quadratic gives value and rate."""
 FEWEST = 4
 """Samples that a quadratic is fitted to, at least; a step with fewer has a straight line."""
+TURNS = 5
+"""Turns of Gauss's and Newton's method from columns and rates to a point of the section, which is
+nearly linear in them."""
 MISMATCH = 0.3
 """Columns are taken for swapped if they are off the section by this share of their size, and
 swapped by a quarter of that."""
@@ -50,18 +54,34 @@ def values_at_start(steps: Steps) -> tuple[Float[np.ndarray, "2 steps columns"],
 def first_starts(
     system: HybridSystem, columns: Sequence[str], steps: Steps
 ) -> Float[np.ndarray, "steps section"]:
-    """Guess starts on the section, from the columns and their rates at the start of each step."""
+    """Guess starts on the section, whose columns and their rates are nearest to the recorded ones."""
     values, rates = values_at_start(steps)
     check_columns(system, columns, values)
-    known = {f"{name}dot": rates[:, k] for k, name in enumerate(columns)}
-    known |= {name: values[:, k] for k, name in enumerate(columns)}
-    if missing := [name for name in system.section if name not in known]:
+    places = jnp.asarray([names_of_state(system).index(name) for name in columns])
+
+    def seen(x):
+        """Return the columns and their rates at the start x."""
+        start = system.launch(x)
+        rates = first_of(modes_from(system, x)).rates(start)
+        numbers = (jnp.stack(jax.tree.leaves(one)) for one in (start, rates))
+        return jnp.concatenate([one[places] for one in numbers])
+
+    @jax.jit
+    @jax.vmap
+    def find(aims):
+        x = jnp.zeros(len(system.section))
+        for _ in range(TURNS):
+            x = x - jnp.linalg.lstsq(jax.jacfwd(seen)(x), seen(x) - aims)[0]
+        return x, jnp.linalg.matrix_rank(jax.jacfwd(seen)(x))
+
+    starts, ranks = map(np.asarray, find(np.concatenate([values, rates], axis=1)))
+    if ranks.max() < len(system.section):
         raise WrongUse(
-            f"starts must be given: {missing[0]} of {system.label()} is neither recorded nor the "
-            "rate of what is",
+            f"starts must be given: {', '.join(columns)} and their rates tell no point of the "
+            f"section, {', '.join(system.section)}",
             of="starts",
         )
-    return np.stack([known[name] for name in system.section], axis=1)
+    return starts
 
 
 def check_columns(
