@@ -33,6 +33,8 @@ from walker_jax.entropies import BasinEntropy as BasinEntropy
 from walker_jax.entropies import basin_entropy as basin_entropy
 from walker_jax.explorer.notebook import explore as explore
 from walker_jax.fitting.fits import fit as fit
+from walker_jax.fitting.propagation import Propagated as Propagated
+from walker_jax.fitting.propagation import propagate as propagate
 from walker_jax.fitting.reading import read_recordings as read_recordings
 from walker_jax.fitting.results import Fit as Fit
 from walker_jax.fractals import Dimension as Dimension

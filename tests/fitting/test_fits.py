@@ -25,17 +25,24 @@ def ball():
     """A recording of a ball with noise, and the fits of its parameters."""
     recordings = record_ball(noise=NOISE)
     fit = lambda **options: wj.fit(
-        GUESS, recordings, ["gravity", "restitution"], noise=BALL_NOISE, shooting="single", **options
+        GUESS,
+        recordings,
+        ["gravity", "restitution"],
+        noise=BALL_NOISE,
+        shooting="single",
+        **options,
     )
     return recordings, fit
 
 
 @pytest.mark.parametrize("shooting", ["multiple", "single"])
 def test_exact_recordings_give_back_the_parameters(shooting):
-    found = wj.fit(
-        GUESS, record_ball(), "gravity", noise=BALL_NOISE, shooting=shooting
-    ) if shooting == "multiple" else wj.fit(
-        GUESS, record_ball(), ["gravity", "restitution"], noise=BALL_NOISE, shooting=shooting
+    found = (
+        wj.fit(GUESS, record_ball(), "gravity", noise=BALL_NOISE, shooting=shooting)
+        if shooting == "multiple"
+        else wj.fit(
+            GUESS, record_ball(), ["gravity", "restitution"], noise=BALL_NOISE, shooting=shooting
+        )
     )
     expected = {"gravity": GRAVITY, "restitution": 0.9}
     for name, value in found.parameters.items():
@@ -112,9 +119,8 @@ def test_noise_that_is_not_given_is_found(ball):
     assert found.parameters["gravity"] == pytest.approx(fit().parameters["gravity"], rel=1e-3)
 
 
-def test_bootstrap_agrees_with_the_jacobian(ball):
-    """Over runs of linked steps there is one run here; over free steps the spread is the error."""
-    recordings, _ = ball
+def test_bootstrap_agrees_with_the_jacobian():
+    """Resampled steps spread as far as the error says, within the chance of 20 steps."""
     many = record_ball(20, noise=NOISE, restitution=0.97, seed=3)
     found = wj.fit(GUESS, many, "gravity", noise=BALL_NOISE, bootstrap=100, seed=1)
     assert found.draws.shape == (100, 1) and np.isfinite(found.draws).all()
@@ -125,7 +131,7 @@ def test_bootstrap_agrees_with_the_jacobian(ball):
 
 def test_a_prior_and_a_recording_are_weighed_by_their_errors(ball):
     """For a nearly linear problem the posterior mean is that of two normal distributions."""
-    recordings, fit = ball
+    _, fit = ball
     alone = fit()
     mean, deviation = alone.parameters["gravity"] + 0.01, alone.errors["gravity"]
     both = fit(priors={"gravity": (mean, deviation)})
@@ -240,7 +246,9 @@ def test_covariance_is_that_of_linear_regression():
 
 
 def test_changes_of_variables_are_inverse_to_each_other():
-    bounds = Bounds(jnp.array([-jnp.inf, 1.0, -jnp.inf, 2.0]), jnp.array([jnp.inf, jnp.inf, 3.0, 4.0]))
+    bounds = Bounds(
+        jnp.array([-jnp.inf, 1.0, -jnp.inf, 2.0]), jnp.array([jnp.inf, jnp.inf, 3.0, 4.0])
+    )
     values = jnp.array([-7.0, 1.5, 2.0, 3.9])
     free = to_free(values, bounds)
     np.testing.assert_allclose(from_free(free, bounds), values, rtol=1e-14)

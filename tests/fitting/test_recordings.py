@@ -52,7 +52,7 @@ def test_a_pandas_table_is_read():
 
 
 def test_heel_strikes_are_found_where_a_coordinate_jumps():
-    """Half-way between two samples, so within half of the time between them; noise finds no more."""
+    """Half-way between two samples; noise finds no more."""
     noisy = THETA + 1e-3 * np.random.default_rng(0).normal(size=len(THETA))
     (found,) = wj.read_recordings({"time": TIME, "theta": noisy})
     assert found.strikes.shape == STRIKES.shape
@@ -61,9 +61,7 @@ def test_heel_strikes_are_found_where_a_coordinate_jumps():
 
 def test_units_are_words_or_sizes():
     given = {"time": 1e3 * TIME, "theta": -2 * THETA}
-    (found,) = wj.read_recordings(
-        given, units={"time": "ms", "theta": -0.5}, strikes=1e3 * STRIKES
-    )
+    (found,) = wj.read_recordings(given, units={"time": "ms", "theta": -0.5}, strikes=1e3 * STRIKES)
     np.testing.assert_allclose(found.time, TIME, rtol=1e-14)
     np.testing.assert_allclose(found.values["theta"], THETA, rtol=1e-14)
     np.testing.assert_allclose(found.strikes, STRIKES, rtol=1e-14)

@@ -44,7 +44,9 @@ class Ball(wj.HybridSystem):
             return Flight(y.velocity, push - fall, jnp.ones_like(y.clock))
 
         bounce = lambda y: y._replace(velocity=-self.restitution * y.velocity)
-        return {"flight": wj.Mode(field, (wj.Guard(lambda y: -y.height, wj.SECTION, reset=bounce),))}
+        return {
+            "flight": wj.Mode(field, (wj.Guard(lambda y: -y.height, wj.SECTION, reset=bounce),))
+        }
 
 
 GRAVITY, SPEED = 9.81, 5.0
@@ -57,16 +59,22 @@ def bounces(count: int, restitution: float | np.ndarray = 0.9) -> tuple[np.ndarr
     return np.append(0, np.cumsum(2 * speeds / GRAVITY)), speeds
 
 
-def record_ball(count: int = 6, noise: float = 0.0, seed: int = 0, restitution: Any = 0.9, **changes):
+def record_ball(
+    count: int = 6, noise: float = 0.0, seed: int = 0, restitution: Any = 0.9, **changes
+):
     """Record heights of a ball over bounces, in closed form, at 40 samples a second."""
     random = np.random.default_rng(seed)
     strikes, speeds = bounces(count, restitution)
     times = np.arange(0.0125, strikes[-1], 0.025)
     number = np.searchsorted(strikes, times) - 1
     after = times - strikes[number]
-    heights = speeds[number] * after - GRAVITY * after**2 / 2 + noise * random.normal(size=len(times))
+    heights = (
+        speeds[number] * after - GRAVITY * after**2 / 2 + noise * random.normal(size=len(times))
+    )
     samples = {"time": times, "height": heights} | changes
-    return wj.read_recordings(samples, ["height"], strikes=strikes + noise * random.normal(size=count + 1))
+    return wj.read_recordings(
+        samples, ["height"], strikes=strikes + noise * random.normal(size=count + 1)
+    )
 
 
 def record_walk(walker, steps=6, spacing=0.2, noise=0.0, seed=0, disturbed=1.002):

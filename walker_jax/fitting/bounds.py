@@ -4,7 +4,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+AT_BOUND = 1e-6
+"""A value is at its bound where it moves so little with the variable of the search, relative to
+half the distance of two bounds."""
 
 
 class Bounds(NamedTuple):
@@ -32,6 +37,18 @@ def from_free(u: Float[Array, " parameters"], bounds: Bounds) -> Float[Array, " 
 def slopes(u: Float[Array, " parameters"], bounds: Bounds) -> Float[Array, " parameters"]:
     """Return the derivatives of `from_free`, each by its own number."""
     return jax.jvp(lambda at: from_free(at, bounds), (u,), (jnp.ones_like(u),))[1]
+
+
+def moving(
+    u: Float[Array, " parameters"], bounds: Bounds
+) -> tuple[Float[np.ndarray, " parameters"], Bool[np.ndarray, " parameters"]]:
+    """Return the slopes, 1 at bounds, and whether each value is away from its bounds."""
+    rates = np.asarray(slopes(u, bounds))
+    both = np.isfinite(bounds.low) & np.isfinite(bounds.high)
+    with np.errstate(invalid="ignore"):
+        widths = np.where(both, np.subtract(bounds.high, bounds.low) / 2, 1.0)
+    away = np.abs(rates) > AT_BOUND * widths
+    return np.where(away, rates, 1.0), away
 
 
 @jax.jit

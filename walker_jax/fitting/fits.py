@@ -71,7 +71,8 @@ def fit(
     times, state = 0.1 * np.arange(76), wj.find_gait(walker).states[0]
     theta = wj.trajectory(walker, state, times, strides=3).theta
     recordings = wj.read_recordings({"time": times, "theta": theta}, strikes=[0.0, 3.8825, 7.7649])
-    found = wj.fit(wj.SimplestWalker(0.008), recordings, "slope", noise={"theta": 1e-3, "time": 1e-3})
+    noise = {"theta": 1e-3, "time": 1e-3}
+    found = wj.fit(wj.SimplestWalker(0.008), recordings, "slope", noise=noise)
     found.parameters["slope"], found.errors["slope"]
     ```
 
@@ -121,7 +122,9 @@ def fit(
     layout = Layout(names, tuple(map(of_state.index, columns)), shooting == "single", loss)
     each = systems_of_steps(systems, recordings, steps, places, inputs or {})
     given, first = noise_of(columns, noise or {}, steps)
-    data = make_data(systems[0], each, steps, names, (first, strike_noise), bounds, priors, tolerance)
+    data = make_data(
+        systems[0], each, steps, names, (first, strike_noise), bounds, priors, tolerance
+    )
     begun = first_unknowns(systems[0], layout, columns, steps, data, starts)
     solved, data = search(layout._replace(single=False), begun, data, steps, given)
     if layout.single:
@@ -227,7 +230,10 @@ def make_data(
 ) -> Data:
     """Return the constants of the search."""
     known, middle = priors or {}, [float(value_of(system, name)) for name in names]
-    for name, argument in {**dict.fromkeys(known, "priors"), **dict.fromkeys(bounds or {}, "bounds")}.items():
+    for name, argument in {
+        **dict.fromkeys(known, "priors"),
+        **dict.fromkeys(bounds or {}, "bounds"),
+    }.items():
         if name not in names:
             raise WrongUse(f"{argument} must be of parameters that are fitted, not of {name!r}")
     prior = np.array([known.get(n, (m, np.inf)) for n, m in zip(names, middle, strict=True)]).T
@@ -253,7 +259,9 @@ def bounds_of(
     low, high = numbers("bounds", found).reshape(-1, 2).T
     for name, a, b, value in zip(names, low, high, middle, strict=True):
         if not a < value < b:
-            raise WrongUse(f"bounds must hold the first guess, {name} {value:.6g}, not {a:.6g} to {b:.6g}")
+            raise WrongUse(
+                f"bounds must hold the first guess, {name} {value:.6g}, not {a:.6g} to {b:.6g}"
+            )
     return Bounds(low, high)
 
 
@@ -265,14 +273,17 @@ def first_unknowns(
     data: Data,
     starts: Any,
 ) -> Unknowns:
-    """Return where the search begins; a step that fails from its own guess has that of one that walks."""
+    """Return where the search begins; a step that fails from its own guess has a typical one."""
     size = len(system.section)
     if starts is None:
         guesses = first_starts(system, columns, steps)
     else:
         guesses = numbers("starts", starts)
         if guesses.shape not in ((size,), (len(steps.run), size)):
-            raise WrongUse(f"starts must have shape ({size},) or ({len(steps.run)}, {size}), not {guesses.shape}")
+            raise WrongUse(
+                f"starts must have shape ({size},) or ({len(steps.run)}, {size}), "
+                f"not {guesses.shape}"
+            )
         guesses = np.broadcast_to(guesses, (len(steps.run), size))
     values = np.array([float(value_of(system, name)) for name in layout.names])
     free = np.asarray(to_free(jnp.asarray(values), data.bounds))

@@ -65,7 +65,9 @@ def read_recordings(
         table = columns_of(one)
         for part in split(table, None if experiment is None else check_name(table, experiment)):
             given = times_of(part, time, units or {}), part
-            found.append(one_recording(*given, columns, units or {}, strikes, inputs, experiment, time))
+            found.append(
+                one_recording(*given, columns, units or {}, strikes, inputs, experiment, time)
+            )
     return Recordings(found)
 
 
@@ -90,8 +92,8 @@ def one_recording(
     named = dict(columns) if isinstance(columns, Mapping) else {one: one for one in columns}
     if unknown := [*({*units} - {*named, *inputs, time})]:
         raise WrongUse(f"units must be of columns that are read, not of {unknown[0]!r}")
-    read = lambda name, column: numbers(column, table[check_name(table, column)]) * unit_of(
-        units, name
+    read = lambda name, column: (
+        numbers(column, table[check_name(table, column)]) * unit_of(units, name)
     )
     values = {name: read(name, column) for name, column in named.items()}
     return make_recording(at, values, strikes, {one: read(one, one) for one in inputs}, stance)

@@ -46,7 +46,7 @@ class Recordings(tuple[Recording, ...]):
     """Experiments; shown as a table of what was read."""
 
     def table(self) -> list[list[Any]]:
-        """Return a row for each column of each experiment: how many samples, gaps, and its range."""
+        """Return a row for each column of each experiment: samples, gaps, and its range."""
         rows = []
         for number, one in enumerate(self):
             steps = len(one.strikes) - 1
@@ -76,7 +76,7 @@ def make_recording(
     inputs: Mapping[str, Any] | None = None,
     stance: int = 0,
 ) -> Recording:
-    """Return a recording of arrays in the system's units, checked; heel strikes found if not given."""
+    """Return a recording of arrays in the system's units, checked, with its heel strikes."""
     time = check_time(numbers("time", time))
     known = {name: check_column(name, one, len(time)) for name, one in values.items()}
     if not known:
@@ -105,8 +105,8 @@ def check_time(time: Float[np.ndarray, "..."]) -> Float[np.ndarray, " samples"]:
     if (back := np.flatnonzero(np.diff(time) <= 0)).size:
         i = back[0] + 1
         raise WrongUse(
-            f"time must grow, but goes from {time[i - 1]:.6g} to {time[i]:.6g} at sample {i}: several "
-            "experiments in one file need experiment="
+            f"time must grow, but goes from {time[i - 1]:.6g} to {time[i]:.6g} at sample {i}: "
+            "several experiments in one file need experiment="
         )
     return time
 

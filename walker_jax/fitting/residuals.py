@@ -154,7 +154,9 @@ def step_residuals(
     finite = jnp.isfinite(found.values) & jnp.isfinite(jacobian).all(axis=-1)
     off = jnp.where(known, (found.values - recorded) / noise, 0)
     lost = jnp.where(known, LOST, 0.0)
-    rate = jax.vmap(jax.vmap(jax.grad(partial(standardise, layout.loss))))(jnp.where(finite, off, 0))
+    rate = jax.vmap(jax.vmap(jax.grad(partial(standardise, layout.loss))))(
+        jnp.where(finite, off, 0)
+    )
     used = (known & finite)[..., None]
     slopes = jnp.where(used, rate[..., None] * jacobian / noise[:, None], 0)
     root = jnp.sqrt(weight)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.stats import norm
 
 from walker_jax.checks import check_confidence
-from walker_jax.fitting.bounds import Bounds, from_free, slopes, to_free
+from walker_jax.fitting.bounds import Bounds, from_free, moving, to_free
 from walker_jax.fitting.resampling import resample
 from walker_jax.fitting.residuals import Data, Layout, predicted
 from walker_jax.fitting.solving import Solved
@@ -27,9 +27,6 @@ from walker_jax.systems.html_tables import html_table
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.walkers.parameters import describe_source, with_values
 
-AT_BOUND = 1e-6
-"""A parameter is at its bound if it moves so little with the variable of the search, relative to
-the one that moves most."""
 predicted_jit = jax.jit(predicted, static_argnums=0)
 
 
@@ -73,7 +70,9 @@ class Fit:
         else:
             middle, errors = np.array([*self.parameters.values()]), [*self.errors.values()]
             ends = middle[:, None] + np.outer(errors, norm.ppf(tails))
-        return {name: (float(a), float(b)) for name, (a, b) in zip(self.parameters, ends, strict=True)}
+        return {
+            name: (float(a), float(b)) for name, (a, b) in zip(self.parameters, ends, strict=True)
+        }
 
     def with_parameters(self, values: Any) -> Any:
         """Return the fitted system, or both, with other values of the fitted parameters."""
@@ -88,7 +87,7 @@ class Fit:
         """
         middle = np.array([*self.parameters.values()])
         free = to_free(middle, self.bounds)
-        rates = np.asarray(slopes(free, self.bounds))
+        rates, _ = moving(free, self.bounds)
         covariance = np.where(np.isfinite(self.covariance), self.covariance, 0)
         spread = root_of(covariance / np.outer(rates, rates))
         noise = np.random.default_rng(seed).normal(size=(count, len(middle)))
@@ -127,10 +126,9 @@ def fit_of(
 ) -> Fit:
     """Return the result of a search."""
     names, values = layout.names, np.asarray(solved.motion.values)
-    rates = np.asarray(slopes(solved.unknowns.free, data.bounds))
-    # At a bound the recordings say nothing: the search would go on, but for the bound.
-    moving = np.where(np.abs(rates) > AT_BOUND * np.max(np.abs(rates)), rates, np.inf)
-    root = information(np.asarray(solved.jacobian), len(names)) / moving
+    rates, away = moving(solved.unknowns.free, data.bounds)
+    # At a bound recordings tell nothing: without the bound the search would go on.
+    root = information(np.asarray(solved.jacobian), len(names)) * np.where(away, 1 / rates, 0)
     sizes = np.where(values == 0, 1, np.abs(values))
     covariance, directions = covariance_and_directions(root, names, sizes)
     errors = np.sqrt(np.diag(covariance)).tolist()

@@ -10,7 +10,15 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.fitting.residuals import Data, Layout, Motion, Unknowns, follow_steps, residuals, step_residuals
+from walker_jax.fitting.residuals import (
+    Data,
+    Layout,
+    Motion,
+    Unknowns,
+    follow_steps,
+    residuals,
+    step_residuals,
+)
 
 TOLERANCE = 1e-7
 """Change of the unknowns, in their standard deviations with all others fixed, that ends a search;
@@ -84,9 +92,7 @@ def polish_starts(
         def turn(_, known):
             x, cost, change = known
             variables = jnp.concatenate([x + change, begin[None], values])
-            found = step_residuals(
-                layout, size, variables, step, (data.noise, data.integrator)
-            )
+            found = step_residuals(layout, size, variables, step, (data.noise, data.integrator))
             now = jnp.sum(found.values**2)
             further = -jnp.linalg.lstsq(found.jacobian[:, :size], found.values)[0]
             better = now < cost

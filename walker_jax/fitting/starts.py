@@ -1,4 +1,4 @@
-"""First guesses of where steps start, from their samples; and checks that these are steps at all."""
+"""First guesses of where steps start, from their samples; checks that these are steps at all."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -54,7 +54,7 @@ def values_at_start(steps: Steps) -> tuple[Float[np.ndarray, "2 steps columns"],
 def first_starts(
     system: HybridSystem, columns: Sequence[str], steps: Steps
 ) -> Float[np.ndarray, "steps section"]:
-    """Guess starts on the section, whose columns and their rates are nearest to the recorded ones."""
+    """Guess starts on the section: columns and their rates are nearest to the recorded ones."""
     values, rates = values_at_start(steps)
     check_columns(system, columns, values)
     places = jnp.asarray([names_of_state(system).index(name) for name in columns])
@@ -108,8 +108,8 @@ def check_columns(
         swapped = [b if name == a else a if name == b else name for name in columns]
         if now > MISMATCH and off(swapped) < now / 4:
             raise WrongUse(
-                f"columns {a} and {b} must be swapped: as they are, steps do not begin on the section of "
-                f"{system.label()}",
+                f"columns {a} and {b} must be swapped: as they are, no step begins on the section "
+                f"of {system.label()}",
                 of="columns",
             )
 

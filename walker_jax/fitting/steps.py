@@ -78,7 +78,8 @@ def cut_steps(
         offset += len(one.time)
     if len(rows) < 2:
         raise WrongUse(
-            f"recordings must have two steps or more, from heel strike to heel strike, not {len(rows)}"
+            "recordings must have two steps or more, from heel strike to heel strike, not "
+            f"{len(rows)}"
         )
     most = max(len(row[0]) for row in rows)
     most = -(-most // SAMPLES_MULTIPLE) * SAMPLES_MULTIPLE
