@@ -189,7 +189,6 @@ def data_of(
             "parameter": list(layout.names),
         },
         {
-            "kind": "fit",
             **describe_source(system),
             "strike_noise": float(data.strike_noise),
             "sum_of_squares": float(solved.cost),
