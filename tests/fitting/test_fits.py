@@ -254,3 +254,11 @@ def test_changes_of_variables_are_inverse_to_each_other():
     np.testing.assert_allclose(from_free(free, bounds), values, rtol=1e-14)
     by_differences = (from_free(free + 1e-6, bounds) - from_free(free - 1e-6, bounds)) / 2e-6
     np.testing.assert_allclose(slopes(free, bounds), by_differences, rtol=1e-7)
+
+
+def test_recordings_with_a_wrong_sign_are_told():
+    """Backwards, no step of the walker begins."""
+    (one,) = record_walk(wj.SimplestWalker(0.009))
+    back = one._replace(values={name: -values for name, values in one.values.items()})
+    with pytest.raises(ValueError, match="none walks from its recorded start, such as"):
+        wj.fit(wj.SimplestWalker(0.009), back, "slope")

@@ -126,6 +126,26 @@ def test_a_file_with_a_short_row_is_told(tmp_path):
         wj.read_recordings(path)
 
 
+def test_parquet_without_a_reader_is_told(tmp_path, monkeypatch):
+    pandas = pytest.importorskip("pandas")
+
+    def fail(path):
+        raise ImportError("no pyarrow")
+
+    monkeypatch.setattr(pandas, "read_parquet", fail)
+    (tmp_path / "walk.parquet").touch()
+    with pytest.raises(ValueError, match="install pandas and pyarrow"):
+        wj.read_recordings(tmp_path / "walk.parquet")
+
+
+def test_parquet_is_read_as_pandas_reads_it(tmp_path, monkeypatch):
+    pandas = pytest.importorskip("pandas")
+    monkeypatch.setattr(pandas, "read_parquet", lambda path: pandas.DataFrame(SAMPLES))
+    (tmp_path / "walk.parquet").touch()
+    (found,) = wj.read_recordings(tmp_path / "walk.parquet", **READ)
+    np.testing.assert_allclose(found.values["theta"], THETA, rtol=1e-14)
+
+
 def test_words_in_a_file_are_gaps(tmp_path):
     path = tmp_path / "walk.csv"
     path.write_text("time,theta\n0,0.1\n0.1,lost\n0.2,0.3\n\n0.3,\n")

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import (
-    ComputationFailed,
     WrongUse,
     check_kind,
     check_number,
@@ -101,8 +100,9 @@ def fit(
     - `seed`: of the bootstrap.
     - `tolerance`: as in `stride`.
 
-    **Returns** a `Fit`. Raises `ValueError` for recordings that are not of steps of the system, and
-    `ComputationFailed` where the search does not end.
+    **Returns** a `Fit`, which is not `converged` where the search did not end, or ended at a system
+    that does not make all steps. Raises `ValueError` for recordings that are not of steps of the
+    system.
     """
     systems = check_systems(system)
     names = numbers_chosen(systems[0], parameters)
@@ -309,6 +309,4 @@ def search(
         noise = np.where(np.isnan(given), noise_left(layout, found, data, steps), given)
         data = data._replace(noise=noise)
         found = solve(layout, found.unknowns, data)
-    if not np.isfinite(found.cost):
-        raise ComputationFailed("the fit found no steps: give other first guesses of parameters")
     return found, data

@@ -116,11 +116,10 @@ def check_column(name: str, values: Any, count: int) -> Float[np.ndarray, " samp
     found = numbers(name, values)
     if found.shape != (count,):
         raise WrongUse(
-            f"{name} must have one number for each of {count} times, not shape {found.shape}",
-            of="columns",
+            f"{name} must have one number for each of {count} times, not shape {found.shape}"
         )
     if not np.isfinite(found).any():
-        raise WrongUse(f"{name} must have numbers, not NaN alone", of="columns")
+        raise WrongUse(f"{name} must have numbers, not NaN alone")
     return np.where(np.isfinite(found), found, np.nan)
 
 

@@ -91,7 +91,7 @@ def check_columns(
     names, section = names_of_state(system), system.section
     if not {name for name in section if not name.endswith("dot")} <= {*columns}:
         return
-    lift = jax.vmap(lambda x: jnp.stack(jax.tree.leaves(system.lift(x))))
+    lift = jax.vmap(lambda x: jnp.stack(jax.tree.leaves(system.launch(x))))
 
     def off(order: Sequence[str]) -> float:
         known = dict(zip(order, values.T, strict=True))
