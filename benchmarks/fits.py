@@ -27,12 +27,17 @@ from walker_jax.walkers.parameters import value_of, with_values
 jax.config.update("jax_enable_x64", True)
 
 NOISE, COUNT = 1e-3, 2 * np.pi / 4096
-DEVIATIONS = {"time": 1e-3}
+DEVIATIONS: dict[str, float] = {"time": 1e-3}
 CASES = {  # the walker, parameters, columns, time between samples
     "simplest": (wj.SimplestWalker(0.009), ("slope",), ("theta", "phi"), 0.1),
     "compass": (wj.PointFootWalker(0.009, 0.05), ("slope", "foot_mass"), ("theta", "phi"), 0.1),
     "kneed": (wj.KneedWalker(0.05), ("slope", "shank_mass"), ("theta", "phi", "knee"), 0.1),
 }
+
+
+def noise_of(columns) -> dict[str, float]:
+    """Return the noise of all columns, rounding included, and that of heel strikes."""
+    return dict.fromkeys(columns, float(np.hypot(NOISE, COUNT / np.sqrt(12)))) | DEVIATIONS
 
 
 def make_motion(walker, columns, spacing, steps):
@@ -61,7 +66,7 @@ def cover(name, count):
     walker, names, columns, spacing = CASES[name]
     truth = np.array([float(value_of(walker, one)) for one in names])
     guess = with_values(walker, {one: 1.1 * value for one, value in zip(names, truth, strict=True)})
-    noise = dict.fromkeys(columns, np.hypot(NOISE, COUNT / np.sqrt(12))) | DEVIATIONS
+    noise = noise_of(columns)
     motion, random = make_motion(walker, columns, spacing, 12), np.random.default_rng(1)
     held, errors, spent = [], [], []
     for _ in range(count):
@@ -83,7 +88,7 @@ def compare(steps):
     walker, names, columns, spacing = CASES["simplest"]
     motion = make_motion(walker, columns, spacing / 4, steps)
     recordings = record(motion, np.random.default_rng(0))
-    noise = dict.fromkeys(columns, np.hypot(NOISE, COUNT / np.sqrt(12))) | DEVIATIONS
+    noise = noise_of(columns)
     known, search = {}, fits.search
 
     def keep(layout, begun, data, *rest):

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from walker_jax.checks import (
@@ -210,7 +211,7 @@ def noise_left(
     each = [off[..., k][steps.known[..., k]] for k in range(off.shape[-1])]
     if layout.loss != "linear":
         return np.array([np.median(one) / NORMAL_QUARTILE for one in each])
-    free = 1 - jax.flatten_util.ravel_pytree(found.unknowns)[0].size / steps.count
+    free = 1 - ravel_pytree(found.unknowns)[0].size / steps.count
     return np.array([np.sqrt(np.mean(one**2) / max(free, 1 / steps.count)) for one in each])
 
 

@@ -35,7 +35,7 @@ def names_of_state(system: HybridSystem) -> tuple[str, ...]:
     return names
 
 
-def values_at_start(steps: Steps) -> tuple[Float[np.ndarray, "2 steps columns"], Any]:
+def values_at_start(steps: Steps) -> Float[np.ndarray, "2 steps columns"]:
     """Return each column's value and rate at the start of each step, by least squares."""
     count, _, width = steps.values.shape
     found = np.full((2, count, width), np.nan)

@@ -37,7 +37,7 @@ def information(
     They are the first unknowns; all others are fitted along.
     """
     others_first = np.roll(jacobian, -parameters, axis=1)
-    triangle = np.linalg.qr(others_first, mode="r")
+    triangle = np.asarray(np.linalg.qr(others_first, mode="r"))
     return triangle[-parameters:, -parameters:]
 
 
