@@ -125,14 +125,8 @@ def fit(walker: "wj.System", recorded: Recorded, how: How, output: Output) -> No
     numbers = [(one.time, one.strikes, *one.values.values()) for one in recordings]
     digest = sha256_of(b"".join(one.tobytes() for row in numbers for one in row))
     request = request_for("fit", walker, recordings=digest, **given)
-    found: list[Any] = []
-
-    def compute() -> Any:
-        result: Any = wj.fit(walker, recordings, **given)  # pyright: ignore[reportArgumentType]
-        found.append(result)
-        return result.data
-
-    data = output.produce(request, compute, "fit")
+    system: Any = walker
+    data = output.produce(request, lambda: wj.fit(system, recordings, **given).data, "fit")
     rows = rows_of(data)
     answer = {
         "parameters": {name: {"value": value, "error": error} for name, value, error in rows},
@@ -141,7 +135,7 @@ def fit(walker: "wj.System", recorded: Recorded, how: How, output: Output) -> No
         "degrees_of_freedom": data.attrs["degrees_of_freedom"],
         "steps": data.sizes["step"],
     }
-    unknown = found[0].unknown if found else ()
+    unknown = [one for one in data.attrs["unknown"].split("; ") if one]
     lines = [*in_words(data, rows), *(f"  not told apart: {one}" for one in unknown)]
     output.tell({"walker": request["walker"]} | answer, lines)
 

@@ -18,10 +18,10 @@ from walker_jax.fitting.residuals import Data, Layout, predicted
 from walker_jax.fitting.solving import Solved
 from walker_jax.fitting.steps import Steps
 from walker_jax.fitting.uncertainty import (
-    LARGE_ERROR,
     Direction,
     covariance_and_directions,
     information,
+    unknown_among,
 )
 from walker_jax.systems.html_tables import html_table
 from walker_jax.systems.hybrid_system import HybridSystem
@@ -52,7 +52,7 @@ class Fit:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Combinations of parameters that the recordings do not tell apart, in words."""
-        return tuple(map(str, (one for one in self.directions if one.deviation > LARGE_ERROR)))
+        return tuple(map(str, unknown_among(self.directions)))
 
     @property
     def correlation(self) -> Float[np.ndarray, "parameters parameters"]:
@@ -136,7 +136,7 @@ def fit_of(
     fitted = tuple(map(put, systems))
     draws = resample(layout, solved, data, steps, bootstrap, seed)
     named = dict(zip(names, values.tolist(), strict=True))
-    found = data_of(fitted[0], layout, columns, steps, data, solved, covariance)
+    found = data_of(fitted[0], layout, columns, steps, data, solved, covariance, directions)
     return Fit(
         named,
         dict(zip(names, errors, strict=True)),
@@ -158,6 +158,7 @@ def data_of(
     data: Data,
     solved: Solved,
     covariance: Float[np.ndarray, "n n"],
+    directions: Sequence[Direction],
 ) -> xr.Dataset:
     """Return recorded and fitted numbers as a data set."""
     motion, fitted = predicted_jit(layout, solved.unknowns, data)
@@ -184,9 +185,10 @@ def data_of(
             "noise": ("column", np.asarray(data.noise)),
         },
         {
-            "column": list(columns),
-            "coordinate": list(system.section),
-            "parameter": list(layout.names),
+            # objects, which Zarr stores as text of any length
+            "column": np.array(columns, object),
+            "coordinate": np.array(system.section, object),
+            "parameter": np.array(layout.names, object),
         },
         {
             **describe_source(system),
@@ -196,5 +198,6 @@ def data_of(
             "shooting": "single" if layout.single else "multiple",
             "loss": layout.loss,
             "converged": int(solved.converged),
+            "unknown": "; ".join(map(str, unknown_among(directions))),
         },
     )

@@ -29,6 +29,11 @@ class Direction(NamedTuple):
         return f"{words}: {self.deviation:.2g}"
 
 
+def unknown_among(directions: Sequence[Direction]) -> list[Direction]:
+    """Return the directions that recordings tell too little of."""
+    return [one for one in directions if one.deviation > LARGE_ERROR]
+
+
 def information(
     jacobian: Float[np.ndarray, "residuals unknowns"], parameters: int
 ) -> Float[np.ndarray, "parameters parameters"]:
