@@ -72,7 +72,9 @@ def test_scipy_finds_the_same_by_differences(shooting, monkeypatch):
 
     monkeypatch.setattr(fits, "search", keep)
     recordings = record_walk(wj.SimplestWalker(0.009), noise=NOISE)
-    found = wj.fit(wj.SimplestWalker(0.0095), recordings, "slope", noise=WALK_NOISE, shooting=shooting)
+    found = wj.fit(
+        wj.SimplestWalker(0.0095), recordings, "slope", noise=WALK_NOISE, shooting=shooting
+    )
     flat, unflatten = ravel_pytree(known["begun"])
 
     @jax.jit
