@@ -1,6 +1,7 @@
 """First guesses of where steps start, from their samples; checks that these are steps at all."""
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -57,24 +58,9 @@ def first_starts(
     """Guess starts on the section: columns and their rates are nearest to the recorded ones."""
     values, rates = values_at_start(steps)
     check_columns(system, columns, values)
-    places = jnp.asarray([names_of_state(system).index(name) for name in columns])
-
-    def seen(x):
-        """Return the columns and their rates at the start x."""
-        start = system.launch(x)
-        rates = first_of(modes_from(system, x)).rates(start)
-        numbers = (jnp.stack(jax.tree.leaves(one)) for one in (start, rates))
-        return jnp.concatenate([one[places] for one in numbers])
-
-    @jax.jit
-    @jax.vmap
-    def find(aims):
-        x = jnp.zeros(len(system.section))
-        for _ in range(TURNS):
-            x = x - jnp.linalg.lstsq(jax.jacfwd(seen)(x), seen(x) - aims)[0]
-        return x, jnp.linalg.matrix_rank(jax.jacfwd(seen)(x))
-
-    starts, ranks = map(np.asarray, find(np.concatenate([values, rates], axis=1)))
+    places = tuple(map(names_of_state(system).index, columns))
+    aims = np.concatenate([values, rates], axis=1)
+    starts, ranks = map(np.asarray, points_of_section(places, system, aims))
     if ranks.max() < len(system.section):
         raise WrongUse(
             f"starts must be given: {', '.join(columns)} and their rates tell no point of the "
@@ -82,6 +68,28 @@ def first_starts(
             of="starts",
         )
     return starts
+
+
+@partial(jax.jit, static_argnums=0)
+def points_of_section(
+    places: tuple[int, ...], system: HybridSystem, aims: Float[np.ndarray, "steps columns"]
+) -> tuple[Any, Any]:
+    """Return starts whose columns and rates are nearest to aims, and the ranks of their slopes."""
+
+    def seen(x):
+        """Return the columns and their rates at the start x."""
+        start = system.launch(x)
+        rates = first_of(modes_from(system, x)).rates(start)
+        numbers = (jnp.stack(jax.tree.leaves(one)) for one in (start, rates))
+        return jnp.concatenate([one[jnp.asarray(places)] for one in numbers])
+
+    def find(aim):
+        x = jnp.zeros(len(system.section))
+        for _ in range(TURNS):
+            x = x - jnp.linalg.lstsq(jax.jacfwd(seen)(x), seen(x) - aim)[0]
+        return x, jnp.linalg.matrix_rank(jax.jacfwd(seen)(x))
+
+    return jax.vmap(find)(aims)
 
 
 def check_columns(
