@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
 from walker_jax.fitting.steps import Steps
@@ -60,7 +60,7 @@ def first_starts(
     check_columns(system, columns, values)
     places = tuple(map(names_of_state(system).index, columns))
     aims = np.concatenate([values, rates], axis=1)
-    starts, ranks = map(np.asarray, points_of_section(places, system, aims))
+    starts, ranks = map(np.asarray, points_of_section(places, system, jnp.asarray(aims)))
     if ranks.max() < len(system.section):
         raise WrongUse(
             f"starts must be given: {', '.join(columns)} and their rates tell no point of the "
@@ -72,7 +72,7 @@ def first_starts(
 
 @partial(jax.jit, static_argnums=0)
 def points_of_section(
-    places: tuple[int, ...], system: HybridSystem, aims: Float[np.ndarray, "steps columns"]
+    places: tuple[int, ...], system: HybridSystem, aims: Float[Array, "steps columns"]
 ) -> tuple[Any, Any]:
     """Return starts whose columns and rates are nearest to aims, and the ranks of their slopes."""
 
