@@ -25,11 +25,11 @@ class Propagated(NamedTuple):
     """A result with its error; each field is shaped as the function's result, with further axes."""
 
     value: Any
-    """Of the fitted system."""
+    """Result for the fitted system."""
     error: Any
     """Standard deviation by the delta method: to first order in the errors of the parameters."""
     draws: Any
-    """Of systems with drawn parameters, along a first axis; none if there are no draws."""
+    """Results for systems with drawn parameters, along a first axis; none without draws."""
 
     def interval(self, confidence: float = 0.95) -> tuple[Any, Any]:
         """Return the ends of an interval that holds this share of the draws, NaN left out."""

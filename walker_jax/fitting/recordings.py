@@ -39,7 +39,7 @@ class Recording(NamedTuple):
     inputs: dict[str, Float[np.ndarray, " samples"]]
     """Recorded inputs, such as a motor's command, by the names of their columns."""
     stance: int = 0
-    """Which of two systems that take turns makes the first step."""
+    """Number of the system, of two that take turns, that makes the first step."""
 
 
 class Recordings(tuple[Recording, ...]):

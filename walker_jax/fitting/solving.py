@@ -41,7 +41,7 @@ class Solved(NamedTuple):
     converged: Bool[Array, ""]
     turns: Int[Array, ""]
     jacobian: Float[Array, "residuals unknowns"]
-    """Of the compressed residuals, by the unknowns in their order."""
+    """Derivatives of the compressed residuals by the unknowns, in their order."""
 
 
 @partial(jax.jit, static_argnums=0)

@@ -23,7 +23,7 @@ class Steps(NamedTuple):
     """Samples of all steps, in the system's units."""
 
     times: Float[np.ndarray, "steps samples"]
-    """Of samples, on the clock of their recording; that of the heel strike where padded."""
+    """Times of samples, on the clock of their recording; that of the heel strike where padded."""
     values: Float[np.ndarray, "steps samples columns"]
     """Zero where there is no sample."""
     known: Bool[np.ndarray, "steps samples columns"]
