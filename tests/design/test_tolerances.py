@@ -21,6 +21,13 @@ def problem(worst=False, seed=0):
     )
 
 
+def changes(**options):
+    """Return the drawn changes of a problem."""
+    over = problem(**options).over
+    assert over is not None
+    return over.changes
+
+
 def evaluate(posed):
     gait = lambda values: gait_with_most_starts(posed, values)
     return evaluate_objective(posed, 0, VALUES, gait, lambda how, walker: how.measure(walker))
@@ -28,7 +35,7 @@ def evaluate(posed):
 
 def each():
     """The measure at each drawn slope, without tolerances."""
-    slopes = VALUES + problem().over.changes[:, 0]
+    slopes = VALUES + changes()[:, 0]
     return [wj.gait_measures(wj.SimplestWalker(s), ["slope"])["spectral-radius"] for s in slopes]
 
 
@@ -49,7 +56,7 @@ def test_the_worst_draw_counts_if_asked():
 
 def test_draws_are_common_and_part_of_the_problem():
     """Or an earlier result with other draws would be reused."""
-    np.testing.assert_array_equal(problem().over.changes, problem().over.changes)
+    np.testing.assert_array_equal(changes(), changes())
     told = [describe_problem(one)["draws"] for one in (problem(), problem(), problem(seed=1))]
     assert told[0] == told[1] != told[2]
     assert "draws" not in describe_problem(problem()._replace(over=None))
