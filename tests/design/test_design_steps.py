@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import walker_jax as wj
 from walker_jax.design import climbs, evaluation, problem
-from walker_jax.design.area_gradients import AreaGradient, AreaSettings
+from walker_jax.design.area_gradients import AreaSettings
 from walker_jax.design.evaluation import ENDS_STAGE, Evaluation
 from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
@@ -99,7 +99,7 @@ def test_measures_are_those_of_the_gait_with_the_largest_basin():
     springs = problem_of(walker, {"hip_stiffness": (11.0, 11.5)})._replace(grid=grid)
     trace = Trace(springs, None, None, False, 1)
     owner = wj.find_gait(walker, [0.0908, -0.2074])
-    expected = wj.gait_measures(walker, ("hip_stiffness",), owner)["speed"]
+    expected = wj.measure(walker, "speed", ("hip_stiffness",), owner)
     row = trace.measure(0, 0, springs.place_of(values))
     assert float(row.value) == pytest.approx(expected.value, rel=1e-12)
     assert row.gradient == pytest.approx(expected.gradient, rel=1e-8)
@@ -130,9 +130,7 @@ def test_a_gain_is_sure_beyond_the_errors_of_both_ends():
 
 
 def test_errors_of_an_area_are_positive_whatever_its_weight(monkeypatch):
-    area = AreaGradient(
-        2.0, np.array([3.0]), 0.1, np.array([0.2]), np.array([False]), 5, 0, strides=7
-    )
+    area = Measure(2.0, np.array([3.0]), 0.1, np.array([0.2]), np.array([False]), 5, 0, strides=7)
     monkeypatch.setattr(evaluation, "differentiate_area", lambda *_: area)
     of_area = problem_of(WALKER, SLOPES)._replace(grid=FEW, weights={"area": -2.0})
     measured: Any = lambda *_: None
@@ -348,10 +346,11 @@ def test_out_of_time_ends_a_measurement_and_hurries_the_last(monkeypatch):
         return row
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate)
-    monkeypatch.setattr(Trace, "is_out_of_time", lambda trace: len(began) > 2)
+    clock = lambda: 61.0 if len(began) > 2 else 0.0
+    monkeypatch.setattr("walker_jax.design.budget.perf_counter", clock)
     walker = wj.SpringWalker(0.004, 1.0)
     grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.1, 0.05, 40))
-    options = {"grid": grid, "starts": 1, "levels": 2, "progress": False}
+    options = {"grid": grid, "starts": 1, "levels": 2, "progress": False, "seconds": 60}
     found = optimise(walker, {"hip_stiffness": (0.0, 30.0)}, "area", **options)
     assert began[:3] == [0, 0, 0] and ended[:2] == [0, 0] and {*ended[2:]} == {-3}
     assert bool(found.out_of_time) and not bool(found.converged)

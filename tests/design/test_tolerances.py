@@ -36,7 +36,7 @@ def evaluate(posed):
 def each():
     """The measure at each drawn slope, without tolerances."""
     slopes = VALUES + changes()[:, 0]
-    return [wj.gait_measures(wj.SimplestWalker(s), ["slope"])["spectral-radius"] for s in slopes]
+    return [wj.measure(wj.SimplestWalker(s), "spectral-radius", "slope") for s in slopes]
 
 
 def test_the_objective_is_the_mean_over_draws():

@@ -30,6 +30,7 @@ from walker_jax import cellmaps, checks, figures, kernels, multibody, storage
 from walker_jax.execution import tiles
 from walker_jax.explorer import lattice, offers, service, subjects, walks
 from walker_jax.fitting.bounds import Bounds
+from walker_jax.fitting.results import Fit
 from walker_jax.integrators import integrator
 from walker_jax.stability import gait_robustness, stochastic_map
 from walker_jax.storage.schema import TYPES, attributes_of_kind, check_dataset, variables_of_kind
@@ -272,10 +273,10 @@ class Unnamed(wj.HybridSystem):
         return {"only": wj.Mode(jnp.ones_like, (ends,))}
 
 
-def fit_of_nothing() -> wj.Fit:
+def fit_of_nothing() -> Fit:
     """A fit of no parameter."""
     none, bounds = np.zeros((0, 0)), Bounds(np.zeros(0), np.zeros(0))
-    return wj.Fit({}, {}, none, wj.SimplestWalker(0.004), (), none, True, xr.Dataset(), bounds)
+    return Fit({}, {}, none, wj.SimplestWalker(0.004), (), none, True, xr.Dataset(), bounds)
 
 
 def steps_of(count: int, **changes: Any) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def fit(
     - `system`: its other parameters, and first guesses of those fitted; two systems of a kind if
       unlike legs take turns.
     - `recordings`: of `read_recordings`; columns have the names of the system's states.
-    - `parameters`: as in `area_gradient`; two systems share them.
+    - `parameters`: as in `measure`; two systems share them.
     - `bounds`: by name, (low, high); by default those that the system describes, such as masses
       above 0.
     - `noise`: standard deviations by column, and of heel strikes as "time". Those not given are
