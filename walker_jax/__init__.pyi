@@ -24,6 +24,9 @@ from walker_jax.design.optimisation import optimise as optimise
 from walker_jax.design.quantities import measure as measure
 from walker_jax.design.sweeps import sweep as sweep
 from walker_jax.explorer.notebook import explore as explore
+from walker_jax.fitting.fits import fit as fit
+from walker_jax.fitting.propagation import propagate as propagate
+from walker_jax.fitting.reading import read_recordings as read_recordings
 from walker_jax.gaits.branches import continue_gait as continue_gait
 from walker_jax.gaits.charts import chart as chart
 from walker_jax.gaits.crises import loss_of_walking as loss_of_walking

@@ -12,6 +12,7 @@ from made_up_results import (
     completed,
     diagram,
     every_fate,
+    fitted,
     gait,
     lives,
     metastable,
@@ -323,6 +324,9 @@ PROVED = completed(
     "proof",
 )
 GAITS = [gait(1, 0.63, 0.1, stable=True), gait(2, -4, 0.3), gait(1, 30, 5.0)]
+FITTED = fitted(6)
+SHARED_GRID = Grid.plain(theta=(0, 0.8, 20), thetadot=(-1.2, 0, 15))
+SHARES = np.linspace(0, 1, 20)[:, None] > np.linspace(0.2, 0.6, 40)[:, None, None] + np.zeros(15)
 GIVEN_AXES: dict[str, Any] = {
     "basin": [every_fate()],
     "boundary": [EDGES],
@@ -345,6 +349,10 @@ GIVEN_AXES: dict[str, Any] = {
     "leg_angles": [WALKED],
     "capturability": [VIABLE],
     "viability": [VIABLE],
+    "fitted_samples": [FITTED],
+    "fit_residuals": [FITTED],
+    "fit_correlations": [FITTED],
+    "basin_band": [SHARED_GRID, SHARES],
 }
 PARTS = ["title", "subtitle", "legend", "labels"]
 
@@ -476,3 +484,26 @@ def test_pictures_for_print_have_the_width_of_a_column(tmp_path):
     after = figures.basin(every_fate())
     assert figure_of(after).get_size_inches()[0] == wide
     assert after.get_title(loc="left") == usual.get_title(loc="left") != ""
+
+
+def test_fits_are_drawn_with_their_residuals():
+    figure = figures.fit(FITTED)
+    samples, residuals = figure.axes
+    assert len(samples.lines) == 2 + 2 * 6 and len(residuals.lines) == 2 + 1
+    drawn = samples.lines[1].get_xydata()
+    after = (FITTED["time"] - FITTED["begin"]).transpose("step", "sample")
+    np.testing.assert_allclose(drawn[:, 0], after.values.ravel())
+    np.testing.assert_allclose(drawn[:, 1], FITTED["recorded"].values[..., 1].ravel())
+    ax = figures.fit_correlations(FITTED)
+    assert [one.get_text() for one in ax.texts][:4] == ["1.00", "-0.50", "-0.50", "1.00"]
+
+
+def test_the_band_of_a_basin_lies_where_draws_differ():
+    """Half of the draws walk beyond the middle of their edges, 0.4 of 0.8."""
+    ax = figures.basin_band(SHARED_GRID, SHARES)
+    (middle,) = ax.collections[1].get_paths()
+    # cells are centred: the edge of half of the draws lies at 0.4 of the cells' numbers
+    edge = np.interp(0.4 * 19, np.arange(20), np.asarray(SHARED_GRID.axes["theta"]))
+    assert np.abs(middle.vertices[:, 0] - edge).max() < 0.04
+    with pytest.raises(ValueError, match="draws must be of shape"):
+        figures.basin_band(SHARED_GRID, SHARES[0])

@@ -362,3 +362,25 @@ def lives():
     values = 0.019 + np.geomspace(1e-6, 1e-4, 6)
     years = 100 * ((values - 0.019) / 1e-5) ** -0.8
     return values, years, 0.02 * years, CrisisLaw(0.019, 0.8, 0.7, 0.9, 1.2)
+
+
+def fitted(steps):
+    """A fit of two columns to steps of sines, with residuals of one noise, and two parameters."""
+    rng, time = np.random.default_rng(0), np.linspace(0.1, 3, 30)
+    angles = np.stack([0.2 * np.cos(time), 0.4 * np.cos(time)], axis=-1) + np.zeros((steps, 1, 1))
+    noise = rng.normal(size=angles.shape)
+    begin = 3.2 * np.arange(steps)
+    data = xr.Dataset(
+        {
+            "time": (("step", "sample"), begin[:, None] + time),
+            "begin": ("step", begin),
+            "recorded": (("step", "sample", "column"), angles + 1e-3 * noise),
+            "fitted": (("step", "sample", "column"), angles),
+            "residual": (("step", "sample", "column"), noise),
+            "covariance": (("parameter", "other"), np.array([[4.0, -1.0], [-1.0, 1.0]])),
+        },
+        {"column": ["theta", "phi"], "parameter": ["slope", "foot_mass"]},
+        {"walker": "PointFootWalker", "walker_slope": 0.009, "walker_foot_mass": 0.05}
+        | {"sum_of_squares": float(np.sum(noise**2)), "degrees_of_freedom": noise.size - 20},
+    )
+    return completed(data, "fit")

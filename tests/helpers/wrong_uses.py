@@ -29,6 +29,8 @@ import walker_jax as wj
 from walker_jax import cellmaps, checks, figures, kernels, multibody, storage
 from walker_jax.execution import tiles
 from walker_jax.explorer import lattice, offers, service, subjects, walks
+from walker_jax.fitting.bounds import Bounds
+from walker_jax.fitting.results import Fit
 from walker_jax.integrators import integrator
 from walker_jax.stability import gait_robustness, stochastic_map
 from walker_jax.storage.schema import TYPES, attributes_of_kind, check_dataset, variables_of_kind
@@ -254,6 +256,36 @@ class Unfinished(wj.System):
     section = ("x",)
 
 
+class Unnamed(wj.HybridSystem):
+    """One whose states are arrays, which have no names."""
+
+    slope: float = 0.1
+    section = ("x",)
+
+    def lift(self, x):
+        return x
+
+    def project(self, state):
+        return state
+
+    def modes(self):
+        ends = wj.Guard(lambda x: x[0] - 1, wj.SECTION, reset=lambda x: x - 1)
+        return {"only": wj.Mode(jnp.ones_like, (ends,))}
+
+
+def fit_of_nothing() -> Fit:
+    """A fit of no parameter."""
+    none, bounds = np.zeros((0, 0)), Bounds(np.zeros(0), np.zeros(0))
+    return Fit({}, {}, none, wj.SimplestWalker(0.004), (), none, True, xr.Dataset(), bounds)
+
+
+def steps_of(count: int, **changes: Any) -> dict[str, Any]:
+    """Columns of steps whose angles fall evenly, with heel strikes at 0, 1, 2 and so on."""
+    time = np.arange(0.05, count, 0.1)
+    theta = 0.2 - 0.4 * (time % 1)
+    return {"time": time, "theta": theta, "phi": 2 * theta} | changes
+
+
 def names() -> dict[str, Any]:
     """Names that the calls of the table may use."""
     axes = {"theta": (0, 0.4, 10), "sum": (-0.04, 0.01, 10)}
@@ -275,6 +307,9 @@ def names() -> dict[str, Any]:
         "GRID": wj.Grid.sheared(**axes),
         "ACTED": viability(),
         "SLICE": wj.Grid.sheared(**axes, phidot=-0.05),
+        "STEPS": wj.read_recordings(steps_of(2), strikes=[0, 1, 2]),
+        "steps_of": steps_of,
+        "FIT": fit_of_nothing(),
         "GAIT": gait([[0.2, -0.2]], 0.5),
         "UNSTABLE": gait([[0.2, -0.2]], -1.25),
         "LOST": LOST,

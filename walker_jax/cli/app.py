@@ -16,7 +16,17 @@ from walker_jax.refusals import WrongUse
 
 NAMES = (
     *("walk", "explain", "gait", "bifurcation", "chart", "explore", "basin", "boundary", "viable"),
-    *("prove", "robustness", "fall", "continuation", "optimise", "sweep", "export", "reproduce"),
+    *(
+        "prove",
+        "robustness",
+        "fall",
+        "continuation",
+        "optimise",
+        "sweep",
+        "fit",
+        "export",
+        "reproduce",
+    ),
 )
 """The commands; `basin` is in `basin_command.py`."""
 

@@ -13,6 +13,7 @@ from walker_jax.design.fall_gradients import fall_gradient
 from walker_jax.design.measures import Measure, differentiate_measures
 from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.sensitivity_gradients import sensitivity_gradient
+from walker_jax.design.tolerances import evaluate_over
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.stability.rays import DENSE
@@ -89,6 +90,8 @@ def evaluate_objective(
 
     With `value_only` there is no gradient. `gait_of` and `measure_area` may know their results.
     """
+    if problem.over is not None:
+        return evaluate_over(evaluate_objective, problem, stage, values, value_only)
     names = problem.names if stage >= 0 and not value_only else ()
     walker = problem.walker_at(values)
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * problem.scale[: len(names)]

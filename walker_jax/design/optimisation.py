@@ -58,10 +58,12 @@ from walker_jax.design.problem import (
     read_bounds,
     starting_places,
 )
+from walker_jax.design.tolerances import draw_tolerances
 from walker_jax.design.trace import Trace, string_array
 from walker_jax.design.training import train
 from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
+from walker_jax.fitting.results import Fit
 from walker_jax.grids import Grid
 from walker_jax.stability.slices import default_region
 from walker_jax.systems.system import System
@@ -96,6 +98,9 @@ def optimise(
     seed: int = 0,
     tolerance: float | None = None,
     density: Density | None = None,
+    over: Fit | Mapping[str, float] | None = None,
+    draws: int = 8,
+    worst: bool = False,
     steps: int = 100,
     rate: float = 0.01,
     batch: int = 1000,
@@ -147,6 +152,9 @@ def optimise(
     - `tolerance`: tolerance of the integration, as in `stride`.
     - `density`: for basin stability, the density of starts: a function of states of shape
       (n, section) that returns n numbers, the same for all parameters; 0 beyond the grid.
+    - `over`: what is uncertain of the walker: a `Fit`, or standard deviations of normal tolerances
+      by the names of parameters, free ones among them. The objective is then the mean over as many
+      `draws`, the same changes at every design, or with `worst` that of the worst draw.
     - `steps`, `rate`, `batch`: of an ascent by 16 numbers or more. It is one of Adam, of so many
       steps, each of which changes a number by up to about the rate (with bounds, relative to
       these), by so many starts for areas; and both ends are measured roughly, as where the time is
@@ -205,7 +213,8 @@ def optimise(
     levels = default_levels(goal[0]) if levels is None else levels
     budget = Budget(check_budget(seconds))
     training = read_training(steps, rate, batch)
-    how = (grid, levels, strides, seed, tolerance, density, functions)
+    drawn = draw_tolerances(walker, over, draws, worst, seed)
+    how = (grid, levels, strides, seed, tolerance, density, functions, drawn)
     problem = pose_problem(walker, read_bounds(walker, bounds, parameters), goal, limits, how)
     if scan and problem.free.any():
         raise WrongUse(f"scan must be 0 without bounds on all parameters, not {scan}")

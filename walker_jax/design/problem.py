@@ -15,6 +15,7 @@ from walker_jax.basins.attractor_search import sample_indices
 from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.area_gradients import Density, density_at
 from walker_jax.design.measures import GAIT_MEASURES, GaitFunction
+from walker_jax.design.tolerances import Tolerances
 from walker_jax.grids import Grid
 from walker_jax.identity import code_fingerprint
 from walker_jax.systems.system import System
@@ -69,6 +70,8 @@ class Problem(NamedTuple):
     """Density of starts, for basin stability."""
     functions: Mapping[str, GaitFunction] = MappingProxyType({})
     """Functions of a gait among the measures, by name."""
+    over: Tolerances | None = None
+    """Draws of uncertain parameters, over which the objective is a mean."""
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -298,6 +301,7 @@ def describe_problem(problem: Problem) -> dict:
         "seed": problem.seed,
         "tolerance": problem.tolerance or 0.0,
         **describe_density(problem),
+        **describe_tolerances(problem.over),
         **code,
     }
 
@@ -313,6 +317,14 @@ def describe_region(grid: Grid | None) -> dict:
     if not origin.any() and np.array_equal(shear, by_names):
         return grid.box
     return grid.box | {"origin": origin.tolist(), "shear": shear.tolist()}
+
+
+def describe_tolerances(over: Tolerances | None) -> dict:
+    """Describe the draws of uncertain parameters, if there are any, by their hash."""
+    if over is None:
+        return {}
+    digest = hashlib.sha256(np.ascontiguousarray(over.changes).tobytes()).hexdigest()[:16]
+    return {"over": json.dumps([*over.names]), "draws": digest, "worst": int(over.worst)}
 
 
 def describe_density(problem: Problem) -> dict:

@@ -10,13 +10,14 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
+from walker_jax.basins.attracting_gaits import compare_with_search
 from walker_jax.checks import WrongUse
 from walker_jax.design.area_gradients import AreaSettings, MeasuredArea
 from walker_jax.design.budget import Budget
 from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
 from walker_jax.design.limits import Limits
 from walker_jax.design.problem import Problem, describe_problem
+from walker_jax.design.tolerances import gait_with_most_starts
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
@@ -66,12 +67,7 @@ class Trace:
         If no gait attracts there, return that of a search, which may be unstable.
         """
         if values.tobytes() not in self.gaits:
-            problem, found = self.problem, None
-            walker, tolerance = problem.walker_at(values), problem.tolerance
-            if problem.grid is not None:
-                found = gait_of_grid(walker, problem.grid, problem.strides, tolerance)
-            found = search_gait(walker, tolerance=tolerance) if found is None else found
-            self.gaits[values.tobytes()] = found
+            self.gaits[values.tobytes()] = gait_with_most_starts(self.problem, values)
         return self.gaits[values.tobytes()]
 
     def measure_area(

@@ -17,6 +17,11 @@ from walker_jax.figures.fall_plots import probable_fall as probable_fall
 from walker_jax.figures.films import check_film as check_film
 from walker_jax.figures.films import film as film
 from walker_jax.figures.films import zoom_film as zoom_film
+from walker_jax.figures.fit_plots import basin_band as basin_band
+from walker_jax.figures.fit_plots import fit as fit
+from walker_jax.figures.fit_plots import fit_correlations as fit_correlations
+from walker_jax.figures.fit_plots import fit_residuals as fit_residuals
+from walker_jax.figures.fit_plots import fitted_samples as fitted_samples
 from walker_jax.figures.fraction_plots import basin_fractions as basin_fractions
 from walker_jax.figures.layout import Style as Style
 from walker_jax.figures.layout import for_print as for_print

@@ -1,0 +1,266 @@
+"""Fits find the parameters of made-up recordings, with errors that say how far off they are."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from made_up_recordings import GRAVITY, Ball, record_ball, record_walk
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+import walker_jax as wj
+from walker_jax.fitting import fits
+from walker_jax.fitting.bounds import Bounds, from_free, slopes, to_free
+from walker_jax.fitting.residuals import predicted, prior, standardise, strike_residuals
+from walker_jax.fitting.uncertainty import covariance_and_directions, information
+
+NOISE = 1e-3
+BALL_NOISE = {"height": NOISE, "time": NOISE}
+WALK_NOISE: dict[str, float] = dict.fromkeys(("theta", "phi", "time"), NOISE)
+GUESS = Ball(9.5, 0.0, 0.85)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """A recording of a ball with noise, and the fits of its parameters."""
+    recordings = record_ball(noise=NOISE)
+    fit = lambda **options: wj.fit(
+        GUESS,
+        recordings,
+        ["gravity", "restitution"],
+        noise=BALL_NOISE,
+        shooting="single",
+        **options,
+    )
+    return recordings, fit
+
+
+@pytest.mark.parametrize("shooting", ["multiple", "single"])
+def test_exact_recordings_give_back_the_parameters(shooting):
+    found = (
+        wj.fit(GUESS, record_ball(), "gravity", noise=BALL_NOISE, shooting=shooting)
+        if shooting == "multiple"
+        else wj.fit(
+            GUESS, record_ball(), ["gravity", "restitution"], noise=BALL_NOISE, shooting=shooting
+        )
+    )
+    expected = {"gravity": GRAVITY, "restitution": 0.9}
+    for name, value in found.parameters.items():
+        assert value == pytest.approx(expected[name], rel=1e-8)
+    assert found.converged and found.data.attrs["sum_of_squares"] < 1e-8
+    np.testing.assert_allclose(found.data.fitted, found.data.recorded, atol=1e-9)
+    assert float(vars(found.system)["gravity"]) == found.parameters["gravity"]
+
+
+def test_free_starts_tell_nothing_of_the_impact():
+    """The restitution moves no residual then, and the fit says so by name."""
+    found = wj.fit(GUESS, record_ball(noise=NOISE), ["gravity", "restitution"], noise=BALL_NOISE)
+    assert found.errors["restitution"] == np.inf and 0 < found.errors["gravity"] < 0.02
+    assert [one.split(":")[0] for one in found.unknown] == ["1.00 restitution"]
+    assert found.parameters["restitution"] == pytest.approx(0.85)
+
+
+@pytest.mark.parametrize("shooting", ["multiple", "single"])
+def test_scipy_finds_the_same_by_differences(shooting, monkeypatch):
+    """`least_squares` on all residuals, one for each number, which are not compressed."""
+    known, search = {}, fits.search
+
+    def keep(layout, begun, data, *rest):
+        known.update(layout=layout, begun=begun, data=data)
+        return search(layout, begun, data, *rest)
+
+    monkeypatch.setattr(fits, "search", keep)
+    recordings = record_walk(wj.SimplestWalker(0.009), noise=NOISE)
+    found = wj.fit(
+        wj.SimplestWalker(0.0095), recordings, "slope", noise=WALK_NOISE, shooting=shooting
+    )
+    flat, unflatten = ravel_pytree(known["begun"])
+
+    @jax.jit
+    def residuals(at, data):
+        motion, angles = predicted(known["layout"], unflatten(at), data)
+        off = jnp.where(data.known, (angles - data.values) / data.noise, 0)
+        others = strike_residuals(known["layout"], motion, data), prior(motion, data)
+        return jnp.concatenate([off.reshape(-1), *others])
+
+    of = lambda at: np.asarray(residuals(jnp.asarray(at), known["data"]))
+    tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-13)
+    other = least_squares(of, np.asarray(flat), "3-point", x_scale="jac", **tight)
+    assert found.data.attrs["sum_of_squares"] == pytest.approx(2 * other.cost, rel=1e-9)
+    slope = float(from_free(jnp.asarray(other.x[:1]), found.bounds)[0])
+    error = found.errors["slope"]
+    assert abs(found.parameters["slope"] - slope) < 1e-3 * error
+    covariance = np.linalg.inv(other.jac.T @ other.jac)
+    rate = float(slopes(jnp.asarray(other.x[:1]), found.bounds)[0])
+    assert error == pytest.approx(rate * np.sqrt(covariance[0, 0]), rel=1e-4)
+
+
+def test_errors_are_as_large_as_the_fits_are_off():
+    """Squares of 40 errors, over their standard deviations, add up as the chi-square law says."""
+    total, costs = 0.0, 0.0
+    for seed in range(40):
+        recordings = record_walk(wj.SimplestWalker(0.009), noise=NOISE, seed=seed)
+        found = wj.fit(wj.SimplestWalker(0.0095), recordings, "slope", noise=WALK_NOISE)
+        total += ((found.parameters["slope"] - 0.009) / found.errors["slope"]) ** 2
+        costs += found.data.attrs["sum_of_squares"]
+    low, high = chi2.ppf((5e-4, 1 - 5e-4), 40)
+    assert low < total < high
+    low, high = chi2.ppf((5e-4, 1 - 5e-4), 40 * found.data.attrs["degrees_of_freedom"])
+    assert low < costs < high
+
+
+def test_noise_that_is_not_given_is_found(ball):
+    recordings, fit = ball
+    found = wj.fit(
+        GUESS, recordings, ["gravity", "restitution"], noise={"time": NOISE}, shooting="single"
+    )
+    count = int(np.isfinite(found.data.recorded).sum())
+    assert float(found.data.noise[0]) == pytest.approx(NOISE, rel=4 / np.sqrt(2 * count))
+    assert found.parameters["gravity"] == pytest.approx(fit().parameters["gravity"], rel=1e-3)
+
+
+def test_bootstrap_agrees_with_the_jacobian():
+    """Resampled steps spread as far as the error says, within the chance of 20 steps."""
+    many = record_ball(20, noise=NOISE, restitution=0.97, seed=3)
+    found = wj.fit(GUESS, many, "gravity", noise=BALL_NOISE, bootstrap=100, seed=1)
+    assert found.draws.shape == (100, 1) and np.isfinite(found.draws).all()
+    assert 0.6 < found.draws.std() / found.errors["gravity"] < 1.6
+    low, high = found.intervals()["gravity"]
+    assert low < GRAVITY < high
+
+
+def test_a_prior_and_a_recording_are_weighed_by_their_errors(ball):
+    """For a nearly linear problem the posterior mean is that of two normal distributions."""
+    _, fit = ball
+    alone = fit()
+    mean, deviation = alone.parameters["gravity"] + 0.01, alone.errors["gravity"]
+    both = fit(priors={"gravity": (mean, deviation)})
+    middle = alone.parameters["gravity"] + 0.005
+    assert both.parameters["gravity"] == pytest.approx(middle, abs=1e-4)
+    assert both.errors["gravity"] == pytest.approx(deviation / np.sqrt(2), rel=1e-3)
+
+
+def test_bounds_hold_and_tell(ball):
+    _, fit = ball
+    bounded = fit(bounds={"gravity": (9.0, 9.7), "restitution": (0.5, np.inf)})
+    assert 9.0 < bounded.parameters["gravity"] < 9.7
+    free, wide = fit(), fit(bounds={"gravity": (9.0, 11.0), "restitution": (-np.inf, 1)})
+    for name, value in free.parameters.items():
+        assert wide.parameters[name] == pytest.approx(value, abs=1e-4 * free.errors[name])
+        assert wide.errors[name] == pytest.approx(free.errors[name], rel=1e-6)
+
+
+def test_outliers_move_a_robust_fit_less():
+    heights = record_ball(noise=NOISE)[0]
+    wild = heights.values["height"].copy()
+    wild[::15] += 0.5
+    recordings = [heights._replace(values={"height": wild})]
+    names = ["gravity", "restitution"]
+    off = {
+        loss: abs(
+            wj.fit(
+                GUESS, recordings, names, noise=BALL_NOISE, shooting="single", loss=loss
+            ).parameters["gravity"]
+            - GRAVITY
+        )
+        for loss in ("linear", "soft_l1", "cauchy")
+    }
+    assert off["cauchy"] < off["soft_l1"] < off["linear"] / 5
+
+
+def test_losses_are_those_of_scipy():
+    r = jnp.linspace(-5, 5, 11)
+    assert jnp.allclose(standardise("soft_l1", r) ** 2, 2 * (jnp.sqrt(1 + r**2) - 1))
+    assert jnp.allclose(standardise("cauchy", r) ** 2, jnp.log1p(r**2))
+    at_zero = jax.grad(lambda r: standardise("cauchy", r))(0.0)
+    assert float(at_zero) == 1
+
+
+def test_gaps_cost_precision_alone(ball):
+    recordings, fit = ball
+    gone = recordings[0].values["height"].copy()
+    gone[::3] = np.nan
+    fewer = wj.fit(
+        GUESS,
+        [recordings[0]._replace(values={"height": gone})],
+        ["gravity", "restitution"],
+        noise=BALL_NOISE,
+        shooting="single",
+    )
+    whole = fit()
+    assert fewer.errors["gravity"] > whole.errors["gravity"]
+    assert abs(fewer.parameters["gravity"] - GRAVITY) < 4 * fewer.errors["gravity"]
+
+
+def test_two_systems_take_turns():
+    """Bounces of two restitutions in turn; each system is told which bounce is its own."""
+    factors = np.where(np.arange(6) % 2, 0.8, 0.95)
+    recordings = record_ball(6, restitution=factors)
+    pair = Ball(9.5, 0.0, 0.95), Ball(9.5, 0.0, 0.8)
+    found = wj.fit(pair, recordings, "gravity", noise=BALL_NOISE, shooting="single")
+    assert found.parameters["gravity"] == pytest.approx(GRAVITY, rel=1e-8)
+    assert isinstance(found.system, tuple)
+    assert [float(vars(one)["restitution"]) for one in found.system] == [0.95, 0.8]
+    assert found.data.attrs["sum_of_squares"] < 1e-8
+    alike = wj.fit(pair[0], recordings, "gravity", noise=BALL_NOISE, shooting="single")
+    assert alike.data.attrs["sum_of_squares"] > 1e4
+
+
+def test_a_recorded_input_pushes():
+    """With a push of 0.5 g the ball falls as if gravity were half as much again."""
+    times = record_ball()[0].time
+    recordings = record_ball(push=np.full(len(times), -GRAVITY / 2))
+    push = wj.read_recordings(
+        {"time": times, "height": recordings[0].values["height"], "push": -GRAVITY / 2 + 0 * times},
+        ["height"],
+        inputs=["push"],
+        strikes=recordings[0].strikes,
+    )
+    guess = Ball(4.0, 0.0, 0.9, push=np.zeros(2), spacing=1.2)
+    found = wj.fit(guess, push, "gravity", noise=BALL_NOISE, inputs={"push": ("push", 1.2)})
+    assert found.parameters["gravity"] == pytest.approx(GRAVITY / 2, rel=1e-7)
+
+
+def test_parameters_that_add_up_are_not_told_apart():
+    names = ["gravity", "more_gravity"]
+    found = wj.fit(Ball(9.0, 0.8), record_ball(noise=NOISE), names, noise=BALL_NOISE)
+    (words,) = found.unknown
+    direction = found.directions[0].weights
+    # equal and opposite in their own units, so as 1 / value relative to the values
+    g, more = (found.parameters[name] for name in names)
+    ratio = direction["gravity"] / direction["more_gravity"]
+    assert ratio == pytest.approx(-more / g, rel=1e-4)
+    assert "gravity" in words and g + more == pytest.approx(GRAVITY, rel=2e-3)
+    assert not np.isfinite([*found.errors.values()]).any()
+
+
+def test_covariance_is_that_of_linear_regression():
+    random = np.random.default_rng(0)
+    jacobian = random.normal(size=(40, 5))
+    root = information(jacobian, 2)
+    covariance, directions = covariance_and_directions(root, ["a", "b"], np.array([2.0, 0.1]))
+    expected = np.linalg.inv(jacobian.T @ jacobian)[:2, :2]
+    np.testing.assert_allclose(covariance, expected, rtol=1e-12)
+    scaled = expected / np.outer([2.0, 0.1], [2.0, 0.1])
+    deviations = np.sqrt(np.linalg.eigvalsh(scaled))[::-1]
+    np.testing.assert_allclose([one.deviation for one in directions], deviations, rtol=1e-12)
+
+
+def test_changes_of_variables_are_inverse_to_each_other():
+    bounds = Bounds(
+        jnp.array([-jnp.inf, 1.0, -jnp.inf, 2.0]), jnp.array([jnp.inf, jnp.inf, 3.0, 4.0])
+    )
+    values = jnp.array([-7.0, 1.5, 2.0, 3.9])
+    free = to_free(values, bounds)
+    np.testing.assert_allclose(from_free(free, bounds), values, rtol=1e-14)
+    by_differences = (from_free(free + 1e-6, bounds) - from_free(free - 1e-6, bounds)) / 2e-6
+    np.testing.assert_allclose(slopes(free, bounds), by_differences, rtol=1e-7)
+
+
+def test_recordings_with_a_wrong_sign_are_told():
+    """Backwards, no step of the walker begins."""
+    (one,) = record_walk(wj.SimplestWalker(0.009))
+    back = one._replace(values={name: -values for name, values in one.values.items()})
+    with pytest.raises(ValueError, match="none walks from its recorded start, such as"):
+        wj.fit(wj.SimplestWalker(0.009), back, "slope")

@@ -1,0 +1,222 @@
+"""Residuals of a fit: recorded less predicted, over the standard deviation of the noise.
+
+A step contributes those of its samples and that of the heel strike that ends it, and the first of a
+run also that of the heel strike that begins it. Heel strikes are consecutive: a step begins when
+the one before it ends, as predicted. Its start on the section is free (multiple shooting), or where
+the step before it leads (single shooting).
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from walker_jax.fitting.bounds import Bounds, from_free
+from walker_jax.fitting.predictions import (
+    Predicted,
+    linearised,
+    predict_samples,
+    predict_step,
+    sample_state,
+)
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.walkers.parameters import with_values
+
+LOST = 1e4
+"""Residual, in standard deviations, of anything that a failed step does not predict: large enough
+for the search to turn back."""
+
+
+class Layout(NamedTuple):
+    """Static facts of a fit, for which its program is compiled."""
+
+    names: tuple[str, ...]
+    """Parameters."""
+    places: tuple[int, ...]
+    """Places of the recorded columns in a state."""
+    single: bool
+    """Whether starts are linked by the impact."""
+    loss: str
+
+
+class Unknowns(NamedTuple):
+    """All that a fit searches for."""
+
+    free: Float[Any, " parameters"]
+    """Parameters, without bounds (`bounds.from_free`)."""
+    begins: Float[Any, " runs"]
+    """Time at which each run begins."""
+    starts: Float[Any, "starts section"]
+    """Starts of all steps on the section; of the runs alone in single shooting."""
+
+
+class Data(NamedTuple):
+    """Recorded numbers and their noise: constants of the search."""
+
+    systems: Any
+    """The system of each step: leaves have steps along their first axis."""
+    times: Float[Any, "steps samples"]
+    values: Float[Any, "steps samples columns"]
+    known: Bool[Any, "steps samples columns"]
+    begins: Float[Any, " steps"]
+    ends: Float[Any, " steps"]
+    run: Int[Any, " steps"]
+    is_first: Bool[Any, " steps"]
+    noise: Float[Any, " columns"]
+    strike_noise: Float[Any, ""]
+    prior: Float[Any, "2 parameters"]
+    """Mean and standard deviation, infinite for none."""
+    bounds: Bounds
+    weights: Float[Any, " steps"]
+    """How often each step counts; 1 but for a bootstrap."""
+    integrator: Integrator
+
+
+class Motion(NamedTuple):
+    """Predicted steps."""
+
+    values: Float[Array, " parameters"]
+    starts: Float[Array, "steps section"]
+    begins: Float[Array, " steps"]
+    """Time of the heel strike before each step."""
+    ends: Float[Array, " steps"]
+    walks: Bool[Array, " steps"]
+
+
+def follow_steps(layout: Layout, unknowns: Unknowns, data: Data) -> Motion:
+    """Follow all steps: from their own starts at once, or one after another."""
+    values = from_free(unknowns.free, data.bounds)
+    size = unknowns.starts.shape[1]
+    join = lambda x: jnp.concatenate([x, values])
+    make = partial(steps_made, layout.names, size)
+    if layout.single:
+
+        def advance(x, step):
+            system, is_first, run = step
+            x = jnp.where(is_first, unknowns.starts[run], x)
+            end = linearised(make, join(x), system, data.integrator)
+            return jnp.where(jnp.isfinite(end[:size]), end[:size], x), (x, end[size])
+
+        each = data.systems, data.is_first, data.run
+        _, (starts, durations) = lax.scan(advance, unknowns.starts[0], each)
+    else:
+        starts = unknowns.starts
+        joined = jax.vmap(join)(starts)
+        ends = linearised(jax.vmap(make, (0, 0, None)), joined, data.systems, data.integrator)
+        durations = ends[:, size]
+    walks = jnp.isfinite(durations)
+    durations = jnp.where(walks, durations, data.ends - data.begins)
+    total = jnp.cumsum(durations)
+    before = jnp.where(data.is_first, total - durations, 0)
+    offset = unknowns.begins - jax.ops.segment_sum(before, data.run, len(unknowns.begins))
+    ends = total + offset[data.run]
+    return Motion(values, starts, ends - durations, ends, walks)
+
+
+def steps_made(
+    names: Sequence[str], size: int, variables: Array, system: HybridSystem, integrator: Integrator
+) -> Predicted:
+    """Predict the end of a step from its start and the parameters, joined."""
+    return predict_step(system, names, variables[:size], variables[size:], integrator)
+
+
+def standardise(loss: str, residuals: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Return residuals whose squares are the loss of the given ones."""
+    if loss == "linear":
+        return residuals
+    squares = residuals**2
+    if loss == "soft_l1":  # 2 (sqrt(1 + r^2) - 1)
+        return residuals * jnp.sqrt(2 / (1 + jnp.sqrt(1 + squares)))
+    small = squares < 1e-12
+    ratio = jnp.log1p(squares) / jnp.where(small, 1.0, squares)  # cauchy: log(1 + r^2)
+    return residuals * jnp.sqrt(jnp.where(small, 1.0, ratio))
+
+
+LOSSES = "linear", "soft_l1", "cauchy"
+
+
+def step_residuals(
+    layout: Layout, size: int, variables: Array, step: Any, shared: Any
+) -> Predicted:
+    """Return the residuals of a step's samples, from its start, its time and the parameters."""
+    system, times, recorded, known, weight = step
+    noise, integrator = shared
+    x, begin, values = variables[:size], variables[size], variables[size + 1 :]
+    found = predict_samples(
+        system, layout.names, layout.places, x, times - begin, values, integrator
+    )
+    jacobian = found.jacobian.at[..., size].multiply(-1)  # by the time at which the step begins
+    finite = jnp.isfinite(found.values) & jnp.isfinite(jacobian).all(axis=-1)
+    off = jnp.where(known, (found.values - recorded) / noise, 0)
+    lost = jnp.where(known, LOST, 0.0)
+    rate = jax.vmap(jax.vmap(jax.grad(partial(standardise, layout.loss))))(
+        jnp.where(finite, off, 0)
+    )
+    used = (known & finite)[..., None]
+    slopes = jnp.where(used, rate[..., None] * jacobian / noise[:, None], 0)
+    root = jnp.sqrt(weight)
+    residuals = root * jnp.where(finite, standardise(layout.loss, off), lost)
+    return Predicted(residuals.reshape(-1), root * slopes.reshape(-1, len(variables)))
+
+
+def compress(found: Predicted) -> Predicted:
+    """Turn residuals by a rotation after which only the first few, and their slopes, are not zero.
+
+    Sums of squares, and their derivatives, are the same: a step counts for no more rows than it has
+    variables, and one.
+    """
+    both = jnp.concatenate([found.jacobian, found.values[:, None]], axis=1)
+    triangle = jnp.linalg.qr(both, mode="r")
+    return Predicted(triangle[:, -1], triangle[:, :-1])
+
+
+def residuals(layout: Layout, unknowns: Unknowns, data: Data) -> Float[Array, " residuals"]:
+    """Return residuals whose sum of squares is to be least; those of samples are compressed."""
+    motion = follow_steps(layout, unknowns, data)
+    size = unknowns.starts.shape[1]
+    variables = jax.vmap(lambda x, begin: jnp.concatenate([x, begin[None], motion.values]))(
+        motion.starts, motion.begins
+    )
+
+    def of_samples(variables, steps, shared):
+        of_one = lambda one, step: compress(step_residuals(layout, size, one, step, shared))
+        return jax.vmap(of_one)(variables, steps)
+
+    steps = data.systems, data.times, data.values, data.known, data.weights
+    samples = linearised(of_samples, variables, steps, (data.noise, data.integrator))
+    others = strike_residuals(layout, motion, data), prior(motion, data)
+    return jnp.concatenate([samples.reshape(-1), *others])
+
+
+def strike_residuals(layout: Layout, motion: Motion, data: Data) -> Float[Array, " strikes"]:
+    """Return the residuals of heel strikes: of ends, and of beginnings of runs."""
+    root = jnp.sqrt(data.weights)
+    ends = standardise(layout.loss, (motion.ends - data.ends) / data.strike_noise)
+    begins = standardise(layout.loss, (motion.begins - data.begins) / data.strike_noise)
+    ends = root * jnp.where(motion.walks, ends, LOST)
+    return jnp.concatenate([ends, jnp.where(data.is_first, root * begins, 0)])
+
+
+def prior(motion: Motion, data: Data) -> Float[Array, " parameters"]:
+    """Return the distances of the parameters from their prior means, over standard deviations."""
+    mean, deviation = data.prior
+    return (motion.values - mean) / deviation
+
+
+def predicted(
+    layout: Layout, unknowns: Unknowns, data: Data
+) -> tuple[Motion, Float[Array, "steps samples columns"]]:
+    """Return the predicted steps, and their coordinates at the times of the samples."""
+    motion = follow_steps(layout, unknowns, data)
+
+    def of_step(x, begin, system, times):
+        now = with_values(system, zip(layout.names, motion.values, strict=True))
+        state = lambda time: sample_state(now, x, time - begin, data.integrator)
+        return jax.vmap(state)(times)[:, jnp.asarray(layout.places)]
+
+    return motion, jax.vmap(of_step)(motion.starts, motion.begins, data.systems, data.times)

@@ -1,0 +1,135 @@
+"""First guesses of where steps start, from their samples; checks that these are steps at all."""
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from walker_jax.checks import WrongUse
+from walker_jax.fitting.steps import Steps
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.walking.stride import first_of, modes_from
+
+SHARE = 0.25
+"""Share of a step's duration, from its start, over which a quadratic gives value and rate."""
+FEWEST = 4
+"""Samples that a quadratic is fitted to, at least; a step with fewer has a straight line."""
+TURNS = 5
+"""Turns of Gauss's and Newton's method from columns and rates to a point of the section, which is
+nearly linear in them."""
+MISMATCH = 0.3
+"""Columns are taken for swapped if they are off the section by this share of their size, and
+swapped by a quarter of that."""
+
+
+def names_of_state(system: HybridSystem) -> tuple[str, ...]:
+    """Return the names of the coordinates of the state in which steps begin."""
+    state = jax.eval_shape(system.launch, jnp.zeros(len(system.section)))
+    names = getattr(state, "_fields", None)
+    if names is None:
+        raise WrongUse(f"system must have states with names, NamedTuples, unlike {system.label()}")
+    return names
+
+
+def values_at_start(steps: Steps) -> Float[np.ndarray, "2 steps columns"]:
+    """Return each column's value and rate at the start of each step, by least squares."""
+    count, _, width = steps.values.shape
+    found = np.full((2, count, width), np.nan)
+    for i in range(count):
+        after = steps.times[i] - steps.begins[i]
+        for k in range(width):
+            known = np.flatnonzero(steps.known[i, :, k])
+            near = known[after[known] <= SHARE * (steps.ends[i] - steps.begins[i])]
+            near = near if len(near) >= FEWEST else known[:FEWEST]
+            degree = 2 if len(near) >= FEWEST else 1
+            powers = after[near][:, None] ** np.arange(degree + 1)
+            found[:, i, k] = np.linalg.lstsq(powers, steps.values[i, near, k], rcond=None)[0][:2]
+    return found
+
+
+def first_starts(
+    system: HybridSystem, columns: Sequence[str], steps: Steps
+) -> Float[np.ndarray, "steps section"]:
+    """Guess starts on the section: columns and their rates are nearest to the recorded ones."""
+    values, rates = values_at_start(steps)
+    check_columns(system, columns, values)
+    places = tuple(map(names_of_state(system).index, columns))
+    aims = np.concatenate([values, rates], axis=1)
+    starts, ranks = map(np.asarray, points_of_section(places, system, jnp.asarray(aims)))
+    if ranks.max() < len(system.section):
+        raise WrongUse(
+            f"starts must be given: {', '.join(columns)} and their rates tell no point of the "
+            f"section, {', '.join(system.section)}",
+            of="starts",
+        )
+    return starts
+
+
+@partial(jax.jit, static_argnums=0)
+def points_of_section(
+    places: tuple[int, ...], system: HybridSystem, aims: Float[Array, "steps columns"]
+) -> tuple[Any, Any]:
+    """Return starts whose columns and rates are nearest to aims, and the ranks of their slopes."""
+
+    def seen(x):
+        """Return the columns and their rates at the start x."""
+        start = system.launch(x)
+        rates = first_of(modes_from(system, x)).rates(start)
+        numbers = (jnp.stack(jax.tree.leaves(one)) for one in (start, rates))
+        return jnp.concatenate([one[jnp.asarray(places)] for one in numbers])
+
+    def find(aim):
+        x = jnp.zeros(len(system.section))
+        for _ in range(TURNS):
+            x = x - jnp.linalg.lstsq(jax.jacfwd(seen)(x), seen(x) - aim)[0]
+        return x, jnp.linalg.matrix_rank(jax.jacfwd(seen)(x))
+
+    return jax.vmap(find)(aims)
+
+
+def check_columns(
+    system: HybridSystem, columns: Sequence[str], values: Float[np.ndarray, "steps columns"]
+) -> None:
+    """Raise `WrongUse` where two columns, swapped, are on the section and as named are not."""
+    names, section = names_of_state(system), system.section
+    if not {name for name in section if not name.endswith("dot")} <= {*columns}:
+        return
+    lift = jax.vmap(lambda x: jnp.stack(jax.tree.leaves(system.launch(x))))
+
+    def off(order: Sequence[str]) -> float:
+        known = dict(zip(order, values.T, strict=True))
+        x = np.stack([known.get(name, np.zeros(len(values))) for name in section], axis=1)
+        state = dict(zip(names, np.asarray(lift(jnp.asarray(x))).T, strict=True))
+        places = [name for name in order if not name.endswith("dot")]
+        apart = [state[name] - known[name] for name in places]
+        size = [known[name] for name in places]
+        return float(np.nanmedian(np.abs(apart)) / np.nanmedian(np.abs(size)))
+
+    now = off(columns)
+    places = [name for name in columns if not name.endswith("dot")]
+    for a, b in combinations(places, 2):
+        swapped = [b if name == a else a if name == b else name for name in columns]
+        if now > MISMATCH and off(swapped) < now / 4:
+            raise WrongUse(
+                f"columns {a} and {b} must be swapped: as they are, no step begins on the section "
+                f"of {system.label()}",
+                of="columns",
+            )
+
+
+def check_feasible(
+    system: HybridSystem, starts: Float[np.ndarray, "steps section"], walks: Any
+) -> None:
+    """Raise `WrongUse` if no first guess makes a step."""
+    if not np.any(walks):
+        middle = ", ".join(f"{value:.3g}" for value in np.median(starts, axis=0))
+        raise WrongUse(
+            f"recordings must begin steps of {system.label()}: none walks from its recorded start, "
+            f"such as ({middle}); check signs and units, or give starts",
+            of="recordings",
+        )
