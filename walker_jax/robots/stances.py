@@ -1,0 +1,146 @@
+"""A robot on its stance foot, with some knees locked: masses, contact points and impacts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from walker_jax import multibody
+from walker_jax.kernels.scalars import unroll
+from walker_jax.multibody.single_support import coordinates_and_rates
+from walker_jax.robots.forces import joint_forces
+from walker_jax.robots.machine import (
+    Machine,
+    Numbers,
+    masses_of,
+    place_in,
+    pose,
+    transfer,
+    weights_of,
+)
+
+if TYPE_CHECKING:
+    from walker_jax.robots.robots import Robot
+
+
+class RobotState(NamedTuple):
+    """Coordinates of the links that are not locked, in the order of `Machine.order`; rates."""
+
+    coordinates: tuple[Any, ...]
+    rates: tuple[Any, ...]
+
+
+class Stance(eqx.Module):
+    """A robot whose stance foot is at q[:2], with locked knees: the other coordinates are free."""
+
+    robot: "Robot"
+    locked: tuple[int, ...] = eqx.field(static=True, default=())
+
+    @property
+    def machine(self) -> Machine:
+        return self.robot.machine
+
+    @property
+    def numbers(self) -> Numbers:
+        return self.robot.parameters
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The links that are not locked, in the order of the coordinates."""
+        return tuple(i for i in self.machine.order if i not in self.locked)
+
+    def all_coordinates(self, q: Float[Array, " q"]) -> list:
+        return self.machine.locked(list(q[2:]), self.numbers, self.locked)
+
+    def all_rates(self, qdot: Float[Array, " q"]) -> list:
+        """Rates of all links: a locked one turns as the link above it."""
+        given = dict(zip(self.free, qdot[2:], strict=True))
+        for i, link in enumerate(self.machine.links):
+            given.setdefault(i, given.get(link.parent))
+        return [given[i] for i in range(len(self.machine.links))]
+
+    def system(self) -> multibody.System:
+        """Return masses, F(q) and forces in these coordinates."""
+        machine, numbers = self.machine, self.numbers
+
+        def places(q):
+            return jnp.stack(transfer(machine, numbers, (q[0], q[1]), self.all_coordinates(q)))
+
+        def forces(q, qdot):
+            coordinates, rates = self.all_coordinates(q), self.all_rates(qdot)
+            on = joint_forces(machine, numbers, self.robot.controller, coordinates, rates)
+            found = dict.fromkeys(self.free, 0 * q[0])
+            for i, one in enumerate(on):
+                while i in self.locked:
+                    i = machine.links[i].parent
+                found[i] = found[i] + one
+            return jnp.stack([0 * q[0], 0 * q[0], *found.values()])
+
+        acts = machine.actuators or any(one.stiffness or one.damping for one in machine.links)
+        weights = jnp.stack(weights_of(machine, numbers))
+        masses = jnp.stack(masses_of(machine, numbers))
+        return multibody.System(places, masses, weights, forces if acts else None)
+
+    def points(self, q: Float[Array, " q"]) -> tuple[tuple, tuple, tuple]:
+        """Return the centres of the arcs of both feet, and the hip of the stance leg."""
+        machine, numbers = self.machine, self.numbers
+        found = pose(machine, numbers, (q[0], q[1]), self.all_coordinates(q))
+        stance, swing = (place_in(found, numbers, one.link, one.place) for one in machine.feet)
+        return stance, swing, found.joints[machine.legs[0][0]]
+
+    def joint(self, q: Float[Array, " q"], link: int) -> tuple[Any, Any]:
+        """Return the place of a link's joint."""
+        coordinates = self.all_coordinates(q)
+        return pose(self.machine, self.numbers, (q[0], q[1]), coordinates).joints[link]
+
+    def sole(self, q: Float[Array, " q"]) -> Float[Array, " 2"]:
+        """Return (u, v) of the swing foot, as (q[0], q[1]) are of the stance foot."""
+        _, centre, _ = self.points(q)
+        foot = self.machine.feet[1]
+        if foot.radius is None:
+            return jnp.stack(centre)
+        radius, coordinates = self.numbers[foot.radius], self.all_coordinates(q)
+        angle = pose(self.machine, self.numbers, (q[0], q[1]), coordinates).angles[foot.link]
+        rolled = 0.0 if angle is None else radius * angle
+        return jnp.stack([centre[0] - rolled, centre[1] - radius])
+
+    def progress(self, state: RobotState) -> Any:
+        """Return the rate at which the hip passes over the centre of the stance foot's arc."""
+
+        def leg(q):
+            centre, _, hip = self.points(q)
+            return jnp.stack([hip[0] - centre[0], hip[1] - centre[1]])
+
+        along, rate = jax.jvp(leg, *((one,) for one in coordinates_and_rates(state)))
+        return along[1] * rate[0] - along[0] * rate[1]
+
+    def struck(self, state: RobotState) -> tuple[list, list]:
+        """Return rates just after the swing foot came down and stays, and the other's velocity.
+
+        The foot that stood is free. Knees stay as they are locked.
+        """
+
+        def solve(stance, state):
+            after = multibody.impact(stance.system(), stance.sole, *coordinates_and_rates(state))
+            return [*after.velocities]
+
+        u, v, *rates = unroll(solve)(self, state)
+        return rates, [u, v]
+
+    def straightened(self, state: RobotState, knee: int) -> RobotState:
+        """Return the state after a knee has come to its stop and locks; the foot stays."""
+        machine, at = self.machine, 2 + self.free.index(knee)
+
+        def solve(stance, state):
+            above = 2 + stance.free.index(machine.links[knee].parent)
+            contacts = lambda q: jnp.stack([q[0], q[1], q[at] - q[above]])
+            after = multibody.impact(stance.system(), contacts, *coordinates_and_rates(state))
+            return [*after.velocities]
+
+        rates = unroll(solve)(self, state)
+        without = lambda some: tuple(one for i, one in enumerate(some) if i != at - 2)
+        return RobotState(without(state.coordinates), without(rates[2:]))
