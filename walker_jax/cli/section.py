@@ -201,10 +201,11 @@ def state_from(walker: "wj.System", given: dict[str, float]) -> "Float[np.ndarra
 
 
 def axes_of_region(system: "wj.System") -> dict[str, Any]:
-    """Return the axes of the region in which a system's gaits are sought."""
-    from walker_jax.basins.windows import window_of_region
+    """Return the axes of the region of a system's basin, or that in which its gaits are sought."""
+    from walker_jax.basins.windows import window_of_basin, window_of_region
 
-    axes = window_of_region(system, WINDOW_CELLS)
+    own = type(system).basin_region is not wj.System.basin_region
+    axes = window_of_basin(system) if own else window_of_region(system, WINDOW_CELLS)
     if axes is None:
         names = ", ".join(system.section)
         raise WrongUse(f"--axis NAME={RANGE} is required, for each of {names}")
@@ -227,7 +228,8 @@ def check_section(walker: "wj.System", axis: dict[str, Any]) -> None:
             f"{walker.label()} has a section of one coordinate, and pictures have two: use "
             "walker_jax.basin in Python"
         )
-    if count > 3 and not axis:
+    own = type(walker).basin_region is not wj.System.basin_region
+    if count > 3 and not axis and not own:
         raise WrongUse(
             f"--axis is required: {walker.label()} has a section of {count} coordinates; give two "
             f"or three of them as NAME={RANGE}, the others as NAME=VALUE"

@@ -98,7 +98,9 @@ def lowest(mujoco: Any, plane: Plane) -> list[Sole]:
         named = [i for i in range(model.nsite) if "foot" in model.site(i).name.lower()]
         if len(named) == 2:
             return [sole_of_site(plane, i) for i in named]
-        raise WrongUse("feet must be given: no geom can touch the ground, and no two sites are feet")
+        raise WrongUse(
+            "feet must be given: no geom can touch the ground, and no two sites are feet"
+        )
     bodies: dict[int, list[int]] = {}
     for i in moving:
         bodies.setdefault(int(model.geom_bodyid[i]), []).append(i)

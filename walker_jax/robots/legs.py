@@ -46,7 +46,10 @@ class Sides(NamedTuple):
 
 def tree_of(mujoco: Any, model: Any) -> Tree:
     """Return the tree; raise `WrongUse` unless two slides of the base come first."""
-    slide, names = mujoco.mjtJoint.mjJNT_SLIDE, [name_in(model, "joint", i) for i in range(model.njnt)]
+    slide, names = (
+        mujoco.mjtJoint.mjJNT_SLIDE,
+        [name_in(model, "joint", i) for i in range(model.njnt)],
+    )
     parents = model.dof_parentid
     free = "the base must be free in the plane: its first two joints must be slides"
     if model.nv < 4 or any(model.jnt_type[i] != slide for i in (0, 1)):
@@ -111,7 +114,9 @@ def sides_of(model: Any, tree: Tree, feet: tuple[Sole, Sole]) -> Sides:
             if name in known:
                 pair(*(known[name], i) if side else (i, known[name]))
             known[name] = i
-    return Sides((legs[0], legs[1]), tuple(mirror[i] for i in range(len(mirror))), tuple(left), feet)
+    return Sides(
+        (legs[0], legs[1]), tuple(mirror[i] for i in range(len(mirror))), tuple(left), feet
+    )
 
 
 def body_name(model: Any, foot: Sole) -> str:

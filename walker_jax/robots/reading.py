@@ -199,7 +199,9 @@ def keyframe_of(reader: Reader, machine: Machine) -> Keyframe | None:
     arms = []
     for foot, sole in zip(machine.feet, reader.sides.feet, strict=True):
         body = sole.body
-        away = np.zeros(3) + sole.centre[0] * reader.plane.along + sole.centre[1] * reader.plane.normal
+        away = (
+            np.zeros(3) + sole.centre[0] * reader.plane.along + sole.centre[1] * reader.plane.normal
+        )
         start, frame = reader.data.xpos[body], reader.data.xmat[body].reshape(3, 3)
         local = frame.T @ (away - start)
         arms.append((data.xpos[body] + data.xmat[body].reshape(3, 3) @ local) @ reader.plane.along)

@@ -14,6 +14,7 @@ from walker_jax.robots.files import compile_file, load_mujoco
 from walker_jax.robots.foreign import check_supported
 from walker_jax.robots.forces import Controller
 from walker_jax.robots.legs import sides_of, tree_of
+from walker_jax.robots.machine import Machine
 from walker_jax.robots.planes import plane_of
 from walker_jax.robots.reading import Reader, keyframe_of
 from walker_jax.robots.robots import Robot
@@ -60,15 +61,7 @@ def robot(
     check_kind("parameters", {} if parameters is None else parameters, Mapping)
     if controller is not None and not callable(controller):
         raise WrongUse(f"controller must be a function, not {short(controller)}")
-    model, mujoco = compile_file(path), load_mujoco()
-    check_supported(mujoco, model)
-    plane = plane_of(mujoco, model)
-    tree = tree_of(mujoco, model)
-    sides = sides_of(model, tree, feet_of(mujoco, plane, feet))
-    reader = Reader(mujoco, plane, tree, sides)
-    given = model.names.split(b"\0")[0].decode()
-    called = Path(path).stem if given in ("", UNNAMED) else given
-    machine = reader.machine(re.sub(r"\W+", "_", called))
+    reader, machine = read_machine(path, feet)
     numbers, key = dict(reader.ledger.numbers), keyframe_of(reader, machine)
     numbers |= {} if key is None else key.ctrl
     numbers |= dict(parameters or {})
@@ -78,3 +71,16 @@ def robot(
     free = [machine.order.index(i) for i in made.landing().free]
     near = [key.coordinates[i] for i in free[:-1]] + [key.rates[i] for i in free]
     return Robot(machine, numbers, controller, near=tuple(near), check_scuffing=check_scuffing)
+
+
+def read_machine(path: str | os.PathLike, feet: Sequence[str] | None) -> tuple[Reader, Machine]:
+    """Return the machine of a file, and its reader, which knows MuJoCo's coordinates."""
+    model, mujoco = compile_file(path), load_mujoco()
+    check_supported(mujoco, model)
+    plane = plane_of(mujoco, model)
+    tree = tree_of(mujoco, model)
+    sides = sides_of(model, tree, feet_of(mujoco, plane, feet))
+    reader = Reader(mujoco, plane, tree, sides)
+    given = model.names.split(b"\0")[0].decode()
+    called = Path(path).stem if given in ("", UNNAMED) else given
+    return reader, reader.machine(re.sub(r"\W+", "_", called))

@@ -27,6 +27,9 @@ LEAST_SCUFF = 1e-6
 """Depth, over the size of the robot, from which a foot counts as below the ground: a smaller depth
 is rounding."""
 
+WINDOW_CELLS = 100
+"""Cells along each axis of the window around a gait."""
+
 
 class Robot(HybridSystem):
     """A planar machine on two like legs, read from a file by `wj.robot`.
@@ -149,9 +152,7 @@ class Robot(HybridSystem):
             down = Guard(depth, SECTION, (ahead, leans), reset=reset, makes_zero=("SCUFFED",))
             down = away, down
         conditions = (self.forces(stance), *self.clears(stance))
-        return Mode(
-            SingleSupport(stance), (*self.falls(stance), *down), conditions, as_smooth=True
-        )
+        return Mode(SingleSupport(stance), (*self.falls(stance), *down), conditions, as_smooth=True)
 
     def leans(self, stance: Stance) -> Any:
         """Return the function whether the stance foot's joint is ahead of it, as after landing."""
@@ -172,7 +173,9 @@ class Robot(HybridSystem):
         rates, _ = stance.struck(state)
         place = {link: k for k, link in enumerate(stance.free)}
         other = [place[self.machine.mirror[link]] for link in stance.free]
-        return RobotState(tuple(state.coordinates[k] for k in other), tuple(rates[k] for k in other))
+        return RobotState(
+            tuple(state.coordinates[k] for k in other), tuple(rates[k] for k in other)
+        )
 
     def bent_mode(self, stance: Stance, knee: int) -> Mode:
         """Return the mode in which the knee of the swing leg is free, until it is straight."""
@@ -220,6 +223,11 @@ class Robot(HybridSystem):
     def unit_of_time(self):
         return (self.machine.size / self.parameters["gravity"]) ** 0.5
 
+    def basin_region(self, gait):
+        """A slice through the gait, or the region in which one is sought."""
+        at = gait()
+        return self.gait_region() if at is None else window_around(self, at)
+
     def gait_region(self):
         """The keyframe of the file, or legs that are apart and move as pendulums."""
         free = self.landing().free
@@ -228,6 +236,17 @@ class Robot(HybridSystem):
             axes = zip(self.section, np.asarray(self.near), sizes, strict=True)
             return Grid.plain(**{name: (at - by, at + by, 1) for name, at, by in axes})
         return pendulum_region(self, len(free))
+
+
+def window_around(robot: Robot, x: Any) -> Grid:
+    """Return a slice through a point, along the stance leg's first coordinate and its rate."""
+    point = dict(zip(robot.section, np.asarray(x, float).tolist(), strict=True))
+    first = robot.section[0]
+    axes = {}
+    for name, least in ((first, 0.1), (f"{first}_rate", 0.5)):
+        width = max(abs(point[name]), least) / 2
+        axes[name] = point[name] - width, point[name] + width, WINDOW_CELLS
+    return Grid.through(point, **axes)
 
 
 def pendulum_region(robot: Robot, count: int) -> Grid:
