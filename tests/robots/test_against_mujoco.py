@@ -1,11 +1,13 @@
 """Accelerations, forces and impacts of robots against MuJoCo's own matrices, at random states."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from mujoco_machines import Constrained
-from reference import ROOT
+from robot_examples import FILES, TELESCOPE
 
 import walker_jax as wj
 from walker_jax.multibody.single_support import accelerations_and_forces
@@ -13,9 +15,6 @@ from walker_jax.robots.postures import mujoco_states
 from walker_jax.robots.robot_files import read_machine
 from walker_jax.robots.stances import RobotState, Stance
 
-FILES = ROOT / "docs" / "robots"
-TELESCOPE = ROOT / "tests" / "data" / "telescope.xml"
-"""Slides, springs, dampers, armatures, servos, arms, capsules and turned frames."""
 STATES = 1000
 
 
@@ -64,7 +63,7 @@ def test_accelerations_and_forces_are_those_of_mujoco(machine):
         stance = Stance(robot, locked)
         values, rates = random_states(stance, 2)
         qpos, qvel = mujoco_states(model.reader, stance, on_foot(values), on_foot(rates))
-        solve = jax.jit(jax.vmap(lambda state: accelerations_and_forces(stance, state)))
+        solve = jax.jit(jax.vmap(partial(accelerations_and_forces, stance)))
         accelerations, forces = (np.stack(one, 1) for one in solve(as_states(values, rates)))
         for i in range(STATES):
             joints, held = model.at(qpos[i], qvel[i], ctrl).motion([0], locked)

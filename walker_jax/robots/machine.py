@@ -129,16 +129,84 @@ class Machine(NamedTuple):
         return None if link.stop is None else link.direction * (numbers[link.stop] - link.reference)
 
 
-class Pose(NamedTuple):
-    """Places and angles of all links; vectors are pairs of scalars."""
+class Pose:
+    """Places and angles of links, each computed when it is first asked for.
 
-    angles: list[Any]
-    joints: list[Any]
-    """Place of each link's joint."""
-    base: Any
-    """Place of the base."""
-    turned: list[Any]
-    """Cosine and sine of each link's angle."""
+    The stance foot is at (u, v), the coordinates of the sole as if it had rolled from the angle 0:
+    the centre of its arc is at (u + radius angle, v + radius). Places are pairs of scalars. The
+    coordinates are in tree order.
+    """
+
+    def __init__(self, machine: Machine, numbers: Numbers, foot: tuple, coordinates: list):
+        self.machine, self.numbers, self.coordinates = machine, numbers, coordinates
+        self.angles = angles_of(machine, coordinates)
+        self.turns: dict[int, Any] = {}
+        self.known: dict[int, tuple] = {}
+        stance, at = machine.feet[0], foot
+        if stance.radius is not None:
+            radius, angle = numbers[stance.radius], self.angles[stance.link]
+            at = at[0] + (0.0 if angle is None else radius * angle), at[1] + radius
+        self.centre = at
+        """Of the arc of the stance foot."""
+        self.above = {}
+        """The links above others on the stance leg, up to the base, with those below them."""
+        i = stance.link
+        while i != BASE:
+            self.above[machine.links[i].parent] = i
+            i = machine.links[i].parent
+
+    def turned(self, i: int) -> Any:
+        """Return cosine and sine of a link's angle; None for one that does not turn."""
+        if i == BASE or self.angles[i] is None:
+            return None
+        if not self.machine.links[i].turns:
+            return self.turned(self.machine.links[i].parent)
+        if i not in self.turns:
+            self.turns[i] = jnp.cos(self.angles[i]), jnp.sin(self.angles[i])
+        return self.turns[i]
+
+    def arm(self, i: int) -> tuple[Any, Any]:
+        """Return the way from the parent's joint to that of link i."""
+        link = self.machine.links[i]
+        frame = self.turned(link.parent)
+        found = vector(self.numbers, link.anchor, frame)
+        if isinstance(link.direction, float):
+            return found
+        x, z = link.direction
+        moved = {"x": self.coordinates[i] * x, "z": self.coordinates[i] * z}
+        return total(found, vector(moved, ("x", "z"), frame))
+
+    def joint(self, i: int) -> tuple:
+        """Return the place of a link's joint, or of the base."""
+        if i not in self.known:
+            stance = self.machine.feet[0]
+            if i == stance.link:
+                to_centre = vector(self.numbers, stance.place, self.turned(i))
+                self.known[i] = plus(self.centre, to_centre, -1.0)
+            elif i in self.above:  # up the stance leg, to the base
+                below = self.above[i]
+                self.known[i] = plus(self.joint(below), self.arm(below), -1.0)
+            else:
+                self.known[i] = plus(self.joint(self.machine.links[i].parent), self.arm(i))
+        return self.known[i]
+
+    def place(self, link: int, place: Place) -> tuple:
+        """Return a point of a link."""
+        return plus(self.joint(link), vector(self.numbers, place, self.turned(link)))
+
+    def swing_centre(self) -> tuple:
+        """Return the centre of the arc of the swing foot."""
+        foot = self.machine.feet[1]
+        return self.place(foot.link, foot.place)
+
+
+def angles_of(machine: Machine, coordinates: list) -> list:
+    """Return the angles of links from their coordinates; None for those that do not turn."""
+    angles: list[Any] = []
+    for link, value in zip(machine.links, coordinates, strict=True):
+        above = angles[link.parent] if link.parent != BASE else None
+        angles.append(value if link.turns else above)
+    return angles
 
 
 def vector(numbers: Numbers, place: Place, turned: tuple | None) -> tuple[Any, Any]:
@@ -152,69 +220,24 @@ def vector(numbers: Numbers, place: Place, turned: tuple | None) -> tuple[Any, A
     return (z * s, z * c) if x is None else (x * c + z * s, z * c - x * s)
 
 
+def total(one: tuple, other: tuple) -> tuple[Any, Any]:
+    """Return the sum of two vectors, of which entries may be None, for zero."""
+    add = lambda a, b: b if a is None else a if b is None else a + b
+    return add(one[0], other[0]), add(one[1], other[1])
+
+
 def plus(point: tuple, by: tuple, sign: float = 1.0) -> tuple[Any, Any]:
-    """Return the sum of two vectors, or their difference; None is zero."""
+    """Return a point moved by a vector, or back by it; None is zero."""
     add = lambda a, b: a if b is None else a + b if sign > 0 else a - b
     return add(point[0], by[0]), add(point[1], by[1])
 
 
-def pose(machine: Machine, numbers: Numbers, foot: tuple, coordinates: list) -> Pose:
-    """Return the pose with the stance foot at (u, v), from the coordinates in tree order.
-
-    u and v are the coordinates of the sole as if it had rolled from the angle 0: the centre of the
-    arc is at (u + radius angle, v + radius).
-    """
-    links, stance = machine.links, machine.feet[0]
-    angles: list[Any] = []
-    for link, value in zip(links, coordinates, strict=True):
-        above = angles[link.parent] if link.parent != BASE else None
-        angles.append(value if link.turns else above)
-    turned: list[Any] = []
-    for link, angle in zip(links, angles, strict=True):
-        own = link.turns and angle is not None
-        above = turned[link.parent] if link.parent != BASE else None
-        turned.append((jnp.cos(angle), jnp.sin(angle)) if own else above)
-    frame = lambda i: None if i == BASE else turned[i]
-
-    def arm(i: int) -> tuple[Any, Any]:
-        """From the parent's joint to the joint of link i."""
-        link = links[i]
-        found = vector(numbers, link.anchor, frame(link.parent))
-        if isinstance(link.direction, float):
-            return found
-        slid = {"x": coordinates[i] * link.direction[0], "z": coordinates[i] * link.direction[1]}
-        moved = vector(slid, ("x", "z"), frame(link.parent))
-        return tuple(b if a is None else a + b for a, b in zip(found, moved, strict=True))  # pyright: ignore
-
-    known: dict[int, tuple] = {}
-    at = foot
-    if stance.radius is not None:
-        radius, angle = numbers[stance.radius], angles[stance.link]
-        at = at[0] + (0.0 if angle is None else radius * angle), at[1] + radius
-    i = stance.link
-    known[i] = plus(at, vector(numbers, stance.place, turned[i]), -1.0)
-    while i != BASE:  # up the stance leg, to the base
-        known[links[i].parent] = plus(known[i], arm(i), -1.0)
-        i = links[i].parent
-    for i, link in enumerate(links):  # down from there
-        if i not in known:
-            known[i] = plus(known[link.parent], arm(i))
-    return Pose(angles, [known[i] for i in range(len(links))], known[BASE], turned)
-
-
-def place_in(found: Pose, numbers: Numbers, link: int, place: Place) -> tuple[Any, Any]:
-    """Return a point of a link."""
-    if link == BASE:
-        return plus(found.base, vector(numbers, place, None))
-    return plus(found.joints[link], vector(numbers, place, found.turned[link]))
-
-
 def transfer(machine: Machine, numbers: Numbers, foot: tuple, coordinates: list) -> list:
     """Return F(q): places of the masses, angles of those with inertia, and geared-up rotors."""
-    found = pose(machine, numbers, foot, coordinates)
+    found = Pose(machine, numbers, foot, coordinates)
     points: list[Any] = []
     for one in machine.masses:
-        place = place_in(found, numbers, one.link, one.place)
+        place = found.place(one.link, one.place)
         if one.along is None:
             points += place
         else:
@@ -261,8 +284,5 @@ def joint_value(machine: Machine, i: int, coordinates: list, angles: list) -> An
 
 def joint_values(machine: Machine, coordinates: list) -> list:
     """Return the value of each joint from that in the pose of the file; for rates likewise."""
-    angles: list[Any] = []
-    for link, value in zip(machine.links, coordinates, strict=True):
-        above = angles[link.parent] if link.parent != BASE else None
-        angles.append(value if link.turns else above)
+    angles = angles_of(machine, coordinates)
     return [joint_value(machine, i, coordinates, angles) for i in range(len(machine.links))]

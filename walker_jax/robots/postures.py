@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from walker_jax.robots.machine import joint_values, pose
+from walker_jax.robots.machine import BASE, joint_values
 from walker_jax.robots.reading import Reader
 from walker_jax.robots.stances import Stance
 
@@ -17,8 +17,8 @@ def joints_and_base(
 ) -> tuple[Float[Array, " links"], Float[Array, " 2"]]:
     """Return the joints' values from the pose of the file, and the place of the base."""
     coordinates = stance.all_coordinates(q)
-    found = pose(stance.machine, stance.numbers, (q[0], q[1]), coordinates)
-    return jnp.stack(joint_values(stance.machine, coordinates)), jnp.stack(found.base)
+    base = stance.pose(q).joint(BASE)
+    return jnp.stack(joint_values(stance.machine, coordinates)), jnp.stack(base)
 
 
 @jax.jit

@@ -11,8 +11,8 @@ from typing import Any
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.robots.contacts import feet_of
 from walker_jax.robots.files import compile_file, load_mujoco
-from walker_jax.robots.foreign import check_supported
 from walker_jax.robots.forces import Controller
+from walker_jax.robots.foreign import check_supported
 from walker_jax.robots.legs import sides_of, tree_of
 from walker_jax.robots.machine import Machine
 from walker_jax.robots.planes import plane_of

@@ -103,7 +103,7 @@ class Robot(HybridSystem):
             rate = lambda state: -state.rates[0]
             forward = Guard(lambda state: bearing(state) - np.pi / 2, "FORWARD")
             return Guard(rate, "BACKWARD", at_once=True), forward
-        hip = lambda state: stance.points(coordinates_and_rates(state)[0])[2][1]
+        hip = lambda state: stance.hip(coordinates_and_rates(state)[0])[1]
         forward = Guard(lambda state: -hip(state), "FORWARD")
         stops = Guard(lambda state: -stance.progress(state), "BACKWARD", at_once=True)
         return forward, stops
@@ -130,12 +130,7 @@ class Robot(HybridSystem):
 
     def ahead(self, stance: Stance) -> Any:
         """Return the function to the distance of the swing foot ahead of the stance foot."""
-
-        def distance(state):
-            back, front, _ = stance.points(coordinates_and_rates(state)[0])
-            return front[0] - back[0]
-
-        return distance
+        return lambda state: stance.ahead(coordinates_and_rates(state)[0])
 
     def landing_mode(self, stance: Stance) -> Mode:
         """Return the mode that ends as the swing foot comes down, with all knees locked."""
@@ -162,9 +157,8 @@ class Robot(HybridSystem):
             return lambda state: jnp.ones_like(state.rates[0])
 
         def distance(state):
-            q = coordinates_and_rates(state)[0]
-            centre, _, _ = stance.points(q)
-            return stance.joint(q, i)[0] - centre[0]
+            pose = stance.pose(coordinates_and_rates(state)[0])
+            return pose.joint(i)[0] - pose.centre[0]
 
         return distance
 

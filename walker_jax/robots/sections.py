@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from walker_jax.multibody.single_support import stance_coordinates
-from walker_jax.robots.machine import Machine, Numbers, place_in, pose
+from walker_jax.robots.machine import Machine, Numbers, Pose
 from walker_jax.robots.stances import RobotState, Stance
 
 
@@ -30,9 +30,8 @@ def foot_arm(stance: Stance) -> Arm:
     machine, numbers = stance.machine, stance.numbers
     zero = 0 * numbers["gravity"]
     coordinates = machine.locked([zero] * len(stance.free), numbers, stance.locked)
-    found, foot = pose(machine, numbers, (zero, zero), coordinates), machine.feet[1]
-    centre = place_in(found, numbers, foot.link, foot.place)
-    joint = found.joints[last_free(stance)]
+    pose = Pose(machine, numbers, (zero, zero), coordinates)
+    centre, joint = pose.swing_centre(), pose.joint(last_free(stance))
     x, z = centre[0] - joint[0], centre[1] - joint[1]
     return Arm(jnp.sqrt(x**2 + z**2), jnp.arctan2(-x, -z))
 
@@ -44,10 +43,10 @@ def radius_of(machine: Machine, numbers: Numbers) -> Any:
 
 def cosine_of_last(stance: Stance, arm: Arm, known: list) -> Any:
     """Return the cosine of the angle of the swing foot's arm, with both feet on the ground."""
-    machine, numbers = stance.machine, stance.numbers
-    q = stance_coordinates([*known, jnp.zeros_like(known[0])])
-    found = pose(machine, numbers, (q[0], q[1]), stance.all_coordinates(q))
-    return (found.joints[last_free(stance)][1] - radius_of(machine, numbers)) / arm.length
+    joint = stance.pose(stance_coordinates([*known, jnp.zeros_like(known[0])])).joint(
+        last_free(stance)
+    )
+    return (joint[1] - radius_of(stance.machine, stance.numbers)) / arm.length
 
 
 def slid_to_ground(stance: Stance, known: list) -> Any:
@@ -69,7 +68,7 @@ def last_coordinate(stance: Stance, straight: bool, known: list) -> Any:
 
 
 def can_reach(stance: Stance, straight: bool, x: Float[Array, " section"]) -> Any:
-    """Return whether there is such a pose; straight legs must also walk forward, and lift a foot."""
+    """Return whether there is such a pose; straight legs must walk forward and lift a foot too."""
     count = len(stance.free)
     if straight:
         angle = x[0] + foot_arm(stance).angle

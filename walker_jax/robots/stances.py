@@ -13,15 +13,7 @@ from walker_jax import multibody
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import coordinates_and_rates
 from walker_jax.robots.forces import joint_forces
-from walker_jax.robots.machine import (
-    Machine,
-    Numbers,
-    masses_of,
-    place_in,
-    pose,
-    transfer,
-    weights_of,
-)
+from walker_jax.robots.machine import Machine, Numbers, Pose, masses_of, transfer, weights_of
 
 if TYPE_CHECKING:
     from walker_jax.robots.robots import Robot
@@ -85,35 +77,36 @@ class Stance(eqx.Module):
         masses = jnp.stack(masses_of(machine, numbers))
         return multibody.System(places, masses, weights, forces if acts else None)
 
-    def points(self, q: Float[Array, " q"]) -> tuple[tuple, tuple, tuple]:
-        """Return the centres of the arcs of both feet, and the hip of the stance leg."""
-        machine, numbers = self.machine, self.numbers
-        found = pose(machine, numbers, (q[0], q[1]), self.all_coordinates(q))
-        stance, swing = (place_in(found, numbers, one.link, one.place) for one in machine.feet)
-        return stance, swing, found.joints[machine.legs[0][0]]
-
-    def joint(self, q: Float[Array, " q"], link: int) -> tuple[Any, Any]:
-        """Return the place of a link's joint."""
-        coordinates = self.all_coordinates(q)
-        return pose(self.machine, self.numbers, (q[0], q[1]), coordinates).joints[link]
+    def pose(self, q: Float[Array, " q"]) -> Pose:
+        """Return the pose of all links."""
+        return Pose(self.machine, self.numbers, (q[0], q[1]), self.all_coordinates(q))
 
     def sole(self, q: Float[Array, " q"]) -> Float[Array, " 2"]:
         """Return (u, v) of the swing foot, as (q[0], q[1]) are of the stance foot."""
-        _, centre, _ = self.points(q)
-        foot = self.machine.feet[1]
+        pose, foot = self.pose(q), self.machine.feet[1]
+        centre = pose.swing_centre()
         if foot.radius is None:
             return jnp.stack(centre)
-        radius, coordinates = self.numbers[foot.radius], self.all_coordinates(q)
-        angle = pose(self.machine, self.numbers, (q[0], q[1]), coordinates).angles[foot.link]
+        radius, angle = self.numbers[foot.radius], pose.angles[foot.link]
         rolled = 0.0 if angle is None else radius * angle
         return jnp.stack([centre[0] - rolled, centre[1] - radius])
+
+    def hip(self, q: Float[Array, " q"]) -> tuple[Any, Any]:
+        """Return the place of the stance leg's hip."""
+        return self.pose(q).joint(self.machine.legs[0][0])
+
+    def ahead(self, q: Float[Array, " q"]) -> Any:
+        """Return the distance of the swing foot ahead of the stance foot."""
+        pose = self.pose(q)
+        return pose.swing_centre()[0] - pose.centre[0]
 
     def progress(self, state: RobotState) -> Any:
         """Return the rate at which the hip passes over the centre of the stance foot's arc."""
 
         def leg(q):
-            centre, _, hip = self.points(q)
-            return jnp.stack([hip[0] - centre[0], hip[1] - centre[1]])
+            pose = self.pose(q)
+            hip = pose.joint(self.machine.legs[0][0])
+            return [hip[0] - pose.centre[0], hip[1] - pose.centre[1]]
 
         along, rate = jax.jvp(leg, *((one,) for one in coordinates_and_rates(state)))
         return along[1] * rate[0] - along[0] * rate[1]

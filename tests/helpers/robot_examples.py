@@ -1,0 +1,38 @@
+"""The robots of docs/robots, and their twins in the package."""
+
+import numpy as np
+from reference import ROOT
+
+import walker_jax as wj
+from walker_jax.walkers.references import load_file
+
+FILES = ROOT / "docs" / "robots"
+TELESCOPE = ROOT / "tests" / "data" / "telescope.xml"
+"""Slides, springs, dampers, armatures, servos, arms, capsules and turned frames."""
+UNIT = np.sqrt(9.81)
+"""Rates of robots with legs of 1 m, over those of walkers in units of leg length and gravity."""
+
+
+def five_link():
+    """The five-link biped, with its controller."""
+    return load_file(FILES / "five_link.py").biped
+
+
+def round_foot():
+    """The twin of compass.xml."""
+    legs = dict(leg_mass=5.0, leg_inertia=0.1, com_from_hip=0.5, foot_radius=0.05)
+    return wj.RoundFootWalker(0.05, hip_mass=10.0, **legs)
+
+
+def kneed():
+    """The twin of kneed.xml."""
+    legs = dict(thigh_com=0.325, shank_com=0.125, thigh_inertia=0.05, shank_inertia=0.002)
+    masses = dict(hip_mass=10.0, thigh_mass=10.0, shank_mass=1.0)
+    return wj.KneedWalker(0.05, foot_radius=0.05, **masses, **legs)
+
+
+def as_robot(x):
+    """A point of a robot's section from that of its twin, (theta, thetadot, phidot)."""
+    x = np.asarray(x)
+    rates = np.stack([-x[..., 1], x[..., 2] - x[..., 1]], -1) * UNIT
+    return np.concatenate([-x[..., :1], rates], -1)
