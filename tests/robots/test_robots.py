@@ -90,7 +90,9 @@ def test_the_program_of_a_file_is_as_small_as_that_written_by_hand():
 
 def test_all_numbers_of_a_file_have_derivatives():
     """Accelerations of a machine with springs, dampers, armatures, slides and servos."""
-    robot = wj.robot(TELESCOPE, parameters={"stance_hip_servo_ctrl": 0.3})
+    robot = wj.robot(
+        TELESCOPE, parameters={"stance_hip_servo_ctrl": 0.3, "stance_shoulder_ctrl": 0.2}
+    )
     q, rates = np.random.default_rng(7).uniform(-0.3, 0.3, (2, 7))
 
     @jax.jit

@@ -31,8 +31,11 @@ def load_mujoco() -> Any:
     return mujoco
 
 
-def compile_file(path: str | os.PathLike) -> Any:
-    """Return the compiled model of a file; a URDF robot gets a base that is free in the plane."""
+def compile_file(path: str | os.PathLike) -> tuple[Any, Any]:
+    """Return MuJoCo's specification of a file, and the compiled model.
+
+    A URDF robot gets a base that is free in the plane.
+    """
     if not isinstance(path, str | os.PathLike):
         raise WrongUse(f"path must be that of an MJCF or URDF file, not {short(path)}")
     file = Path(path)
@@ -43,12 +46,17 @@ def compile_file(path: str | os.PathLike) -> Any:
     mujoco = load_mujoco()
     try:
         spec = mujoco.MjSpec.from_file(str(file))
-        if re.search(r"<robot[\s>]", file.read_text(errors="replace")):
+        if is_urdf(file):
             spec.compiler.fusestatic = False
             free_base(mujoco, spec)
-        return spec.compile()
+        return spec, spec.compile()
     except ValueError as error:
         raise WrongUse(f"path {file} cannot be read: {' '.join(str(error).split())}") from error
+
+
+def is_urdf(file: Path) -> bool:
+    """Return whether a file is of the kind URDF, whose first element is a robot."""
+    return re.search(r"<robot[\s>]", file.read_text(errors="replace")) is not None
 
 
 def free_base(mujoco: Any, spec: Any) -> None:

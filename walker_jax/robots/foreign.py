@@ -20,9 +20,9 @@ PARTS = {
 FLUID = "density", "viscosity"
 
 
-def name_in(model: Any, kind: str, number: int) -> str:
+def name_in(model: Any, kind: str, number: Any) -> str:
     """Return the name of a part of a model, or its number where it has none."""
-    return getattr(model, kind)(number).name or f"{kind}{number}"
+    return getattr(model, kind)(int(number)).name or f"{kind}{number}"
 
 
 def check_supported(mujoco: Any, model: Any) -> None:

@@ -18,7 +18,8 @@ from walker_jax.robots.planes import Plane
 class Reader:
     """Reads the parts of a model, whose tree and legs are known."""
 
-    def __init__(self, mujoco: Any, plane: Plane, tree: Tree, sides: Sides):
+    def __init__(self, mujoco: Any, spec: Any, plane: Plane, tree: Tree, sides: Sides):
+        self.spec = spec
         self.mujoco, self.plane, self.tree, self.sides = mujoco, plane, tree, sides
         self.model, self.data, self.ledger = plane.model, plane.data, Ledger()
         self.joints = [int(self.model.dof_jntid[dof]) for dof in tree.dofs]

@@ -75,12 +75,12 @@ def robot(
 
 def read_machine(path: str | os.PathLike, feet: Sequence[str] | None) -> tuple[Reader, Machine]:
     """Return the machine of a file, and its reader, which knows MuJoCo's coordinates."""
-    model, mujoco = compile_file(path), load_mujoco()
+    (spec, model), mujoco = compile_file(path), load_mujoco()
     check_supported(mujoco, model)
     plane = plane_of(mujoco, model)
     tree = tree_of(mujoco, model)
     sides = sides_of(model, tree, feet_of(mujoco, plane, feet))
-    reader = Reader(mujoco, plane, tree, sides)
+    reader = Reader(mujoco, spec, plane, tree, sides)
     given = model.names.split(b"\0")[0].decode()
     called = Path(path).stem if given in ("", UNNAMED) else given
     return reader, reader.machine(re.sub(r"\W+", "_", called))
