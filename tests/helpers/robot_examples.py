@@ -12,6 +12,10 @@ TELESCOPE = ROOT / "tests" / "data" / "telescope.xml"
 UNIT = np.sqrt(9.81)
 """Rates of robots with legs of 1 m, over those of walkers in units of leg length and gravity."""
 
+BIPED_GAIT = -0.09676383, -0.41464963, 0.14491769, 0.16472847, 0.54253041
+BIPED_GAIT = *BIPED_GAIT, 1.54454963, 0.49844993, 0.92745759, 1.35589186
+"""The gait of the five-link biped, to eight decimals."""
+
 
 def five_link():
     """The five-link biped, with its controller."""

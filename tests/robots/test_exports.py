@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco_machines import Constrained
+from mujoco_strides import largest_errors
 from PIL import Image
 from robot_examples import FILES, as_robot
 
@@ -83,3 +84,14 @@ def test_a_walk_that_falls_is_not_exported(exported):
         wj.export_motion(robot, GAIT, PATH, rate=0)
     with pytest.raises(ValueError, match=r"film must end in \.gif"):
         wj.export_motion(robot, GAIT, PATH, film="walk.mp4")
+
+
+def test_steps_of_mujoco_approach_a_stride_as_contacts_stiffen(exported):
+    """To first order in the time constant of its contacts; benchmarks/robots.py has the impact."""
+    _, motion, _ = exported
+    errors = [
+        largest_errors(motion, [0.4, 0.7], 0.7796973663, time_constant=tau, step=tau / 20)
+        for tau in (0.02, 0.01, 0.005)
+    ]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert np.abs(orders - 1).max() < 0.15 and np.max(errors[-1]) < 3e-4

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import robot_examples
 from jax.extend.core import jaxprs_in_params
-from robot_examples import FILES, TELESCOPE, UNIT, as_robot
+from robot_examples import BIPED_GAIT, FILES, TELESCOPE, UNIT, as_robot
 
 import walker_jax as wj
 from walker_jax.multibody.single_support import accelerations_and_forces
@@ -44,10 +44,6 @@ def test_a_file_fails_as_the_walker_of_its_masses(name):
     assert len({*expected.outcome.tolist()}) >= 4
     walked = expected.outcome == wj.Outcome.STRIDE
     assert np.abs(strides.state[walked] - as_robot(expected.state[walked])).max() < 1e-9
-
-
-BIPED_GAIT = -0.09676383, -0.41464963, 0.14491769, 0.16472847, 0.54253041
-BIPED_GAIT = *BIPED_GAIT, 1.54454963, 0.49844993, 0.92745759, 1.35589186
 
 
 def test_five_links_are_the_biped_that_is_written_by_hand():
