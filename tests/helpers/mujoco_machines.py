@@ -4,11 +4,16 @@ Contacts are equality constraints, solved exactly: M a - J^T f = tau - bias, J a
 own constraints, which are soft, are off.
 """
 
-import mujoco
+from typing import Any
+
+import mujoco as installed
 import numpy as np
 
 from walker_jax.robots.machine import Machine
 from walker_jax.robots.reading import Reader
+
+mujoco: Any = installed
+"""Type checkers do not know the names in it."""
 
 
 class Constrained:

@@ -1,9 +1,13 @@
 """Strides of compass.xml by MuJoCo's own time steps, with its soft contacts."""
 
-import mujoco
+from typing import Any
+
+import mujoco as installed
 import numpy as np
 from robot_examples import FILES
 
+mujoco: Any = installed
+"""Type checkers do not know the names in it."""
 PATH = FILES / "compass.xml"
 FEET = "left_foot", "right_foot"
 

@@ -60,7 +60,7 @@ def machine(request):
 def test_accelerations_and_forces_are_those_of_mujoco(machine):
     robot, model, ctrl, locks = machine
     for locked in locks:
-        stance = Stance(robot, locked)
+        stance = robot.with_locked(locked)
         values, rates = random_states(stance, 2)
         qpos, qvel = mujoco_states(model.reader, stance, on_foot(values), on_foot(rates))
         solve = jax.jit(jax.vmap(partial(accelerations_and_forces, stance)))

@@ -28,7 +28,7 @@ def box():
 def test_many_starts_are_one_call(box):
     starts = np.array([[0.1, 0.2], [0.5, 0.3], [3.0, 0.0]])
     calls.clear()
-    strides = wj.strides(box, starts, progress=False)
+    strides = wj.strides(box, starts)
     assert len(calls) == 1
     walks, falls = wj.Outcome.STRIDE, wj.Outcome.FORWARD
     assert strides.outcome.tolist() == [walks, falls, falls]

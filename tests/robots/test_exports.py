@@ -1,6 +1,8 @@
 """Walks in MuJoCo's coordinates: against its own kinematics, velocities and accelerations."""
 
-import mujoco
+from typing import Any
+
+import mujoco as installed
 import numpy as np
 import pytest
 from mujoco_machines import Constrained
@@ -12,6 +14,8 @@ import walker_jax as wj
 from walker_jax.checks import ComputationFailed
 from walker_jax.robots.robot_files import read_machine
 
+mujoco: Any = installed
+"""Type checkers do not know the names in it."""
 PATH = FILES / "compass.xml"
 GAIT = as_robot((0.28809807504, -0.35705418063, -0.20285043033))
 RATE = 400.0
@@ -71,7 +75,8 @@ def test_a_film_is_rendered_or_one_line_says_why_not(exported, tmp_path):
         message = str(error)
         assert message.startswith("film needs OpenGL") and "\n" not in message
     else:
-        assert Image.open(film).n_frames == 9
+        frames: Any = Image.open(film)
+        assert frames.n_frames == 9
 
 
 def test_a_walk_that_falls_is_not_exported(exported):

@@ -11,9 +11,9 @@ from jax.extend.core import jaxprs_in_params
 from robot_examples import BIPED_GAIT, FILES, TELESCOPE, UNIT, as_robot
 
 import walker_jax as wj
+from walker_jax import multibody
 from walker_jax.multibody.single_support import accelerations_and_forces
 from walker_jax.robots.stances import RobotState
-from walker_jax.walkers.parameters import with_values
 
 GAIT = 0.2880980750416, -0.3570541806, -0.2028504303
 """Of the twin of compass.xml, to the digits printed."""
@@ -38,8 +38,8 @@ def test_a_file_is_the_walker_of_its_masses(name):
 def test_a_file_fails_as_the_walker_of_its_masses(name):
     made, gait = TWINS[name]
     starts = gait * np.random.default_rng(5).uniform(0.3, 2, (400, 3))
-    expected = wj.strides(made(), starts, progress=False)
-    strides = wj.strides(wj.robot(FILES / f"{name}.xml"), as_robot(starts), progress=False)
+    expected = wj.strides(made(), starts)
+    strides = wj.strides(wj.robot(FILES / f"{name}.xml"), as_robot(starts))
     assert strides.outcome.tolist() == expected.outcome.tolist()
     assert len({*expected.outcome.tolist()}) >= 4
     walked = expected.outcome == wj.Outcome.STRIDE
@@ -60,7 +60,7 @@ def test_five_links_are_the_biped_that_is_written_by_hand():
 def test_five_links_fail_as_the_biped_that_is_written_by_hand():
     robot, biped = robot_examples.five_link(), wj.FiveLinkBiped()
     starts = BIPED_GAIT * np.random.default_rng(6).uniform(0.4, 2, (200, 9))
-    strides = [wj.strides(one, starts, progress=False) for one in (robot, biped)]
+    strides = [wj.strides(one, starts) for one in (robot, biped)]
     assert strides[0].outcome.tolist() == strides[1].outcome.tolist()
     assert len({*strides[0].outcome.tolist()}) >= 4
     walked = strides[0].outcome == wj.Outcome.STRIDE
@@ -78,7 +78,7 @@ def size_of_program(system, x):
     return count(kernel.params["program"].closed.jaxpr)
 
 
-def test_the_program_of_a_file_is_as_small_as_that_written_by_hand():
+def test_the_program_of_a_file_is_not_much_larger():
     x = np.full(9, 0.1)
     sizes = [size_of_program(one, x) for one in (robot_examples.five_link(), wj.FiveLinkBiped())]
     assert sizes[1] > 1000 and sizes[0] < 1.3 * sizes[1]
@@ -93,7 +93,7 @@ def test_all_numbers_of_a_file_have_derivatives():
 
     @jax.jit
     def accelerations(numbers):
-        changed = dataclasses.replace(robot.landing(), robot=with_values(robot, numbers))
+        changed = dataclasses.replace(robot.landing(), numbers=numbers)
         state = RobotState(tuple(jnp.asarray(q)), tuple(jnp.asarray(rates)))
         return jnp.stack(accelerations_and_forces(changed, state)[0])
 
@@ -170,6 +170,6 @@ def test_a_spring_at_the_hips_is_that_of_the_joints(tmp_path):
         q, qdot = (jax.numpy.asarray([0, 0, *some]) for some in (angles, rates))
         system = robot.landing().system()
         stretch = 3 * np.sum((angles - np.radians(5)) ** 2) / 2
-        kinetic = wj.multibody.kinetic_energy(system, q, qdot)
-        energies.append(float(kinetic + wj.multibody.potential_energy(system, q) + stretch))
+        kinetic = multibody.kinetic_energy(system, q, qdot)
+        energies.append(float(kinetic + multibody.potential_energy(system, q) + stretch))
     assert np.ptp(energies) < 1e-10 * abs(energies[0])

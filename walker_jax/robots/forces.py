@@ -46,8 +46,8 @@ def commands(
     if controller is None:
         return ctrl
     joints = [one.joint for one in machine.links]
-    named = (dict(zip(joints, some, strict=True)) for some in (at, speeds))
-    given = controller(*named, numbers)
+    values, rates = (dict(zip(joints, some, strict=True)) for some in (at, speeds))
+    given = controller(values, rates, numbers)
     if not isinstance(given, Mapping) or not set(given) <= set(ctrl):
         raise WrongUse(
             f"controller must return ctrl by the names of actuators, {', '.join(ctrl) or 'none'}, "

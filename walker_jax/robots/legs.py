@@ -82,7 +82,7 @@ def without_side(name: str) -> tuple[str, int | None]:
 def sides_of(model: Any, tree: Tree, feet: tuple[Sole, Sole]) -> Sides:
     """Return the legs and the pairs of links; raise `WrongUse` for legs that are no two likes."""
     if without_side(feet[0].name)[1] == 1 or without_side(body_name(model, feet[0]))[1] == 1:
-        feet = feet[::-1]
+        feet = feet[1], feet[0]
     up = [tree.above(tree.of_body[one.body]) for one in feet]
     shared = set(up[0]) & set(up[1])
     legs = tuple(tuple(i for i in reversed(one) if i not in shared) for one in up)

@@ -26,7 +26,7 @@ BASE = -1
 
 
 class Link(NamedTuple):
-    """What one joint moves: the bodies after it, up to the next joints."""
+    """The bodies that one joint moves, up to the next joints."""
 
     name: str
     """Of its coordinate, such as stance_shank."""
@@ -172,8 +172,8 @@ class Pose:
         found = vector(self.numbers, link.anchor, frame)
         if isinstance(link.direction, float):
             return found
-        x, z = link.direction
-        moved = {"x": self.coordinates[i] * x, "z": self.coordinates[i] * z}
+        slide: Any = link.direction
+        moved = {name: self.coordinates[i] * slide[k] for k, name in enumerate("xz")}
         return total(found, vector(moved, ("x", "z"), frame))
 
     def joint(self, i: int) -> tuple:

@@ -52,7 +52,7 @@ class Robot(HybridSystem):
     section: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride] (of each robot)
     near: tuple[float, ...] | None = code_field()
     """A point of the section near a gait, from the file's first keyframe."""
-    check_scuffing: bool = eqx.field(static=True)
+    check_scuffing: bool = eqx.field(static=True, default=False)
     parameters: dict[str, Any]  # pyright: ignore[reportGeneralTypeIssues] (no default; __init__ is our own)
 
     def __init__(
@@ -73,13 +73,17 @@ class Robot(HybridSystem):
     def label(self):
         return self.machine.name
 
+    def with_locked(self, knees: tuple[int, ...]) -> Stance:
+        """Return the robot on its stance foot, with some knees locked."""
+        return Stance(self.machine, self.controller, self.parameters, knees)
+
     def landing(self) -> Stance:
         """Return the robot as a foot comes down: all knees are locked."""
-        return Stance(self, self.machine.knees())
+        return self.with_locked(self.machine.knees())
 
     def first(self) -> Stance:
         """Return the robot as a stride begins: the knee of the swing leg is free."""
-        return Stance(self, self.machine.knees()[:1])
+        return self.with_locked(self.machine.knees()[:1])
 
     def straight_legs(self) -> bool:
         """Return whether legs come down as one link each, on one hip."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,11 +12,8 @@ from jaxtyping import Array, Float
 from walker_jax import multibody
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import coordinates_and_rates
-from walker_jax.robots.forces import joint_forces
+from walker_jax.robots.forces import Controller, joint_forces
 from walker_jax.robots.machine import Machine, Numbers, Pose, masses_of, transfer, weights_of
-
-if TYPE_CHECKING:
-    from walker_jax.robots.robots import Robot
 
 
 class RobotState(NamedTuple):
@@ -29,16 +26,10 @@ class RobotState(NamedTuple):
 class Stance(eqx.Module):
     """A robot whose stance foot is at q[:2], with locked knees: the other coordinates are free."""
 
-    robot: "Robot"
+    machine: Machine = eqx.field(static=True)
+    controller: Controller | None = eqx.field(static=True)
+    numbers: Numbers
     locked: tuple[int, ...] = eqx.field(static=True, default=())
-
-    @property
-    def machine(self) -> Machine:
-        return self.robot.machine
-
-    @property
-    def numbers(self) -> Numbers:
-        return self.robot.parameters
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -60,12 +51,13 @@ class Stance(eqx.Module):
         machine, numbers = self.machine, self.numbers
 
         def places(q):
-            return jnp.stack(transfer(machine, numbers, (q[0], q[1]), self.all_coordinates(q)))
+            points: Any = transfer(machine, numbers, (q[0], q[1]), self.all_coordinates(q))
+            return jnp.stack(points)
 
         def forces(q, qdot):
             coordinates, rates = self.all_coordinates(q), self.all_rates(qdot)
-            on = joint_forces(machine, numbers, self.robot.controller, coordinates, rates)
-            found = dict.fromkeys(self.free, 0 * q[0])
+            on = joint_forces(machine, numbers, self.controller, coordinates, rates)
+            found: dict[int, Any] = dict.fromkeys(self.free, 0 * q[0])
             for i, one in enumerate(on):
                 while i in self.locked:
                     i = machine.links[i].parent
@@ -108,7 +100,8 @@ class Stance(eqx.Module):
             hip = pose.joint(self.machine.legs[0][0])
             return [hip[0] - pose.centre[0], hip[1] - pose.centre[1]]
 
-        along, rate = jax.jvp(leg, *((one,) for one in coordinates_and_rates(state)))
+        q, rates = coordinates_and_rates(state)
+        along, rate = jax.jvp(leg, (q,), (rates,))
         return along[1] * rate[0] - along[0] * rate[1]
 
     def struck(self, state: RobotState) -> tuple[list, list]:
