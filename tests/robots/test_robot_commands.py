@@ -30,7 +30,7 @@ def test_a_file_leads_to_a_gait_and_its_numbers_are_options(run):
     code, out, error = run("gait", "--walker", "compass.xml", *START, "--json")
     assert code == 0, error
     (gait,) = json.loads(out)["gaits"]
-    assert np.abs(np.array(gait["states"][0]) - GAIT).max() < 1e-8
+    assert np.abs(np.array(gait["states"][0]) - GAIT).max() < 1e-7
     code, out, error = run("gait", "--walker", "compass.xml", "--leg-mass", "4.9", *START)
     assert code == 0 and "stable gait of period 1 at slope 0.05 rad" in out, error
 

@@ -31,7 +31,7 @@ def run(title, folder, monkeypatch):
 @pytest.mark.slow
 def test_a_robot_from_a_file(tmp_path, monkeypatch):
     made = run("a robot from a file", tmp_path, monkeypatch)
-    assert np.abs(made["gait"].states[0] - GAIT).max() < 1e-8
+    assert np.abs(made["gait"].states[0] - GAIT).max() < 1e-7
 
 
 def test_a_controller_acts_on_the_joints(tmp_path, monkeypatch):
