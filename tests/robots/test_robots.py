@@ -173,3 +173,44 @@ def test_a_spring_at_the_hips_is_that_of_the_joints(tmp_path):
         kinetic = multibody.kinetic_energy(system, q, qdot)
         energies.append(float(kinetic + multibody.potential_energy(system, q) + stretch))
     assert np.ptp(energies) < 1e-10 * abs(energies[0])
+
+
+def test_knees_may_be_drawn_bent_and_turn_the_other_way(tmp_path):
+    """Their stop is then a number; guards, forces and impacts stay."""
+    text = (FILES / "kneed.xml").read_text()
+    for side in ("left", "right"):
+        text = text.replace(
+            f'<body name="{side}_shank" pos="0 0 -0.5">',
+            f'<body name="{side}_shank" pos="0 0 -0.5" euler="0 20 0">',
+        )
+    text = text.replace('axis="0 1 0" range="0 150"', 'axis="0 -1 0" range="-130 20"')
+    (tmp_path / "bent.xml").write_text(text)
+    robots = wj.robot(FILES / "kneed.xml"), wj.robot(tmp_path / "bent.xml")
+    assert robots[1].parameters["knee_stop"] == pytest.approx(np.radians(20))
+    rng = np.random.default_rng(8)
+    locked = RobotState((0.2, -0.3), tuple(rng.normal(size=2)))
+    free = RobotState((0.1, 0.2, 0.5), tuple(rng.normal(size=3)))
+    drawn = free._replace(coordinates=(0.1, 0.2, 0.5 - np.radians(20)))
+    for mode, states in (("knee_locked", (locked, locked)), ("knee_free", (free, drawn))):
+        found = []
+        for robot, state in zip(robots, states, strict=True):
+            made = robot.modes()[mode]
+            state = jax.tree.map(jnp.asarray, state)
+            functions = [one.value for one in (*made.guards, *made.conditions)]
+            values = [one(state) for one in functions]
+            field = made.field(state)
+            after = jax.tree.leaves(made.guards[-1].reset(state)) if mode == "knee_locked" else []
+            found.append(np.array([*values, *field.rates, *after]))
+        assert np.abs(found[0] - found[1]).max() < 1e-11
+
+
+def test_steps_have_a_length_and_swings_an_energy():
+    """The length of a step on rolling feet: the legs' chord, and what both feet roll."""
+    robot, x = wj.robot(FILES / "compass.xml"), as_robot(GAIT)
+    end = RobotState((jnp.asarray(GAIT[0]), jnp.asarray(-GAIT[0])), tuple(jnp.zeros(2)))
+    length = robot.step_length(jnp.asarray(x), lambda: end)
+    assert length == pytest.approx(2 * 0.95 * np.sin(GAIT[0]) + 2 * 0.05 * GAIT[0], abs=1e-12)
+    energy, state = robot.modes()["stance"].energy, robot.lift(jnp.asarray(x))
+    rates = robot.modes()["stance"].field(state)
+    assert energy is not None
+    assert abs(jax.jvp(energy, (state,), (rates,))[1]) < 1e-12 * abs(energy(state))

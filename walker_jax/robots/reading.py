@@ -101,24 +101,27 @@ class Reader:
             rest = model.qpos_spring[model.jnt_qposadr[joint]]
             kept["rest"] = note(f"{name}_springref", rest, owner, part)
         reference = float(model.qpos0[model.jnt_qposadr[joint]])
-        bends = 0.0
         in_leg = any(i in leg[1:] for leg in self.sides.legs)
-        if in_leg and hinge and model.jnt_limited[joint] and joint not in acted:
-            low, high = model.jnt_range[joint]
-            bends = 1.0 if abs(low - reference) <= abs(high - reference) else -1.0
-            stop = low if bends > 0 else high
-            kept["stop"] = note(f"{name}_stop", stop, owner, part)
-            if abs(stop - reference) > NOTHING:
-                kept["stop"] = self.ledger.always(f"{name}_stop", stop)
-            else:
-                self.ledger.numbers.pop(f"{name}_stop", None)
-                kept["stop"] = None
+        knee = in_leg and hinge and model.jnt_limited[joint] and joint not in acted
+        bends, kept["stop"] = self.stop_of(name, joint, reference) if knee else (0.0, None)
         at = self.plane.flat(self.data.xanchor[joint])
         anchor = self.place(at, parent, name, owner, part)
         role, direction = self.role(i), turn if hinge else (float(slide[0]), float(slide[1]))
         return Link(
             role + called, role + name, parent, anchor, direction, reference, bends=bends, **kept
         )
+
+    def stop_of(self, name: str, joint: int, reference: float) -> tuple[float, str | None]:
+        """Return in which direction a knee bends, and the name of its stop, the nearer end.
+
+        None for a stop in the pose of the file.
+        """
+        low, high = self.model.jnt_range[joint]
+        bends = 1.0 if abs(low - reference) <= abs(high - reference) else -1.0
+        stop = low if bends > 0 else high
+        if abs(stop - reference) <= NOTHING:
+            return bends, None
+        return bends, self.ledger.always(f"{name}_stop", stop)
 
     def masses(self, links: tuple[Link, ...]) -> Any:
         """Yield the masses of all bodies that move."""

@@ -100,6 +100,13 @@ class Robot(HybridSystem):
         knee = self.machine.knees()[1]
         return {"knee_free": self.bent_mode(first, knee), "knee_locked": last}
 
+    def mode(
+        self, stance: Stance, guards: tuple[Guard, ...], conditions: tuple[Condition, ...]
+    ) -> Mode:
+        """Return a mode of motion on the stance foot."""
+        energy = None if stance.has_forces() else stance.energy
+        return Mode(SingleSupport(stance), guards, conditions, as_smooth=True, energy=energy)
+
     def falls(self, stance: Stance) -> tuple[Guard, ...]:
         """Return the guards of falls."""
         if self.straight_legs():
@@ -151,7 +158,7 @@ class Robot(HybridSystem):
             down = Guard(depth, SECTION, (ahead, leans), reset=reset, makes_zero=("SCUFFED",))
             down = away, down
         conditions = (self.forces(stance), *self.clears(stance))
-        return Mode(SingleSupport(stance), (*self.falls(stance), *down), conditions, as_smooth=True)
+        return self.mode(stance, (*self.falls(stance), *down), conditions)
 
     def leans(self, stance: Stance) -> Any:
         """Return the function whether the stance foot's joint is ahead of it, as after landing."""
@@ -190,8 +197,7 @@ class Robot(HybridSystem):
         past = (self.bearing(stance),) if self.straight_legs() else (self.ahead(stance),)
         down = Guard(self.depth(stance), "BENT_KNEE", past, (self.ahead(stance),))
         guards = (*self.falls(stance), down, Guard(straight, "knee_locked", reset=reset))
-        conditions = (self.forces(stance), *self.clears(stance))
-        return Mode(SingleSupport(stance), guards, conditions, as_smooth=True)
+        return self.mode(stance, guards, (self.forces(stance), *self.clears(stance)))
 
     def begin(self, state):
         """The knee of the swing leg, straight until now, is released."""
@@ -217,6 +223,10 @@ class Robot(HybridSystem):
 
     def feasible(self, x):
         return jnp.all(jnp.isfinite(x)) & can_reach(self.landing(), self.straight_legs(), x)
+
+    def step_length(self, x, end):
+        """Return the way from foot to foot, the rolling of a stride included."""
+        return self.landing().sole(coordinates_and_rates(end())[0])[0]
 
     def unit_of_time(self):
         return (self.machine.size / self.parameters["gravity"]) ** 0.5

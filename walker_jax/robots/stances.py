@@ -64,10 +64,19 @@ class Stance(eqx.Module):
                 found[i] = found[i] + one
             return jnp.stack([0 * q[0], 0 * q[0], *found.values()])
 
-        acts = machine.actuators or any(one.stiffness or one.damping for one in machine.links)
         weights = jnp.stack(weights_of(machine, numbers))
         masses = jnp.stack(masses_of(machine, numbers))
-        return multibody.System(places, masses, weights, forces if acts else None)
+        return multibody.System(places, masses, weights, forces if self.has_forces() else None)
+
+    def has_forces(self) -> bool:
+        """Return whether there are forces but gravity: springs, dampers or actuators."""
+        links = self.machine.links
+        return bool(self.machine.actuators) or any(one.stiffness or one.damping for one in links)
+
+    def energy(self, state: RobotState) -> Any:
+        """Return the kinetic energy, and that of gravity with the stance foot at the origin."""
+        (q, qdot), system = coordinates_and_rates(state), self.system()
+        return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
 
     def pose(self, q: Float[Array, " q"]) -> Pose:
         """Return the pose of all links."""
