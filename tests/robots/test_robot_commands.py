@@ -40,7 +40,7 @@ def test_a_file_leads_to_a_basin(run, tmp_path):
     code, out, error = run("basin", "--walker", "compass.xml")
     assert code == 0, error
     assert "walks" in out and "slice at swing_leg_rate 0.48298" in out
-    data = xr.open_zarr(tmp_path / "basin.zarr")
+    data = xr.open_zarr(tmp_path / "basin.zarr", consolidated=False)
     assert data.fate.shape == (100, 100) and int((data.attractor == 0).sum()) > 300
 
 
