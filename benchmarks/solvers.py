@@ -15,7 +15,7 @@ the greatest height of a step, where starts beside them differ less than a solve
 of all steps of a stance grow threefold until the apex, to 3e-6 by Dopri5 and to 4e-5 by Bosh3 at
 1e-6; they fall with the tolerance, and no event is missed. Small steps leave open at most 0.3 per
 cent of the strides of a family, such as those with two events within half a step. The five-link
-biped, whose small steps take long, makes 10 000 strides, and 2000 by Bosh3.
+biped, whose small steps take long, makes 50 000 strides, and 2000 by Bosh3.
 
     bouncing-ball       series   100000      0    0    0      0    0    0      0    0    0
     bouncing-ball       Dopri8   100000      0    0    0      0    0    0      0    0    0
@@ -95,10 +95,10 @@ biped, whose small steps take long, makes 10 000 strides, and 2000 by Bosh3.
     spatial             Dopri8   100000      0    0    0      0    0    0      0    0    0
     spatial             Tsit5    100000      0    0    0      0    0    0      0    0    0
     spatial             Dopri5   100000      0    0    0      0    0    0      0    0    0
-    five-link-biped     series    10000      0    0    0      0    0    0      0    0    0
-    five-link-biped     Dopri8    10000      0    0    0      0    0    0      0    0    0
-    five-link-biped     Tsit5     10000      0    0    0      0    0    0      0    0    0
-    five-link-biped     Dopri5    10000      0    0    0      0    0    0      0    0    0
+    five-link-biped     series    50000      0    0    0      0    0    0      0    0    0
+    five-link-biped     Dopri8    50000      0    0    0      0    0    0      0    0    0
+    five-link-biped     Tsit5     50000      0    0    0      0    0    0      0    0    0
+    five-link-biped     Dopri5    50000      0    0    0      0    0    0      0    0    0
     five-link-biped     Bosh3      2000      0    0    0      0    0    0      0    0    0
 
     python benchmarks/solvers.py [STRIDES [FAMILY ...]]

@@ -1,15 +1,16 @@
 """The public names; `__init__.py` loads each from here on its first use."""
 
 from walker_jax.basins.attractor import Attractor as Attractor
-from walker_jax.basins.attractor_search import find_attractors as find_attractors
 from walker_jax.basins.computation import basin as basin
 from walker_jax.basins.computation import compare_methods as compare_methods
 from walker_jax.basins.edge_states import EdgeState as EdgeState
 from walker_jax.basins.edge_states import edge_state as edge_state
 from walker_jax.basins.labels import Label as Label
-from walker_jax.basins.labels import label as label
+from walker_jax.basins.own_labels import Clusters as Clusters
 from walker_jax.basins.refinement import refine as refine
 from walker_jax.basins.stable_manifolds import stable_manifold as stable_manifold
+from walker_jax.basins.start_labels import find_attractors as find_attractors
+from walker_jax.basins.start_labels import label as label
 from walker_jax.basins.volumes import slice_basin as slice_basin
 from walker_jax.basins.zooms import boundary_point as boundary_point
 from walker_jax.basins.zooms import zoom as zoom

@@ -319,8 +319,8 @@ class StoreDescriber(Describer):
         return name, getattr(home_of(definition), "__name__", None)
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
-        if self.add_file_of(function):
-            return self.name(function)
+        if self.add_file_of(function):  # where several functions may have one name
+            return self.name(function), max(map(str, function.__code__.co_positions()))
         for name in names_used(function.__code__, "IMPORT_NAME"):
             for path in located(Path(), name.split(".")):
                 self.add_file(path.absolute(), Path.cwd())

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.basins import methods
+from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walkers.parameters import with_parameter
@@ -102,7 +104,7 @@ def test_a_walker_that_falls_is_labelled_by_its_fall():
     assert found.attractor == -1 and np.isnan(found.state).all() and found.fallen
 
 
-def test_labels_of_ones_own_take_the_place_of_attractors():
+def test_labels_of_ones_own_take_the_place_of_attractors(tmp_path, monkeypatch):
     """Which third of a circle a turn by a third of it ends in: that of the start, as 3 divides."""
     turn = wj.Map(lambda x: jnp.stack([(x[0] + 1 / 3) % 1, 0.5 * x[1]]), ("x", "y"))
     grid = wj.Grid.plain(x=(0, 1, 30), y=(-1, 1, 2))
@@ -113,11 +115,21 @@ def test_labels_of_ones_own_take_the_place_of_attractors():
     assert data.attrs["label"] == "<lambda>" and data.cells.values.tolist() == [20, 20, 14]
     assert data.period.values.tolist() == [0, 0, 0] and (data.strides == 30).all()
     for method, label, message in (
-        ("cell-map", third, "label must be a function, with method 'direct'"),
+        ("cell-map", third, "method must be direct, not 'cell-map', for a label of your own"),
+        ("direct", 3, "label must be a function, or Clusters of one, not 3"),
+        ("direct", wj.Clusters(third, smallest=1), "label smallest must be at least 2, not 1"),
         ("direct", lambda x: x[0], "label must return a whole number"),
     ):
         with pytest.raises(ValueError, match=message):
             wj.basin(turn, grid, method, strides=3, label=label)
+    # A store, in pieces of three rows, is the same, and of this label alone.
+    monkeypatch.setattr(methods, "PIECE", 6)
+    stored = wj.basin(turn, grid, "direct", strides=30, label=third, out=tmp_path / "a")
+    for name in data:
+        np.testing.assert_array_equal(stored[name], data[name])
+    other = lambda x: jnp.where(x[0] < 0.8, (3 * x[0]).astype(jnp.int32), -1)
+    with pytest.raises(ValueError, match="holds another result"):
+        wj.basin(turn, grid, "direct", strides=30, label=other, out=tmp_path / "a")
 
 
 def test_find_attractors_and_label_refuse_what_is_no_start():
@@ -126,3 +138,17 @@ def test_find_attractors_and_label_refuse_what_is_no_start():
         wj.find_attractors(walker, (0.2, -0.2))
     with pytest.raises(ValueError, match="start must be on the section"):
         wj.label(walker, [], (0.2, 0.4, -0.2, 0.1))
+
+
+def test_label_refuses_attractors_that_do_not_attract():
+    """An unstable gait, and the gait of another walker; traced attractors are the caller's own."""
+    walker, start = wj.SimplestWalker(0.0152), (0.3, -0.3)
+    unstable = Attractor(np.asarray(wj.find_gait(walker).states))
+    (other,) = wj.find_attractors(wj.SimplestWalker(0.004), [(0.2, -0.2)])
+    for one in (unstable, other):
+        label = lambda x, one=one: wj.label(walker, [one], x)
+        for run in (label, jax.jit(label)):
+            with pytest.raises(ValueError, match="attractors must attract walkers of this system"):
+                run(jnp.array(start))
+    traced = jax.jit(lambda cycle, x: wj.label(walker, [cycle], x))(unstable, unstable.states[0])
+    assert (traced.fate, traced.attractor, traced.strides) == (0, 0, 0)

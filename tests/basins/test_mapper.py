@@ -135,7 +135,7 @@ def test_a_motion_that_passes_close_to_a_gait_is_not_the_gait():
     states = orbits(walker, remaining[:1], 2000, Integrator(1e-12))[0][0]
     near = states[np.abs(states - gait).max(axis=1) < CLOSE]
     assert len(near) > 100
-    np.testing.assert_array_equal(mapper.match_approaching(near[:64]), -1)
+    np.testing.assert_array_equal(mapper.approached(near[:64]), -1)
 
 
 def test_a_slow_approach_is_one():

@@ -112,6 +112,24 @@ def test_multipliers_that_rounding_hides_are_left_to_walks():
         assert found.states.any() == walked
 
 
+def test_errors_of_exponents_contain_those_of_derivatives():
+    """A matrix with the eigenvalues 1/2 and e^-rate, by one turn of its fixed point and by walks.
+
+    Rounding hides the second from e^-35 on. It is then found too large, but within its error.
+    """
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]]) @ np.array([[1.0, 0.3], [0.0, 1.0]])
+    rates = np.array([2.0, 20.0, 24.0, 45.0, 60.0])
+    back = np.linalg.inv(turn)
+    rule = lambda x, rate: (turn * jnp.stack([0.5, jnp.exp(-rate)])) @ back @ x
+    many = jax.tree.map(lambda _: rates, wj.Map(rule, ("x", "y"), parameters={"rate": 1.0}))
+    for x in np.zeros((5, 2)), np.full((5, 2), 1e-3):
+        found = wj.lyapunov(many, x, 200, walks=2, settling=0)
+        off = np.abs(found.exponents - np.stack([np.full(5, np.log(0.5)), -rates], axis=1))
+        assert (off <= found.errors).all() and (found.errors[:, 0] < 0.01).all()
+        assert (found.errors[:2, 1] < 0.01).all() and (found.errors[3:, 1] > 1).all()
+        assert (off[3:, 1] > 1).all() and (found.dimension == 0).all()
+
+
 def test_a_cycle_without_derivatives_is_left_to_walks():
     """Of |x|^(1/2) there is none at zero; walks from near it tend to one."""
     system = wj.Map(lambda x: jnp.sqrt(jnp.abs(x)), ("x",))

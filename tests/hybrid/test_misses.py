@@ -41,16 +41,17 @@ def seen(*guards: Guard, until: float = 1.0, violated: dict | None = None) -> Se
 
 
 def test_a_step_that_its_method_rejects_changes_no_side():
-    """It has no length; a guard at zero, as a mode begins, still has neither side."""
+    """It has no length; a guard that falls from zero, as a mode begins, still counts as below."""
     guards = [Guard(value, SECTION) for value in (RISES, lambda state: state[0], ALWAYS)]
     mode = Mode(lambda state: (jnp.ones(()),), tuple(guards))
     method: Any = SimpleNamespace(
+        is_series=False,
         step=lambda state, memory: ((), state, 0 * state[0], memory),
     )
-    sides = [jnp.float64(side) for side in (-1, 0, 1)]
+    below = [jnp.asarray(True), jnp.asarray(True), jnp.asarray(False)]
     zero, yes = jnp.float64(0), jnp.asarray(True)
-    step = Step((zero,), (zero,), zero, zero, sides, sides, [], yes, Memory((), None))
-    assert measured_step(mode, method, step).ends == sides
+    step = Step((zero,), (zero,), zero, zero, below, below, [], yes, Memory((), None))
+    assert measured_step(mode, method, step).ends_below == below
 
 
 MISSES = [  # value, what admits it, its greatest miss

@@ -142,6 +142,36 @@ def test_multipliers_of_fixed_points_of_flows(rates, near, span):
     np.testing.assert_allclose(np.transpose(each), found, rtol=0, atol=1e-9 * np.abs(found).max())
 
 
+class Attracted(wj.HybridSystem):
+    """y' towards 1, and z' towards y^2 at a rate of its own, over a tenth of a unit of time."""
+
+    rate: Any = 1.0
+
+    section = ("y", "z")
+
+    def lift(self, x):
+        return Flow((x[0], x[1]), 0 * x[0])
+
+    def project(self, state):
+        return jnp.stack(state.y)
+
+    def modes(self):
+        def field(s):
+            y, z = s.y
+            return Flow((1 - y, self.rate * (y**2 - z)), 1 + 0 * s.t)
+
+        return {"flow": wj.Mode(field, (wj.Guard(lambda s: s.t - 0.1, wj.SECTION),))}
+
+
+def test_exponents_of_fixed_points_of_flows():
+    """The eigenvalues of the field's Jacobian at (1, 1) are -1 and -rate."""
+    rates = np.array([0.5, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
+    many = Attracted(rates)
+    found = wj.lyapunov(many, np.ones((len(rates), 2)), 20, walks=2, settling=0)
+    expected = -0.1 * np.sort(np.stack([np.ones_like(rates), rates], axis=1), axis=1)
+    np.testing.assert_allclose(found.exponents, expected, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Tsit5()])
 def test_multipliers_at_rest_by_runge_kutta_methods(solver):
     x = np.array([np.sqrt(2 / 3), np.sqrt(2 / 3) / 3])

@@ -10,14 +10,9 @@ from matplotlib.legend import Legend
 
 import walker_jax as wj
 from walker_jax import figures
-from walker_jax.basins.runs import label_of
+from walker_jax.basins.runs import attractors_of, fates_of, label_of
 from walker_jax.cli.boundary_command import boundary_in_words
-from walker_jax.stability.boundaries import (
-    attractors_of,
-    fates_of,
-    label_regions,
-    summarise_boundary,
-)
+from walker_jax.stability.boundaries import label_regions, summarise_boundary
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import OUTCOMES
 

@@ -348,6 +348,26 @@ def new_half():
     return half
 
 
+def test_functions_of_one_name_in_a_file_are_told_apart():
+    """Lambdas, also in one line, and functions of either branch; twice the same is the same."""
+    one, other = (lambda x: x, lambda x: 2 * x)
+    chosen = []
+    for first in (True, False, True):
+        if first:
+
+            def turned(x):
+                return x
+
+        else:
+
+            def turned(x):
+                return -x
+
+        chosen.append(turned)
+    found = [code_fingerprint(object, (each,)) for each in (one, other, *chosen)]
+    assert len(set(found)) == 4 and found[2] == found[4]
+
+
 def test_files_that_are_covered_are_those_of_a_project(tmp_path):
     def covered(root, name):
         found = StoreDescriber()

@@ -7,11 +7,9 @@ that come to none of them lead to the other attractors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.attractor import (
@@ -27,17 +25,8 @@ from walker_jax.basins.attractor import (
 )
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.labels import CLOSE, LONGEST_PERIOD, SURVIVAL, Label
-from walker_jax.basins.mapper import Mapper, largest_distances, match_approaching
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.motions import SPARSE, clouds_of, distinct_motions, nearest_motion
-from walker_jax.checks import (
-    WrongUse,
-    check_kind,
-    check_precision,
-    check_whole,
-    numbers,
-    refuses_tracers,
-    short,
-)
 from walker_jax.gaits.cycles import (
     find_multipliers,
     gait_at,
@@ -46,12 +35,13 @@ from walker_jax.gaits.cycles import (
     multiply_jacobians,
 )
 from walker_jax.gaits.search import cycle_guesses
-from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
-from walker_jax.integrators.roots import Real
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome
-from walker_jax.systems.system import System, check_single
+from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate, orbits
+
+Points = Float[np.ndarray, "n section"]
 
 SCOUTS = 2**8
 """Number of starts that are followed first; most of the others end on the cycles that these
@@ -72,59 +62,8 @@ MOST_MOTIONS = 16
 system have each their own motion: all of these count as one."""
 
 
-@refuses_tracers("find them first, and give them to label as operands")
-def find_attractors(
-    system: System,
-    starts: Float[ArrayLike, "n section"] | Sequence[Any],
-    *,
-    strides: int = 200,
-    tolerance: Real | None = None,
-    solver: AnySolver | None = None,
-) -> list[Attractor]:
-    """Find the attractors to which walkers converge from some starts.
-
-    ```python
-    walker = wj.SimplestWalker(0.004)
-    grid = wj.Grid.sheared(theta=(0, 0.4, 30), sum=(-0.04, 0.01, 30))
-    attractors = wj.find_attractors(walker, grid.centres(np.arange(grid.size)))
-    attractors[0].period, attractors[0].states
-    ```
-
-    **Arguments:**
-
-    - `system`: one system, with numbers for parameters.
-    - `starts`: points of the section, as many as find every basin that matters.
-    - `strides`: number of strides for which walkers are followed before the rest are examined.
-    - `tolerance`, `solver`: of the integration, as in `stride`.
-
-    **Returns** a list, by period, then by the angle of the first state; motions without a period
-    come last. Each has its `states`, the `cloud` of points of a motion without a period, and its
-    `period`, None for such a motion. They are operands of `label`, and tell the walks of several
-    motions without a period apart by the points that these visit.
-
-    Raises `ValueError` for starts that are no points of the section.
-    """
-    check_kind("system", system, System)
-    check_single(system)
-    check_whole("strides", strides)
-    x = numbers("starts", starts)
-    if x.ndim != 2 or x.shape[1] != len(system.section):
-        raise WrongUse(
-            f"starts must be points of the section {system.section}, not {short(starts)}"
-        )
-    x = x.astype(jnp.asarray(0.0).dtype)
-    check_precision(x.dtype)
-    integrator = integrator_of(x.dtype, tolerance, solver)
-    return list(survey(system, x, integrator, strides).mapper.attractors)
-
-
 def survey(
-    walker: System,
-    starts: Float[np.ndarray, "n section"],
-    integrator: Integrator,
-    strides: int,
-    *,
-    boxes: bool = False,
+    walker: System, starts: Points, integrator: Integrator, strides: int, *, boxes: bool = False
 ) -> Found:
     """Find the attractors of starts, in the order in which a basin numbers them, and the labels."""
     scouts = starts[scouts_among(len(starts))]
@@ -141,12 +80,7 @@ def scouts_among(n: int) -> Int[np.ndarray, " m"]:
 
 
 def mapper_of_scouts(
-    walker: System,
-    scouts: Float[np.ndarray, "n section"],
-    integrator: Integrator,
-    strides: int,
-    *,
-    boxes: bool = False,
+    walker: System, scouts: Points, integrator: Integrator, strides: int, *, boxes: bool = False
 ) -> Mapper:
     """Return the mapper to the cycles to which scouts converge, perhaps with capture boxes."""
     cycles: list[Attractor] = []
@@ -166,7 +100,7 @@ class Found(NamedTuple):
 
 def label_and_find(
     mapper: Mapper,
-    starts: Float[np.ndarray, "n section"],
+    starts: Points,
     *,
     boxes: bool = False,
     most: int = SAMPLE,
@@ -177,66 +111,45 @@ def label_and_find(
     Other arguments are those of `complete`.
     """
     labels = mapper.follow(starts, progress=progress)
-    made, left = labels.total_strides, labels.remaining
-    rest = complete(mapper, starts[left], labels.state[left], boxes=boxes, most=most)
-    labels.attractor[left], labels.strides[left] = rest.attractor, rest.strides
-    return Found(labels, rest.mapper, made + rest.again)
-
-
-class Completed(NamedTuple):
-    """The labels of walks that came to no known attractor."""
-
-    attractor: Int[np.ndarray, " n"]
-    strides: Int[np.ndarray, " n"]
-    mapper: Mapper
-    """Maps to all attractors."""
-    again: int
-    """Number of strides that were counted again."""
+    return complete(mapper, starts, labels, boxes=boxes, most=most)
 
 
 def complete(
-    mapper: Mapper,
-    starts: Float[np.ndarray, "n section"],
-    ends: Float[np.ndarray, "n section"],
-    *,
-    boxes: bool = False,
-    most: int = SAMPLE,
-) -> Completed:
+    mapper: Mapper, starts: Points, labels: Label, *, boxes: bool = False, most: int = SAMPLE
+) -> Found:
     """Label walks that have made all strides, and find their attractors from `most` of them.
 
     Walks to a cycle that was unknown went on beyond its capture boxes, so their strides are counted
     again. With `boxes` the new cycles get boxes that shorten walks.
     """
-    strides, known = np.full(len(ends), mapper.strides, np.int32), len(mapper.attractors)
-    if len(ends) == 0:
-        return Completed(np.zeros(0, np.int32), strides, mapper, 0)
-    strange = ends[~mapper.on_known_motions(ends)]
-    mapper = with_attractors_from(mapper, sample(strange, most))
-    if boxes and len(mapper.attractors) > known:
-        mapper = with_capture_boxes(mapper)
-    number = mapper.identify(ends)
-    cycles = [i for i, one in enumerate(mapper.attractors) if i >= known and one.period]
-    late = np.isin(number, cycles)
-    strides[late] = mapper.follow(starts[late]).strides
-    return Completed(number, strides, mapper, int(strides[late].sum()))
+    made, left, known = labels.total_strides, labels.remaining, len(mapper.attractors)
+    if len(left):
+        ends = labels.state[left]
+        strange = ends[~mapper.on_known_motions(ends)]
+        mapper = with_attractors_from(mapper, sample(strange, most))
+        if boxes and len(mapper.attractors) > known:
+            mapper = with_capture_boxes(mapper)
+        number = labels.attractor[left] = mapper.identify(ends)
+        cycles = [i for i, one in enumerate(mapper.attractors) if i >= known and one.period]
+        late = left[np.isin(number, cycles)]
+        labels.strides[late] = mapper.follow(starts[late]).strides
+        made += int(labels.strides[late].sum())
+    return Found(labels, mapper, made)
 
 
-def with_attractors_from(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:
+def with_attractors_from(mapper: Mapper, starts: Points) -> Mapper:
     """Return the mapper to the attractors of some starts too."""
     found = search(mapper.walker, starts, mapper.integrator, mapper.attractors)
     return mapper._replace(attractors=found)
 
 
-def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
+def sample(x: Points, most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
     """Return some of many points, evenly spread over their order."""
     return x[sample_indices(len(x), most)]
 
 
 def search(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    integrator: Integrator,
-    known: Sequence[Attractor] = (),
+    walker: System, x: Points, integrator: Integrator, known: Sequence[Attractor] = ()
 ) -> list[Attractor]:
     """Find the attractors to which walkers converge from x, and add them to the known ones.
 
@@ -257,10 +170,7 @@ def search(
 
 
 def add_cycles(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    found: list[Attractor],
-    integrator: Integrator,
+    walker: System, x: Points, found: list[Attractor], integrator: Integrator
 ) -> tuple[Float[np.ndarray, "m section"], bool]:
     """Add the cycles to which walkers converge.
 
@@ -281,10 +191,7 @@ def add_cycles(
 
 
 def add_repeated(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    found: list[Attractor],
-    integrator: Integrator,
+    walker: System, x: Points, found: list[Attractor], integrator: Integrator
 ) -> tuple[Float[np.ndarray, "m section"], Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Add the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
 
@@ -317,10 +224,7 @@ def add_repeated(
 
 
 def stay_undecided(
-    found: Sequence[Attractor],
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    integrator: Integrator,
+    found: Sequence[Attractor], walker: System, x: Points, integrator: Integrator
 ) -> Bool[np.ndarray, " n"]:
     """Return whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
     targets, _ = targets_of(found, x.shape[1])
@@ -329,10 +233,7 @@ def stay_undecided(
 
 
 def lasting_motions(
-    walker: System,
-    x: Float[np.ndarray, "n section"],
-    found: Sequence[Attractor],
-    integrator: Integrator,
+    walker: System, x: Points, found: Sequence[Attractor], integrator: Integrator
 ) -> list[Attractor]:
     """Return the motions without a period on which walkers last, apart from those already found.
 
@@ -342,10 +243,11 @@ def lasting_motions(
     early, late = SURVIVAL
     end = iterate(walker, x, early, integrator)
     x = end.state[end.outcome == Outcome.STRIDE]
-    x = x[match_approaching(walker, x, found, integrator) < 0]
+    mapper = Mapper(walker, [*found], integrator, early)
+    x = x[mapper.approached(x) < 0]
     walks, outcome = orbits(walker, x, late, integrator)
     lasts = outcome == Outcome.STRIDE
-    lasts[lasts] = match_approaching(walker, walks[lasts, -1], found, integrator) < 0
+    lasts[lasts] = mapper.approached(walks[lasts, -1]) < 0
     known = [one.cloud for one in found if one.cloud is not None]
     new = distinct_motions(walks[lasts], known, MOST_MOTIONS + 1)
     if new and not lasts.all():  # walkers leave the nearest motion, which is then a transient
@@ -367,7 +269,8 @@ def attracts(
     """
     radius, axes = capture_radius(cycle.dtype), np.eye(len(cycle[0]))
     beside = cycle[0] + radius * np.concatenate([axes, -axes])
-    largest = largest_distances(walker, beside, [Attractor(cycle)], integrator).max(axis=0)
+    _, largest = Mapper(walker, [Attractor(cycle)], integrator, 0).follow_near(beside)
+    largest = largest.max(axis=0)
     if largest[0] < CLOSE and largest[-1] < radius / (2 * len(axes)):  # False for NaN
         return True
     jacobians = linearise(walker, cycle[None], integrator).jacobian

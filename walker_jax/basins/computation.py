@@ -9,7 +9,7 @@ walkers from the centres of each cycle's cells are also followed, to the attract
 converge to.
 """
 
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from walker_jax.basins.methods import METHODS, DirectIteration, compute_in_pieces
-from walker_jax.basins.schema import to_dataset
+from walker_jax.basins.methods import METHODS, DirectIteration, compute_in_memory, work_of
+from walker_jax.basins.own_labels import check_label
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -28,6 +28,7 @@ from walker_jax.checks import (
     refuses_tracers,
     short,
 )
+from walker_jax.execution.pieces import complete_store
 from walker_jax.execution.workers import check_cluster
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, integrator_of
@@ -49,7 +50,7 @@ def basin(
     strides: int = 200,
     tolerance: float | None = None,
     solver: AnySolver | None = None,
-    label: Callable | None = None,
+    label: Any = None,
     progress: bool = True,
     out: Path | str | None = None,
     request: dict | None = None,
@@ -74,10 +75,10 @@ def basin(
     - `strides`: number of strides for which direct iteration follows a walker. Undecided walks
       continue for some 16,000 more, if a cycle is known, only to identify their attractor.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
-    - `label`: for direct iteration in memory, your own label of a walk that has made all its
-      strides: a JAX function of its last state, whose result, a whole number from 0 on or -1 for
-      none, takes the place of the attractor. No attractor is then looked for; `states` has one such
-      state for each label.
+    - `label`: for direct iteration, your own label of a walk that has made all its strides, in
+      place of the attractor: a JAX function of its last state, which returns a whole number from 0
+      on, or -1 for none; or `Clusters` of features of its orbit. No attractor is then looked for;
+      `states` has one such state for each label.
     - `progress`: whether to show a progress bar on a terminal, after a second.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece. Only
       one piece is in memory at a time, but the cell map takes 12 bytes for each cell at the end. An
@@ -94,8 +95,9 @@ def basin(
     - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it converges to an
       attractor, or walks to the last stride (direct);
     - `attractor`: number of the attractor it converges to, -1 for none. If direct iteration finds
-      motions without a period, all walks that go on after `strides` have the number of the nearest;
-      a few of these may still fall or converge to a cycle. Walks on an unstable cycle have none;
+      motions without a period, walks that go on after `strides` have the number of the one that
+      they are on, or of what they come to in 1000 more; a few of these may still fall or converge
+      to a cycle. Walks on an unstable cycle have none;
     - `strides`: strides completed before the walker converges or fails.
 
     Over the attractors it has `period` (0 where the motion does not repeat itself) and `states`
@@ -134,23 +136,15 @@ def basin(
             )
     work = METHODS[method](walker, grid, settings, integrator)
     if label is not None:
-        if not isinstance(work, DirectIteration) or out is not None or not callable(label):
-            raise WrongUse(
-                f"label must be a function, with method 'direct' and no out, not {short(label)}"
-            )
-        settings["label"] = getattr(label, "__name__", type(label).__name__)
-        return to_dataset(walker, grid, work.labelled(label, progress), settings)
-    if out is not None:
-        return compute_in_pieces(
-            work,
-            Path(out),
-            request=request,
-            overwrite=overwrite,
-            cluster=cluster,
-            progress=progress,
-        )
-    check_cluster(cluster, out)
-    return to_dataset(walker, grid, work.at_once(progress), settings)
+        if not isinstance(work, DirectIteration):
+            raise WrongUse(f"method must be direct, not {method!r}, for a label of your own")
+        settings |= check_label(label)
+        work = replace(work, label=label)
+    if out is None:
+        check_cluster(cluster, out)
+        return compute_in_memory(work, progress)
+    by = {"overwrite": overwrite, "cluster": cluster, "progress": progress}
+    return complete_store(work_of(work, request), Path(out), **by)
 
 
 def check_grid(

@@ -100,8 +100,7 @@ def edge_state(
     - `a`, `b`: starts on the section with different fates, or that converge to different
       attractors.
     - `rounds`: most strides of the path.
-    - `strides`: number of strides for which a walker is followed to its fate.
-    - `tolerance`: of the integration, as in `stride`.
+    - `strides`, `tolerance`: as in `refine`.
 
     Raises `ValueError` for starts of one fate, for starts that are not feasible, and in float32;
     `ComputationFailed` where rounding loses the boundary.

@@ -1,37 +1,27 @@
-"""The label of a start: what becomes of a walk, as a pure JAX function of one start.
+"""The label of a walk, and the tests of walks that have made all their strides.
 
-A walker is followed until it fails, until it is in a capture box of a cycle, or for a number of
-strides. A walk that has made all its strides belongs to the cycle that it comes ever nearer to;
-otherwise, to the nearest motion without a period, if one is known; otherwise, to the cycle that it
-comes to much later. `label` makes these steps one after the other for one start. `Mapper` makes
-each of them for those of many starts that the one before left open.
+Walks are one, in arrays of JAX, or many, in arrays of NumPy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.basins.attractor import Attractor, capture_radius, targets_of
-from walker_jax.basins.motions import Clouds, clouds_of, nearest_motion
-from walker_jax.checks import WrongUse, check_whole, short
-from walker_jax.integrators.integrator import AnySolver, Integrator
+from walker_jax.basins.motions import Clouds, clouds_of
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.reductions import largest
-from walker_jax.integrators.roots import Real
-from walker_jax.kernels.primitive import nan_allowed, vary_together
+from walker_jax.kernels.primitive import vary_together
 from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.systems.system import System
-from walker_jax.walking.iteration import Targets, walk_on
 from walker_jax.walking.scan import scan_strides
-from walker_jax.walking.starts import prepare
 from walker_jax.walking.stride import follow_stride
 
 CLOSE = 0.01
@@ -77,9 +67,18 @@ class Label(NamedTuple):
         return (self.fate != Outcome.STRIDE) & (self.fate != Outcome.UNDECIDED)
 
     @property
+    def undecided(self) -> Bool[Any, "*walks"]:
+        """Mark the walks that neither failed nor converged."""
+        return (self.fate == Outcome.STRIDE) & ~self.converged
+
+    @property
     def remaining(self) -> Int[np.ndarray, " left"]:
         """Indices of walks that neither failed nor converged."""
-        return np.flatnonzero((self.fate == Outcome.STRIDE) & ~self.converged)
+        return np.flatnonzero(self.undecided)
+
+    def filled(self, find: Callable) -> Label:
+        """Return the labels with attractors of undecided walks, found from their states."""
+        return self._replace(attractor=fill(self.attractor, self.undecided, self.state, find))
 
     @property
     def total_strides(self) -> int:
@@ -87,111 +86,22 @@ class Label(NamedTuple):
         return int(self.strides.sum() + np.sum(self.fate != Outcome.STRIDE))
 
 
-def label(
-    system: System,
-    attractors: Sequence[Attractor],
-    start: Float[ArrayLike, " section"] | Sequence[Any],
-    *,
-    strides: int = 200,
-    further: int = FURTHER,
-    tolerance: Real | None = None,
-    solver: AnySolver | None = None,
-) -> Label:
-    """Return what becomes of one start: how it fails, or the attractor that it converges to.
+def fill(
+    number: Int[Any, "*walks"],
+    unknown: Bool[Any, "*walks"],
+    x: Float[Any, "*walks section"],
+    find: Callable[[Float[Any, "*walks section"]], Int[Any, "*walks"]],
+) -> Int[Any, "*walks"]:
+    """Return numbers in which those of some walks are found from their states.
 
-    It is a pure function for `jax.jit` and `jax.vmap`; the system and the attractors may be
-    operands. Derivatives of the state are in forward mode.
-
-    ```python
-    walker = wj.SimplestWalker(0.004)
-    attractors = wj.find_attractors(walker, [(0.2, -0.2), (0.15, -0.15)])
-    found = wj.label(walker, attractors, (0.2, -0.2))
-    found.fate, found.attractor, found.strides  # numbers of `Outcome`, attractor, strides
-    ```
-
-    **Arguments:**
-
-    - `system`: one system, with numbers for parameters.
-    - `attractors`: of `find_attractors`; a walk's attractor is its place among them.
-    - `start`: a point of the section.
-    - `strides`: number of strides for which the walker is followed.
-    - `further`: further strides of a walker that is then undecided, to identify its cycle only.
-    - `tolerance`, `solver`: of the integration, as in `stride`.
-
-    Raises `ValueError` for a start that is no point of the section.
+    Of many walks, only these are followed; a single one starts from NaN if its number is known.
     """
-    strides, further = check_whole("strides", strides), check_whole("further", further, 0)
-    system, x, integrator = prepare(system, start, tolerance, solver)
-    if x.shape != (len(system.section),):
-        raise WrongUse(f"start must be on the section {system.section}, not of shape {x.shape}")
-    attractors = jax.tree.map(jnp.asarray, check_attractors(attractors))
-    with nan_allowed():
-        return follow_label(system, attractors, x, strides, further, integrator)
-
-
-def check_attractors(attractors: Any) -> list[Attractor]:
-    """Return attractors as a list; raise `WrongUse` for anything else."""
-    found = list(attractors) if isinstance(attractors, Sequence) else [attractors]
-    if not all(isinstance(one, Attractor) for one in found):
-        raise WrongUse(f"attractors must be those of find_attractors, not {short(attractors)}")
-    return found
-
-
-def follow_label(
-    system: System,
-    attractors: Sequence[Attractor],
-    x: Float[Array, " section"],
-    strides: int,
-    further: int,
-    integrator: Integrator,
-) -> Label:
-    """Follow one start to its label, unchecked."""
-    found = walk_to_cycle(system, attractors, x, strides, integrator)
-    left = (found.fate == Outcome.STRIDE) & ~found.converged
-    x = jnp.where(left, found.state, jnp.nan)
-    number = identify(system, attractors, x, further, integrator)
-    return found._replace(attractor=jnp.where(left, number, found.attractor))
-
-
-def walk_to_cycle(
-    system: System,
-    attractors: Sequence[Attractor],
-    x: Float[Array, " section"],
-    most: int | Int[Array, ""],
-    integrator: Integrator,
-) -> Label:
-    """Follow one start until it fails, is in a capture box, or has made `most` strides."""
-    targets, owner = targets_of(attractors, len(x))
-    if len(owner) == 1:
-        targets = Targets(jnp.full((1, len(x)), jnp.nan), jnp.zeros((1, len(x), len(x))))
-    end = walk_on(system, x, targets, jnp.asarray(most, jnp.int32), integrator)
-    number = jnp.where(end.target < 0, -1, jnp.asarray(owner)[end.target])
-    return Label(end.outcome, number, end.strides, end.state)
-
-
-def identify(
-    system: System,
-    attractors: Sequence[Attractor],
-    x: Float[Array, " section"],
-    further: int,
-    integrator: Integrator,
-) -> Int[Array, ""]:
-    """Return the attractor of a walk that has made all its strides; -1 for none, and for NaN."""
-
-    def approached(x: Float[Array, " section"]) -> Int[Array, ""]:
-        cycles = cycles_of(attractors, len(x), x.dtype)
-        number, farthest = follow_near(system, x, cycles, integrator)
-        return jnp.where(comes_nearer(farthest), number, -1)
-
-    number = approached(x)
-    x = jnp.where(number < 0, x, jnp.nan)
-    if without_period(attractors):
-        return jnp.where(number < 0, follow_motion(system, attractors, x, integrator), number)
-    if not attractors or not further:
+    if isinstance(x, np.ndarray):
+        number = number.copy()
+        if unknown.any():
+            number[unknown] = find(x[unknown])
         return number
-    later = walk_to_cycle(system, attractors, x, further, integrator)
-    reached = jnp.where(later.converged, later.attractor, approached(later.state))
-    return jnp.where(number < 0, reached, number)
+    return jnp.where(unknown, find(jnp.where(unknown, x, jnp.nan)), number)
 
 
 class Cycles(NamedTuple):
@@ -272,37 +182,6 @@ def motions_apart(attractors: Sequence[Attractor]) -> Clouds | None:
         if any(one.stands_for_all for one in known)
         else clouds_of([one.cloud for one in known])
     )
-
-
-def follow_motion(
-    system: System,
-    attractors: Sequence[Attractor],
-    x: Float[Array, " section"],
-    integrator: Integrator,
-) -> Int[Array, ""]:
-    """Return the number of the motion without a period that is nearest to a walk.
-
-    It is -1 for walks that repeat themselves, as on an unstable cycle. Of several motions, it is
-    the one that a walk on none of them comes to in more strides.
-    """
-    clouds, numbers = motions_apart(attractors), jnp.asarray(without_period(attractors), jnp.int32)
-    walk, number = visited(system, x, integrator), numbers[0]
-    if clouds is not None and len(numbers) > 1:
-        closest = lambda walk: nearest_motion(clouds, walk[::SKIPPED])
-        nearest, near = closest(walk)
-        later = walk_to_cycle(system, [], x, jnp.where(near, 0, SURVIVAL[0]), integrator)
-        come, _ = closest(visited(system, later.state, integrator))
-        number = numbers[jnp.where(near | (later.fate != Outcome.STRIDE), nearest, come)]
-    return jnp.where(repeats(walk), -1, number)
-
-
-def visited(
-    system: System, x: Float[Array, " section"], integrator: Integrator
-) -> Float[Array, "states section"]:
-    """Return the states of a few strides of a walk, NaN after a failure."""
-    step = lambda x, _: follow_stride(system, x, integrator)
-    _, states = scan_strides(step, x, VISITED, record=lambda stride: stride.state)
-    return jnp.concatenate([x[None], states])
 
 
 def repeats(walks: Float[Any, "*n states section"]) -> Bool[Any, "*n"]:

@@ -1,19 +1,18 @@
 """Cell mapping and direct iteration of a grid, at once in memory or piece by piece into a store."""
 
 import math
-from collections.abc import Callable, Iterator
-from functools import partial
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Array, Int
 
 from walker_jax import storage
-from walker_jax.basins.attractor import Attractor, all_motions, in_order, seen, sorted_numbers
+from walker_jax.basins.attractor import Attractor, in_order, seen, sorted_numbers
 from walker_jax.basins.attractor_search import (
     PATIENCE,
     complete,
@@ -24,6 +23,7 @@ from walker_jax.basins.attractor_search import (
 from walker_jax.basins.labels import LONGEST_PERIOD, Label
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.narrow_windows import follow_window
+from walker_jax.basins.own_labels import OwnLabel, label_ends
 from walker_jax.basins.schema import (
     ARRAYS,
     Basins,
@@ -34,11 +34,12 @@ from walker_jax.basins.schema import (
     count_at_border,
     describe,
     request_of,
+    to_dataset,
 )
 from walker_jax.cellmaps import CellMap, cell_image, resolve
-from walker_jax.checks import WrongUse, short
+from walker_jax.execution.pieces import Work
 from walker_jax.execution.tiles import map_cells, order_of_cells
-from walker_jax.execution.workers import missing_pieces, open_workers
+from walker_jax.execution.workers import Compute
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.outcomes import OUTCOMES, Outcome
@@ -68,22 +69,36 @@ class Finished(NamedTuple):
     pieces: Iterator[dict[str, np.ndarray]]
 
 
-class CellMapping(NamedTuple):
-    """Cell mapping: pieces of the map, then the labels of all cells at the end."""
+@dataclass(frozen=True)
+class InMemory:
+    """The whole grid as one piece in memory, in place of `storage.Pieces`."""
+
+    notes: Any
+    shape: tuple[int, ...]
+    values: dict[str, np.ndarray]
+    count: int = 1
+
+    def at(self, _: int) -> tuple[slice, ...]:
+        """Return the slices of the arrays that the piece covers."""
+        return tuple(slice(0, size) for size in self.shape)
+
+    def read(self, name: str, _: int) -> np.ndarray:
+        """Return an array."""
+        return self.values[name]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to compute the basins of a grid in pieces."""
 
     walker: System
     grid: Grid
     settings: dict
     integrator: Integrator
 
-    def at_once(self, progress: bool = False) -> Basins:
-        """Compute all cells in memory."""
-        image = cell_map(self.walker, self.grid, self.integrator, progress=progress)
-        ends = resolve(image, sinks=OUTCOMES)
-        attractors, number, counts = attractors_of_cycles(
-            self.walker, self.grid, ends, self.integrator
-        )
-        return Basins(*labels_of_cells(ends, number), attractors, counts)
+
+class CellMapping(Method):
+    """Cell mapping: pieces of the map, then the labels of all cells at the end."""
 
     def arrays(self) -> dict[str, xr.Variable]:
         """Return the arrays that are stored until the end, besides those of the result."""
@@ -93,65 +108,31 @@ class CellMapping(NamedTuple):
         """Return the results that are computed and stored before all pieces."""
         return {}
 
-    def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
+    def piece(self, notes: dict, block: Block, *, progress: bool = False) -> dict[str, np.ndarray]:
         """Compute the values of arrays over a piece."""
-        return {"image": cell_map(self.walker, self.grid, self.integrator, block)}
+        image = cell_map(self.walker, self.grid, self.integrator, block, progress=progress)
+        return {"image": image}
 
-    def finish(self, place: storage.Pieces) -> Finished:
+    def finish(self, place: storage.Pieces | InMemory) -> Finished:
         """Return the attractors, and the remaining values of each piece."""
-        ends = resolve(self.image(place), sinks=OUTCOMES)
+        blocks = [block_at(self.grid, place, i).cells for i in range(place.count)]
+        image = np.empty(self.grid.size, np.int32)
+        for i, cells in enumerate(blocks):
+            image[cells] = place.read("image", i).ravel()
+        ends = resolve(image, sinks=OUTCOMES)
         attractors, number, counts = attractors_of_cycles(
             self.walker, self.grid, ends, self.integrator
         )
-
-        def piece(cells: slice) -> dict[str, np.ndarray]:
-            return dict(zip(ARRAYS, labels_of_cells(ends.part(cells), number), strict=True))
-
-        pieces = (piece(block_at(self.grid, place, i).cells) for i in range(place.count))
-        return Finished(attractors, counts, pieces)
-
-    def image(self, place: storage.Pieces) -> Int[np.ndarray, " n"]:
-        """Return the cell, or the sink, to which each cell is sent."""
-        image = np.empty(self.grid.size, np.int32)
-        for i in range(place.count):
-            image[block_at(self.grid, place, i).cells] = place.read("image", i).ravel()
-        return image
+        values = (labels_of_cells(ends.part(cells), number) for cells in blocks)
+        return Finished(attractors, counts, (dict(zip(ARRAYS, one, strict=True)) for one in values))
 
 
-class DirectIteration(NamedTuple):
+@dataclass(frozen=True)
+class DirectIteration(Method):
     """Direct iteration: cycles of scouts before all pieces, then those of the remaining walkers."""
 
-    walker: System
-    grid: Grid
-    settings: dict
-    integrator: Integrator
-
-    def at_once(self, progress: bool = False) -> Basins:
-        """Compute all cells in memory."""
-        window = self.window()
-        labels, mapper = self.labels(self.notes_in(*window), *window, progress=progress)
-        left = labels.remaining
-        rest = complete(mapper, window[0].centres(left), labels.state[left])
-        labels.attractor[left], labels.strides[left] = rest.attractor, rest.strides + window[1]
-        attractors = seen(rest.mapper.attractors, labels.attractor)
-        return Basins(labels.fate, labels.attractor, labels.strides, attractors).sorted()
-
-    def labelled(self, label: Callable, progress: bool = False) -> Basins:
-        """Compute all cells in memory, with a user's own label of the end of each walk."""
-        labels, _ = self.labels({"cycles": []}, *self.window(), progress=progress)
-        left = labels.remaining
-        x = labels.state[left]
-        number = np.asarray(jax.vmap(label)(jnp.asarray(x)))
-        if number.shape != (len(x),) or number.dtype.kind not in "biu" or (number < -1).any():
-            raise WrongUse(
-                "label must return a whole number from 0 on for each state, or -1 for none, not "
-                f"{short(number)}"
-            )
-        labels.attractor[left] = number
-        first = [np.flatnonzero(number == i)[:1] for i in range(number.max(initial=-1) + 1)]
-        states = [x[one] if len(one) else np.full_like(x[:1], np.nan) for one in first]
-        attractors = [all_motions(one) for one in states]
-        return Basins(labels.fate, labels.attractor, labels.strides, attractors)
+    label: OwnLabel | None = None
+    """A user's own label of the end of each walk, in place of attractors."""
 
     def arrays(self) -> dict[str, xr.Variable]:
         """Return the arrays that are stored until the end, besides those of the result."""
@@ -162,75 +143,63 @@ class DirectIteration(NamedTuple):
         }
 
     def notes(self) -> dict:
-        """Return the results that are computed and stored before all pieces."""
-        return self.notes_in(*self.window())
-
-    def notes_in(self, window: Grid, made: int) -> dict:
         """Return the cycles that scouts find in the grid that is followed after some strides."""
-        scouts = window.centres(scouts_among(window.size))
+        if self.label is not None:
+            return {"cycles": []}
+        scouts = self.window[0].centres(scouts_among(self.grid.size))
         found = mapper_of_scouts(self.walker, scouts, self.integrator, self.settings["strides"])
         return {"cycles": [one.states.tolist() for one in found.attractors]}
 
+    @cached_property
     def window(self) -> tuple[Grid, int]:
-        """Return the grid that is followed, and the strides made up to there."""
+        """The grid that is followed, and the strides made up to there."""
         return follow_window(self.walker, self.grid, self.integrator, self.settings["strides"])
 
-    def mapper(self, notes: dict, made: int) -> Mapper:
-        """Return the mapper to the stored cycles, for walkers that have made some strides."""
+    def mapper(self, notes: dict) -> Mapper:
+        """Return the mapper to the stored cycles, for walkers that have come to the window."""
         dtype = jnp.asarray(0.0).dtype
         known = [Attractor(np.array(states, dtype)) for states in notes["cycles"]]
-        strides = self.settings["strides"] - made
+        strides = self.settings["strides"] - self.window[1]
         return Mapper(self.walker, known, self.integrator, strides)
 
-    def labels(
-        self,
-        notes: dict,
-        window: Grid,
-        made: int,
-        block: Block | None = None,
-        *,
-        progress: bool = False,
-    ) -> tuple[Label, Mapper]:
-        """Follow the centres of the cells of a block, or of all cells, from `window` on."""
-        mapper = self.mapper(notes, made)
-        labels = map_block(mapper, window, block, progress=progress)
-        return labels._replace(strides=labels.strides + np.int32(made)), mapper
-
-    def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
+    def piece(self, notes: dict, block: Block, *, progress: bool = False) -> dict[str, np.ndarray]:
         """Compute the values of arrays over a piece; `ends` are states of walkers that remain.
 
         The numbers of the attractors that walkers have `reached` change at the end.
         """
-        labels, _ = self.labels(notes, *self.window(), block)
-        ends, remaining = np.full_like(labels.state, np.nan), labels.remaining
-        ends[remaining] = labels.state[remaining]
-        found = {"fate": labels.fate, "strides": labels.strides}
-        return found | {"reached": labels.attractor, "ends": ends}
+        window, made = self.window
+        labels = map_block(self.mapper(notes), window, block, progress=progress)
+        labels.state[~labels.undecided] = np.nan
+        found = {"fate": labels.fate, "strides": labels.strides + np.int32(made)}
+        return found | {"reached": labels.attractor, "ends": labels.state}
 
-    def finish(self, place: storage.Pieces) -> Finished:
+    def finish(self, place: storage.Pieces | InMemory) -> Finished:
         """Return the attractors, and the remaining values of each piece."""
-        (window, made), remaining, ends = self.window(), [], []
+        (window, made), remaining, ends, cells = self.window, [], [], []
         for i in range(place.count):
             x = place.read("ends", i).reshape(-1, self.grid.coordinates)
             remaining.append(np.flatnonzero(np.isfinite(x[:, 0])))
             ends.append(x[remaining[-1]])
-        firsts = [block_at(self.grid, place, i).first for i in range(place.count)]
-        cells = [first + mine for first, mine in zip(firsts, remaining, strict=True)]
-        mapper = self.mapper(place.notes, made)
-        rest = complete(mapper, window.centres(np.concatenate(cells)), np.concatenate(ends))
-        attractors, number = in_order(seen(rest.mapper.attractors, rest.attractor))
+            cells.append(block_at(self.grid, place, i).first + remaining[-1])
+        starts, x = window.centres(np.concatenate(cells)), np.concatenate(ends)
+        if self.label is None:
+            mapper, count = self.mapper(place.notes), len(x)
+            unknown = np.full(count, -1, np.int32), np.full(count, mapper.strides, np.int32)
+            rest = complete(mapper, starts, Label(np.zeros(count, np.int8), *unknown, x))
+            attractors, number = in_order(seen(rest.mapper.attractors, rest.labels.attractor))
+            late, strides = number[rest.labels.attractor], rest.labels.strides + made
+        else:
+            attractors, late = label_ends(self.label, self.walker, x, self.integrator)
+            number, strides = np.full(1, -1, np.int32), np.full(len(x), self.settings["strides"])
         parts = np.cumsum([len(mine) for mine in remaining])[:-1]
-        late = zip(
-            np.split(rest.attractor, parts), np.split(rest.strides + made, parts), strict=True
-        )
+        each = zip(remaining, np.split(late, parts), np.split(strides, parts), strict=True)
 
-        def pieces():
-            for i, (mine, (reached, count)) in enumerate(zip(remaining, late, strict=True)):
-                attractor, strides = (
-                    place.read(name, i).ravel() for name in ("reached", "strides")
-                )
+        def pieces() -> Iterator[dict[str, np.ndarray]]:
+            for i, (mine, reached, count) in enumerate(each):
+                attractor = number[place.read("reached", i).ravel()]
+                strides = place.read("strides", i).ravel()
                 attractor[mine], strides[mine] = reached, count
-                yield {"attractor": number[attractor], "strides": strides}
+                yield {"attractor": attractor, "strides": strides}
 
         return Finished(attractors, None, pieces())
 
@@ -238,44 +207,28 @@ class DirectIteration(NamedTuple):
 METHODS = {"cell-map": CellMapping, "direct": DirectIteration}
 
 
-def compute_in_pieces(
-    method: CellMapping | DirectIteration,
-    out: Path,
-    *,
-    request: dict | None,
-    overwrite: bool,
-    cluster: Any,
-    progress: bool,
-) -> xr.Dataset:
-    """Compute `basin` piece by piece into a store.
+def compute_in_memory(method: CellMapping | DirectIteration, progress: bool) -> xr.Dataset:
+    """Compute `basin` as one piece in memory."""
+    grid, notes = method.grid, method.notes()
+    values = method.piece(notes, Block(0, grid.shape), progress=progress)
+    found = method.finish(InMemory(notes, grid.shape, values))
+    values |= next(found.pieces)
+    fate, attractor, strides = (values[name] for name in ARRAYS)
+    basins = Basins(fate, attractor, strides, found.attractors, found.cell_cycles)
+    return to_dataset(method.walker, grid, basins, method.settings)
+
+
+def work_of(method: CellMapping | DirectIteration, request: dict | None) -> Work:
+    """Return how `basin` is computed piece by piece into a store.
 
     A piece is a block of the grid. Results for single cells are written at once. Results that need
     all cells follow when all pieces are there: the ends of the cell map, or the attractors of
-    walkers that remain. Either may be repeated, with the same result.
+    walkers that remain.
     """
-    grid, work = method.grid, method.arrays()
+    grid, aside = method.grid, method.arrays()
     about = describe(method.walker, grid, method.settings)
-    request = request or request_of(about, grid) | {"command": "basin"}
-    found = storage.find(out, request, overwrite=overwrite)
-    if found is not None:
-        return found
-    arrays, block = arrays_to_compute(method.walker, grid) | work, block_shape(grid.shape)
-    with (
-        open_workers(cluster) as each,  # first, as it may fail
-        storage.open_pieces(
-            out,
-            request,
-            about,
-            arrays,
-            block,
-            method.notes,
-            aside=list(work),
-            overwrite=overwrite,
-        ) as place,
-    ):
-        compute, block_of = partial(method.piece, place.notes), partial(block_at, grid, place)
-        for i, values in missing_pieces(place, each, compute, block_of, "pieces", progress):
-            place.write(i, values, done=True)
+
+    def finish(place: storage.Pieces, _: Compute) -> xr.Dataset:
         attractors, cell_cycles, pieces = method.finish(place)
         cells, at_border = np.zeros(len(attractors), int), 0
         for i, values in enumerate(pieces):
@@ -283,8 +236,19 @@ def compute_in_pieces(
             reached = values["attractor"]
             cells += np.bincount(reached[reached >= 0], minlength=len(cells))
             at_border += count_at_border(grid, reached, block_at(grid, place, i).first)
-        place.finish(add_attractors(about, grid, attractors, cells, at_border, cell_cycles))
-    return storage.open_dataset(out)
+        return add_attractors(about, grid, attractors, cells, at_border, cell_cycles)
+
+    return Work(
+        request or request_of(about, grid) | {"command": "basin"},
+        about,
+        arrays_to_compute(method.walker, grid) | aside,
+        block_shape(grid.shape),
+        finish,
+        partial(block_at, grid),
+        method.piece,
+        method.notes,
+        [*aside],
+    )
 
 
 def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -297,7 +261,7 @@ def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return (*[1] * axis, -(-shape[axis] // parts))
 
 
-def block_at(grid: Grid, place: storage.Pieces, piece: int) -> Block:
+def block_at(grid: Grid, place: storage.Pieces | InMemory, piece: int) -> Block:
     """Return the cells of a piece."""
     at = place.at(piece)
     start = [one.start for one in at] + [0] * (len(grid.shape) - len(at))

@@ -100,7 +100,7 @@ def nearest_motion(
 ) -> tuple[Int[Any, "*n"], Bool[Any, "*n"]]:
     """Return the nearest motion of each walk, and whether the walk is within its reach."""
     distances = distances_from(clouds, walks)
-    return distances.argmin(axis=-1), (distances <= clouds.reach).any(axis=-1)
+    return distances.argmin(axis=-1).astype(np.int32), (distances <= clouds.reach).any(axis=-1)
 
 
 def is_same_motion(one: Points, other: Points) -> bool:

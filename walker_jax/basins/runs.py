@@ -46,12 +46,12 @@ class Runs(NamedTuple):
     @property
     def fate(self) -> Int[np.ndarray, " runs"]:
         """Fates of the cells of each run."""
-        return np.where(self.label < OUTCOMES, self.label, Outcome.STRIDE).astype(np.int8)
+        return fates_of(self.label).astype(np.int8)
 
     @property
     def attractor(self) -> Int[np.ndarray, " runs"]:
         """Attractors of the cells of each run; -1 for none."""
-        return np.where(self.label < OUTCOMES, -1, self.label - OUTCOMES).astype(np.int32)
+        return attractors_of(self.label).astype(np.int32)
 
     def of_cells(self, cells: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
         """Return the numbers of the runs that cells are in."""
@@ -136,6 +136,16 @@ def label_of(
 ) -> Int[np.ndarray, "*n"]:
     """Return one number for the fate and the attractor of each cell; attractor -1 means none."""
     return np.where(attractor >= 0, OUTCOMES + attractor, fate)
+
+
+def fates_of(label: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """Return the fates of labels."""
+    return np.where(label < OUTCOMES, label, int(Outcome.STRIDE))
+
+
+def attractors_of(label: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """Return the attractors of labels; -1 for none."""
+    return np.where(label < OUTCOMES, -1, label - OUTCOMES)
 
 
 def neighbours(

@@ -54,13 +54,8 @@ from walker_jax.controlled_maps import (
     find_viable,
     unavoidable_failure,
 )
-from walker_jax.execution.workers import (
-    Compute,
-    check_cluster,
-    compute_here,
-    missing_pieces,
-    open_workers,
-)
+from walker_jax.execution.pieces import Work, complete_store
+from walker_jax.execution.workers import Compute, check_cluster, compute_here
 from walker_jax.grids import MAX_SIZE, Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import OUTCOMES, failures_of, join_names, name_of_outcome
@@ -165,8 +160,9 @@ def viable(
         target = subdivide(read_target(target, grid), grid.shape, levels)
     plan = Plan(task, levels, target)
     if out is not None:
-        how = {"request": request, "overwrite": overwrite, "cluster": cluster}
-        return compute_in_pieces(plan, Path(out), progress=progress, **how)
+        work = work_of(plan, request, progress)
+        how = {"overwrite": overwrite, "cluster": cluster, "progress": progress}
+        return complete_store(work, Path(out), **how)
     check_cluster(cluster, out)
     cells = map_in_tiles(task, None, compute_here, "strides", progress)
     return plan.answer(cells, compute_here, progress)
@@ -266,19 +262,12 @@ def with_areas(data: xr.Dataset, grid: Grid, found: dict[str, np.ndarray]) -> xr
     )
 
 
-def compute_in_pieces(
-    plan: Plan, out: Path, *, request: dict | None, overwrite: bool, cluster: Any, progress: bool
-) -> xr.Dataset:
-    """Compute `viable` with images written piece by piece into a store, and removed at the end.
+def work_of(plan: Plan, request: dict | None, progress: bool) -> Work:
+    """Return how `viable` is stored: images piece by piece, which are removed at the end.
 
-    Once all images are there, the kernel is computed, with strides from parts of cells. If this is
-    interrupted, it is repeated with the same result.
+    Once all images are there, the kernel is computed, with strides from parts of cells.
     """
     task = plan.task
-    request = request or plan.request()
-    found = storage.find(out, request, overwrite=overwrite)
-    if found is not None:
-        return found
     cells = MappedCells.empty(task, task.grid.size)
     names = {f"stride_{name}": name for name, values in cells._asdict().items() if len(values)}
     dims = "cell", "action_number", "axis"
@@ -287,24 +276,32 @@ def compute_in_pieces(
         for stored, name in names.items()
         for one in [getattr(cells, name)]
     }
-    block = tile_shape(task.grid.size, len(task.actions.values))
-    with (
-        open_workers(cluster) as each,  # first, as there may be none
-        storage.open_pieces(
-            out, request, plan.about(), nothing, block, dict, aside=[*names], overwrite=overwrite
-        ) as place,
-    ):
-        tile_of = lambda piece: tuple((one.start, one.stop) for one in place.at(piece))
-        compute = partial(map_tile, task, None)
-        for i, part in missing_pieces(place, each, compute, tile_of, "pieces", progress):
-            values = {stored: getattr(part, name) for stored, name in names.items()}
-            place.write(i, values, done=True)
+    tile_of = lambda place, i: tuple((one.start, one.stop) for one in place.at(i))
+
+    def finish(place: storage.Pieces, each: Compute) -> xr.Dataset:
         for i in range(place.count):
-            insert_tile(
-                cells, tile_of(i), {name: place.read(stored, i) for stored, name in names.items()}
-            )
-        place.finish(plan.answer(cells, each, progress))
-    return storage.open_dataset(out)
+            part = {name: place.read(stored, i) for stored, name in names.items()}
+            insert_tile(cells, tile_of(place, i), part)
+        return plan.answer(cells, each, progress)
+
+    return Work(
+        request or plan.request(),
+        plan.about(),
+        nothing,
+        tile_shape(task.grid.size, len(task.actions.values)),
+        finish,
+        tile_of,
+        partial(stored_tile, task, names),
+        aside=[*names],
+    )
+
+
+def stored_tile(
+    task: Task, names: Mapping[str, str], _notes: dict, tile: Any
+) -> dict[str, np.ndarray]:
+    """Map a tile, and return the arrays to store by their names in the store."""
+    part = map_tile(task, None, tile)
+    return {stored: getattr(part, name) for stored, name in names.items()}
 
 
 def summarise_viability(data: xr.Dataset) -> dict:

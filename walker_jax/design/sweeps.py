@@ -25,7 +25,8 @@ from walker_jax.basins.refinement import FINEST, refine
 from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.design.measures import gait_measures
-from walker_jax.execution.workers import missing_pieces, open_workers
+from walker_jax.execution.pieces import Work, complete_store
+from walker_jax.execution.workers import Compute
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import default_tolerance
@@ -143,16 +144,15 @@ def sweep(
     own = {"command": "sweep", "over": {name: given.tolist() for name, given in values.items()}}
     request = request or request_of(about, grid) | own
     about = about.assign_coords(values)
-    plan = Measurement(walker, grid, (*values,), levels, check, robust, strides, seed, tolerance)
-    compute = partial(compute_missing, plan, about, request, cluster=cluster, progress=progress)
-    if out is None:  # nobody else sees it
-        with tempfile.TemporaryDirectory() as folder:
-            place = Path(folder) / "sweep.zarr"
-            data = compute(place, overwrite=False).load()
-        del data.attrs["request"]
-        return data
-    found = storage.find(Path(out), request, overwrite=overwrite)
-    return compute(Path(out), overwrite=overwrite) if found is None else found
+    wanted = Measurement(walker, grid, (*values,), levels, check, robust, strides, seed, tolerance)
+    work, label = work_of(wanted, about, request), " × ".join(values)
+    by: Any = {"cluster": cluster, "progress": progress, "label": label}
+    if out is not None:
+        return complete_store(work, Path(out), overwrite=overwrite, **by)
+    with tempfile.TemporaryDirectory() as folder:  # nobody else sees it
+        data = complete_store(work, Path(folder) / "sweep.zarr", overwrite=False, **by).load()
+    del data.attrs["request"]
+    return data
 
 
 def check_values(walker: System, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
@@ -169,40 +169,24 @@ def check_values(walker: System, values: Mapping[str, Float[np.ndarray, "..."]])
         check_parameter(walker, name, *given.tolist())
 
 
-def compute_missing(
-    plan: Measurement,
-    about: xr.Dataset,
-    request: dict,
-    out: Path,
-    *,
-    overwrite: bool,
-    cluster: Any,
-    progress: bool,
-) -> xr.Dataset:
-    """Compute the missing combinations of a sweep, and return all of it."""
-    shape = [about.sizes[name] for name in plan.names]
-    compute = partial(compute_combination, plan)
-    before = empty_row(plan)
-    fields = {name: broadcast(value, plan.names, shape) for name, value in before.items()}
-    unknown = {name: value.values for name, value in before.items()}
-    block = (1,) * len(shape)
-    with (
-        open_workers(cluster) as each,  # first, as there may be none
-        storage.open_pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place,
-    ):
+def work_of(wanted: Measurement, about: xr.Dataset, request: dict) -> Work:
+    """Return how a sweep is computed: a piece is one combination of values."""
+    shape = [about.sizes[name] for name in wanted.names]
+    fields = {
+        name: broadcast(value, wanted.names, shape) for name, value in empty_row(wanted).items()
+    }
 
-        def values_of(piece: int) -> tuple[float, ...]:
-            at = zip(plan.names, place.place(piece), strict=True)
-            return tuple(float(about[name][k]) for name, k in at)
+    def values_of(place: storage.Pieces, piece: int) -> tuple[float, ...]:
+        at = zip(wanted.names, place.place(piece), strict=True)
+        return tuple(float(about[name][k]) for name, k in at)
 
-        label = " × ".join(plan.names)
-        for i, row in missing_pieces(place, each, compute, values_of, label, progress):
-            place.write(i, unknown | row, done=True)
+    def finish(place: storage.Pieces, _: Compute) -> xr.Dataset:
         period, states = (np.asarray(place.array(name)[...]) for name in ATTRACTOR_ARRAYS)
-        alike = number_alike(period, states, turns_of(plan.walker))
-        numbered = {"attractor_number": ((*plan.names, "own"), alike)}
-        place.finish(about.assign(numbered))
-    return storage.open_dataset(out)
+        alike = number_alike(period, states, turns_of(wanted.walker))
+        return about.assign({"attractor_number": ((*wanted.names, "own"), alike)})
+
+    compute, block = partial(compute_row, wanted), (1,) * len(shape)
+    return Work(request, about, fields, block, finish, values_of, compute)
 
 
 def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
@@ -228,6 +212,12 @@ def broadcast(value: xr.Variable, names: Sequence[str], shape: list[int]) -> xr.
     """Repeat a variable for every combination of parameters, without taking memory."""
     everywhere = np.broadcast_to(value.values, (*shape, *value.shape))
     return xr.Variable((*names, *value.dims), everywhere, value.attrs)
+
+
+def compute_row(plan: Measurement, _notes: dict, values: tuple[float, ...]) -> dict[str, Any]:
+    """Compute all variables of one combination of values, unknown ones included."""
+    unknown = {name: value.values for name, value in empty_row(plan).items()}
+    return unknown | compute_combination(plan, values)
 
 
 def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[str, Any]:

@@ -16,9 +16,7 @@ import jax
 
 from walker_jax.checks import WrongUse, check_whole
 from walker_jax.execution import tiles
-from walker_jax.execution.progress import track
 from walker_jax.kernels.program import MODES
-from walker_jax.storage.pieces import Pieces
 
 PIECES_PER_WORKER = 2
 """Pieces queued for each worker, so that it need not wait for the next."""
@@ -103,21 +101,6 @@ def compute_on_cluster(
             waiting.append(item)
         submit_more()
         yield from found
-
-
-def missing_pieces(
-    place: Pieces,
-    each: Compute,
-    function: Callable[[Any], Any],
-    item_of: Callable[[int], Any],
-    label: str,
-    progress: bool,
-) -> Iterator[tuple[int, Any]]:
-    """Yield each piece that a data set on disk lacks, and function(item_of(piece)), when done."""
-    number = {item_of(piece): piece for piece in place.missing()}
-    found, done = each(function, [*number]), place.count - len(number)
-    for item, values in track(found, label, progress, place.count, done):
-        yield number[item], values
 
 
 @contextmanager

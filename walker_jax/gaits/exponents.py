@@ -5,6 +5,9 @@ stride the product is factored anew, J Q = Q' R. The means of log |R_ii| are the
 and others 1980, Meccanica 15, 9-20). Walks that start close together soon become independent if the
 first exponent is positive; their scatter gives the errors. Those of a stable cycle follow from one
 turn of it: they are the logarithms of the moduli of its multipliers, divided by its period.
+
+J is as accurate as the integration, relative to its largest entries. What it shrinks below that is
+not known, so the error of an exponent also has the mean of tolerance |J| / |R_ii|.
 """
 
 from __future__ import annotations
@@ -54,7 +57,8 @@ class Lyapunov(NamedTuple):
     exponents: Float[np.ndarray, "*systems section"]
     """Exponents, the largest first."""
     errors: Float[np.ndarray, "*systems section"]
-    """Standard errors: the scatter of the walks, and 1/strides for the ends of a mean."""
+    """Standard errors: the scatter of the walks, 1/strides for the ends of a mean, and the
+    tolerance of the derivatives, over how much they shrink that direction in a stride."""
     log_determinant: Float[np.ndarray, "*systems"]
     """The mean of log |det J|, which is their sum."""
     dimension: Float[np.ndarray, "*systems"]
@@ -128,11 +132,10 @@ def lyapunov(
     starts = np.asarray(x, float).reshape(-1, size)
     system, many = as_arrays(system, len(starts), starts.dtype)
     integrator = integrator_of(jnp.float64, tolerance, solver).in_dtype(starts.dtype)
-    rates, determinant, states = find_cycle_exponents(
-        system, starts, settling + strides, integrator
-    )
     every = lambda values: np.repeat(values[:, None], walks, axis=1)
-    rates, determinant, states = map(every, (rates, determinant, states))
+    rates, determinant, states, hidden = map(
+        every, find_cycle_exponents(system, starts, settling + strides, integrator)
+    )
     outcome = np.full(determinant.shape, Outcome.STRIDE, np.int8)
     others = np.flatnonzero(np.isnan(rates).any(axis=(1, 2)))
     if len(others):
@@ -145,34 +148,43 @@ def lyapunov(
             (many, True, False, False),
             progress=progress,
         )
-        states[others], logs, logs_of_determinant, outcome[others] = (
+        states[others], logs, logs_of_determinant, ratios, outcome[others] = (
             values.reshape(len(others), walks, *values.shape[1:]) for values in found
         )
         rates[others], determinant[others] = logs / strides, logs_of_determinant / strides
+        hidden[others] = ratios / strides
     shape = (*x.shape[:-1], walks)
     return summarise(
         strides,
         rates.reshape(*shape, size),
         determinant.reshape(shape),
         states.reshape(*shape, size),
+        float(integrator.tolerance) * hidden.reshape(*shape, size).mean(axis=-2),
         outcome.reshape(shape),
     )
 
 
 def find_cycle_exponents(
     system: System, x: Float[np.ndarray, "n section"], strides: int, integrator: Integrator
-) -> tuple[Float[np.ndarray, "n section"], Float[np.ndarray, " n"], Float[np.ndarray, "n section"]]:
+) -> tuple[
+    Float[np.ndarray, "n section"],
+    Float[np.ndarray, " n"],
+    Float[np.ndarray, "n section"],
+    Float[np.ndarray, "n section"],
+]:
     """Find the exponents of stable cycles through n states, their sums, and ends of walks.
 
-    Exponents and sums are NaN where a state is on no stable cycle of at most `RECORDED_STATES`
-    strides, or where rounding hides a multiplier before the last. The last exponent is the sum less
-    the others, as its own multiplier is lost first.
+    The last result is the error of each exponent in units of the tolerance. Exponents and sums are
+    NaN where a state is on no stable cycle of at most `RECORDED_STATES` strides, or where rounding
+    hides a multiplier before the last. The last exponent is the sum less the others, as its own
+    multiplier is lost first.
     """
     visited, _ = orbits(system, x, RECORDED_STATES, integrator)
     apart = np.abs(difference(visited[:, 1:], visited[:, :1], turns_of(system)))
     returns = apart.max(axis=2) < SETTLED_DISTANCE
     periods = np.where(returns.any(axis=1), returns.argmax(axis=1) + 1, 0)
     exponents, total, ends = np.full_like(x, np.nan), np.full(len(x), np.nan), x.copy()
+    hidden = np.zeros_like(x)
     for period in np.unique(periods[periods > 0]):
         which = np.flatnonzero(periods == period)
         cycles = visited[which, :period]
@@ -181,15 +193,25 @@ def find_cycle_exponents(
         which, jacobian = which[finite], jacobian[finite]
         product = multiply_jacobians(jacobian)
         moduli = np.abs(find_multipliers(product))
-        least = LEAST_MULTIPLIER * np.linalg.norm(product, axis=(1, 2))
-        known = (moduli[:, 0] < 1) & (moduli[:, :-1] > least[:, None]).all(axis=1)
-        which, moduli = which[known], moduli[known]
+        size = np.linalg.norm(product, axis=(1, 2))[:, None]
+        known = (moduli[:, 0] < 1) & (moduli[:, :-1] > LEAST_MULTIPLIER * size).all(axis=1)
+        which, moduli, size = which[known], moduli[known], size[known]
         with np.errstate(divide="ignore"):  # a stride may forget a coordinate
-            total[which] = np.linalg.slogdet(jacobian[known])[1].mean(axis=1)
+            logs = np.linalg.slogdet(jacobian[known])[1]
+            total[which] = logs.mean(axis=1)
             exponents[which] = np.log(moduli) / period
+        stretches = np.linalg.svd(jacobian[known], compute_uv=False)
+        least = np.exp(logs) / np.prod(stretches[..., :-1], axis=-1)
+        hidden[which] = ratio(size, moduli)
+        hidden[which, -1] = ratio(stretches[..., 0], least).mean(axis=1)
         exponents[which, -1] = total[which] - exponents[which, :-1].sum(axis=1)
         ends[which] = visited[which, strides % period]
-    return exponents, total, ends
+    return exponents, total, ends, hidden
+
+
+def ratio(size: Any, shrunk: Any) -> Any:
+    """Return how many times smaller numbers are than a size; zero for those that are exactly 0."""
+    return jnp.where(shrunk == 0, 0, size / jnp.where(shrunk == 0, 1, shrunk))
 
 
 def follow_frames(
@@ -197,15 +219,22 @@ def follow_frames(
     x: Float[Array, " section"],
     count: tuple[Int[Array, ""], Int[Array, ""]],
     integrator: Integrator,
-) -> tuple[Float[Array, " section"], Float[Array, " section"], Float[Array, ""], Int[Array, ""]]:
-    """Follow a walk that carries an orthogonal matrix; return its end, sums of logs, and outcome.
+) -> tuple[
+    Float[Array, " section"],
+    Float[Array, " section"],
+    Float[Array, ""],
+    Float[Array, " section"],
+    Int[Array, ""],
+]:
+    """Follow a walk that carries an orthogonal matrix.
 
+    Returns its end, sums of logs, of log |det J|, and of |J| / |R_ii|, and the outcome.
     `count` holds the number of the first stride that counts, and that of the stride after the last.
     """
     first, last = count
 
     def step(state: tuple, number: Int[Array, ""]) -> Stride:
-        x, frame, logs, determinant = state
+        x, frame, logs, determinant, hidden = state
 
         def along(column):
             stride = lambda x: follow_stride(system, x, integrator)
@@ -217,14 +246,17 @@ def follow_frames(
         frame, factor = jnp.linalg.qr(changes.T)
         # no product with zero, as a logarithm may be infinite
         counts = lambda values: jnp.where(number >= first, values, 0)
-        logs = logs + counts(jnp.log(jnp.abs(jnp.diagonal(factor))))
+        stretched = jnp.abs(jnp.diagonal(factor))
+        logs = logs + counts(jnp.log(stretched))
         determinant = determinant + counts(jnp.linalg.slogdet(changes)[1])
-        return made._replace(state=(made.state, frame, logs, determinant))
+        hidden = hidden + counts(ratio(jnp.linalg.norm(changes), stretched))
+        return made._replace(state=(made.state, frame, logs, determinant, hidden))
 
-    begun = x, jnp.eye(len(x), dtype=x.dtype), jnp.zeros_like(x), jnp.zeros_like(x[0])
+    zeros = jnp.zeros_like(x)
+    begun = x, jnp.eye(len(x), dtype=x.dtype), zeros, jnp.zeros_like(x[0]), zeros
     end, _ = scan_strides(step, begun, last)
-    x, _, logs, determinant = end.state
-    return x, logs, determinant, end.outcome
+    x, _, logs, determinant, hidden = end.state
+    return x, logs, determinant, hidden, end.outcome
 
 
 def summarise(
@@ -232,9 +264,10 @@ def summarise(
     rates: Float[np.ndarray, "*systems walks section"],
     determinants: Float[np.ndarray, "*systems walks"],
     states: Float[np.ndarray, "*systems walks section"],
+    hidden: Float[np.ndarray, "*systems section"],
     outcomes: Int[np.ndarray, "*systems walks"],
 ) -> Lyapunov:
-    """Average over the walks, with standard errors."""
+    """Average over the walks, with standard errors; `hidden` are those of the derivatives."""
     failed = outcomes != Outcome.STRIDE
     known = np.where(failed.any(axis=-1), np.nan, 1.0)
     outcome = np.take_along_axis(outcomes, failed.argmax(axis=-1)[..., None], -1)[..., 0]
@@ -249,7 +282,7 @@ def summarise(
         ordered = np.take_along_axis(rates, order[..., None, :], -1)
         dimensions = kaplan_yorke(ordered)
         spread = dimensions.std(axis=-1, ddof=1) / np.sqrt(walks) * known
-    near = np.abs(mean) < 2 * error
+    near, error = np.abs(mean) < 2 * error, np.hypot(error, hidden)
     mean, error, near = (np.take_along_axis(values, order, -1) for values in (mean, error, near))
     return Lyapunov(
         exponents=mean,

@@ -8,11 +8,7 @@ from jaxtyping import Array, Bool
 
 from walker_jax.hybrid.crossings import begins_below, rounding_of
 from walker_jax.hybrid.modes import Guard, Mode
-from walker_jax.integrators.integrator import Method, zero_at
-from walker_jax.integrators.roots import Scalar
-
-ON_ZERO = 0.5
-"""Side of a guard that begins at zero, to rounding. It is below zero then if it falls."""
+from walker_jax.integrators.integrator import Method
 
 
 class Due(NamedTuple):
@@ -39,27 +35,18 @@ def is_due(mode: Mode, guard: Guard, method: Method, start: Any) -> Due:
     return Due(due, due & (series[0] <= rounding) & (series[1] > rounding))
 
 
-def side_at_start(guard: Guard, method: Method, start: Any) -> Scalar:
-    """Return the side of zero on which a guard begins; zero if it is read from the first series.
+def begins_on_its_lower_side(guard: Guard, method: Method, start: Any) -> Bool[Array, ""]:
+    """Return whether a guard is below zero as a mode begins, or at zero and about to fall.
 
-    One rule serves all methods (`begins_below`), by the series of the solution. An interpolation
-    is no such series. A mode that begins where a guard is zero has not come there, though by
-    rounding the value may be negative: a stride does not end as it leaves the section.
+    One rule serves all methods (`begins_below`), by the series of the solution. A mode that begins
+    where a guard is zero has not come there, though by rounding the value may be negative: a stride
+    does not end as it leaves the section.
     """
-    side = zero_at(start)
+    if guard.always_begins_below:
+        return jnp.asarray(True)
+    value, *rates = method.series(guard.value, start, 2)
     if not guard.at_once:
         known = lax.stop_gradient(start)
-        on_zero = jnp.abs(guard.value(known)) <= rounding_of(guard.value, known, known, 0.0)
-        side = jnp.where(on_zero, ON_ZERO, side)
-    if method.is_series:
-        return side
-    below = is_below(guard, side, method.series(guard.value, start, 2))
-    return jnp.where(below, -1, 1) + zero_at(start)
-
-
-def is_below(guard: Guard, side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
-    """Return whether a guard is below zero as a step begins, by its side or first value."""
-    below = jnp.where(side == 0, begins_below(value), side < 0)
-    if guard.at_once:
-        return below
-    return jnp.where(side == ON_ZERO, begins_below([jnp.zeros_like(side), *value[1:]]), below)
+        on_zero = jnp.abs(value) <= rounding_of(guard.value, known, known, 0.0)
+        value = jnp.where(on_zero, 0, value)
+    return begins_below([value, *rates])

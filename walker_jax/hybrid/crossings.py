@@ -162,7 +162,7 @@ class Crossing(NamedTuple):
     """Whether it begins below zero."""
     ends_below: Bool[Array, ""]
     """Whether it ends below zero; by rounding, its own sign may differ."""
-    wanted: Bool[Array, ""]
+    wanted: Bool[Array, ""] | bool = True
     """Whether to look for a rise."""
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
-from walker_jax.hybrid.beginnings import is_below, side_at_start
+from walker_jax.hybrid.beginnings import begins_on_its_lower_side
 from walker_jax.hybrid.crossings import Crossing, first_rise, may_rise
 from walker_jax.hybrid.misses import (
     Misses,
@@ -67,11 +67,10 @@ class Step(NamedTuple):
     time: Scalar
     """Time at its start."""
     length: Scalar
-    sides: list[Scalar]
-    """For each guard, -1 below zero at the start of the step and 1 above; before the first, that of
-    `side_at_start`."""
-    ends: list[Scalar]
-    """The sides at its end."""
+    below: list[Bool[Array, ""]]
+    """Whether each guard is below zero at the start of the step."""
+    ends_below: list[Bool[Array, ""]]
+    """Whether it is at its end."""
     watched: list[tuple[tuple, tuple]]
     """Value and rate of each watched condition at both ends, unless the mode is measured."""
     quiet: Bool[Array, ""]
@@ -108,8 +107,11 @@ def follow_mode(
     A guard that has just `risen` as the mode begins ends it there, with the derivatives of that
     event. If `measured`, every step is searched, and its misses are recorded.
     """
+    in_reverse = reversing.value and method.is_series and not measured
+    if in_reverse:
+        method = method.in_reverse()
     find = partial(find_event, mode, going=going, method=method, risen=risen, measured=measured)
-    if reversing.value and method.is_series and not measured:
+    if in_reverse:
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
         last, _ = find(start)
@@ -234,7 +236,7 @@ def follow_measured(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfini
 def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, list[Scalar]]:
     """Return a step of no length at the start of a mode, and the values of conditions there."""
     zero = zero_at(start)
-    sides = [side_at_start(guard, method, start) for guard in mode.guards]
+    below = [begins_on_its_lower_side(guard, method, start) for guard in mode.guards]
     values, known = [], []
     for one in mode.conditions:
         if one.least_at_ends:
@@ -247,20 +249,19 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, lis
     nothing = sum(0 * jnp.sum(x) for x in jax.tree.leaves(start))
     start = jax.tree.map(lambda x: x + nothing, start)
     memory = method.begin(start)
-    step = Step(start, start, zero, zero, sides, sides, known, jnp.asarray(True), memory)
+    step = Step(start, start, zero, zero, below, below, known, jnp.asarray(True), memory)
     return step, values
 
 
 def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> Step:
     """Make the next step, and say whether it certainly ends nothing."""
-    begins, sides = step.end, step.ends
+    begins, below = step.end, step.ends_below
     series, end, length, memory = method.step(begins, step.memory)
     may, ends = ~jnp.isfinite(length), []
     known = along(mode, jax.tree.map(lambda c: c[: FIRST_ORDER + 1], series, is_leaf=is_list))
-    for guard, side, polynomials in zip(mode.guards, sides, known, strict=True):
-        rises, ends_below = rises_perhaps(guard, method, side, polynomials, length, end)
-        may |= rises
-        ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
+    for guard, side, (value, admits) in zip(mode.guards, below, known, strict=True):
+        ends.append(side_at_end(guard, method, side, length, end))
+        may |= rises_perhaps(guard, Crossing(value, admits, side, ends[-1]), length, end)
     seen = []
     for condition, (_, before) in zip(watched(mode), step.watched, strict=True):
         value, rate = after = condition.and_rate(end)
@@ -269,30 +270,28 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
         seen.append((before, after))
     if mode.foregone is not None:
         may |= value_at(mode.foregone.holds, end)
-    return Step(begins, end, step.time + step.length, length, sides, ends, seen, ~may, memory)
+    return Step(begins, end, step.time + step.length, length, below, ends, seen, ~may, memory)
 
 
 def measured_step(mode: Mode, method: Method, step: Step) -> Step:
     """Make the next step, all of which is searched and recorded."""
     _, end, length, memory = method.step(step.end, step.memory)
-    ends = []
-    for guard, side in zip(mode.guards, step.ends, strict=True):
-        below = value_at(guard.value, end) < 0
-        ends.append(jnp.where(length == 0, side, jnp.where(below, -1, 1).astype(length.dtype)))
+    sides = zip(mode.guards, step.ends_below, strict=True)
+    ends = [side_at_end(guard, method, below, length, end) for guard, below in sides]
     time, quiet = step.time + step.length, jnp.asarray(False)
-    return Step(step.end, end, time, length, step.ends, ends, step.watched, quiet, memory)
+    return Step(step.end, end, time, length, step.ends_below, ends, step.watched, quiet, memory)
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
     """Find the first event in the last step, if there is one, and earlier violations."""
     last = now.last
     series = method.series_of(last.start, last.memory)
-    crossings = []
-    ends = zip(mode.guards, last.sides, last.ends, along(mode, series, whole=True), strict=True)
-    for guard, side, end, (value, admits) in ends:
-        below = is_below(guard, side, value)
-        may = may_rise(value, admits, last.length, below, end < 0)
-        crossings.append(Crossing(value, admits, below, end < 0, may))
+    crossings, whole = [], along(mode, series, whole=True)
+    sides = zip(last.below, last.ends_below, strict=True)
+    for guard, polynomials, side in zip(mode.guards, whole, sides, strict=True):
+        one = Crossing(*polynomials, *side)
+        may = rises_perhaps(guard, one, last.length, last.end)
+        crossings.append(one._replace(wanted=may))
     number, when = first_rise(crossings, last.length)
     until = jnp.minimum(when, last.length)
     event = partial(value_of_guard, mode, number)
@@ -339,22 +338,27 @@ def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, l
     return pairs
 
 
-def rises_perhaps(
-    guard: Guard, method: Method, side: Scalar, polynomials: tuple, length: Scalar, end: Any
-) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Return whether a guard may rise in a step, and whether it ends below zero."""
-    value, admits = polynomials
-    below = is_below(guard, side, value)
+def side_at_end(
+    guard: Guard, method: Method, below: Bool[Array, ""], length: Scalar, end: Any
+) -> Bool[Array, ""]:
+    """Return whether a guard is below zero at the end of a step that begins below it or not."""
     ends_below = value_at(guard.value, end) < 0
-    if not method.is_series:  # which may reject a step: it then has no length, and changes no side
-        ends_below = jnp.where(length == 0, below, ends_below)
+    if method.is_series:
+        return ends_below
+    return jnp.where(length == 0, below, ends_below)  # a step that is rejected changes no side
+
+
+def rises_perhaps(guard: Guard, one: Crossing, length: Scalar, end: Any) -> Bool[Array, ""]:
+    """Return whether a guard may rise in a step, by cheap bounds."""
     if not guard.persists:
-        return may_rise(value, admits, length, below, ends_below), ends_below
-    slope = evaluate_polynomial(derivative_of(value), length)
-    rises = ~ends_below & (below | ((value[1] < 0) & (slope > 0)))
-    for function, series in zip(guard.admits, admits, strict=True):
+        return may_rise(one.value, one.admits, length, one.below, one.ends_below)
+    if guard.always_begins_below:
+        return one.below & ~one.ends_below
+    slope = evaluate_polynomial(derivative_of(one.value), length)
+    rises = ~one.ends_below & (one.below | ((one.value[1] < 0) & (slope > 0)))
+    for function, series in zip(guard.admits, one.admits, strict=False):
         rises &= (series[0] > 0) | (value_at(function, end) > 0)
-    return rises, ends_below
+    return rises
 
 
 def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any, surface: bool = False) -> Scalar:

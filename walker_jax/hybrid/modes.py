@@ -88,6 +88,11 @@ class Guard(NamedTuple):
     """The function whose zero defines the event for derivatives, by default `value`. It differs
     from that where a parameter moves the event, but not `value`."""
 
+    @property
+    def always_begins_below(self) -> bool:
+        """Whether it is below zero in every mode that is followed, as it ends others at once."""
+        return self.at_once and not (self.admits or self.admits_at_rise)
+
     def admitted(self, state: Any) -> Bool[Array, ""]:
         """Return whether a rise in a state counts."""
         counts = jnp.asarray(True)

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
 from walker_jax.integrators.roots import Real, Scalar, cut_at_switches, derivative_of
-from walker_jax.integrators.series import evaluate_polynomial, short_log
+from walker_jax.integrators.series import evaluate_polynomial, short_logs
 from walker_jax.integrators.step_lengths import largest_coefficient
 from walker_jax.integrators.taylor import evaluate_series, is_list, order_of
 from walker_jax.kernels.reverse import reversing
@@ -145,13 +145,11 @@ def steady_length(series: PyTree, tolerance: Scalar, scale: Scalar) -> Scalar:
 
     It is the least over k = n-1, n of (tolerance |y| / (k |c_k|))^(1/(k-1)).
     """
-    order = order_of(series)
+    orders = order_of(series) - 1, order_of(series)
     allowed = jnp.log((SLOPE_TOLERANCE * tolerance).astype(jnp.float32))
-    logs = [
-        (allowed - short_log(k * largest_coefficient(series, k) / scale)) / (k - 1)
-        for k in (order - 1, order)
-    ]
-    return jnp.exp(jnp.minimum(*logs)).astype(scale.dtype)
+    logs = short_logs(*(k * largest_coefficient(series, k) / scale for k in orders))
+    lengths = [(allowed - log) / (k - 1) for k, log in zip(orders, logs, strict=True)]
+    return jnp.exp(jnp.minimum(*lengths)).astype(scale.dtype)
 
 
 def halve_until_right(

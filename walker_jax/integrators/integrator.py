@@ -215,6 +215,10 @@ class Method(eqx.Module):
             return SeriesSteps(self.field, order, self.tolerance, self.others)
         return controller_of(self.tolerance, self.limits.longest)
 
+    def in_reverse(self) -> "Method":
+        """Return the method whose steps reverse mode transposes."""
+        return eqx.tree_at(lambda one: one.limits.in_reverse, self, True)
+
     def begin(self, state: PyTree) -> Memory:
         """Return the memory for the first step, of the same types as those after steps."""
         solver, control, series = self.solver, (), None
@@ -351,7 +355,8 @@ class Method(eqx.Module):
         """
         method, state = stop_gradients((self, state))
         if isinstance(method.solver, Taylor):
-            return function_series(function, solution_series(method.field, state, order))
+            known = solution_series(method.field, state, order)
+            return function_series(function, usable_series(method.field, known))
         known, along = [state], lambda state: state
         for k in range(1, order + 1):
             along = lambda state, last=along: jax.jvp(last, (state,), (method.field(state),))[1]

@@ -77,16 +77,16 @@ def evaluate_polynomial(coefficients: list, t):
     return value
 
 
-def short_log(x: Float[Array, ""]) -> Float[Array, ""]:
+def short_logs(*xs: Float[Array, ""]) -> list[Float[Array, ""]]:
     """Return log(x) in float32, where it is cheap, also of a float64 too large for that type."""
-    known = jnp.zeros_like(x, jnp.float32)
-    if x.dtype == jnp.float64:  # a loop, as hardly any number is so large
-        x, known = lax.while_loop(
-            lambda carry: (carry[0] > 1e30) & (carry[0] < jnp.inf),
-            lambda carry: (carry[0] * 1e-60, carry[1] + 60 * math.log(10)),
-            (x, known),
-        )
-    return known + jnp.log(x.astype(jnp.float32))
+    known = [(x, jnp.zeros_like(x, jnp.float32)) for x in xs]
+    if xs[0].dtype == jnp.float64:  # one loop for all, as hardly any number is so large
+        large = lambda x: (x > 1e30) & (x < jnp.inf)
+        shrunk = lambda x, log: (x * 1e-60, log + 60 * math.log(10))
+        shrink = lambda x, log: jax.tree.map(partial(jnp.where, large(x)), shrunk(x, log), (x, log))
+        any_large = lambda known: reduce(operator.or_, [large(x) for x, _ in known])
+        known = lax.while_loop(any_large, lambda known: [shrink(*one) for one in known], known)
+    return [log + jnp.log(x.astype(jnp.float32)) for x, log in known]
 
 
 class Series:

@@ -31,7 +31,7 @@ from walker_jax.integrators.integrals import beside, motion_of
 from walker_jax.integrators.power_balance import PowerBalance
 from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
-from walker_jax.integrators.series import evaluate_polynomial, short_log
+from walker_jax.integrators.series import evaluate_polynomial, short_logs
 from walker_jax.integrators.taylor import (
     VariedField,
     VectorField,
@@ -85,6 +85,8 @@ class StepLimits(NamedTuple):
     proportional: PyTree | None = None
     """Variables whose errors are relative to their own size where there are no scales
     (`own_sizes`)."""
+    in_reverse: bool = False
+    """Whether reverse mode transposes the steps (`steps_in_reverse`)."""
 
 
 NO_LIMITS = StepLimits()
@@ -167,13 +169,11 @@ def step_size(
 
 def uncapped_step_size(series: PyTree, tolerance: Real, sizes: PyTree) -> Scalar:
     """Return the h of `step_size` without its cap, infinite if the last terms vanish; float32."""
-    order = order_of(series)
+    orders = order_of(series) - 1, order_of(series)
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
-
-    def log_length(k):
-        return (log_tolerance - short_log(relative_size(series, k, sizes))) / k
-
-    return jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
+    logs = short_logs(*(relative_size(series, k, sizes) for k in orders))
+    lengths = [(log_tolerance - log) / k for k, log in zip(orders, logs, strict=True)]
+    return jnp.exp(jnp.minimum(*lengths))
 
 
 def sizes_of(
@@ -360,12 +360,13 @@ def sum_of_terms(series: PyTree, length: Scalar, orders: Sequence[int]) -> Scala
 
 def has_sharp_features(function: Callable, state: PyTree) -> bool:
     """Return whether a function contains primitives whose series may not show what lies ahead."""
-
-    def is_sharp(equation) -> bool:
-        name = equation.primitive.name
-        return name in SHARP or (name == "integer_pow" and equation.params["y"] > LOW_POWER)
-
     return any(map(is_sharp, equations_in(jax.make_jaxpr(function)(state).jaxpr)))
+
+
+def is_sharp(equation) -> bool:
+    """Return whether the series of an equation's result may not show what lies ahead."""
+    name = equation.primitive.name
+    return name in SHARP or (name == "integer_pow" and equation.params["y"] > LOW_POWER)
 
 
 def field_fits(

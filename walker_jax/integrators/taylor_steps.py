@@ -26,6 +26,7 @@ from walker_jax.integrators.step_lengths import (
     scale_of,
     step_size,
 )
+from walker_jax.integrators.steps_in_reverse import cut_in_reverse
 from walker_jax.integrators.taylor import (
     VectorField,
     evaluate_series,
@@ -36,7 +37,7 @@ from walker_jax.integrators.taylor import (
     switching_series,
 )
 
-SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
+SERIES_ORDER = {jnp.dtype("float64"): 14, jnp.dtype("float32"): 8}
 """Order of the series: the fastest, or nearly, at the default tolerance (benchmarks/README.md).
 
 A higher order takes fewer steps, with more work for each.
@@ -75,6 +76,8 @@ def smooth_length(
 ) -> Scalar:
     """Return the length of a step from a state, if it meets no kink; constant to derivatives."""
     length = longest_step(vector_field, state, series, tolerance, limits)
+    if limits.in_reverse:
+        length = cut_in_reverse(vector_field, series, length, tolerance)
     for function in watched:
         length = cut_for_function(function, lax.stop_gradient(series), length, tolerance)
     return length

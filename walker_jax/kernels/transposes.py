@@ -17,8 +17,8 @@ FEWEST_FOR_ADJOINT = 16
 
 By fewer, reverse mode computes the columns of the Jacobian in forward mode. That is slower: of the
 simplest walker a column takes 2.3 strides, the adjoint 2.1 for 4 numbers and 2.2 for 7, and a fifth
-longer to compile. But forward mode shortens steps for fast directions, as the adjoint does not, and
-drops derivatives of branches that are not taken.
+longer to compile. But forward mode shortens steps by the direction itself, not by the rate of a
+derivative in all directions, and drops derivatives of branches that are not taken.
 """
 
 

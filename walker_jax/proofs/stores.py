@@ -8,6 +8,8 @@ import xarray as xr
 
 from walker_jax import storage
 from walker_jax.checks import ComputationFailed
+from walker_jax.execution.pieces import Work, complete_store
+from walker_jax.execution.workers import Compute
 from walker_jax.proofs.boxes import Trap
 from walker_jax.proofs.following import Fates
 from walker_jax.proofs.subdivision import BATCH, KeepFates
@@ -35,33 +37,23 @@ def prove_in_batches(
     - `prove`: takes the trap and a function that stores the fates of each batch, and returns the
       proof.
     """
-    found = storage.find(out, request, overwrite=overwrite)
-    if found is not None:
-        return found
-    empty = {"fates": np.int8(0), "strides": np.int32(0)}
     shape = levels + 1, MOST_BATCHES * BATCH
+    dims = "from_level", "cell_of_level"
+    empty = {"fates": np.int8(0), "strides": np.int32(0)}
     arrays = {
-        STORED_NAMES[name]: xr.Variable(
-            ("from_level", "cell_of_level"), np.broadcast_to(one, shape)
-        )
+        STORED_NAMES[name]: xr.Variable(dims, np.broadcast_to(one, shape))
         for name, one in empty.items()
     }
-    notes = lambda: [np.asarray(one).tolist() for one in find()]
-    with storage.open_pieces(
-        out,
-        request,
-        xr.Dataset(),
-        arrays,
-        (1, BATCH),
-        notes,
-        aside=[*arrays],
-        overwrite=overwrite,
-    ) as place:
+
+    def finish(place: storage.Pieces, _: Compute) -> xr.Dataset:
         centre, factor, size = place.notes
         missing = set(place.missing())
         keep = lambda level, number, find: kept_batch(place, missing, level, number, find)
-        place.finish(prove(Trap(np.array(centre), np.array(factor), size), keep))
-    return storage.open_dataset(out)
+        return prove(Trap(np.array(centre), np.array(factor), size), keep)
+
+    notes = lambda: [np.asarray(one).tolist() for one in find()]
+    work = Work(request, xr.Dataset(), arrays, (1, BATCH), finish, notes=notes, aside=[*arrays])
+    return complete_store(work, out, overwrite=overwrite)
 
 
 def kept_batch(

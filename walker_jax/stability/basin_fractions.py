@@ -97,9 +97,7 @@ def continue_basins(
     - `values`: two or more values of it, in ascending order.
     - `region`: grid or slice whose region holds the starts; by default that of `robustness`.
     - `samples`: number of starts, uniformly distributed in the region, the same for all values.
-    - `strides`: number of strides for which a walker is followed.
-    - `seed`, `tolerance`: of random numbers, and of the integration.
-    - `progress`: whether to show a progress bar on a terminal, after a second.
+    - `strides`, `seed`, `tolerance`, `progress`: as in `refine`.
 
     **Returns** a data set. Over the `value` and the `attractor` it has
 

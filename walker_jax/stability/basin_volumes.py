@@ -104,10 +104,9 @@ def basin_volume(
     - `moves`: moves of each point from one ball to the next. The error does not show that there
       were too few: half as many made a cube in 20 dimensions too small by half.
     - `strides`: number of strides in which a walker may converge.
-    - `seed`, `tolerance`: of random numbers, and of the integration.
-    - `progress`: whether to show progress on a terminal, after a second.
+    - `seed`, `tolerance`, `progress`: as in `refine`.
 
-    Raises `ValueError` for an attractor without a period, or outside the region;
+    Raises `ValueError` for an attractor that has no period, repels, or is outside the region;
     `ComputationFailed` where no ball around it is in its basin.
     """
     check_kind("system", system, System)

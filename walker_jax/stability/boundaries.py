@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.edge_states import EdgeState, edge_state, fate_of
-from walker_jax.basins.runs import label_of
+from walker_jax.basins.runs import attractors_of, fates_of, label_of
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.entropies import BOX, basin_entropy
@@ -66,9 +66,7 @@ def boundary(
     - `grid`: region or slice, and its cells, which are followed directly.
     - `side`: cells along a side of the boxes of `basin_entropy`.
     - `radius`: as in `merge_regions`, in cells.
-    - `strides`: number of strides for which a walker is followed.
-    - `tolerance`: of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal, after a second.
+    - `strides`, `tolerance`, `progress`: as in `refine`.
 
     **Returns** the data set of `basin`, and
 
@@ -157,16 +155,6 @@ def label_regions(walker: System, grid: Grid, data: xr.Dataset) -> Int[np.ndarra
     if data.sizes["number"]:
         known &= ~unmatched_cells(fate, attractor)
     return np.where(known, label_of(fate, attractor), -1)
-
-
-def fates_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-    """Return the fates of regions."""
-    return np.where(labels < OUTCOMES, labels, int(Outcome.STRIDE))
-
-
-def attractors_of(labels: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-    """Return the attractors of regions; -1 for failures."""
-    return np.where(labels < OUTCOMES, -1, labels - OUTCOMES)
 
 
 def region_name(data: xr.Dataset, fate: int, attractor: int) -> str:

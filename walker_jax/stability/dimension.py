@@ -72,8 +72,7 @@ def boundary_dimension(
     - `pairs`: number of starts for each distance.
     - `strides`: number of strides for which a walker is followed.
     - `confidence`, `seed`: of the interval, and of random numbers.
-    - `tolerance`: of the integration, as in `stride`.
-    - `progress`: whether to show progress on a terminal, after a second.
+    - `tolerance`, `progress`: as in `refine`.
 
     **Returns** an `Uncertainty`, NaN where all cells converge to one attractor, or none. All
     failures count as one fate here.

@@ -26,6 +26,10 @@ SOLVED = 1e-13
 SYMMETRIC = 1e-12
 """Largest relative difference of a symmetric matrix from its transpose."""
 
+State = Float[np.ndarray, " section"]
+Points = Float[np.ndarray, "n section"]
+Sizes = Float[np.ndarray, " n"]
+
 DistanceFunction = Callable[[Float[Array, " section"], Float[Array, " section"]], Array]
 """The size of a disturbance, given a state of the gait and the disturbance; written with JAX."""
 
@@ -37,24 +41,15 @@ class LinearMetric(NamedTuple):
     basis: Float[np.ndarray, "rank section"]
     """An orthonormal basis of the coordinates y of the allowed disturbances."""
 
-    def disturbance(
-        self, state: Float[np.ndarray, " section"], y: Float[np.ndarray, "n section"]
-    ) -> Float[np.ndarray, "n section"]:
+    def disturbance(self, state: State, y: Points) -> Points:
         """Return the disturbances of a state with the coordinates y."""
         return y @ self.root
 
-    def pull_back(
-        self,
-        state: Float[np.ndarray, " section"],
-        y: Float[np.ndarray, "n section"],
-        gradient: Float[np.ndarray, "n section"],
-    ) -> Float[np.ndarray, "n section"]:
+    def pull_back(self, state: State, y: Points, gradient: Points) -> Points:
         """Convert gradients along the section to gradients along y."""
         return gradient @ self.root.T
 
-    def size(
-        self, state: Float[np.ndarray, " section"], disturbed: Float[np.ndarray, "n section"]
-    ) -> Float[np.ndarray, " n"]:
+    def size(self, state: State, disturbed: Points) -> Sizes:
         """Return the sizes of disturbances of a state."""
         return np.linalg.norm(np.linalg.solve(self.root.T, (disturbed - state).T), axis=0)
 
@@ -65,9 +60,7 @@ class CurvedMetric(NamedTuple):
     distance: DistanceFunction
     basis: Float[np.ndarray, "rank section"]
 
-    def disturbance(
-        self, state: Float[np.ndarray, " section"], y: Float[np.ndarray, "n section"]
-    ) -> Float[np.ndarray, "n section"]:
+    def disturbance(self, state: State, y: Points) -> Points:
         """Return the disturbances along y of size |y|: r u, with u = y / |y| and f(r u) = |y|.
 
         Raises `ComputationFailed` where the function does not grow along a ray.
@@ -85,24 +78,14 @@ class CurvedMetric(NamedTuple):
             )
         return np.where(size > 0, length, 0)[:, None] * unit
 
-    def lengths(
-        self,
-        state: Float[np.ndarray, " section"],
-        unit: Float[np.ndarray, "n section"],
-        size: Float[np.ndarray, " n"],
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    def lengths(self, state: State, unit: Points, size: Sizes) -> tuple[Sizes, Sizes]:
         """Call `solve_lengths` on a power of two of rays, to compile few programs."""
         number = np.minimum(np.arange(1 << max(0, len(size) - 1).bit_length()), len(size) - 1)
         found = solve_lengths(AsItIs(self.distance), jnp.asarray(state), unit[number], size[number])
         length, error = (np.asarray(one)[: len(size)] for one in found)
         return length, error
 
-    def pull_back(
-        self,
-        state: Float[np.ndarray, " section"],
-        y: Float[np.ndarray, "n section"],
-        gradient: Float[np.ndarray, "n section"],
-    ) -> Float[np.ndarray, "n section"]:
+    def pull_back(self, state: State, y: Points, gradient: Points) -> Points:
         """Convert gradients along r u, with |u| = 1 and f(r u) = |y|, to gradients along y.
 
         dr = (d|y| - r f' du) / (f' u), and du is the part of dy across u, over |y|.
@@ -117,9 +100,7 @@ class CurvedMetric(NamedTuple):
         across -= np.sum(across * unit, axis=1, keepdims=True) * unit
         return along * unit + across
 
-    def size(
-        self, state: Float[np.ndarray, " section"], disturbed: Float[np.ndarray, "n section"]
-    ) -> Float[np.ndarray, " n"]:
+    def size(self, state: State, disturbed: Points) -> Sizes:
         """Return the sizes of disturbances of a state."""
         d = jnp.asarray(disturbed - state)
         return np.asarray(jax.vmap(self.distance, (None, 0))(jnp.asarray(state), d))

@@ -120,8 +120,7 @@ def basin_stability(
     - `strides`: number of strides in which a walker may come that close, or enter the gait's
       capture box, from which all walkers converge to it.
     - `confidence`: of the interval.
-    - `seed`: of random numbers.
-    - `tolerance`: of the integration, as in `stride`.
+    - `seed`, `tolerance`: as in `refine`.
 
     Raises `ValueError` for a single walker without a stable gait, and for arguments out of range.
     """

@@ -99,8 +99,7 @@ def tipping_probability(
     - `samples`: number of starts, followed before and after the jump.
     - `strides`: number of strides for which a walker is followed.
     - `confidence`: of the intervals.
-    - `seed`: of random numbers.
-    - `tolerance`: of the integration, as in `stride`.
+    - `seed`, `tolerance`: as in `refine`.
 
     Raises `ValueError` for arguments out of range, and for values that the walker refuses.
     """
