@@ -154,7 +154,7 @@ def derivatives() -> None:
         for i, row in enumerate(value["jacobian"])
         for j, entry in enumerate(row)
     ]
-    moves = wj.gait_derivatives(walker, gait, "slope").states[0]
+    moves = wj.measure(walker, "states", "slope", gait).gradient[0, :, 0]
     for name, reference, ours in zip(names, known["d_state_d_slope"], moves, strict=True):
         rows.append([f"d({name} of the gait) / d(slope)", *compared(reference, ours)])
     lifted = walker.lift(gait.states[0])

@@ -115,10 +115,10 @@ def timed_if_installed(call: Callable[[], Any]) -> tuple[Any, float] | None:
 
 def beside_peers(auto: tuple[float, float] | None, strides: int, known: dict) -> None:
     """This package on the map of Hénon, and the peers that are installed in the same run."""
-    system = wj.HenonMap(0.1, 0.3)
+    system = wj.systems.HenonMap(0.1, 0.3)
     branch = wj.continue_gait(system, "a", (0.0, 1.3), wj.find_gait(system, [[0.9, 0.27]]))
     (doubling,) = branch.doublings
-    system, bounds = wj.HenonMap(doubling.value, 0.3), {"a": (0.3, 4.0), "b": (-1.0, 0.3)}
+    system, bounds = wj.systems.HenonMap(doubling.value, 0.3), {"a": (0.3, 4.0), "b": (-1.0, 0.3)}
     curve, _, own = timed(lambda: wj.continue_event(system, doubling, ("a", "b"), bounds), AGAIN)
     a, b = curve.values.T
     error = np.abs(a - 0.75 * (1 - b) ** 2).max()
@@ -128,7 +128,9 @@ def beside_peers(auto: tuple[float, float] | None, strides: int, known: dict) ->
     else:
         error, peer = auto
         print(f"  by AUTO-07p {peer:.3f} s ({peer / own:.1f} times as long), error {error:.0e}")
-    _, _, own = timed(lambda: wj.lyapunov(wj.HenonMap(), np.array([0.1, 0.1]), strides), AGAIN)
+    _, _, own = timed(
+        lambda: wj.lyapunov(wj.systems.HenonMap(), np.array([0.1, 0.1]), strides), AGAIN
+    )
     found = timed_if_installed(lambda: exponents_by_pynamicalsys(strides))
     if found is None:
         print("pynamicalsys is not installed")
@@ -166,7 +168,7 @@ def main():
     print(
         f"exponents of the walker        {seconds[0]:10.1f}{seconds[1]:11.2f}   {sigmas:.1f} sigma"
     )
-    henon = wj.HenonMap()
+    henon = wj.systems.HenonMap()
     run = lambda: wj.lyapunov(henon, np.array([0.1, 0.1]), args.strides)
     found, *seconds = timed(run)
     sigmas = abs(found.exponents[0] - known["henon_lyapunov"]["l1"]) / found.errors[0]

@@ -171,7 +171,7 @@ def follow_branches(kept: dict) -> None:
 
 def describe(walker: wj.HeavyLegWalker, gait: wj.Gait) -> dict[str, float]:
     """Its largest multiplier, speed, step length, and what impacts take of its kinetic energy."""
-    measures = wj.gait_measures(walker, (), gait)
+    measured = lambda name: wj.measure(walker, name, (), gait).value
     start, total = gait.states[0], float(gait.step_times[0])
     before = wj.trajectory(walker, start, np.array([total]))
     before = wj.State(*(getattr(before, name)[0] for name in wj.State._fields))
@@ -179,12 +179,12 @@ def describe(walker: wj.HeavyLegWalker, gait: wj.Gait) -> dict[str, float]:
         multibody.kinetic_energy(walker.system(), *coordinates_and_rates(state))
     )
     arrives, leaves = kinetic(before), kinetic(walker.lift(jnp.asarray(start)))
-    step = measures["step-length"].value
+    step = measured("step-length")
     weight = sum(float(getattr(walker, name, 0)) * n for name, n in PARTS_OF_WEIGHT.items())
     lost = weight * float(np.sin(float(walker.slope))) * step
     return {
-        "multiplier": measures["spectral-radius"].value,
-        "speed": measures["speed"].value,
+        "multiplier": measured("spectral-radius"),
+        "speed": measured("speed"),
         "step": step,
         "heel": (arrives - leaves) / arrives,
         "knee": float(lost - (arrives - leaves)) / lost,

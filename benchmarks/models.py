@@ -34,38 +34,55 @@ class Case(NamedTuple):
 
 
 CASES = {
-    "henon": Case(wj.HenonMap(1.02), {"x": (-2, 2, 100), "y": (-2, 2, 100)}, ("a", 0.9, 1.1), 1000),
+    "henon": Case(
+        wj.systems.HenonMap(1.02), {"x": (-2, 2, 100), "y": (-2, 2, 100)}, ("a", 0.9, 1.1), 1000
+    ),
     "duffing": Case(
-        wj.DuffingOscillator(), {"x": (-2, 2, 60), "v": (-2, 2, 60)}, ("force", 0.24, 0.25), 1000
+        wj.systems.DuffingOscillator(),
+        {"x": (-2, 2, 60), "v": (-2, 2, 60)},
+        ("force", 0.24, 0.25),
+        1000,
     ),
     "bouncing-ball": Case(
-        wj.BouncingBall(), {"angle": (0, 2, 60), "velocity": (1, 5, 60)}, ("amplitude", 0.4, 0.6)
+        wj.systems.BouncingBall(),
+        {"angle": (0, 2, 60), "velocity": (1, 5, 60)},
+        ("amplitude", 0.4, 0.6),
     ),
     "impact-oscillator": Case(
-        wj.ImpactOscillator(), {"angle": (0, 3.1, 60), "v": (-2, -0.1, 60)}, ("stop", -0.1, 0.1)
+        wj.systems.ImpactOscillator(),
+        {"angle": (0, 3.1, 60), "v": (-2, -0.1, 60)},
+        ("stop", -0.1, 0.1),
     ),
-    "runner": Case(wj.SpringMassRunner(), {"apex": (0.9, 2.2, 400)}, ("stiffness", 24.0, 27.0)),
+    "runner": Case(
+        wj.systems.SpringMassRunner(), {"apex": (0.9, 2.2, 400)}, ("stiffness", 24.0, 27.0)
+    ),
     "runner-with-retraction": Case(
-        wj.SpringMassRunner(retraction=0.1), {"apex": (0.9, 2.2, 400)}, ("retraction", 0.05, 0.15)
+        wj.systems.SpringMassRunner(retraction=0.1),
+        {"apex": (0.9, 2.2, 400)},
+        ("retraction", 0.05, 0.15),
     ),
     "quadruped": Case(
-        wj.BoundingQuadruped(),
+        wj.systems.BoundingQuadruped(),
         {"height": (0.9, 1.2, 60), "pitch_rate": (0.2, 1.2, 60)},
         ("stiffness", 10.5, 11.5),
     ),
     "hopper": Case(
-        wj.RaibertHopper(), {"apex": (0.9, 3, 60), "speed": (-1.5, 2.5, 60)}, ("thrust", 0.05, 0.07)
+        wj.systems.RaibertHopper(),
+        {"apex": (0.9, 3, 60), "speed": (-1.5, 2.5, 60)},
+        ("thrust", 0.05, 0.07),
     ),
     "torso-wheel": Case(
-        wj.TorsoWheel(0.0), {"thetadot": (-1, 0, 60), "psi": (-0.2, 1.5, 60)}, ("lean", 0.45, 0.55)
+        wj.systems.TorsoWheel(0.0),
+        {"thetadot": (-1, 0, 60), "psi": (-0.2, 1.5, 60)},
+        ("lean", 0.45, 0.55),
     ),
     "switched-compass": Case(
-        wj.SwitchedCompass(0.04),
+        wj.systems.SwitchedCompass(0.04),
         {"theta": (0.05, 0.45, 60), "thetadot": (-0.6, -0.1, 60)},
         ("torque", 0.0, 0.05),
     ),
     "five-link-biped": Case(
-        wj.FiveLinkBiped(),
+        wj.systems.FiveLinkBiped(),
         {"stance_thigh_rate": (0, 4, 20), "torso": (-0.6, 0.9, 20)},
         ("lean", 0.12, 0.18),
     ),
@@ -152,9 +169,9 @@ def survey(name: str, case: Case) -> None:
     )
     if plane:
         timed(
-            "area_gradient",
-            lambda: wj.area_gradient(system, grid, [parameter], check=0, **options),
-            lambda one: f"by {parameter} {one.gradient[0]:.4g} +- {one.error[0]:.1g}",
+            "area and derivative",
+            lambda: wj.measure(system, "area", [parameter], grid=grid, check=0, **options),
+            lambda one: f"by {parameter} {one.gradient[0]:.4g} +- {one.gradient_error[0]:.1g}",
         )
         timed(
             "optimise",

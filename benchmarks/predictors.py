@@ -95,7 +95,7 @@ def measure(walker: wj.Walker, family: str) -> dict | None:
     norm = wj.gait_sensitivity(walker, gait).norm
     of_steps = wj.gait_sensitivity(walker, gait, ("step",), ("time",)).norm
     stability = wj.basin_stability(walker, 0.1, gait, scale=scale, samples=2000, strides=200)
-    area = wj.area_gradient(walker, region, (), levels=1, check=20_000).area
+    area = wj.measure(walker, "area", (), grid=region, levels=1, check=20_000).value
     row = {
         "family": family,
         "parameters": {name: float(value) for name, value in vars(walker).items()},
@@ -219,15 +219,15 @@ def optimised(walker: wj.Walker, bounds: dict, objective: str) -> wj.Walker:
 
 def report(name: str, walker: wj.Walker) -> None:
     gait = wj.find_gait(walker)
-    area = wj.area_gradient(walker, REGION, (), levels=2)
-    cost = wj.gait_measures(walker, (), gait)["cost-of-transport"].value
+    area = wj.measure(walker, "area", (), grid=REGION, levels=2)
+    cost = wj.measure(walker, "cost-of-transport", (), gait).value
     print(
         json.dumps(
             {
                 "walker": name,
                 "parameters": {key: round(float(value), 6) for key, value in vars(walker).items()},
-                "area": area.area,
-                "area_error": area.area_error,
+                "area": area.value,
+                "area_error": area.value_error,
                 "norm": float(wj.gait_sensitivity(walker, gait).norm),
                 "multiplier": float(np.abs(gait.multipliers[0])),
                 "cost": cost,

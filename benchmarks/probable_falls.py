@@ -18,6 +18,7 @@ import walker_jax as wj
 from walker_jax.checks import ComputationFailed
 from walker_jax.stability.disturbed_falls import DisturbedWalks
 from walker_jax.stability.gait_mapper import mapper_of_gait
+from walker_jax.stability.probable_falls import ProbableFall
 
 jax.config.update("jax_enable_x64", True)  # before the walkers are made
 WALKERS = {
@@ -52,7 +53,7 @@ def main(*names: str) -> None:
         compare_law(walker, fall)
 
 
-def check_least(walker: wj.Walker, fall: wj.ProbableFall) -> None:
+def check_least(walker: wj.Walker, fall: ProbableFall) -> None:
     """Replay the fall, and try sequences that are a little shorter."""
     strides = fall.strides + 1
     x = wj.find_gait(walker).states[0]
@@ -72,7 +73,7 @@ def check_least(walker: wj.Walker, fall: wj.ProbableFall) -> None:
     print(f"of as many beside it {walks.fails(near).sum()}")
 
 
-def compare_rare(walker: wj.Walker, fall: wj.ProbableFall) -> None:
+def compare_rare(walker: wj.Walker, fall: ProbableFall) -> None:
     """The law, and its chances by importance sampling, out to where falls are never seen.
 
     Disturbances are drawn around the least sequence, and walks that fall count by how much less
@@ -99,7 +100,7 @@ def compare_rare(walker: wj.Walker, fall: wj.ProbableFall) -> None:
         print(f"{slope[1] / slope[0] / fall.action:9.4f}", flush=True)
 
 
-def compare_law(walker: wj.Walker, fall: wj.ProbableFall) -> None:
+def compare_law(walker: wj.Walker, fall: ProbableFall) -> None:
     """Mean strides by the law, a cell map and walks; and slopes of their logarithms."""
     former = None
     print("  action/deviation^2         law    cell map  (1.96 errors)       walks  slope/action")
@@ -108,7 +109,7 @@ def compare_law(walker: wj.Walker, fall: wj.ProbableFall) -> None:
         law, mean, error, walked = fall.mean_strides(deviation), np.nan, np.nan, np.nan
         if len(walker.section) == 2:
             try:
-                chain = wj.metastability(walker, deviation)
+                chain = wj.steps_to_fall(walker, deviation, method="cells")
                 mean, error = float(chain["mean_strides"]), float(chain["mean_strides_error"])
             except ComputationFailed:
                 pass

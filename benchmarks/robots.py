@@ -3,7 +3,7 @@
 compass.xml starts at its gait, once with the contacts of this package, which neither give nor slip,
 and once in MuJoCo's time steps, with its soft contacts. Errors are of angles (rad): in the swing,
 and after the heel strike of the second foot. Then five_link.xml, with the controller of
-five_link.py, against wj.FiveLinkBiped, which is written by hand: the time until a first stride is
+five_link.py, against systems.FiveLinkBiped, which is written by hand: the time until a first stride is
 done, each compiled anew, in turns. Three minutes on one core.
 
 The answer: to first order in the time constant of contacts, also after the impact if the time step
@@ -41,6 +41,7 @@ import robot_examples  # noqa: E402
 from robot_examples import FILES, as_robot  # noqa: E402
 
 import walker_jax as wj  # noqa: E402
+from walker_jax import systems  # noqa: E402
 
 TIMES = 0.7, 1.2
 
@@ -65,7 +66,7 @@ def approach() -> None:
 
 def first_stride(name: str) -> None:
     """Print the time until a first stride is done, in a process that has no programs."""
-    made = {"file": robot_examples.five_link, "hand": wj.FiveLinkBiped}[name]
+    made = {"file": robot_examples.five_link, "hand": systems.FiveLinkBiped}[name]
     machine, x = made(), np.array(robot_examples.BIPED_GAIT)
     begun = time.perf_counter()
     jax.block_until_ready(wj.stride(machine, x))

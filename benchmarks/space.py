@@ -148,9 +148,9 @@ def design() -> None:
     for step in range(STEPS + 1):
         gait = wj.find_gait(walker, guess)
         guess = np.asarray(gait.states)
-        found = wj.disturbance_gradient(walker, FREE, gait, directions=DIRECTIONS)
+        found = wj.measure(walker, "least-disturbance", FREE, gait, directions=DIRECTIONS)
         values = np.array([float(getattr(walker, name)) for name in FREE])
-        print(step, values.round(5).tolist(), f"least disturbance {found.size:.8f}", flush=True)
+        print(step, values.round(5).tolist(), f"least disturbance {found.value:.8f}", flush=True)
         slope = found.gradient * values
         print(f"  {returning(walker, guess, offsets)}; by logarithms {slope.round(5).tolist()}")
         values = values * np.exp(LONGEST * slope / np.abs(slope).max())

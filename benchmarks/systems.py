@@ -153,7 +153,7 @@ def grid_of(names, side):
 
 def compare_maps(side):
     global TARGETS
-    system, grid = wj.HenonMap(A), grid_of("xy", side)
+    system, grid = wj.systems.HenonMap(A), grid_of("xy", side)
     first, data = least_time(lambda: wj.basin(system, grid, "direct", strides=MOST))
     print(f"Hénon, {side} x {side}, {float(data.strides.mean()):.0f} iterations a cell")
     report("walker_jax", first, first)
@@ -168,7 +168,7 @@ def compare_maps(side):
 
 
 def compare_flows(side):
-    system, grid = wj.DuffingOscillator(DAMPING, FORCE), grid_of("xv", side)
+    system, grid = wj.systems.DuffingOscillator(DAMPING, FORCE), grid_of("xv", side)
     first, data = least_time(lambda: wj.basin(system, grid, "direct", strides=MOST))
     mean = float(data.strides.mean())
     print(f"Duffing, {side} x {side}, {mean:.0f} periods a cell")

@@ -27,6 +27,7 @@ from walker_jax.figures.layout import figure_of
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.gaits.cycles import Gait, linearise
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.stability.escapes import CrisisLaw, crisis_exponents
 from walker_jax.walking.iteration import iterate, orbits
 
 ATTRACTOR = 0.0188
@@ -164,7 +165,7 @@ def tell_lives(starts: np.ndarray, crisis: float) -> np.ndarray:
     return np.array(rows).T
 
 
-def tell_laws(lives: np.ndarray, crisis: float) -> tuple[wj.CrisisLaw, dict[str, float]]:
+def tell_laws(lives: np.ndarray, crisis: float) -> tuple[CrisisLaw, dict[str, float]]:
     """Laws in windows of distances, and exponents that multipliers predict."""
     distance = lives[0] - crisis
     laws = []
@@ -179,8 +180,8 @@ def tell_laws(lives: np.ndarray, crisis: float) -> tuple[wj.CrisisLaw, dict[str,
     for name, gait in orbits_met.items():
         sizes = np.abs(gait.multipliers)
         kind = "homoclinic" if name == "period three" else "heteroclinic"
-        predicted[f"{name}, {kind}"] = wj.crisis_exponent(sizes, kind)
-        print(f"{name}, multipliers {sizes}: {kind} {wj.crisis_exponent(sizes, kind):.4f}")
+        predicted[f"{name}, {kind}"] = exponent = crisis_exponents(sizes)[kind]
+        print(f"{name}, multipliers {sizes}: {kind} {exponent:.4f}")
     return laws[0], predicted
 
 

@@ -73,7 +73,7 @@ CASES = {
         10_000,
     ),
     "runner, angle": (
-        wj.SpringMassRunner(),
+        wj.systems.SpringMassRunner(),
         {"angle": (0.8, 1.5, 141)},
         {"apex": (0.7, 2.2, 3000)},
         None,
@@ -93,10 +93,10 @@ class FeedbackRunner(wj.System):
 
     def advance(self, x):
         angle = jnp.clip(self.angle + self.angle_per_apex * (x[0] - 1), 0.8, 1.5)
-        return wj.stride(wj.SpringMassRunner(angle=angle), x)[:3]
+        return wj.stride(wj.systems.SpringMassRunner(angle=angle), x)[:3]
 
     def gait_region(self):
-        return wj.SpringMassRunner().gait_region()
+        return wj.systems.SpringMassRunner().gait_region()
 
 
 def main():
@@ -211,7 +211,7 @@ def linear_feedback(walker, data, grid, coarse):
     limits = {name: (float(data[name].min()), float(data[name].max())) for name in names}
     actions = [with_action(walker, data, k) for k in range(data.sizes["action_number"])]
     best = max(actions, key=lambda one: area(one, coarse))
-    if isinstance(walker, wj.SpringMassRunner):
+    if isinstance(walker, wj.systems.SpringMassRunner):
         steered, gains = FeedbackRunner(float(best.angle), 0.0), {"angle_per_apex": (-2.0, 2.0)}
     else:
         gait, zeros = wj.find_gait(walker), np.zeros(len(walker.section))

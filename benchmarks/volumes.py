@@ -81,8 +81,10 @@ def differentiate_by_radius() -> None:
     walker = wj.RoundFootWalker(0.01)
     grid = whole_grid(walker)
     for level in range(LEVELS + 1):
-        found = wj.area_gradient(walker, grid, ("foot_radius",), levels=level)
-        print(f"level {level}: {found.gradient[0]:.4f} +- {found.error[0]:.4f}", flush=True)
+        found = wj.measure(walker, "volume", ("foot_radius",), grid=grid, levels=level)
+        print(
+            f"level {level}: {found.gradient[0]:.4f} +- {found.gradient_error[0]:.4f}", flush=True
+        )
     ends = [wj.refine(wj.RoundFootWalker(0.01, foot_radius=r), grid, LEVELS, seed=5) for r in RADII]
     low, high = (float(one.total_area) for one in ends)
     width = RADII[1] - RADII[0]
@@ -96,9 +98,12 @@ def integrate_gradient(name: str, kind: type) -> None:
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     slopes = (low + high) / 2 + (high - low) / 2 * nodes
     grid = whole_grid(kind(low))
-    found = [wj.area_gradient(kind(slope), grid, levels=1, check=50_000) for slope in slopes]
+    found = [
+        wj.measure(kind(slope), "volume", ["slope"], grid=grid, levels=1, check=50_000)
+        for slope in slopes
+    ]
     rates = np.array([one.gradient[0] for one in found])
-    errors = np.array([one.error[0] for one in found])
+    errors = np.array([one.gradient_error[0] for one in found])
     share = weights * (high - low) / 2
     ends = [wj.refine(kind(slope), grid, LEVELS) for slope in (low, high)]
     change = float(ends[1].total_area - ends[0].total_area)

@@ -79,7 +79,7 @@ def main() -> None:
         mapper = survey(walker, starts, Integrator(1e-12), 300, boxes=True).mapper
         fate = mapper(grid.centres(np.arange(grid.size))).fate.reshape(grid.shape)
         label = np.where(np.isin(fate, FATES), fate, -1)
-        entropy, merged = wj.basin_entropy(label), wj.merge_regions(label)
+        entropy, merged = wj.fractals.basin_entropy(label), wj.fractals.merge_regions(label)
         lacks = ", ".join(
             f"{share:.0%} at {CELLS // spacing}"
             for spacing, share in zip(merged.spacings, merged.share, strict=True)

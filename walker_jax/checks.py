@@ -123,19 +123,23 @@ def is_traced(tree: Any) -> bool:
 
 
 def refuses_tracers(
-    instead: str = "call it outside of them",
+    instead: str = "call it outside of them", *, called: str | None = None
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Make a function that JAX cannot trace refuse tracers, and say what to do `instead`."""
+    """Make a function that JAX cannot trace refuse tracers, and say what to do `instead`.
+
+    The message names the function that users have `called`.
+    """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         names = inspect.signature(function).parameters
+        shown = called or function.__name__
 
         @functools.wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> T:
             for name, value in (dict(zip(names, args, strict=False)) | kwargs).items():
                 if is_traced([*value.values()] if isinstance(value, Mapping) else value):
                     raise WrongUse(
-                        f"{name} must not be traced: {function.__name__} runs outside of jax.jit, "
+                        f"{name} must not be traced: {shown} runs outside of jax.jit, "
                         f"jax.vmap and jax.grad; {instead}"
                     )
             return function(*args, **kwargs)

@@ -40,7 +40,7 @@ class Points(NamedTuple):
         return table[np.minimum(self.image[cells, actions], len(table) - 1)]
 
 
-class Boxes(NamedTuple):
+class ImageBoxes(NamedTuple):
     """Images that are boxes of cells: bounds on the image of a cell as a whole.
 
     With `every`, a set holds an image if it holds all cells of the box. If boxes hold the images of
@@ -90,7 +90,7 @@ class Boxes(NamedTuple):
         return self.valid[cells, actions] & (found == size if self.every else found > 0)
 
 
-Images = Points | Boxes
+Images = Points | ImageBoxes
 
 
 def find_viable(

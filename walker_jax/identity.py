@@ -61,7 +61,7 @@ token_of_process = functools.cache(secrets.token_hex)
 """Identifies this process, for objects that cannot be described in another one."""
 
 
-class AsItIs:
+class FunctionByCode:
     """A user's function, equal to another one of the same code that reads the same values.
 
     As a static argument of `jax.jit` it is traced again when the values that it reads have changed.
@@ -75,7 +75,7 @@ class AsItIs:
         return self.function(*args)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, AsItIs) and self.state == other.state
+        return isinstance(other, FunctionByCode) and self.state == other.state
 
     def __hash__(self) -> int:
         return hash(self.state)
@@ -159,11 +159,11 @@ class Describer:
 
     def name(self, definition: Any) -> Hashable:
         """Return the name by which a definition counts; within a process, the object itself."""
-        return AsItIs(definition, id(definition))
+        return FunctionByCode(definition, id(definition))
 
     def describe_thing(self, value: Any) -> Hashable:
         """Return the object, or any other that it is equal to, within a process."""
-        with contextlib.suppress(Exception):  # whatever its class raises
+        with contextlib.suppress(Exception):  # a user's `__hash__` may raise
             hash(value)
             return self.words(type(value)), value
         return self.words(type(value)), self.name(value)
@@ -335,7 +335,7 @@ class StoreDescriber(Describer):
         """Describe an object as pickle does; without a pickle, it equals nothing elsewhere."""
         try:
             return self.words(value.__reduce_ex__(2))
-        except Exception:  # whatever its class raises
+        except Exception:  # a user's `__reduce_ex__` may raise
             return token_of_process(), id(value)
 
     def add_file_of(self, definition: Any) -> bool:

@@ -1,7 +1,9 @@
 """The reference: every public name with its docstring, a page for each room of the package.
 
-Public are the names that `walker_jax/__init__.pyi` lists. On all other pages, a public name in
-code, such as `wj.stride`, becomes a link to its place in the reference.
+Public are the names that `walker_jax/__init__.pyi` lists, and those of the modules that it lists.
+Below a function is the class that it returns, if that has no public name. On all other pages, a
+public name in code, such as `wj.stride` or `wj.systems.HenonMap`, becomes a link to its place in
+the reference.
 """
 
 import ast
@@ -11,42 +13,48 @@ from pathlib import Path
 from mkdocs.structure.files import File
 
 PACKAGE = Path(__file__).parent.parent.parent / "walker_jax"
-BESIDE = {
-    "figures": "walker_jax.figures",
-    "kernels": "walker_jax.kernels",
-    "multibody": "walker_jax.multibody",
-}
-"""Rooms that users import as they are: `from walker_jax import figures`."""
 TITLES = {"checks": "errors", "fractals": "fractal sets"}
 """Titles of pages that are not the room's own name."""
 
 
-def public_names() -> dict[str, str]:
-    """The module of each public name."""
-    stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
+def names_in(stub: Path) -> dict[str, str]:
+    """The module of each name that a stub imports."""
     return {
         name.name: statement.module or ""
-        for statement in stub.body
+        for statement in ast.parse(stub.read_text()).body
         if isinstance(statement, ast.ImportFrom)
         for name in statement.names
     }
 
 
-NAMES = public_names()
-ROOM = {name: module.split(".")[1] for name, module in NAMES.items()}
+NAMES = names_in(PACKAGE / "__init__.pyi")
+BESIDE = sorted(name for name, module in NAMES.items() if module == "walker_jax")
+"""Rooms that users import as they are: `from walker_jax import figures`."""
 
 
 def names_beside(room: str) -> dict[str, str]:
-    """The names of a room that is imported as it is, and where each is defined."""
+    """The names of a room that is imported as it is, and the module of each."""
     inits = PACKAGE / room / "__init__.pyi", PACKAGE / room / "__init__.py"
-    path = next((one for one in inits if one.exists()), PACKAGE / f"{room}.py")
-    found: dict[str, str] = {}
-    for statement in ast.parse(path.read_text()).body:
-        if isinstance(statement, ast.ImportFrom) and f"walker_jax.{room}" in str(statement.module):
-            found |= {name.name: f"{statement.module}.{name.name}" for name in statement.names}
-        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-            found[statement.name] = f"walker_jax.{room}.{statement.name}"
-    return found
+    path, own = next(one for one in inits if one.exists()), f"walker_jax.{room}"
+    found = {name: at for name, at in names_in(path).items() if at.startswith(f"{own}.")}
+    defined = ast.FunctionDef, ast.ClassDef
+    return found | {one.name: own for one in statements_of(own) if isinstance(one, defined)}
+
+
+def statements_of(module: str) -> list[ast.stmt]:
+    """The source of a module."""
+    path = PACKAGE.parent / module.replace(".", "/")
+    paths = path.with_suffix(".py"), path / "__init__.py"
+    return next((ast.parse(one.read_text()).body for one in paths if one.exists()), [])
+
+
+SHOWN = {f"wj.{name}": f"{module}.{name}" for name, module in NAMES.items() if name not in BESIDE}
+SHOWN |= {
+    f"wj.{room}.{name}": f"{module}.{name}"
+    for room in BESIDE
+    for name, module in names_beside(room).items()
+}
+"""Each public name, and the place where it is defined."""
 
 
 def lead_of(room: str) -> str:
@@ -58,9 +66,37 @@ def lead_of(room: str) -> str:
 def class_at(place: str) -> ast.ClassDef | None:
     """The source of a class, None if the place holds another thing."""
     module, _, name = place.rpartition(".")
-    path = (PACKAGE.parent / module.replace(".", "/")).with_suffix(".py")
-    statements = ast.parse(path.read_text()).body if path.exists() else []
-    return next((s for s in statements if isinstance(s, ast.ClassDef) and s.name == name), None)
+    found = (s for s in statements_of(module) if isinstance(s, ast.ClassDef) and s.name == name)
+    return next(found, None)
+
+
+def classes_returned(place: str) -> dict[str, str]:
+    """The classes of results that a function returns, and where each is defined."""
+    module, _, function = place.rpartition(".")
+    statements = statements_of(module)
+    returns = [
+        one.returns
+        for one in statements
+        if isinstance(one, ast.FunctionDef) and one.name == function and one.returns
+    ]
+    named = {node.id for one in returns for node in ast.walk(one) if isinstance(node, ast.Name)}
+    homes = {
+        name.name: one.module or ""
+        for one in statements
+        if isinstance(one, ast.ImportFrom)
+        for name in one.names
+    }
+    places = {name: f"{homes.get(name, module)}.{name}" for name in sorted(named)}
+    return {name: place for name, place in places.items() if class_at(place)}
+
+
+RESULTS = {
+    name: at
+    for place in SHOWN.values()
+    for name, at in classes_returned(place).items()
+    if at not in SHOWN.values()
+}
+"""Classes of results without public names."""
 
 
 def options_of(place: str) -> dict[str, str]:
@@ -90,14 +126,12 @@ def options_of(place: str) -> dict[str, str]:
 
 def page_of(room: str) -> str:
     """The page of a room in Markdown."""
-    entries = {f"wj.{name}": f"{NAMES[name]}.{name}" for name in NAMES if ROOM[name] == room}
-    if room in BESIDE:
-        entries |= {f"{room}.{name}": place for name, place in names_beside(room).items()}
+    entries = {name: at for name, at in (SHOWN | RESULTS).items() if at.split(".")[1] == room}
     title = TITLES.get(room, room).capitalize()
     parts = [
         f"# {title}",
         lead_of(room),
-        f"*In the module `{BESIDE.get(room, f'walker_jax.{room}')}`.*",
+        f"*In the module `walker_jax.{room}`.*",
     ]
     functions_first = sorted(entries.items(), key=lambda entry: class_at(entry[1]) is not None)
     for shown, place in functions_first:
@@ -109,7 +143,7 @@ def page_of(room: str) -> str:
 
 def rooms() -> list[str]:
     """Those with public names, in the order of the alphabet."""
-    return sorted({*ROOM.values(), *BESIDE})
+    return sorted({place.split(".")[1] for place in SHOWN.values()})
 
 
 def on_config(config):
@@ -133,9 +167,8 @@ def on_page_markdown(markdown, *, page, config, files):
         return markdown
 
     def link(found: re.Match) -> str:
-        name = found[1]
-        return f"[{found[0]}][{NAMES[name]}.{name}]" if name in NAMES else found[0]
+        return f"[{found[0]}][{SHOWN[found[1]]}]" if found[1] in SHOWN else found[0]
 
     parts = re.split(r"(^```.*?^```|^#.*?$)", markdown, flags=re.M | re.S)
-    parts[::2] = [re.sub(r"(?<!\[)`wj\.(\w+)(?:\([^`]*\))?`", link, part) for part in parts[::2]]
+    parts[::2] = [re.sub(r"(?<!\[)`(wj\.[\w.]+)(?:\([^`]*\))?`", link, part) for part in parts[::2]]
     return "".join(parts)

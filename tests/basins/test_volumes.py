@@ -14,7 +14,8 @@ from walker_jax.basins.basin_summary import summarise_basin, tally
 from walker_jax.basins.runs import Runs, neighbours
 from walker_jax.basins.windows import WHOLE_SECTION, grid_along, whole_section
 from walker_jax.checks import TooLarge
-from walker_jax.design.area_gradients import AreaGradient, MeasuredArea, area_gradient
+from walker_jax.design.area_gradients import MeasuredArea
+from walker_jax.design.measures import Measure
 from walker_jax.grids import edge
 
 WALKER = wj.RoundFootWalker(0.01)
@@ -225,10 +226,17 @@ def test_the_volume_of_a_ball_grows_by_its_surface(monkeypatch, walks_in, shear)
     let_grow(monkeypatch, CENTRE)
     walks_in(lambda x: np.linalg.norm(x - CENTRE, axis=1) < 0.23)
     axes = {name: (-1.01, 1.02, 25) for name in "uvw"}
-    found = area_gradient(WALKER, wj.Grid(axes, np.array(shear), CENTRE), levels=2, check=500_000)
-    assert abs(found.area - 4 / 3 * np.pi * 0.23**3) < 4 * found.area_error < 0.03 * found.area
+    found = wj.measure(
+        WALKER,
+        "volume",
+        ["slope"],
+        grid=wj.Grid(axes, np.array(shear), CENTRE),
+        levels=2,
+        check=500_000,
+    )
+    assert abs(found.value - 4 / 3 * np.pi * 0.23**3) < 4 * found.value_error < 0.03 * found.value
     assert found.gradient[0] == pytest.approx(4 * np.pi * 0.23**2 * 10, rel=4e-3)
-    assert 0 < found.error[0] < 0.02 * found.gradient[0]
+    assert 0 < found.gradient_error[0] < 0.02 * found.gradient[0]
     assert found.lost == 0 and not found.averaged.any()
 
 
@@ -266,7 +274,9 @@ def test_a_blade_thinner_than_a_cell_grows_within_its_error(monkeypatch, walks_i
                 for name, low in zip(WALKER.section, shift.tolist(), strict=True)
             }
             grid = wj.Grid.plain(**axes)
-            found.append(area_gradient(WALKER, grid, levels=levels, check=1000))
+            found.append(
+                wj.measure(WALKER, "volume", ["slope"], grid=grid, levels=levels, check=1000)
+            )
         away = np.array([one.gradient[0] for one in found]) - exact
         error = np.array([one.error[0] for one in found])
         assert np.all(np.abs(away) < 4 * error) and error.mean() < share * exact
@@ -303,7 +313,7 @@ def test_the_volume_is_optimised(monkeypatch):
         radius = float(walker.foot_radius)
         slope = np.array([-2 * (radius - 0.3)] * len(parameters))
         none = np.zeros(len(parameters))
-        return AreaGradient(1 - (radius - 0.3) ** 2, slope, 1e-9, none, none > 0, 1, 0, 1)
+        return Measure(1 - (radius - 0.3) ** 2, slope, 1e-9, none, none > 0, 1, 0, 1)
 
     use_made_up_sizes(monkeypatch, gradient)
     monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
@@ -321,7 +331,7 @@ def test_an_optimum_beside_a_bound_by_rounding_is_at_it(monkeypatch):
     def gradient(walker, grid, parameters):
         radius, none = float(walker.foot_radius), np.zeros(len(parameters))
         size = radius - 1e-9 * (radius == 0.7)
-        return AreaGradient(size, none + 1, 0.0, none, none > 0, 1, 0, 1)
+        return Measure(size, none + 1, 0.0, none, none > 0, 1, 0, 1)
 
     use_made_up_sizes(monkeypatch, gradient)
     monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
@@ -394,9 +404,9 @@ def test_the_volume_of_a_walker_on_round_feet():
     low, high = (float(one.total_area) for one in near)
     spread = np.linalg.norm([float(one.total_area_error) for one in near]) / 0.02
     for levels in (0, 1):
-        rate = area_gradient(WALKER, grid, ("foot_radius",), levels=levels)
+        rate = wj.measure(WALKER, "volume", ("foot_radius",), grid=grid, levels=levels)
         away = abs(rate.gradient[0] - (high - low) / 0.02)
-        assert away < 3 * np.hypot(spread, rate.error[0]) < 0.25 * rate.gradient[0]
+        assert away < 3 * np.hypot(spread, rate.gradient_error[0]) < 0.25 * rate.gradient[0]
 
 
 KNEED = wj.KneedWalker(0.07, foot_radius=0.1)
@@ -432,7 +442,7 @@ def test_slices_of_a_kneed_volume_are_those_refined_alone():
 @pytest.mark.slow
 def test_the_volume_of_a_kneed_walker_changes_by_its_gradient():
     steps = {"slope": 0.008, "foot_radius": 0.04}
-    rate = area_gradient(KNEED, BOX, tuple(steps), levels=1)
+    rate = wj.measure(KNEED, "volume", tuple(steps), grid=BOX, levels=1)
     for k, (name, step) in enumerate(steps.items()):
         value = float(getattr(KNEED, name))
         near = [dataclasses.replace(KNEED, **{name: value + by}) for by in (-step, step)]
@@ -440,4 +450,4 @@ def test_the_volume_of_a_kneed_walker_changes_by_its_gradient():
         change = float(high.total_area - low.total_area) / (2 * step)
         spread = np.hypot(float(low.total_area_error), float(high.total_area_error)) / (2 * step)
         away = abs(rate.gradient[k] - change)
-        assert away < 3 * np.hypot(spread, rate.error[k]) < 0.6 * abs(change)
+        assert away < 3 * np.hypot(spread, rate.gradient_error[k]) < 0.6 * abs(change)

@@ -302,7 +302,9 @@ def test_public_names_are_the_same_whatever_is_loaded_first():
         "assert basin.__name__ == walker_jax.basin.__name__ == 'basin' and callable(stride)\n"
         "assert isinstance(storage, types.ModuleType)\n"
         "assert set(walker_jax.__all__) < set(globals())\n"
-        "assert dir(walker_jax) == sorted([*walker_jax.__all__, '__version__'])\n"
+        "modules = ['figures', 'fractals', 'kernels', 'multibody', 'systems']\n"
+        "assert dir(walker_jax) == sorted([*walker_jax.__all__, *modules, '__version__'])\n"
+        "assert all(isinstance(getattr(walker_jax, name), types.ModuleType) for name in modules)\n"
         "assert not hasattr(walker_jax, 'no_such_name')\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
@@ -340,7 +342,9 @@ def test_help_has_the_slopes_that_a_walker_has_by_default(run):
 def test_help_has_the_parameters_of_the_walker_that_is_named(run):
     for named in ([], ["--walker", "round-foot"], ["--walker=upper-body"], ["--system", "henon"]):
         code, out, _ = run("basin", *named, "--help")
-        kind = WALKERS.get(named[-1].rpartition("=")[2] if named else "simplest", wj.HenonMap)
+        kind = WALKERS.get(
+            named[-1].rpartition("=")[2] if named else "simplest", wj.systems.HenonMap
+        )
         own = {option_of(one.name) for one in parameters(kind)}
         others = {option_of(one.name) for kind in WALKERS.values() for one in parameters(kind)}
         found = set(re.findall(r"^  (--[\w-]+) ", out, re.M))

@@ -162,8 +162,8 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     rows = [one[names], none[names].assign(total_area=0.0)]
     slopes = xr.DataArray([0.004, 0.2], dims="slope", name="slope")
     table = xr.concat(rows, slopes).assign_attrs(one.attrs)
-    monkeypatch.setattr("walker_jax.robustness", lambda *_, **__: one)
-    monkeypatch.setattr("walker_jax.robustness_table", lambda *_, **__: table)
+    measured = lambda *_, values=None, **__: one if values is None else table
+    monkeypatch.setattr("walker_jax.robustness", measured)
     code, out, err = run("robustness", "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)

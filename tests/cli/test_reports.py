@@ -70,7 +70,7 @@ def test_cells_of_every_fate_are_counted(share, words):
     fates = {"STRIDE": share, "FORWARD": 40_000 - share}
     line, _ = basin_command.fates_in_words(fates, wj.SimplestWalker(0.004))
     assert line == f"  {words:>7}  walks, {share:,} cells"
-    line, _ = basin_command.fates_in_words(fates, wj.HenonMap())
+    line, _ = basin_command.fates_in_words(fates, wj.systems.HenonMap())
     assert line == f"  {words:>7}  goes on, {share:,} cells"
 
 

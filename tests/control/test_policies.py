@@ -226,7 +226,7 @@ def test_policies_of_maps_are_copied_and_axes_in_any_order(data):
     np.testing.assert_array_equal(
         wj.stride(turned, x).state, wj.stride(wj.Policy(WALKER, data), x).state
     )
-    henon, grid = wj.HenonMap(), wj.Grid.plain(x=(-2, 2, 20), y=(-2, 2, 20))
+    henon, grid = wj.systems.HenonMap(), wj.Grid.plain(x=(-2, 2, 20), y=(-2, 2, 20))
     steered = wj.Policy(henon, wj.viable(henon, grid, {"a": [1.3, 1.4]}, bounds=False))
     again = copy.deepcopy(steered)
     found, expected = (wj.stride(one, jnp.asarray(x)).state for one in (again, steered))
@@ -238,7 +238,7 @@ def test_policies_of_maps_are_copied_and_axes_in_any_order(data):
 @pytest.mark.slow
 def test_a_policy_of_a_runner_begins_where_its_action_can():
     """A flatter leg lands from lower apexes: the basin is the kernel, on the cells' own terms."""
-    runner, grid = wj.SpringMassRunner(), wj.Grid.plain(apex=(0.7, 2.2, 300))
+    runner, grid = wj.systems.SpringMassRunner(), wj.Grid.plain(apex=(0.7, 2.2, 300))
     data = wj.viable(runner, grid, {"angle": (0.8, 1.5, 71)}, bounds=False)
     steered = wj.Policy(runner, data)
     kernel = data["viable"].values

@@ -14,7 +14,7 @@ import walker_jax as wj
 from walker_jax import figures
 from walker_jax.control.images import Arrivals, box_around
 from walker_jax.controlled_maps import (
-    Boxes,
+    ImageBoxes,
     Points,
     best_action,
     count_safe,
@@ -25,7 +25,7 @@ from walker_jax.controlled_maps import (
 
 PUBLISHED = dict(np.load(DATA / "slip_map.npz"))
 ENERGY = 0.85 + 5.5**2 / (2 * 9.81)
-RUNNER = wj.SpringMassRunner(stiffness=8200 / (80 * 9.81), energy=ENERGY)
+RUNNER = wj.systems.SpringMassRunner(stiffness=8200 / (80 * 9.81), energy=ENERGY)
 
 
 def test_no_action_leads_to_anything_of_value_zero():
@@ -394,7 +394,7 @@ def test_boxes_are_held_as_a_plain_count_says(counts, every):
     n, m, d = int(np.prod(counts)), 3, len(counts)
     ends = np.sort(rng.integers(0, np.array(counts), (2, n, m, d)), axis=0)
     valid = rng.random((n, m)) < 0.8
-    boxes = Boxes(ends[0], ends[1], valid, counts, every)
+    boxes = ImageBoxes(ends[0], ends[1], valid, counts, every)
     chosen = rng.random(n) < (0.9 if every else 0.1)
     shaped = chosen.reshape(counts)
     held = np.empty((n, m), bool)

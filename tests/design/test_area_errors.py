@@ -15,25 +15,29 @@ FRACTAL = wj.PoweredWalker(0.0, hip_stiffness=2.0, hip_angle=-0.3, push_off=0.1)
 def test_at_a_fractal_boundary_the_error_is_infinite():
     """The integral has the wrong sign there, or a third of the size."""
     names = "hip_angle", "slope", "hip_stiffness"
-    found = wj.area_gradient(FRACTAL, REGION, names, levels=0, check=10_000)
-    assert found.fractal.all() and np.isinf(found.error).all() and not found.averaged.any()
-    assert np.isfinite(found.gradient).all() and np.isfinite(found.area_error)
-    found = wj.area_gradient(FRACTAL, REGION, names[:1], levels=1, bands=(0.02,), check=20_000)
+    found = wj.measure(FRACTAL, "area", names, grid=REGION, levels=0, check=10_000)
+    assert found.fractal.all() and np.isinf(found.gradient_error).all() and not found.averaged.any()
+    assert np.isfinite(found.gradient).all() and np.isfinite(found.value_error)
+    found = wj.measure(
+        FRACTAL, "area", names[:1], grid=REGION, levels=1, bands=(0.02,), check=20_000
+    )
     assert found.fractal.all() and found.averaged.all()
     # by differences of areas refined three times, to 0.001
-    assert abs(found.gradient[0] - 0.163) < 4 * found.error[0] < 0.04
+    assert abs(found.gradient[0] - 0.163) < 4 * found.gradient_error[0] < 0.04
     other = wj.PoweredWalker(0.01, 8.0, 1.0, -0.5, 0.05)
-    found = wj.area_gradient(other, REGION, ("hip_angle",), levels=0, check=10_000)
-    assert found.fractal.all() and np.isinf(found.error).all()
+    found = wj.measure(other, "area", ("hip_angle",), grid=REGION, levels=0, check=10_000)
+    assert found.fractal.all() and np.isinf(found.gradient_error).all()
 
 
 @pytest.mark.parametrize(("slope", "fractal"), [(0.003, False), (0.006, False), (0.013, True)])
 def test_smooth_boundaries_are_told_from_fractal_ones(slope, fractal):
-    found = wj.area_gradient(wj.SimplestWalker(slope), SIMPLEST, levels=0, check=10_000)
-    assert found.fractal.tolist() == [fractal] and np.isinf(found.error[0]) == fractal
+    found = wj.measure(
+        wj.SimplestWalker(slope), "area", ["slope"], grid=SIMPLEST, levels=0, check=10_000
+    )
+    assert found.fractal.tolist() == [fractal] and np.isinf(found.gradient_error[0]) == fractal
     expected = {0.003: -0.0985, 0.006: -0.0410}  # by differences, to 0.0016
     if not fractal:
-        assert abs(found.gradient[0] - expected[slope]) < 3 * found.error[0]
+        assert abs(found.gradient[0] - expected[slope]) < 3 * found.gradient_error[0]
 
 
 def test_where_margins_jump_the_error_holds():
@@ -42,11 +46,11 @@ def test_where_margins_jump_the_error_holds():
     Their margins are not zero there: taken for velocities, they give -0.84 and -1.0, to 0.05.
     """
     walker = wj.PoweredWalker(0.02, 4.0, 0.5, -0.4, 0.02)
-    found = wj.area_gradient(walker, REGION, ("slope", "hip_angle"), levels=0, check=10_000)
+    found = wj.measure(walker, "area", ("slope", "hip_angle"), grid=REGION, levels=0, check=10_000)
     assert not found.fractal.any() and 0.2 < found.lost / found.crossings < 0.5
     expected = np.array([1.50, 0.625])  # by differences of areas refined three times, to 0.01
-    assert (np.abs(found.gradient - expected) < 2 * found.error).all()
-    assert np.isfinite(found.error).all()
+    assert (np.abs(found.gradient - expected) < 2 * found.gradient_error).all()
+    assert np.isfinite(found.gradient_error).all()
 
 
 @pytest.mark.parametrize("shape", [(50, 400), (20, 30, 40)])

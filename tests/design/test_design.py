@@ -60,7 +60,9 @@ def test_the_trace_holds_what_was_measured(steepest):
     assert set(values(climbing, "stage")) == {*range(4)}
     for row in range(0, climbing.sizes["evaluation"], 5):
         one = climbing.isel(evaluation=row)
-        found = wj.gait_measures(wj.SimplestWalker(float(one.parameters[0])))["spectral-radius"]
+        found = wj.measure(
+            wj.SimplestWalker(float(one.parameters[0])), "spectral-radius", ["slope"]
+        )
         assert float(one.value) == float(one.measures[0]) == pytest.approx(found.value, abs=1e-12)
         assert float(one.gradient[0]) == pytest.approx(found.gradient[0], rel=1e-9)
     np.testing.assert_allclose(steepest.scan_parameters[0], np.linspace(0.001, 0.015, 7))
@@ -148,7 +150,7 @@ def test_two_parameters_along_a_limit():
     walker = wj.SpringWalker(0.006, 0.1)
     speed = 0.09
     found = optimise(walker, bounds, "cost-of-transport", at_least={"speed": speed}, starts=1)
-    fast = lambda slope: wj.gait_measures(wj.SpringWalker(slope, 0.5), ())["speed"].value - speed
+    fast = lambda slope: wj.measure(wj.SpringWalker(slope, 0.5), "speed", ()).value - speed
     assert values(found, "at_bound") == [0, 1] and bool(found.binding[1])
     assert float(found.optimum[0]) == pytest.approx(brentq(fast, 0.001, 0.01), rel=1e-6)
     assert float(found.optimum[1]) == 0.5 and bool(found.converged)

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import walker_jax as wj
 from walker_jax.design import climbs, evaluation, problem
-from walker_jax.design.area_gradients import AreaGradient, AreaSettings
+from walker_jax.design.area_gradients import AreaSettings
 from walker_jax.design.evaluation import ENDS_STAGE, Evaluation
 from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
@@ -99,7 +99,7 @@ def test_measures_are_those_of_the_gait_with_the_largest_basin():
     springs = problem_of(walker, {"hip_stiffness": (11.0, 11.5)})._replace(grid=grid)
     trace = Trace(springs, None, None, False, 1)
     owner = wj.find_gait(walker, [0.0908, -0.2074])
-    expected = wj.gait_measures(walker, ("hip_stiffness",), owner)["speed"]
+    expected = wj.measure(walker, "speed", ("hip_stiffness",), owner)
     row = trace.measure(0, 0, springs.place_of(values))
     assert float(row.value) == pytest.approx(expected.value, rel=1e-12)
     assert row.gradient == pytest.approx(expected.gradient, rel=1e-8)
@@ -130,9 +130,7 @@ def test_a_gain_is_sure_beyond_the_errors_of_both_ends():
 
 
 def test_errors_of_an_area_are_positive_whatever_its_weight(monkeypatch):
-    area = AreaGradient(
-        2.0, np.array([3.0]), 0.1, np.array([0.2]), np.array([False]), 5, 0, strides=7
-    )
+    area = Measure(2.0, np.array([3.0]), 0.1, np.array([0.2]), np.array([False]), 5, 0, strides=7)
     monkeypatch.setattr(evaluation, "differentiate_area", lambda *_: area)
     of_area = problem_of(WALKER, SLOPES)._replace(grid=FEW, weights={"area": -2.0})
     measured: Any = lambda *_: None

@@ -14,10 +14,12 @@ def test_the_action_changes_with_slope_and_spring(strides):
     action = lambda **changed: (
         wj.most_probable_fall(wj.SpringWalker(**values | changed), **how).action
     )
-    found = wj.fall_gradient(wj.SpringWalker(**values), [*values], **how)
-    assert found.action == pytest.approx(action(), rel=1e-12)
+    found = wj.measure(wj.SpringWalker(**values), "fall-action", [*values], **how)
+    assert found.value == pytest.approx(action(), rel=1e-12)
     for name, gradient in zip(values, found.gradient, strict=True):
         step = 1e-3 * values[name]
         low, high = (action(**{name: values[name] + side}) for side in (-step, step))
         assert gradient == pytest.approx((high - low) / (2 * step), rel=1e-4)
-    assert np.shape(wj.fall_gradient(wj.SpringWalker(**values), (), **how).gradient) == (0,)
+    assert np.shape(wj.measure(wj.SpringWalker(**values), "fall-action", (), **how).gradient) == (
+        0,
+    )

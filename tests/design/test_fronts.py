@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from all_measures import all_measures
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
@@ -111,7 +112,7 @@ def test_limits_and_weights_of_functions():
     np.testing.assert_allclose(found.optimum, [0.5, 0.5], atol=0.004)
 
 
-class Timed(wj.BouncingBall):
+class Timed(wj.systems.BouncingBall):
     """With the mean of an effort along each flight."""
 
     def modes(self):
@@ -125,7 +126,7 @@ def test_integrals_are_objectives_and_limits():
     """The ball lands at the table's speed of one flight, 2 pi, and its flights take that long."""
     ball = Timed(0.4, 0.8)
     gait = wj.find_gait(ball)
-    found = wj.gait_measures(ball, ["restitution", "amplitude"], gait)
+    found = all_measures(ball, ["restitution", "amplitude"], gait)
     step = 1e-5
     for name in ("effort", "height"):
         for i, of in enumerate(("restitution", "amplitude")):
@@ -135,11 +136,11 @@ def test_integrals_are_objectives_and_limits():
                     **{"amplitude": 0.4, "restitution": 0.8} | {of: vars(ball)[of] + side}
                 )
                 there = wj.find_gait(other, gait.states[0])
-                ends.append(wj.gait_measures(other, (), there)[name].value)
+                ends.append(wj.measure(other, name, (), there).value)
             by = (ends[1] - ends[0]) / (2 * step)
             assert found[name].gradient[i] == pytest.approx(by, rel=1e-6, abs=1e-8)
     best = wj.optimise(ball, {"amplitude": (0.35, 0.45)}, "height", starts=1, progress=False)
-    values = {one: wj.gait_measures(Timed(one, 0.8), ())["height"].value for one in (0.35, 0.45)}
+    values = {one: wj.measure(Timed(one, 0.8), "height", ()).value for one in (0.35, 0.45)}
     assert float(best.exact_optimum) == pytest.approx(min(values.values()), rel=1e-6)  # minimised
     with pytest.raises(WrongUse, match=r"objective must be one of .*, effort, height, not 'work'"):
         wj.optimise(ball, {"amplitude": (0.35, 0.45)}, "work")

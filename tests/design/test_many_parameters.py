@@ -65,8 +65,8 @@ def test_numbers_are_put_back_where_they_were_taken():
 
 
 def test_the_area_by_all_weights():
-    found = wj.area_gradient(DISC, GRID, lambda one: one.w, levels=2, check=20_000)
-    assert abs(found.area - area(WEIGHTS)) < 4 * found.area_error < 0.02 * found.area
+    found = wj.measure(DISC, "area", lambda one: one.w, grid=GRID, levels=2, check=20_000)
+    assert abs(found.value - area(WEIGHTS)) < 4 * found.value_error < 0.02 * found.value
     np.testing.assert_allclose(found.gradient, jax.grad(area)(WEIGHTS), rtol=0.01, atol=2e-3)
     assert not found.fractal.any() and found.lost == 0
 
@@ -98,8 +98,8 @@ def stride_count(walker, x):
 def test_the_least_disturbance_moves_with_the_boundary_alone():
     """The gait moves with it, by weights of c: that cancels."""
     radius = lambda w: parts(w)[2] * jnp.sqrt(1 - parts(w)[1])
-    found = wj.disturbance_gradient(DISC, "w", directions=360)
-    assert found.size == pytest.approx(float(radius(WEIGHTS)), rel=1e-8)
+    found = wj.measure(DISC, "least-disturbance", "w", directions=360)
+    assert found.value == pytest.approx(float(radius(WEIGHTS)), rel=1e-8)
     np.testing.assert_allclose(found.gradient, jax.grad(radius)(WEIGHTS), rtol=1e-5, atol=1e-8)
 
 
@@ -114,7 +114,7 @@ def test_a_gait_and_its_measures_by_all_weights():
     ]
     np.testing.assert_allclose(pulled, expected, rtol=1e-10, atol=1e-14)
     np.testing.assert_allclose(np.array([one.states[0] for one in changes]), MIX[:2].T, rtol=1e-10)
-    radius = wj.gait_measures(DISC, "w", gait)["spectral-radius"]
+    radius = wj.measure(DISC, "spectral-radius", "w", gait)
     assert radius.value == pytest.approx(float(parts(WEIGHTS)[1]), rel=1e-12)
     np.testing.assert_allclose(radius.gradient, MIX[2], rtol=1e-10, atol=1e-15)
 

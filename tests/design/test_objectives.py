@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from all_measures import all_measures
 from cells_of_basins import labels_where, let_grow, let_walk
 from scipy.stats import multivariate_normal
 
@@ -16,14 +17,14 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.refinement import refine_cells
 from walker_jax.basins.runs import Runs, label_of
 from walker_jax.design.area_gradients import (
-    area_gradient,
     boundary_pairs,
     integrate_along_boundary,
     walkers_at_band_ends,
 )
-from walker_jax.design.disturbance_gradients import disturbance_gradient
-from walker_jax.design.measures import GAIT_MEASURES, gait_measures
+from walker_jax.design.measures import GAIT_MEASURES
+from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.integrators.integrator import Integrator
+from walker_jax.stability.disturbances import LeastDisturbance
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.parameters import with_parameter
 
@@ -46,9 +47,9 @@ def difference(walker_of, value, width, grid, levels=5):
     [(0.003, -0.0985), (0.006, -0.0410)],
 )
 def test_the_area_falls_with_the_slope(slope, expected):
-    found = area_gradient(wj.SimplestWalker(slope), SECTION, levels=1)
+    found = wj.measure(wj.SimplestWalker(slope), "area", ["slope"], grid=SECTION, levels=1)
     assert found.gradient[0] == pytest.approx(expected, rel=0.06)
-    assert 0 < found.error[0] < 0.06 * abs(expected)
+    assert 0 < found.gradient_error[0] < 0.06 * abs(expected)
     assert found.lost == 0 and found.crossings > 500 and not found.averaged.any()
 
 
@@ -60,7 +61,9 @@ def test_the_area_falls_with_the_slope(slope, expected):
 def test_the_derivative_of_the_area_by_smooth_and_fractal_edges(slope, half, smooth):
     """Within 5 % of a central difference on a finer grid, of which that has the error stated."""
     levels = 3 if smooth else 4
-    found = area_gradient(wj.SimplestWalker(slope), SECTION, levels=levels, bands=(half,))
+    found = wj.measure(
+        wj.SimplestWalker(slope), "area", ["slope"], grid=SECTION, levels=levels, bands=(half,)
+    )
     expected, error = difference(wj.SimplestWalker, slope, 2 * half, SECTION, levels=6)
     assert error < 0.025 * abs(expected)
     assert abs(found.gradient[0] - expected) < 0.05 * abs(expected)
@@ -70,11 +73,11 @@ def test_the_derivative_of_the_area_by_smooth_and_fractal_edges(slope, half, smo
 @pytest.mark.slow
 def test_where_the_edge_is_fractal_it_is_a_bands_average():
     walker, band = wj.SimplestWalker(0.013), 1e-3
-    assert not area_gradient(walker, SECTION, levels=1).averaged[0]
-    found = area_gradient(walker, SECTION, levels=1, bands=(band,))
+    assert not wj.measure(walker, "area", ["slope"], grid=SECTION, levels=1).averaged[0]
+    found = wj.measure(walker, "area", ["slope"], grid=SECTION, levels=1, bands=(band,))
     assert found.averaged[0]
     expected = -0.1627  # by areas refined five times, to 0.0004
-    assert abs(found.gradient[0] - expected) < 4 * found.error[0] < 0.25 * abs(expected)
+    assert abs(found.gradient[0] - expected) < 4 * found.gradient_error[0] < 0.25 * abs(expected)
 
 
 def test_bands_end_where_a_parameter_does():
@@ -88,8 +91,15 @@ def test_bands_end_where_a_parameter_does():
 @pytest.mark.slow
 def test_a_band_that_ends_where_the_slope_does():
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 20), sum=(-0.02, 0.01, 20))
-    found = area_gradient(
-        wj.SimplestWalker(0.013), grid, levels=0, bands=(2.0,), strides=20, check=0
+    found = wj.measure(
+        wj.SimplestWalker(0.013),
+        "area",
+        ["slope"],
+        grid=grid,
+        levels=0,
+        bands=(2.0,),
+        strides=20,
+        check=0,
     )
     assert np.isfinite(found.gradient).all()
 
@@ -101,19 +111,31 @@ def test_the_chance_of_a_density_to_walk_and_its_derivative():
     distribution: Any = multivariate_normal
     density = distribution(mean, covariance).pdf
     where = wj.Grid.sheared(theta=(0.1, 0.3, 51), sum=(-0.04, 0.04, 89))  # five deviations about
-    chance = lambda slope, levels, names=(): area_gradient(
-        wj.SimplestWalker(slope), where, names, levels=levels, density=density
+    chance = lambda slope, levels, names=(): wj.measure(
+        wj.SimplestWalker(slope),
+        "basin-stability",
+        names,
+        grid=where,
+        levels=levels,
+        density=density,
     )
     found = chance(0.006, 1, ("slope",))
     draw = lambda rng, n: rng.multivariate_normal(mean, covariance, n) * [1, 1]
     starts = wj.basin_stability(wj.SimplestWalker(0.006), draw, samples=4000)
-    assert starts.low < found.area < starts.high
+    assert starts.low < found.value < starts.high
     low, high = (chance(0.006 + step, 2) for step in (-4e-4, 4e-4))
-    difference = (high.area - low.area) / 8e-4
-    error = np.hypot(found.error[0], np.hypot(low.area_error, high.area_error) / 8e-4)
+    difference = (high.value - low.value) / 8e-4
+    error = np.hypot(found.gradient_error[0], np.hypot(low.value_error, high.value_error) / 8e-4)
     assert abs(found.gradient[0] - difference) < 3 * error < 0.15 * abs(difference)
     with pytest.raises(ValueError, match="density must return"):
-        area_gradient(wj.SimplestWalker(0.006), SECTION, (), levels=0, density=lambda x: x)
+        wj.measure(
+            wj.SimplestWalker(0.006),
+            "basin-stability",
+            (),
+            grid=SECTION,
+            levels=0,
+            density=lambda x: x,
+        )
 
 
 CENTRE = np.array([0.52, 0.47])
@@ -138,11 +160,11 @@ def test_the_area_of_a_disc_grows_by_its_circumference(disc, shear):
     axes = {"u": (-1, 1, 30), "v": (-1, 1, 40)}
     grid = wj.Grid(axes, np.array(shear), np.array([0.5, 0.5]))
     for slope in (0.004, 0.01):
-        found = area_gradient(wj.SimplestWalker(slope), grid, levels=4)
+        found = wj.measure(wj.SimplestWalker(slope), "area", ["slope"], grid=grid, levels=4)
         r = radius(slope)
-        assert abs(found.area - np.pi * r**2) < 4 * found.area_error < 0.01 * found.area
+        assert abs(found.value - np.pi * r**2) < 4 * found.value_error < 0.01 * found.value
         assert found.gradient[0] == pytest.approx(2 * np.pi * r * 10, rel=1e-3)
-        assert 0 < found.error[0] < 0.01 * found.gradient[0] and not found.averaged.any()
+        assert 0 < found.gradient_error[0] < 0.01 * found.gradient[0] and not found.averaged.any()
         # lines along each axis, which are those of half the width in the other, meet it twice
         widths = r * np.linalg.norm(np.linalg.inv(shear), axis=1)
         assert abs(found.crossings - 4 * widths @ [15 * 16, 20 * 16]) <= 8 and found.lost == 0
@@ -152,11 +174,13 @@ def test_the_area_of_a_disc_over_a_band(disc, monkeypatch):
     """Where the integral is not to be trusted: pi ((r + 10 h)^2 - (r - 10 h)^2) / 2h."""
     grid = wj.Grid.plain(theta=(0, 1, 40), thetadot=(0, 1, 40))
     monkeypatch.setattr("walker_jax.design.area_gradients.MAX_RELATIVE_ERROR", 0.0)
-    found = area_gradient(wj.SimplestWalker(0.008), grid, bands=(0.002,), levels=4)
+    found = wj.measure(
+        wj.SimplestWalker(0.008), "area", ["slope"], grid=grid, bands=(0.002,), levels=4
+    )
     assert found.averaged.tolist() == [True]
     expected = 4 * np.pi * radius(0.008) * 10 / 2
     assert found.gradient[0] == pytest.approx(expected, rel=2e-3)
-    assert abs(found.gradient[0] - expected) < 4 * found.error[0]
+    assert abs(found.gradient[0] - expected) < 4 * found.gradient_error[0]
 
 
 NONE = np.zeros(0, int)
@@ -230,10 +254,10 @@ def test_the_error_has_a_part_for_what_is_thinner_than_a_cell(disc, monkeypatch)
     changes = lambda walker, x, *_: np.tile([3.0, 0.0, 3.0], (len(x), 1))
     monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
     grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 8))
-    found = area_gradient(wj.SimplestWalker(0.004), grid, levels=0)
+    found = wj.measure(wj.SimplestWalker(0.004), "area", ["slope"], grid=grid, levels=0)
     assert found.crossings == 16 and found.gradient[0] == pytest.approx(16 / 32, rel=1e-12)
     # all lines are alike: they do not scatter
-    assert found.error[0] == pytest.approx(16 / 32 * (8 / 5 - 1), rel=1e-12)
+    assert found.gradient_error[0] == pytest.approx(16 / 32 * (8 / 5 - 1), rel=1e-12)
 
 
 SIZE = lambda slope: 0.002 + 3 * (slope - 0.004) + 50 * (slope - 0.004) ** 2
@@ -245,11 +269,11 @@ def test_the_least_disturbance_changes_with_boundary_and_gait(monkeypatch, direc
     """With a margin SIZE(p) - (x - g(p)) . u, times 7, of which the size is known."""
     walker, gait, u = wj.SimplestWalker(0.004), wj.find_gait(wj.SimplestWalker(0.004)), direction
     state = np.asarray(gait.states[0]) + SIZE(0.004) * np.array(u)
-    found = wj.LeastDisturbance(SIZE(0.004), np.array(u), state, 0, wj.Outcome.FORWARD, 6)
+    found = LeastDisturbance(SIZE(0.004), np.array(u), state, 0, wj.Outcome.FORWARD, 6)
     monkeypatch.setattr(
         "walker_jax.design.disturbance_gradients.least_disturbance", lambda *_, **__: found
     )
-    moved = wj.gait_derivatives(walker, gait, "slope").states[0]
+    moved = gait_derivatives(walker, gait, "slope").states[0]
 
     def changes(walker, x, made, directions, parameters, tolerance):
         assert made.tolist() == [6] * len(x)
@@ -260,8 +284,8 @@ def test_the_least_disturbance_changes_with_boundary_and_gait(monkeypatch, direc
     monkeypatch.setattr("walker_jax.design.disturbance_gradients.differentiate_margins", changes)
     margins = lambda walker, x, *_: 7 * (SIZE(0.004) - (x - np.asarray(gait.states[0])) @ u)
     monkeypatch.setattr("walker_jax.design.disturbance_gradients.margins_after", margins)
-    gradient = disturbance_gradient(walker, ("slope",), gait)
-    assert gradient.size == SIZE(0.004) and not gradient.averaged
+    gradient = wj.measure(walker, "least-disturbance", ("slope",), gait)
+    assert gradient.value == SIZE(0.004) and not gradient.averaged.any()
     assert gradient.gradient == pytest.approx([3.0], rel=1e-9)
 
 
@@ -270,7 +294,7 @@ def test_without_a_margin_the_least_changes_by_a_bands_average(monkeypatch):
 
     def least(walker, gait, **_):
         x = np.asarray(gait.states[0])
-        return wj.LeastDisturbance(
+        return LeastDisturbance(
             SIZE(float(walker.slope)), np.array([1.0, 0.0]), x, 0, wj.Outcome.STRIDE, 6
         )
 
@@ -278,31 +302,31 @@ def test_without_a_margin_the_least_changes_by_a_bands_average(monkeypatch):
     nan = lambda walker, x, *_: np.full((len(x), 3), np.nan)
     monkeypatch.setattr("walker_jax.design.disturbance_gradients.differentiate_margins", nan)
     walker = wj.SimplestWalker(0.012)
-    assert np.isnan(disturbance_gradient(walker).gradient).all()
+    assert np.isnan(wj.measure(walker, "least-disturbance", ["slope"]).gradient).all()
     for width, low, high in ((0.002, 0.010, 0.014), (0.004, 0.008, 0.012)):
-        found = disturbance_gradient(walker, bands=(width,))
+        found = wj.measure(walker, "least-disturbance", ["slope"], bands=(width,))
         expected = (SIZE(high) - SIZE(low)) / (high - low)
-        assert found.averaged and found.gradient == pytest.approx([expected], rel=1e-9)
+        assert found.averaged.all() and found.gradient == pytest.approx([expected], rel=1e-9)
 
 
 def test_where_a_margin_jumps_the_gradient_is_a_bands_average():
     """From the nearest point of the first a strike is missed; its margin would give -0.0245."""
     names = ("hip_angle",)
     jumps = wj.PoweredWalker(0.01, 8.0, 1.0, -0.5, 0.05)
-    assert np.isnan(disturbance_gradient(jumps, names, directions=720).gradient).all()
-    found = disturbance_gradient(jumps, names, bands=(1e-4,), directions=720)
-    assert found.averaged and found.gradient == pytest.approx([0.10858], abs=1e-4)
+    assert np.isnan(wj.measure(jumps, "least-disturbance", names, directions=720).gradient).all()
+    found = wj.measure(jumps, "least-disturbance", names, bands=(1e-4,), directions=720)
+    assert found.averaged.all() and found.gradient == pytest.approx([0.10858], abs=1e-4)
     # central differences of least disturbances, over 2e-4
     smooth = wj.PoweredWalker(0.03, 3.0, 0.3, -0.2, 0.1)
     for tolerance in (None, 1e-6):
-        found = disturbance_gradient(smooth, names, directions=720, tolerance=tolerance)
-        assert not found.averaged and found.gradient == pytest.approx([-0.163026], abs=2e-5)
+        found = wj.measure(smooth, "least-disturbance", names, directions=720, tolerance=tolerance)
+        assert not found.averaged.any() and found.gradient == pytest.approx([-0.163026], abs=2e-5)
 
 
 @pytest.mark.slow
 def test_two_parameters_of_another_walker():
     walker = wj.SpringWalker(0.004, 0.1)
-    found = area_gradient(walker, SECTION, ("slope", "hip_stiffness"), levels=3)
+    found = wj.measure(walker, "area", ("slope", "hip_stiffness"), grid=SECTION, levels=3)
     by_slope, error = difference(lambda p: wj.SpringWalker(p, 0.1), 0.004, 4e-4, SECTION)
     assert error < 0.05 * abs(by_slope)
     assert abs(found.gradient[0] - by_slope) < 0.1 * abs(by_slope)
@@ -310,17 +334,17 @@ def test_two_parameters_of_another_walker():
     assert error < 0.05 * abs(by_stiffness)
     assert abs(found.gradient[1] - by_stiffness) < 0.1 * abs(by_stiffness)
     exact = wj.refine(walker, SECTION, 5)
-    assert abs(found.area - float(exact.total_area)) < 4 * found.area_error
+    assert abs(found.value - float(exact.total_area)) < 4 * found.value_error
 
 
 @pytest.mark.slow
 def test_the_least_disturbance_changes_with_the_slope():
     size = lambda slope: wj.least_disturbance(wj.SimplestWalker(slope)).size
-    found = disturbance_gradient(wj.SimplestWalker(0.004))
-    assert found.size == pytest.approx(0.0022561749204, abs=1e-12)
+    found = wj.measure(wj.SimplestWalker(0.004), "least-disturbance", ["slope"])
+    assert found.value == pytest.approx(0.0022561749204, abs=1e-12)
     central = (size(0.004 + 1e-5) - size(0.004 - 1e-5)) / 2e-5
     assert found.gradient[0] == pytest.approx(central, rel=1e-4)
-    assert not found.averaged
+    assert not found.averaged.any()
 
 
 @pytest.mark.slow
@@ -328,22 +352,22 @@ def test_where_another_motion_is_nearest_it_is_an_average():
     """At 0.0125 the basin of a gait of period three comes closest."""
     walker = wj.SimplestWalker(0.0125)
     assert wj.least_disturbance(walker).failure == wj.Outcome.STRIDE
-    assert np.isnan(disturbance_gradient(walker).gradient).all()
-    found = disturbance_gradient(walker, bands=(1e-4,))
+    assert np.isnan(wj.measure(walker, "least-disturbance", ["slope"]).gradient).all()
+    found = wj.measure(walker, "least-disturbance", ["slope"], bands=(1e-4,))
     low, high = (wj.least_disturbance(wj.SimplestWalker(slope)).size for slope in (0.0124, 0.0126))
-    assert found.averaged and found.gradient[0] == pytest.approx((high - low) / 2e-4)
+    assert found.averaged.all() and found.gradient[0] == pytest.approx((high - low) / 2e-4)
 
 
 def test_where_nothing_walks_there_is_no_area_and_no_gradient():
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 20), sum=(-0.02, 0.01, 20))
-    found = area_gradient(wj.SimplestWalker(0.1), grid, levels=1)
-    assert found.area == 0 and found.gradient.tolist() == [0.0] and found.crossings == 0
+    found = wj.measure(wj.SimplestWalker(0.1), "area", ["slope"], grid=grid, levels=1)
+    assert found.value == 0 and found.gradient.tolist() == [0.0] and found.crossings == 0
 
 
 def test_where_everything_walks_the_area_is_that_of_the_grid():
     grid = wj.Grid.plain(theta=(0.1533, 0.1535, 5), thetadot=(-0.1562, -0.156, 6))
-    found = area_gradient(wj.SimplestWalker(0.004), grid, levels=1)
-    assert found.area == pytest.approx(4e-8) and found.gradient.tolist() == [0.0]
+    found = wj.measure(wj.SimplestWalker(0.004), "area", ["slope"], grid=grid, levels=1)
+    assert found.value == pytest.approx(4e-8) and found.gradient.tolist() == [0.0]
 
 
 @pytest.mark.slow
@@ -390,7 +414,7 @@ WALKERS = {
 def test_measures_of_a_gait_change_as_their_derivatives_say(name):
     walker, period, names = WALKERS[name]
     gait = wj.find_gait(walker, period=period)
-    found = gait_measures(walker, names, gait)
+    found = all_measures(walker, names, gait)
     assert tuple(found) == GAIT_MEASURES
     for k, parameter in enumerate(names):
         step = 1e-5 * float(getattr(walker, parameter))
@@ -399,7 +423,7 @@ def test_measures_of_a_gait_change_as_their_derivatives_say(name):
             value = float(getattr(walker, parameter)) + side * step
             other = with_parameter(walker, parameter, np.asarray(value))
             there = wj.find_gait(other, gait.states, period)
-            ends.append(gait_measures(other, (), there))
+            ends.append(all_measures(other, (), there))
         for one in GAIT_MEASURES:
             central = (ends[1][one].value - ends[0][one].value) / (2 * step)
             assert found[one].gradient[k] == pytest.approx(central, rel=1e-4, abs=1e-9), one
@@ -407,7 +431,7 @@ def test_measures_of_a_gait_change_as_their_derivatives_say(name):
 
 def test_measures_of_a_gait_are_those_of_its_geometry():
     walker = wj.SimplestWalker(0.004)
-    gait, found = wj.find_gait(walker), gait_measures(walker)
+    gait, found = wj.find_gait(walker), all_measures(walker, ["slope"])
     theta = float(gait.states[0, 0])
     assert found["step-length"].value == pytest.approx(2 * np.sin(theta), rel=1e-13)
     speed = 2 * np.sin(theta) / float(gait.step_times[0])
@@ -424,31 +448,31 @@ def test_the_step_of_a_foot_that_rolls():
     theta = float(wj.find_gait(walker).states[0, 0])
     # the arcs' centres are 2 (l - R) sin(theta) apart, and the foot rolls by 2 R theta
     step = 2 * (1 - 0.2) * np.sin(theta) + 2 * 0.2 * theta
-    assert gait_measures(walker, ())["step-length"].value == pytest.approx(step, rel=1e-12)
+    assert wj.measure(walker, "step-length", ()).value == pytest.approx(step, rel=1e-12)
 
 
 def test_without_a_gait_its_measures_are_nan():
-    found = gait_measures(wj.SimplestWalker(0.3), ("slope",))
+    found = all_measures(wj.SimplestWalker(0.3), ("slope",))
     assert all(np.isnan(one.value) and np.isnan(one.gradient).all() for one in found.values())
 
 
 def test_wrong_arguments_are_refused():
     walker = wj.SimplestWalker(0.004)
     with pytest.raises(ValueError, match="parameter must be one of the walker's"):
-        area_gradient(walker, SECTION, ("hip_stiffness",))
+        wj.measure(walker, "area", ("hip_stiffness",), grid=SECTION)
     with pytest.raises(ValueError, match="parameter must be one of the walker's"):
-        disturbance_gradient(walker, ("mass",))
+        wj.measure(walker, "least-disturbance", ("mass",))
     with pytest.raises(ValueError, match="levels must be at least 0"):
-        area_gradient(walker, SECTION, levels=-1)
+        wj.measure(walker, "area", ["slope"], grid=SECTION, levels=-1)
     with pytest.raises(ValueError, match="strides must be at least 1"):
-        area_gradient(walker, SECTION, strides=0)
-    with pytest.raises(ValueError, match="grid must have the 2 dimensions"):
-        area_gradient(walker, wj.Grid.plain(theta=(0, 1, 5)))
+        wj.measure(walker, "area", ["slope"], grid=SECTION, strides=0)
+    with pytest.raises(ValueError, match="grid must have 2 axes for area, not 1"):
+        wj.measure(walker, "area", ["slope"], grid=wj.Grid.plain(theta=(0, 1, 5)))
     for bands in [(0.0,), (1e-4, 1e-4), (np.inf,)]:
         with pytest.raises(ValueError, match="bands must be a number above 0 for each parameter"):
-            area_gradient(walker, SECTION, bands=bands)
+            wj.measure(walker, "area", ["slope"], grid=SECTION, bands=bands)
     with pytest.raises(ValueError, match="parameter must be one of the walker's"):
-        gait_measures(walker, ("foot_mass",))
+        all_measures(walker, ("foot_mass",))
 
 
 class OwnSpringWalker(wj.SimplestWalker):

@@ -63,7 +63,7 @@ def test_every_combination_is_as_computed_alone(swept):
         gait = wj.find_gait(walker, fine["states"][0].values)
         np.testing.assert_array_equal(there["gait_state"], gait.states[0])
         assert float(there["multiplier"]) == np.abs(gait.multipliers[0])
-        assert float(there["speed"]) == wj.gait_measures(walker, (), gait)["speed"].value
+        assert float(there["speed"]) == wj.measure(walker, "speed", (), gait).value
 
 
 STIFF = wj.SpringWalker(0.004, 11.24)

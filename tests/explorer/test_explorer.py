@@ -465,7 +465,7 @@ def test_only_what_is_drawn_and_in_a_file_is_explored():
     with pytest.raises(ValueError, match=r"that other processes can import: write Own into a file"):
         wj.explore(Own(0.004))
     with pytest.raises(ValueError, match="has a section of one coordinate, and pictures have two"):
-        wj.explore(wj.SpringMassRunner())
+        wj.explore(wj.systems.SpringMassRunner())
     with pytest.raises(ValueError, match="height must be at least 100"):
         wj.explore(wj.SimplestWalker(0.004), height=1)
 

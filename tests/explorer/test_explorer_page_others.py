@@ -59,7 +59,7 @@ def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
     assert not page.page.locator("#stage").is_visible()
     assert page.page.locator("#parameters .name").all_inner_texts() == ["a", "b"]
     grid = wj.Grid.plain(x=(-2, 2, 200), y=(-2, 2, 250))
-    basin = wj.basin(wj.HenonMap(0.7), grid, "direct")
+    basin = wj.basin(wj.systems.HenonMap(0.7), grid, "direct")
     assert area_of(page)[0] == pytest.approx(float(basin["area"].sum()), rel=1e-12)
     page.page.mouse.move(*page.screen(0.1, 0.1))
     page.wait("document.querySelector('#hover').textContent.includes('the cycle of period 2')")
@@ -73,7 +73,7 @@ def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
     page.page.keyboard.press(".")
     page.wait(f"explorer.map.path.length === {count + 1}")
     path = page.value("explorer.map.path")
-    made = wj.walk(wj.HenonMap(0.7), jnp.array(path[0]), len(path) - 1)
+    made = wj.walk(wj.systems.HenonMap(0.7), jnp.array(path[0]), len(path) - 1)
     np.testing.assert_allclose(path, made.states, rtol=1e-9)
     assert page.shown("#walk-note").lower() == f"iterate {len(path)}"
     # one that escapes says so, and a parameter that changes begins anew

@@ -143,10 +143,10 @@ def test_the_window_is_that_of_gaits_or_of_the_command():
     assert given.defaults == (0.25, 0.0)
     far = offer(Drift(), axes | {"here": 9.0})
     assert window_of(far)["here"] == (8, 10)
-    henon = offer(wj.HenonMap(1.02), AXES)
+    henon = offer(wj.systems.HenonMap(1.02), AXES)
     assert (henon.name, henon.defaults) == ("henon", (1.02, 0.3))
-    assert offer(wj.HenonMap(1.02)) is OTHERS["henon"]
-    compass = offer(wj.SwitchedCompass(0.04))
+    assert offer(wj.systems.HenonMap(1.02)) is OTHERS["henon"]
+    compass = offer(wj.systems.SwitchedCompass(0.04))
     assert compass.name == "switched-compass" and compass.defaults[0] == 0.04
     assert window_of(compass)["thetadot"] == (-1.2, pytest.approx(0.3))
 
@@ -158,7 +158,7 @@ def test_a_picture_is_the_basin(client):
         [np.frombuffer(one, np.uint8).reshape(2, TILE, TILE)[0] for one in tiles], axis=1
     )
     grid = wj.Grid.plain(x=(-2, 2, 50), y=(-2, 2 + 4 * 37.5 / 62.5, 100))
-    basin = wj.basin(wj.HenonMap(0.7), grid, "direct")
+    basin = wj.basin(wj.systems.HenonMap(0.7), grid, "direct")
     walks_on = label >= pictures.FIRST_ATTRACTOR
     assert [one["period"] for one in attractors] == basin["period"].values.tolist() == [2]
     np.testing.assert_array_equal(walks_on, basin["attractor"].values >= 0)
@@ -223,7 +223,7 @@ def test_cycles_and_their_bifurcations(own, monkeypatch):
     """Of a map without a region, in its window; over any parameter of one that has a region."""
     found = measures.gaits(subject(own))
     assert [one["period"] for one in found if one["stable"]] == [4]  # as of the attractor
-    gaits = wj.find_gaits(wj.HenonMap(1.02), 1)
+    gaits = wj.find_gaits(wj.systems.HenonMap(1.02), 1)
     for one, gait in zip((one for one in found if one["period"] == 1), gaits, strict=True):
         assert np.abs(np.array(one["states"]) - np.array([g.states for g in gaits])).min() < 1e-9
         assert not gait.stable
@@ -243,7 +243,7 @@ def test_a_map_goes_to_other_processes_by_its_name(own):
 
 def test_commands_and_notebooks_name_it(file, own, monkeypatch, run):
     assert reference_of(own.kind) == f"{file}:system"
-    assert reference_of(wj.HenonMap) == "henon"
+    assert reference_of(wj.systems.HenonMap) == "henon"
     monkeypatch.setitem(sys.modules, "own_henon", sys.modules["own_henon"])  # as it is
     served = []
     monkeypatch.setattr(
@@ -264,12 +264,12 @@ def test_commands_and_notebooks_name_it(file, own, monkeypatch, run):
 
     monkeypatch.setattr(notebook, "PageServer", Server)
     monkeypatch.setattr(notebook, "started", {})
-    henon: Any = notebook.explore(wj.HenonMap(1.02))
-    duffing = notebook.explore(wj.DuffingOscillator())
+    henon: Any = notebook.explore(wj.systems.HenonMap(1.02))
+    duffing = notebook.explore(wj.systems.DuffingOscillator())
     assert henon.server is duffing.server and henon.server.options == ["--system", "henon"]
     assert henon.link.endswith("#walker=henon&a=1.02&b=0.3")
     assert notebook.explore(wj.SimplestWalker(0.004)).server is not henon.server
-    compass: Any = notebook.explore(wj.SwitchedCompass(0.04))
+    compass: Any = notebook.explore(wj.systems.SwitchedCompass(0.04))
     assert compass.server.options[:4] == ["--system", "switched-compass", "--slope", "0.04"]
     with pytest.raises(WrongUse, match="has no gait_region"):
         notebook.explore(own.kind)

@@ -13,7 +13,13 @@ def arrows(ax):
 
 
 @pytest.mark.parametrize(
-    "system", [wj.SpringMassBiped(), wj.StickSlip(), wj.KneedWalker(0.05), wj.DuffingOscillator()]
+    "system",
+    [
+        wj.systems.SpringMassBiped(),
+        wj.systems.StickSlip(),
+        wj.KneedWalker(0.05),
+        wj.systems.DuffingOscillator(),
+    ],
 )
 def test_every_mode_and_every_way_is_drawn(system):
     graph = system.modes()
@@ -24,14 +30,14 @@ def test_every_mode_and_every_way_is_drawn(system):
 
 
 def test_modes_stand_in_the_order_of_a_stride():
-    places = places_of(wj.SpringMassBiped().modes())
+    places = places_of(wj.systems.SpringMassBiped().modes())
     assert places["past mid-stance"] == (0, 0) and places["before mid-stance"] == (2, 0)
     assert {places["double support"], places["flight"]} == {(1, 0), (1, 1)}
     assert places[wj.SECTION] == (3, 0)
 
 
 def test_the_way_of_a_stride_is_thick_and_failures_are_named():
-    system = wj.SpringMassBiped(energy=1.25)
+    system = wj.systems.SpringMassBiped(energy=1.25)
     ax = figures.modes(system, wj.explain(system, (0.9, 0.03)))
     thick = [one for one in arrows(ax) if one.get_linewidth() > 1]
     assert len(thick) == 3 and len(arrows(ax)) == 5

@@ -7,7 +7,8 @@ from simplest_gaits import REGION, walker
 
 import walker_jax as wj
 from walker_jax.gaits import branch_search, crises, long_runs
-from walker_jax.gaits.arclength import correct
+from walker_jax.gaits.arclength import correct_point
+from walker_jax.gaits.branches import Branch
 from walker_jax.gaits.continuation import Start
 from walker_jax.walking.iteration import WalkEnd
 
@@ -92,7 +93,7 @@ def branch_of(period, sizes, values=None, states=None):
     values = np.linspace(0, 1, len(sizes)) if values is None else values
     states = np.zeros((len(sizes), period, 2)) if states is None else states
     multipliers = np.stack([-sizes, 0.1 * sizes], axis=1).astype(complex)
-    return wj.Branch("slope", values, states, multipliers, states[..., 0], [], [], ("", ""))
+    return Branch("slope", values, states, multipliers, states[..., 0], [], [], ("", ""))
 
 
 def test_the_cascade_stems_from_the_most_stable_gait():
@@ -116,7 +117,7 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
         return np.stack([x, 0.3 * x[::-1]], axis=1)
 
     def solve_at(walker, parameter, guesses, tolerance):
-        points = [done_with(henon, correct(a, x, None, 1.0)) for a, x in guesses]
+        points = [done_with(henon, correct_point(a, x, None, 1.0)) for a, x in guesses]
         return [point and point.cycle for point in points]
 
     monkeypatch.setattr("walker_jax.gaits.branch_search.solve_at", solve_at)

@@ -29,7 +29,7 @@ BOUNDS = {"a": (-0.3, 1.3), "b": (-1.1, 0.6)}
 
 @pytest.fixture(scope="module")
 def charted():
-    system = wj.HenonMap(0.1, 0.3)
+    system = wj.systems.HenonMap(0.1, 0.3)
     gait = wj.find_gait(system, [[0.7, 0.2]])
     return wj.chart(system, BOUNDS, gait, period_max=2, cells=(16, 17), strides=400)
 
@@ -111,7 +111,7 @@ def test_a_gait_far_from_its_guess_is_another_one(monkeypatch):
     values = np.array([[0.5, 0.5], [0.5, 1.5], [1.5, 0.5]])
     known = np.concatenate([values, [[0.0, 0.0], [1.0, 0.5], [0.5, 1.0]]], axis=1)
     ranges = Ranges(np.zeros(2), np.array([2.0, 2.0]))
-    systems = with_parameters(wj.HenonMap(), ("a", "b"), np.tile(values, (2, 1))[:4])
+    systems = with_parameters(wj.systems.HenonMap(), ("a", "b"), np.tile(values, (2, 1))[:4])
     gaits, stable = charts.spread_gaits(
         systems, np.tile(values, (2, 1))[:4], known, (2, 2), ranges, Integrator(1e-10)
     )
@@ -175,7 +175,7 @@ def test_a_chart_without_curves_is_kept(tmp_path):
     """And drawn: of a gait that is stable all over the bounds."""
     from walker_jax import figures
 
-    system = wj.HenonMap(0.1, 0.3)
+    system = wj.systems.HenonMap(0.1, 0.3)
     gait = wj.find_gait(system, [[0.7, 0.2]])
     bounds = {"a": (0.05, 0.2), "b": (0.2, 0.35)}
     data = wj.chart(system, bounds, gait, period_max=1, cells=(3, 2), strides=5)
@@ -188,7 +188,7 @@ def test_a_chart_without_curves_is_kept(tmp_path):
 
 
 def test_charts_that_are_refused():
-    system = wj.HenonMap(0.1, 0.3)
+    system = wj.systems.HenonMap(0.1, 0.3)
     gait = wj.find_gait(system, [[0.7, 0.2]])
     for bounds, message in (
         ({"a": (0.2, 1), "b": (0, 1)}, r"bounds must hold the values of the system, a 0\.1 and b"),
@@ -199,9 +199,9 @@ def test_charts_that_are_refused():
         with pytest.raises(ValueError, match=message):
             wj.chart(system, bounds, gait)
     with pytest.raises(ValueError, match="gait must be one of this system"):
-        wj.chart(wj.HenonMap(0.2, 0.3), BOUNDS, gait)
+        wj.chart(wj.systems.HenonMap(0.2, 0.3), BOUNDS, gait)
     with pytest.raises(ValueError, match="gait must be one state on the section x, y, not of"):
-        other = wj.HenonMap(0.6, 0.3)
+        other = wj.systems.HenonMap(0.6, 0.3)
         double = wj.find_gait(other, [[0.97, -0.09], [-0.3, 0.29]], period=2)
         wj.chart(other, BOUNDS, double)
     with pytest.raises(ValueError, match="cells must be at least 2, not 1"):

@@ -36,7 +36,7 @@ def the_special(curve, kind):
     ],
 )
 def test_curves_of_the_map_of_henon(kind, exact, special, at):
-    system = wj.HenonMap(0.1, 0.3)
+    system = wj.systems.HenonMap(0.1, 0.3)
     branch = wj.continue_gait(system, "a", (-0.3, 1.0), wj.find_gait(system, [[0.7, 0.2]]))
     (event,) = [one for one in branch.events if one.kind == kind]
     curve = wj.continue_event(system, event, ("a", "b"), {"a": (-2, 4), "b": (-1.2, 0.6)})
@@ -51,7 +51,7 @@ def test_curves_of_the_map_of_henon(kind, exact, special, at):
 
 def test_a_doubling_of_period_two_over_both_parameters_of_henon():
     """Its trace is -1 - b^2 where a = (1 - b)^2 + (1 + b)^2 / 4."""
-    system = wj.HenonMap(0.6, 0.3)
+    system = wj.systems.HenonMap(0.6, 0.3)
     gait = wj.find_gait(system, [[0.97, -0.09], [-0.3, 0.29]], period=2)
     (event,) = wj.continue_gait(system, "a", (0.5, 1.0), gait).doublings
     curve = wj.continue_event(system, event, ("a", "b"), {"a": (0, 4), "b": (-0.3, 0.6)})
@@ -192,7 +192,7 @@ def test_codimension_two_of_round_feet():
 
 
 def test_wrong_events_are_refused():
-    system = wj.HenonMap(0.1, 0.3)
+    system = wj.systems.HenonMap(0.1, 0.3)
     branch = wj.continue_gait(system, "a", (0.1, 1.0), wj.find_gait(system, [[0.7, 0.2]]))
     (doubling,) = branch.doublings
     bounds = {"a": (0, 1), "b": (0, 1)}
@@ -213,7 +213,7 @@ def test_wrong_events_are_refused():
     with pytest.raises(
         ValueError, match=r"event must be one of this system, at a 0\.3675 and b 0\.2"
     ):
-        wj.continue_event(wj.HenonMap(0.1, 0.2), doubling, ("a", "b"), bounds)
+        wj.continue_event(wj.systems.HenonMap(0.1, 0.2), doubling, ("a", "b"), bounds)
 
 
 def test_a_curve_that_closes_is_followed_once():

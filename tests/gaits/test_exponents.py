@@ -15,7 +15,7 @@ REFERENCE = read_values("systems")
 
 def test_exponents_of_henon():
     one = REFERENCE["henon_lyapunov"]
-    found = wj.lyapunov(wj.HenonMap(), np.array([0.1, 0.1]), 20_000)
+    found = wj.lyapunov(wj.systems.HenonMap(), np.array([0.1, 0.1]), 20_000)
     combined = np.hypot(found.errors, one["stderr"])
     exact = np.array([one["l1"], np.log(0.3) - one["l1"]])
     assert (np.abs(found.exponents - exact) < 4 * combined).all() and (found.errors < 1e-3).all()
@@ -23,7 +23,7 @@ def test_exponents_of_henon():
     assert found.log_determinant == pytest.approx(np.log(0.3), abs=1e-10)
     assert found.dimension == pytest.approx(1 + exact[0] / -exact[1], abs=1e-3)
     assert 0 < found.dimension_error < 1e-3 and found.outcome == wj.Outcome.STRIDE
-    inside = wj.strides(wj.HenonMap(), found.states)
+    inside = wj.strides(wj.systems.HenonMap(), found.states)
     assert (inside.outcome == wj.Outcome.STRIDE).all()
 
 
@@ -148,9 +148,9 @@ def test_walks_that_fail_have_none():
 def test_a_start_that_is_not_finite_has_none():
     """Alone it is refused; of many systems it leaves the others as they are."""
     start = np.array([0.1, 0.1])
-    many = jax.vmap(lambda a: wj.HenonMap(a, 0.3))(jnp.array([1.4, 1.2]))
+    many = jax.vmap(lambda a: wj.systems.HenonMap(a, 0.3))(jnp.array([1.4, 1.2]))
     found = wj.lyapunov(many, np.stack([start, [np.nan, 0.1]]), 100, walks=4)
-    alone = wj.lyapunov(wj.HenonMap(), start, 100, walks=4)
+    alone = wj.lyapunov(wj.systems.HenonMap(), start, 100, walks=4)
     assert found.outcome.tolist() == [wj.Outcome.STRIDE, wj.Outcome.OUTSIDE]
     np.testing.assert_allclose(found.exponents[0], alone.exponents, rtol=0, atol=1e-9)
     assert np.isnan(found.exponents[1]).all()
@@ -164,11 +164,11 @@ def test_the_dimension_of_kaplan_and_yorke():
 
 
 def test_the_counted_dimension_is_about_the_same():
-    found = wj.lyapunov(wj.HenonMap(), np.array([0.1, 0.1]), 500, walks=300)
+    found = wj.lyapunov(wj.systems.HenonMap(), np.array([0.1, 0.1]), 500, walks=300)
     points = [found.states]
     for _ in range(700):
-        points.append(np.asarray(wj.strides(wj.HenonMap(), points[-1]).state))
-    counted = wj.information_dimension(np.concatenate(points))
+        points.append(np.asarray(wj.strides(wj.systems.HenonMap(), points[-1]).state))
+    counted = wj.fractals.information_dimension(np.concatenate(points))
     assert abs(counted.value - found.dimension) < 0.04
     assert counted.low < found.dimension < counted.high and len(counted.sizes) > 5
 
@@ -176,15 +176,15 @@ def test_the_counted_dimension_is_about_the_same():
 @pytest.mark.parametrize("dimension", [1, 2])
 def test_the_dimension_of_what_is_spread_evenly(dimension):
     points = np.random.default_rng(0).random((200_000, dimension))
-    found = wj.information_dimension(points)
+    found = wj.fractals.information_dimension(points)
     assert found.value == pytest.approx(dimension, abs=0.01)
     line = np.column_stack([points[:, 0], 2 * points[:, 0], np.zeros(len(points))])
-    assert wj.information_dimension(line).value == pytest.approx(1, abs=0.01)
-    assert np.isnan(wj.information_dimension(points[:100]).value)
+    assert wj.fractals.information_dimension(line).value == pytest.approx(1, abs=0.01)
+    assert np.isnan(wj.fractals.information_dimension(points[:100]).value)
 
 
 def test_what_is_refused():
-    system = wj.HenonMap()
+    system = wj.systems.HenonMap()
     with pytest.raises(ValueError, match="x must be states on the section"):
         wj.lyapunov(system, np.array([0.1]))
     with pytest.raises(ValueError, match="walks must be at least 2, not 1"):
@@ -192,7 +192,7 @@ def test_what_is_refused():
     with pytest.raises(ValueError, match=r"x must be finite, not \[nan, 0\.1\]"):
         wj.lyapunov(system, np.array([np.nan, 0.1]))
     with pytest.raises(ValueError, match="points must be finite, of shape"):
-        wj.information_dimension(np.full((3, 2), np.nan))
+        wj.fractals.information_dimension(np.full((3, 2), np.nan))
 
 
 def test_exponents_by_another_solver():

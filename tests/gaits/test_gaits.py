@@ -12,6 +12,7 @@ from simplest_gaits import REGION, assert_repeats, walker
 import walker_jax as wj
 from walker_jax.gaits import cycles, search
 from walker_jax.gaits.cycles import iterate_newton
+from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers import parameters
@@ -231,7 +232,7 @@ def test_small_slopes_recover_the_expansion(kind):
 
 def test_derivatives_of_a_gait():
     gait = wj.find_gait(walker())
-    derivatives = wj.gait_derivatives(walker(), gait, "slope")
+    derivatives = gait_derivatives(walker(), gait, "slope")
     printed = VALUES["gait_slope_derivative"]["d_state_d_slope"]
     np.testing.assert_allclose(derivatives.states[0], printed, rtol=1e-5)
     at = lambda field: lambda slope: getattr(wj.find_gait(walker(slope)), field)
@@ -240,11 +241,18 @@ def test_derivatives_of_a_gait():
         np.testing.assert_allclose(getattr(derivatives, field), expected, rtol=1e-9)
     expected = richardson(at("multipliers"), 0.009, 2e-5)
     np.testing.assert_allclose(derivatives.multipliers, expected, rtol=1e-8)
+    for quantity in ("states", "step-times", "multipliers"):
+        found, field = wj.measure(walker(), quantity, "slope", gait), quantity.replace("-", "_")
+        np.testing.assert_array_equal(found.value, getattr(gait, field))
+        np.testing.assert_array_equal(found.gradient[..., 0], getattr(derivatives, field))
+    theta = wj.measure(walker(), lambda walker, gait: gait.states[0, 0], "slope", gait)
+    assert theta.value == gait.states[0, 0]
+    np.testing.assert_allclose(theta.gradient, derivatives.states[0, :1], rtol=1e-12)
 
 
 def test_derivatives_of_a_gait_of_period_two():
     (gait,) = wj.find_gaits(walker(0.0165), 2, REGION)
-    derivatives = wj.gait_derivatives(walker(0.0165), gait, "slope")
+    derivatives = gait_derivatives(walker(0.0165), gait, "slope")
     at = lambda field: lambda slope: getattr(wj.find_gait(walker(slope), gait.states, 2), field)
     for field in ("states", "step_times", "multipliers"):
         expected = richardson(at(field), 0.0165, 2e-5)
@@ -257,7 +265,7 @@ def test_derivatives_grow_towards_a_fold():
     for distance in (4e-9, 1e-9):
         slope = 0.012280821626094882 + distance
         gaits = wj.find_gaits(walker(slope), 3, REGION)
-        derivatives = wj.gait_derivatives(walker(slope), gaits[0], "slope")
+        derivatives = gait_derivatives(walker(slope), gaits[0], "slope")
         rates.append(np.abs(derivatives.states).max())
     assert rates[1] / rates[0] == pytest.approx(2, abs=0.05)
 
@@ -266,7 +274,7 @@ def test_derivatives_grow_towards_a_fold():
 def test_a_transformed_gait_is_the_same_and_differentiable():
     gait, rates = jax.jvp(lambda s: wj.find_gait(wj.SimplestWalker(s)), (0.009,), (1.0,))
     eager = wj.find_gait(walker())
-    derivatives = wj.gait_derivatives(walker(), eager, "slope")
+    derivatives = gait_derivatives(walker(), eager, "slope")
     assert gait.found and gait.stable
     for field in ("states", "multipliers", "step_times"):
         np.testing.assert_allclose(getattr(gait, field), getattr(eager, field), atol=1e-13)
@@ -517,9 +525,9 @@ def test_wrong_regions_parameters_and_gaits_are_refused():
         wj.find_gaits(walker(), descent=-5)
     gait = wj.find_gait(walker())
     with pytest.raises(ValueError, match=r"parameter .*slope.*'mass'"):
-        wj.gait_derivatives(walker(), gait, "mass")
+        gait_derivatives(walker(), gait, "mass")
     with pytest.raises(ValueError, match=r"gait must be one"):
-        wj.gait_derivatives(walker(), search_gait(walker(), [3.0, 3.0]), "slope")
+        gait_derivatives(walker(), search_gait(walker(), [3.0, 3.0]), "slope")
     with pytest.raises(ValueError, match=r"guess .*period 2.* JAX traces"):
         jax.eval_shape(lambda s: wj.find_gait(wj.SimplestWalker(s), period=2), 0.009)
 

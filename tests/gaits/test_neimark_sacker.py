@@ -9,6 +9,7 @@ from maps import done_with
 import walker_jax as wj
 from walker_jax import figures
 from walker_jax.gaits import continuation
+from walker_jax.gaits.branches import Branch
 from walker_jax.gaits.crises import Loss
 from walker_jax.gaits.diagrams import assemble_diagram
 from walker_jax.gaits.events import Bifurcation
@@ -87,7 +88,7 @@ def test_they_are_in_the_data_of_a_diagram_and_its_picture():
         for value in (0.012, 0.014)
     ]
     sizes = states[..., 0]
-    branch = wj.Branch(
+    branch = Branch(
         "slope", np.array([0.01, 0.02]), states, multipliers, sizes, [], [], ("", ""), tuple(points)
     )
     shapes = {"fate": (1, 1), "strides": (1, 1), "period": (1, 1)}

@@ -24,7 +24,7 @@ walker_at = lambda slope: wj.SimplestWalker(slope)
         lambda slope, x: wj.walk(walker_at(slope), x, 2, ground=[0.0, 0.001]),
         lambda slope, x: wj.find_gait(walker_at(slope), x),
         lambda slope, x: jax.jacfwd(lambda x: wj.find_gait(walker_at(slope), x, 2).residual)(x),
-        lambda slope, x: wj.find_gait(wj.HenonMap(1.0, 10 * slope), x),
+        lambda slope, x: wj.find_gait(wj.systems.HenonMap(1.0, 10 * slope), x),
     ],
 )
 @pytest.mark.parametrize("shared", [True, False])

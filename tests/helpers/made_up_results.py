@@ -187,7 +187,7 @@ def robust(grid=SHEARED, **changes):
 
 
 def table(slopes=(0.004, 0.008, 0.012), **changes):
-    """What `walker_jax.robustness_table` returns, of a walker without a gait on the last slope."""
+    """Robustness over slopes, with no gait on the last one."""
     over = {
         "total_area": [2e-3, 1e-3, 0.0],
         "total_area_error": [1e-6] * 3,

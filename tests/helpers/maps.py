@@ -11,7 +11,7 @@ import numpy as np
 from walker_jax.gaits.cycles import Linearisation
 from walker_jax.gaits.derivatives import SecondDerivatives
 from walker_jax.gaits.jets import Curves, Jet
-from walker_jax.gaits.requests import Expansion, Request, Task
+from walker_jax.gaits.requests import Request, SecondOrderRequest, Task
 
 
 def done_with(stride: Callable, task: Task) -> Any:
@@ -33,7 +33,7 @@ def first_derivatives(stride: Callable, request: Request) -> Linearisation:
     return Linearisation(state, times, by_columns[..., :-1], by_columns[..., -1])
 
 
-def second_derivatives(stride: Callable, request: Expansion) -> SecondDerivatives:
+def second_derivatives(stride: Callable, request: SecondOrderRequest) -> SecondDerivatives:
     found = [
         compiled_derivatives(stride)(request.cycle, float(request.values[0]), one)
         for one in request.directions
@@ -55,7 +55,11 @@ def derivatives_along(stride: Callable, request: Curves) -> Jet:
     return Jet(*jet)
 
 
-ANSWERS = {Request: first_derivatives, Expansion: second_derivatives, Curves: derivatives_along}
+ANSWERS = {
+    Request: first_derivatives,
+    SecondOrderRequest: second_derivatives,
+    Curves: derivatives_along,
+}
 
 
 @cache

@@ -11,7 +11,7 @@ FEW = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.02, 0.01, 12))
 
 
 def measure(name, slope):
-    return wj.gait_measures(wj.SimplestWalker(slope), ())[name].value
+    return wj.measure(wj.SimplestWalker(slope), name, ()).value
 
 
 def values(data, name):

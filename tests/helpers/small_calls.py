@@ -12,7 +12,7 @@ from walker_jax.systems.system import System
 
 WALKER = wj.SimplestWalker(0.009)
 X, FALL = jnp.array([0.2003, -0.1998]), jnp.array([0.3, -0.1])
-MAP, CUBE = wj.HenonMap(0.2, 0.3), wj.Map(lambda x: x**3, ("x", "y"))
+MAP, CUBE = wj.systems.HenonMap(0.2, 0.3), wj.Map(lambda x: x**3, ("x", "y"))
 AREA = wj.Grid.sheared(theta=(0.1, 0.3, 6), sum=(-0.02, 0.01, 6))
 PLANE = wj.Grid.plain(x=(-8, 8, 8), y=(-8, 8, 8))
 LABELS = np.arange(4096).reshape(64, 64) % 3
@@ -69,24 +69,22 @@ def noise(rng: np.random.Generator, n: int) -> np.ndarray:
 
 QUIET: dict[str, Any] = {"progress": False}
 CALLS: dict[str, Callable[[], Any]] = {
-    "stride": lambda: wj.stride(WALKER, X),
+    "stride": lambda: (wj.stride(WALKER, X), wj.stride(WALKER, X, step=-0.001)),
     "strides": lambda: wj.strides(WALKER, np.array([X, FALL])),
     "walk": lambda: wj.walk(WALKER, X, 2),
-    "step_down": lambda: wj.step_down(WALKER, X, 0.001),
     "trajectory": lambda: wj.trajectory(WALKER, X, jnp.array([0.0, 1.0])),
     "integrals": lambda: wj.integrals(Measured(0.004), X),
     "phase_times": lambda: wj.phase_times(WALKER, X),
     "motion": lambda: wj.motion(WALKER, X, 2, step=0.5),
-    "margins": lambda: wj.margins(WALKER, X),
-    "margins_of_many": lambda: wj.margins_of_many(WALKER, np.array([X, FALL])),
+    "margins": lambda: (wj.margins(WALKER, X), wj.margins(WALKER, np.array([X, FALL]))),
     "explain": lambda: wj.explain(WALKER, FALL),
     "find_gait": lambda: wj.find_gait(WALKER),
     "find_gaits": lambda: wj.find_gaits(MAP, 1, PLANE, **QUIET),
     "descend": lambda: wj.descend(MAP, np.array([[[0.6, 0.2]]]), 2),
-    "gait_derivatives": lambda: wj.gait_derivatives(WALKER, gait(), "slope"),
-    "gait_measures": lambda: wj.gait_measures(WALKER, ("slope",), gait()),
+    "measure multipliers": lambda: wj.measure(WALKER, "multipliers", ("slope",), gait()),
+    "measure speed": lambda: wj.measure(WALKER, "speed", ("slope",), gait()),
     "gait_sensitivity": lambda: wj.gait_sensitivity(WALKER, gait()),
-    "sensitivity_gradient": lambda: wj.sensitivity_gradient(WALKER, ("slope",), gait()),
+    "measure sensitivity-norm": lambda: wj.measure(WALKER, "sensitivity-norm", ("slope",), gait()),
     "continue_gait": doubling.__wrapped__,
     "continue_event": lambda: wj.continue_event(
         MAP, doubling(), ("a", "b"), {"a": (0.2, 0.6), "b": (0.2, 0.4)}
@@ -107,18 +105,17 @@ CALLS: dict[str, Callable[[], Any]] = {
     "loss_of_walking": lambda: wj.loss_of_walking(
         MAP, "a", (0.2, 0.3), [], strides=5, resolution=1e-2
     ),
-    "lyapunov": lambda: wj.lyapunov(wj.HenonMap(), [0.1, 0.1], 20, walks=2, settling=5),
-    "transients": lambda: wj.transients(wj.HenonMap(1.6), np.zeros((9, 2)), settle=1),
+    "lyapunov": lambda: wj.lyapunov(wj.systems.HenonMap(), [0.1, 0.1], 20, walks=2, settling=5),
+    "transients": lambda: wj.transients(wj.systems.HenonMap(1.6), np.zeros((9, 2)), settle=1),
     "crisis_law": lambda: wj.crisis_law(np.arange(1.0, 6.0), np.arange(1.0, 6.0) ** -2, np.ones(5)),
-    "crisis_exponent": lambda: wj.crisis_exponent([4.0, 0.1], "homoclinic"),
     "basin": lambda: wj.basin(MAP, PLANE, **QUIET),
     "compare_methods": lambda: wj.compare_methods(MAP, PLANE, strides=20),
     "refine": lambda: wj.refine(MAP, PLANE, 1, strides=20, check=9, **QUIET),
     "robustness": lambda: wj.robustness(
         MAP, PLANE, levels=1, strides=20, check=9, ground=None, **QUIET
     ),
-    "robustness_table": lambda: wj.robustness_table(
-        MAP, [0.2, 0.3], "a", PLANE, levels=0, strides=20, check=9, **QUIET
+    "robustness over values": lambda: wj.robustness(
+        MAP, PLANE, values=[0.2, 0.3], parameter="a", levels=0, strides=20, check=9, **QUIET
     ),
     "sweep": lambda: wj.sweep(MAP, {"a": [0.2]}, PLANE, levels=0, check=9, strides=20, **QUIET),
     "slice_basin": lambda: wj.slice_basin(
@@ -146,11 +143,15 @@ CALLS: dict[str, Callable[[], Any]] = {
     "least_disturbance": lambda: wj.least_disturbance(
         MAP, fixed_point(), directions=90, strides=50, **QUIET
     ),
-    "disturbance_gradient": lambda: wj.disturbance_gradient(
-        MAP, ("a",), fixed_point(), directions=90, strides=50
+    "measure least-disturbance": lambda: wj.measure(
+        MAP, "least-disturbance", ("a",), fixed_point(), directions=90, strides=50
     ),
-    "area_gradient": lambda: wj.area_gradient(MAP, PLANE, ("a",), levels=0, check=9, strides=20),
-    "fall_gradient": lambda: wj.fall_gradient(WALKER, (), gait(), strides=1, directions=2),
+    "measure area": lambda: wj.measure(
+        MAP, "area", ("a",), grid=PLANE, levels=0, check=9, strides=20
+    ),
+    "measure fall-action": lambda: wj.measure(
+        WALKER, "fall-action", (), gait(), strides=1, directions=2
+    ),
     "pareto": lambda: wj.pareto(
         MAP, {"a": (0.1, 0.3)}, ("spectral-radius", place_of), starts=1, points=3, **QUIET
     ),
@@ -164,8 +165,8 @@ CALLS: dict[str, Callable[[], Any]] = {
     ),
     "least_step_down": lambda: wj.least_step_down(WALKER, gait(), strides=50),
     "steps_to_fall": lambda: wj.steps_to_fall(WALKER, 0.01, 8, gait=gait(), limit=9),
-    "metastability": lambda: wj.metastability(
-        WALKER, 0.001, gait=gait(), side=0.9, walkers=2000, repetitions=2
+    "steps_to_fall by cells": lambda: wj.steps_to_fall(
+        WALKER, 0.001, 2000, method="cells", gait=gait(), side=0.9, repetitions=2
     ),
     "most_probable_fall": lambda: wj.most_probable_fall(
         WALKER, 1.0, gait(), strides=1, directions=2
@@ -173,12 +174,14 @@ CALLS: dict[str, Callable[[], Any]] = {
     "prove_gait": lambda: wj.prove_gait(WALKER),
     "prove_doubling": lambda: wj.prove_doubling(WALKER, 0.0145, 0.0155),
     "prove_basin": lambda: wj.prove_basin(WALKER, AREA, levels=1, strides=2, **QUIET),
-    "basin_entropy": lambda: wj.basin_entropy(LABELS),
-    "merge_regions": lambda: wj.merge_regions(LABELS, 1.0, halvings=1),
-    "box_counting": lambda: wj.box_counting(np.eye(64, dtype=int)),
-    "uncertainty_exponent": lambda: wj.uncertainty_exponent(
+    "fractals.basin_entropy": lambda: wj.fractals.basin_entropy(LABELS),
+    "fractals.merge_regions": lambda: wj.fractals.merge_regions(LABELS, 1.0, halvings=1),
+    "fractals.box_counting": lambda: wj.fractals.box_counting(np.eye(64, dtype=int)),
+    "fractals.uncertainty_exponent": lambda: wj.fractals.uncertainty_exponent(
         lambda x: (x[:, 0] > 0).astype(int), noise, np.array([0.1, 0.2, 0.4]), pairs=500
     ),
-    "information_dimension": lambda: wj.information_dimension(noise(np.random.default_rng(0), 999)),
+    "fractals.information_dimension": lambda: wj.fractals.information_dimension(
+        noise(np.random.default_rng(0), 999)
+    ),
 }
-"""By the name of the function."""
+"""By the name of the function, and a word or two for one that has several."""

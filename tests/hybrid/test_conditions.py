@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 from walker_jax.hybrid.following import follow_mode
-from walker_jax.hybrid.misses import Least, Seen, dip_between, find_least, with_rates
+from walker_jax.hybrid.misses import Least, StepRecord, dip_between, find_least, with_rates
 from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.integrator import integrator_of
@@ -45,7 +45,7 @@ def test_without_derivatives():
     assert plain == varied > 0
 
 
-def seen_step(value, start: float = 0.0) -> tuple[Condition, Seen]:
+def seen_step(value, start: float = 0.0) -> tuple[Condition, StepRecord]:
     """Return a condition of time alone, and a step in which time goes on at the rate one."""
     mode = Mode(
         field=lambda state: (jnp.ones_like(state[0]),),
@@ -54,7 +54,7 @@ def seen_step(value, start: float = 0.0) -> tuple[Condition, Seen]:
     )
     begin, until = (jnp.float64(start),), jnp.float64(LENGTH)
     series = ([begin[0], jnp.float64(1), jnp.float64(0)],)
-    step = Seen(begin, series, until, (begin[0] + LENGTH,), until, [], {})
+    step = StepRecord(begin, series, until, (begin[0] + LENGTH,), until, [], {})
     return with_rates(mode, begin).conditions[0], step
 
 

@@ -17,7 +17,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.hybrid.crossings import HOP, Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.following import NO_GUARD, follow_mode
-from walker_jax.hybrid.modes import SECTION, Condition, Foregone, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, EarlyExit, Guard, Mode
 from walker_jax.integrators.integrator import Method
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor_steps import SERIES_ORDER, Taylor
@@ -297,7 +297,7 @@ def test_violated_conditions_are_noted_and_do_not_end_a_mode():
 
 
 def test_what_is_foregone_or_not_going_is_not_followed():
-    mode = mode_of(DOWN, foregone=Foregone(lambda state: state[1] < -0.2, "BACKWARD"))
+    mode = mode_of(DOWN, foregone=EarlyExit(lambda state: state[1] < -0.2, "BACKWARD"))
 
     @kernel
     def run(q, going):

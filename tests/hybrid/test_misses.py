@@ -13,7 +13,7 @@ import pytest
 
 from walker_jax.hybrid.crossings import Crossing
 from walker_jax.hybrid.following import Step, measured_step
-from walker_jax.hybrid.misses import Misses, Seen, add_misses, turns_in_step
+from walker_jax.hybrid.misses import Misses, StepRecord, add_misses, turns_in_step
 from walker_jax.hybrid.modes import SECTION, Condition, Guard, Mode
 from walker_jax.integrators.integrator import Memory
 
@@ -26,7 +26,7 @@ SLOWS_DOWN = lambda state: (state[0] - 0.6) ** 3 + 0.05 * (state[0] - 0.6) + 0.3
 RISES = lambda state: state[0] - 0.6
 
 
-def seen(*guards: Guard, until: float = 1.0, violated: dict | None = None) -> Seen:
+def seen(*guards: Guard, until: float = 1.0, violated: dict | None = None) -> StepRecord:
     """A step from the time 0, and the ends of each guard in it."""
     number = jnp.float64
     series = ([number(0), number(1), *[number(0)] * 5],)
@@ -37,7 +37,7 @@ def seen(*guards: Guard, until: float = 1.0, violated: dict | None = None) -> Se
         for one in guards
     ]
     begin, end = (number(0),), (number(until),)
-    return Seen(begin, series, number(1), end, number(until), crossings, violated or {})
+    return StepRecord(begin, series, number(1), end, number(until), crossings, violated or {})
 
 
 def test_a_step_that_its_method_rejects_changes_no_side():

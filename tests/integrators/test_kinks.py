@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax.gaits.cycles import linearise
+from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import cut_at_switches, first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
@@ -128,7 +129,7 @@ def test_derivatives_of_a_gait_through_kinks():
     gait = wj.find_gait(walker, [0.148, -0.159])
     assert gait.found and gait.stable
     for parameter, h in {"stiffness": 1e-4, "slope": 1e-6}.items():
-        change = wj.gait_derivatives(walker, gait, parameter)
+        change = gait_derivatives(walker, gait, parameter)
         value = getattr(walker, parameter)
 
         def at(d, parameter=parameter, value=value):
@@ -145,7 +146,7 @@ def test_derivatives_of_a_gait_through_kinks():
 @pytest.mark.slow
 def test_margins_through_kinks_are_of_the_same_stride():
     walker = limited(5.0)
-    plain, found = wj.strides(walker, STARTS), wj.margins_of_many(walker, STARTS)
+    plain, found = wj.strides(walker, STARTS), wj.margins(walker, STARTS)
     np.testing.assert_allclose(found.stride.state, plain.state, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(found.stride.outcome, plain.outcome)
 

@@ -101,7 +101,9 @@ def test_a_ball_lands_when_its_parabola_meets_the_table(solver):
     starts = np.random.default_rng(0).uniform((-3, 1), (3, 4), (400, 2))
     expected = np.array([first_landing(x) for x in starts])
     for tolerance in TOLERANCES:
-        found = wj.strides(wj.BouncingBall(TABLE), starts, solver=solver, tolerance=tolerance)
+        found = wj.strides(
+            wj.systems.BouncingBall(TABLE), starts, solver=solver, tolerance=tolerance
+        )
         assert np.all(found.outcome == Outcome.STRIDE)
         np.testing.assert_allclose(found.time, expected, rtol=0, atol=1e-12)
 
@@ -138,7 +140,7 @@ def test_phases_that_begin_where_the_last_one_ended_go_on(solver):
 @pytest.mark.parametrize("solver", SOLVERS[:2], ids=repr)
 def test_a_runner_is_decided_as_by_series(solver):
     starts = np.random.default_rng(0).uniform(0.93, 2.27, (400, 1))
-    runner = wj.SpringMassRunner()
+    runner = wj.systems.SpringMassRunner()
     series = wj.strides(runner, starts)
     for tolerance in TOLERANCES:
         found = wj.strides(runner, starts, solver=solver, tolerance=tolerance)
@@ -187,8 +189,8 @@ def test_a_time_that_does_not_converge_is_no_number():
 
 def test_a_runner_in_single_precision_by_another_solver():
     starts = np.linspace(1.0, 2.2, 60, dtype=np.float32)[:, None]
-    series = wj.strides(wj.SpringMassRunner(), starts)
-    found = wj.strides(wj.SpringMassRunner(), starts, solver=SOLVERS[1])
+    series = wj.strides(wj.systems.SpringMassRunner(), starts)
+    found = wj.strides(wj.systems.SpringMassRunner(), starts, solver=SOLVERS[1])
     np.testing.assert_array_equal(found.outcome, series.outcome)
     assert found.state.dtype == np.float32
     np.testing.assert_allclose(found.state, series.state, rtol=0, atol=1e-4)
@@ -197,7 +199,9 @@ def test_a_runner_in_single_precision_by_another_solver():
 def test_derivatives_at_the_landing_by_another_solver():
     """The landing time T of a ball on a table obeys depth(T, x) = 0, which gives dT/dx."""
     phase, speed = start = jnp.array([0.3, 2.5])
-    land = lambda x: wj.stride(wj.BouncingBall(TABLE), x, solver=SOLVERS[1], tolerance=1e-9).time
+    land = lambda x: (
+        wj.stride(wj.systems.BouncingBall(TABLE), x, solver=SOLVERS[1], tolerance=1e-9).time
+    )
     time = first_landing(np.asarray(start))
     rate = TABLE * np.cos(phase + time) - speed + time
     by_start = TABLE * (np.cos(phase + time) - np.cos(phase)), -time

@@ -51,7 +51,7 @@ def test_outcomes_of_the_papers_grid(solver, tolerance):
     series = wj.strides(SIMPLEST, xs)
     found = wj.strides(SIMPLEST, xs, tolerance=tolerance, solver=solver)
     differ = np.flatnonzero(found.outcome != series.outcome)
-    margins = wj.margins_of_many(SIMPLEST, xs[differ])
+    margins = wj.margins(SIMPLEST, xs[differ])
     nearest = np.nanmin(np.abs(np.stack([*margins.by_name.values()])), axis=0, initial=np.inf)
     assert len(differ) <= 3 and np.all(nearest < 1e-6)
 

@@ -159,7 +159,7 @@ class SortingEquations(wj.SimplestWalker):
         return jax.tree.map(lambda rate: rate + 0 * first, super().vector_field(state))
 
 
-class SortingBall(wj.BouncingBall):
+class SortingBall(wj.systems.BouncingBall):
     """A system of modes that is no walker."""
 
     def table(self, phase):

@@ -176,7 +176,7 @@ def folder(tmp_path, monkeypatch):
 def program_of_a_map():
     """As a process finds it that has none in memory."""
     of_program.programs.clear()
-    leaves = wj.HenonMap(), np.array([0.2, -0.2]), Integrator(1e-12)
+    leaves = wj.systems.HenonMap(), np.array([0.2, -0.2]), Integrator(1e-12)
     operands, structure = jax.tree.flatten(leaves)
     like = [jax.ShapeDtypeStruct(np.shape(x), float) for x in operands]
     return of_program.program_of(follow_stride, structure, like)[0]

@@ -1,5 +1,6 @@
 """The programs in the pages run."""
 
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -170,14 +171,22 @@ def test_the_pages_name_no_function_that_is_not_public():
         ROOT / "README.md",
         ROOT / "notebooks" / "README.md",
     ):
-        names = set(re.findall(r"\bwj\.(\w+)", page.read_text()))
-        assert names <= set(wj.__all__), page.name
+        names = set(re.findall(r"\bwj\.(\w+)\.?(\w*)", page.read_text()))
+        modules = {name for name in dir(wj) if inspect.ismodule(getattr(wj, name))}
+        assert {name for name, _ in names} <= {*wj.__all__, *modules}, page.name
+        inner = {name: set(dir(getattr(wj, name))) for name in ("fractals", "systems", "figures")}
+        assert all(two in inner.get(one, {two}) for one, two in names), page.name
 
 
 def test_every_public_function_is_in_a_table_or_the_glossary():
     text = "".join((ROOT / "docs" / name).read_text() for name in ("tasks.md", "glossary.md"))
-    functions = {name for name in wj.__all__ if name[0].islower()}
-    assert {name for name in functions if f"wj.{name}" not in text} == set()
+    functions = {f"wj.{name}" for name in wj.__all__ if name[0].islower()}
+    functions |= {f"wj.fractals.{name}" for name in wj.fractals.__all__}
+    assert {name for name in functions if name not in text} == set()
+
+
+def test_functions_are_few_enough_to_choose_from():
+    assert len(wj.__all__) <= 95
 
 
 SLOW = pytest.mark.slow

@@ -3,6 +3,7 @@
 import ast
 import inspect
 import re
+from operator import attrgetter
 
 import jax
 import jax.numpy as jnp
@@ -13,20 +14,20 @@ import walker_jax as wj
 from walker_jax import figures, kernels
 
 PUBLIC = {name: getattr(wj, name) for name in wj.__all__} | {
-    name: getattr(kernels, name) for name in ("kernel", "why_not")
+    name: getattr(module, name)
+    for module, names in ((kernels, kernels.__all__), (wj.fractals, wj.fractals.__all__))
+    for name in names
 }
 FOUND = {
     name: re.findall(r"```python\n(.*?)```", inspect.getdoc(thing) or "", re.S)
     for name, thing in PUBLIC.items()
 }
 EXAMPLES = {name: sources[0] for name, sources in FOUND.items() if sources}
-WITHOUT = {"margins_of_many"}
-"""Functions beside others of the same use, which have the example."""
 
 
 def test_public_functions_have_examples():
     functions = {name for name in PUBLIC if name[0].islower()}
-    assert functions - EXAMPLES.keys() == WITHOUT
+    assert functions - EXAMPLES.keys() == set()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -36,9 +37,10 @@ def test_an_example_is_short_and_its_calls_fit(name):
     assert re.search(rf"\b{name}\b", source)
     for call in ast.walk(ast.parse(source)):
         match call:
-            case ast.Call(func=ast.Attribute(value=ast.Name(id="wj"), attr=called)):
+            case ast.Call(func=ast.Attribute() as called) if ast.unparse(called).startswith("wj."):
+                function = attrgetter(ast.unparse(called).removeprefix("wj."))(wj)
                 given = {one.arg: one for one in call.keywords if one.arg}
-                inspect.signature(getattr(wj, called)).bind(*call.args, **given)
+                inspect.signature(function).bind(*call.args, **given)
 
 
 @pytest.mark.slow

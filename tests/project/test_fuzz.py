@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import operator
 import shutil
 import sys
 from collections import Counter
@@ -33,9 +34,13 @@ from walker_jax.design.climbs import Climb
 from walker_jax.design.evaluation import Evaluation
 from walker_jax.execution import tiles
 from walker_jax.execution.workers import open_workers
+from walker_jax.fractals.dimensions import Uncertainty
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import decorator
 from walker_jax.stability import rough_ground
+from walker_jax.stability.disturbances import LeastDisturbance
+from walker_jax.stability.sampling import BasinStability
+from walker_jax.stability.steps_down import LeastStepDown
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
 NUMBERS += ["1e300", "1e400", "nan", "inf", "-inf", "abc", "", " ", "0x10", "1_0", "٣", "9" * 30]
@@ -114,12 +119,12 @@ def unreachable(cluster):
 
 
 ANSWERS = {
-    "least_disturbance": wj.LeastDisturbance(
+    "least_disturbance": LeastDisturbance(
         0.002, np.array([0.6, 0.8]), np.array([0.16, -0.15]), 0, wj.Outcome.FORWARD, 6
     ),
-    "least_step_down": wj.LeastStepDown(0.001, np.zeros(4), 0, wj.Outcome.FORWARD, 6),
-    "basin_stability": wj.BasinStability(*map(np.asarray, (0.3, 0.2, 0.4, 8 * [0], 0, 20.0, 30.0))),
-    "boundary_dimension": wj.Uncertainty(1.0, 0.9, 1.1, 1.0, np.zeros(0), np.zeros(0)),
+    "least_step_down": LeastStepDown(0.001, np.zeros(4), 0, wj.Outcome.FORWARD, 6),
+    "basin_stability": BasinStability(*map(np.asarray, (0.3, 0.2, 0.4, 8 * [0], 0, 20.0, 30.0))),
+    "boundary_dimension": Uncertainty(1.0, 0.9, 1.1, 1.0, np.zeros(0), np.zeros(0)),
 }
 """What is measured of a walker's robustness."""
 PICTURES = "basin basin_slices multipliers robustness robustness_table optimum sweep".split()
@@ -349,6 +354,7 @@ def calls() -> dict[str, dict]:
     draw = lambda rng, n: rng.normal(size=(n, 2))
     fit = {"confidence": 0.9, "seed": 0}
     of_gait = {**of_walker, "gait": gait}
+    measured = {**of_gait, "parameters": ("slope",)}
     box = wj.Grid.sheared(theta=(0, 1, 2), sum=(0, 1, 2), phidot=(0, 1, 2))
     runs = Runs.from_cells(np.zeros((2, 2, 2), int), np.zeros((2, 2, 2), int))
     rolling = wj.RoundFootWalker(0.01)
@@ -378,29 +384,27 @@ def calls() -> dict[str, dict]:
         "Grid": {"axes": {"theta": axis}, "shear": [[1.0]], "origin": [0.0]},
         "Grid.plain": {"theta": axis, "thetadot": (-1, 0, 3)},
         "Grid.sheared": {"theta": axis, "sum": (-0.1, 0, 3)},
-        "stride": start,
+        "stride": {**start, "step": -0.001},
         "margins": start,
         "integrals": {"system": Measured(0.004), "x": X, "tolerance": None},
         "strides": {**of_walker, "xs": np.array([X, X])},
-        "margins_of_many": {**of_walker, "xs": np.array([X, X])},
         "walk": {**start, "n": 2},
         "trajectory": {**start, "times": np.array([0.0, 1.0]), "strides": 2},
-        "step_down": {**start, "drop": 0.001},
         "phase_times": start,
         "steps_to_fall": {**of_gait, "ground": 0.001, "n": 2, "limit": 2, "confidence": 0.9},
         "most_probable_fall": {**of_gait, "ground": 1.0, "strides": 1, "directions": 2},
-        "transients": {"system": wj.HenonMap(1.6), "starts": np.zeros((2, 2)), "settle": 1},
-        "crisis_law": {"values": np.arange(1.0, 5.0), "lives": np.ones(4), "errors": np.ones(4)},
-        "crisis_exponent": {"multipliers": [4.0, 0.1], "kind": "homoclinic"},
+        "transients": {"system": wj.systems.HenonMap(1.6), "starts": np.zeros((2, 2)), "settle": 1},
+        "crisis_law": {"values": np.arange(1.0, 5.0), "lives": np.ones(4), "errors": np.ones(4)}
+        | {"multipliers": [4.0, 0.1]},
         "gait_sensitivity": {**of_gait, "disturbances": ("push",), "indicators": ("time",)},
-        "sensitivity_gradient": {**of_gait, "parameters": ("slope",)},
+        "measure sensitivity-norm": {**measured, "quantity": "sensitivity-norm"},
         "motion": {**start, "strides": 2, "step": 0.1},
         "explain": start,
         "find_gait": {**of_walker, "guess": X, "period": 1},
         "find_gaits": {**of_walker, "period": 1, "region": grid, "descent": 0},
         "descend": {**of_walker, "cycles": np.array([[X]]), "steps": 2, "rate": 0.001},
-        "gait_derivatives": {**of_gait, "parameter": "slope"},
-        "gait_measures": {**of_gait, "parameters": ("slope",)},
+        "measure multipliers": {**measured, "quantity": "multipliers"},
+        "measure speed": {**measured, "quantity": "speed"},
         "continue_gait": {**of_gait, "parameter": "slope", "interval": interval}
         | {"normal_forms": False},
         "basin": {**on_grid, "method": "direct"},
@@ -412,7 +416,9 @@ def calls() -> dict[str, dict]:
         "prove_gait": {"walker": walker, "period": 1},
         "refine": refined,
         "slice_basin": {"data": volume, "axis": "phidot", "value": 0.1},
-        "area_gradient": {**refined, "parameters": ("slope",), "bands": None},
+        "measure area": {**refined, "quantity": "area", "parameters": ("slope",), "bands": None},
+        "measure basin-stability": {**refined, "quantity": "basin-stability"}
+        | {"density": lambda x: np.ones(len(x))},
         "boundary_dimension": {**on_grid, **fit, "distances": [0.1, 0.01, 0.001], "pairs": 20},
         "basin_stability": {**of_gait, **fit, "disturbances": 0.01}
         | {"within": 1e-3, "samples": 5, "strides": 20}
@@ -424,17 +430,12 @@ def calls() -> dict[str, dict]:
         "zoom": {**on_grid, "factor": 10.0, "centre": X, "frames": 2},
         "edge_state": {**of_walker, "a": X, "b": [0.15, -0.2], "rounds": 2, "strides": 20},
         "stable_manifold": {**of_gait, "spacing": 0.01, "points": 3},
-        "basin_entropy": {"labels": np.eye(64) > 0, "side": 5},
-        "merge_regions": {"labels": np.arange(4096).reshape(64, 64) % 3}
+        "fractals.basin_entropy": {"labels": np.eye(64) > 0, "side": 5},
+        "fractals.merge_regions": {"labels": np.arange(4096).reshape(64, 64) % 3}
         | {"radius": 1.0, "halvings": 1},
-        "box_counting": {"labels": np.eye(64) > 0, "spacing": 1.0, "confidence": 0.9},
-        "uncertainty_exponent": {
-            **fit,
-            "label_of": ends,
-            "draw": draw,
-            "distances": [0.1, 0.2, 0.3],
-            "pairs": 100,
-        },
+        "fractals.box_counting": {"labels": np.eye(64) > 0, "spacing": 1.0, "confidence": 0.9},
+        "fractals.uncertainty_exponent": {**fit, "label_of": ends, "draw": draw}
+        | {"distances": [0.1, 0.2, 0.3], "pairs": 100},
         "find_attractors": {"system": cube, "starts": [X], "strides": 9, "tolerance": None},
         "label": {"system": cube, "attractors": settled, "start": X, "strides": 9, "further": 9},
         "basin_volume": {"system": cube, "attractor": settled[0], "region": square}
@@ -444,7 +445,7 @@ def calls() -> dict[str, dict]:
         "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
         | {"strides": 5, "resolution": 1e-4},
         "continue_event": {
-            "system": wj.HenonMap(0.1, 0.3),
+            "system": wj.systems.HenonMap(0.1, 0.3),
             "event": wj.Bifurcation(
                 *("doubling", 0.3675, np.array([[20 / 21, 2 / 7]]), np.array([-1, 0.3 + 0j])),
                 *(np.array([[1, -0.3]]), 0.0),
@@ -457,44 +458,33 @@ def calls() -> dict[str, dict]:
         | {"gait": gait, "period_max": 1, "cells": (3, 2), "strides": 5},
         "lyapunov": {"system": walker, "x": np.array(X), "strides": 3, "walks": 2}
         | {"settling": 1, "seed": 0},
-        "information_dimension": {"points": np.random.default_rng(0).random((999, 1))}
+        "fractals.information_dimension": {"points": np.random.default_rng(0).random((999, 1))}
         | {"confidence": 0.9},
         "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
         "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20}
         | {"metric": None},
         "least_step_down": {**of_gait, "fall": True, "strides": 20},
-        "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None, "fall": True},
+        "measure least-disturbance": {**measured, "quantity": "least-disturbance"}
+        | {"bands": None, "fall": True, "along": None, "directions": 90, "strides": 20},
         "robustness": {**on_grid, "levels": 0, "check": 0, "disturbances": 0.1, "seed": 0},
-        "robustness_table": {
-            **on_grid,
-            "values": [0.004],
-            "parameter": "slope",
-            "levels": 0,
-            "check": 0,
-            "seed": 0,
-        },
-        "continue_basins": {
-            **of_walker,
-            "parameter": "slope",
-            "values": [0.004, 0.005],
-            "region": grid,
-            "samples": 10,
-            "strides": 20,
-            "seed": 0,
-        },
+        "robustness over values": {**on_grid, "values": [0.004], "parameter": "slope"}
+        | {"levels": 0, "check": 0, "seed": 0},
+        "continue_basins": {**of_walker, "parameter": "slope", "values": [0.004, 0.005]}
+        | {"region": grid, "samples": 10, "strides": 20, "seed": 0},
         "sweep": {**of_walker, "over": {"slope": [0.004]}, "grid": grid, "strides": 20, "seed": 0}
         | {"levels": 0, "check": 0, "robust": False},
         "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
-        "fall_gradient": {**of_gait, "parameters": ("slope",), "strides": 1, "directions": 2},
+        "measure fall-action": {**measured, "quantity": "fall-action"}
+        | {"ground": 1.0, "strides": 1, "directions": 2},
         "pareto": {**of_walker, "bounds": {"slope": (0.003, 0.01)}, "objectives": GOALS}
         | {"points": 3},
     }
 
 
 GOALS = "speed", "spectral-radius"
-HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
-HEAVY |= {"fall_gradient", "pareto"}
-HEAVY |= {"continue_basins", "robustness", "robustness_table"}
+HEAVY = {"bifurcation_diagram", "least_disturbance", "optimise"}
+HEAVY |= {"measure least-disturbance", "measure fall-action", "pareto"}
+HEAVY |= {"continue_basins", "robustness", "robustness over values"}
 HEAVY |= {"chart", "continue_event", "lyapunov", "most_probable_fall"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""
 
@@ -515,7 +505,7 @@ def stop(*_, **__):
 def reaction(name: str, arguments: dict, *, begin: bool) -> str:
     """What becomes of a public function with its arguments; it may `begin` its work, or not."""
     function: Any = wj
-    for part in name.split("."):
+    for part in name.split()[0].split("."):
         function = getattr(function, part)
     try:
         with contextlib.ExitStack() as stopped:
@@ -563,18 +553,24 @@ def test_bad_arguments_of_functions_are_refused_before_any_work():
     """Or are not bad there; but of the explorer, a server, and of a map that takes seconds."""
     functions = {name for name in wj.__all__ if callable(getattr(wj, name)) and name[0].islower()}
     good = calls()
-    assert set(good) >= functions - {"explore", "metastability"}
+    functions |= {f"fractals.{name}" for name in wj.fractals.__all__}
+    assert {name.split()[0] for name in good} >= functions - {"explore"}
     with unchecked(), jax.numpy_dtype_promotion("standard"):
         assert spoil(good, 0, repeatable=True)["refused"] > 4000
 
 
-TRACEABLE = "stride margins walk trajectory step_down find_gait integrals phase_times label"
+TRACEABLE = "stride margins walk trajectory find_gait integrals phase_times label"
 
 
 def test_what_jax_cannot_trace_says_so():
-    others = dict.fromkeys(("box_counting", "basin_entropy", "merge_regions"), "labels")
-    others |= {"uncertainty_exponent": "distances", "crisis_exponent": "multipliers"}
-    others |= {"slice_basin": "value", "information_dimension": "points", "crisis_law": "lives"}
+    names = "box_counting", "basin_entropy", "merge_regions"
+    others = {f"fractals.{name}": "labels" for name in names}
+    others |= {"fractals.uncertainty_exponent": "distances"}
+    others |= {
+        "slice_basin": "value",
+        "fractals.information_dimension": "points",
+        "crisis_law": "lives",
+    }
     others |= dict.fromkeys(("chart", "continue_event", "lyapunov", "transients"), "system")
     others |= dict.fromkeys(("find_attractors", "basin_volume"), "system")
     for name, good in calls().items():
@@ -582,10 +578,13 @@ def test_what_jax_cannot_trace_says_so():
             continue
         argument = others.get(name, "walker")
         value = jax.tree.map(jnp.asarray, good.pop(argument))
-        call = lambda value, name=name, good=good, argument=argument: getattr(wj, name)(
+        function = operator.attrgetter(name.split()[0])(wj)
+        call = lambda value, function=function, good=good, argument=argument: function(
             **good, **{argument: value}
         )
-        said = f"^{argument} must not be traced: {name} runs outside of jax.jit, .*; .+"
+        said = (
+            f"^{argument} must not be traced: {function.__name__} runs outside of jax.jit, .*; .+"
+        )
         with pytest.raises(WrongUse, match=said):
             jax.eval_shape(call, value if argument in ("walker", "system") else jnp.asarray(value))
 

@@ -94,9 +94,9 @@ def told(tmp_path_factory) -> Iterator[dict[str, Told]]:
     yield answers
 
 
-PUBLIC = {name: getattr(wj, name) for name in wj.__all__}
+PUBLIC = {name: getattr(wj, name) for name in dir(wj)}
 HOMES = SimpleNamespace(
-    **{one.__name__.rpartition(".")[2]: one for one in MODULES}, **PUBLIC, GRID=wj.Grid
+    **{one.__name__.rpartition(".")[2]: one for one in MODULES} | PUBLIC, GRID=wj.Grid
 )
 """Where the names that calls of the table begin with are found."""
 

@@ -33,8 +33,8 @@ LEGS, TRUNK = [0.3, -0.4], [0.3, -0.4, -0.1]
 STARTS = [
     (wj.SimplestWalker(0.01), LEGS),
     (wj.PoweredWalker(0.01, hip_stiffness=4.0, hip_angle=-0.4, push_off=0.05), LEGS),
-    (wj.DuffingOscillator(), LEGS),
-    (wj.HenonMap(), LEGS),
+    (wj.systems.DuffingOscillator(), LEGS),
+    (wj.systems.HenonMap(), LEGS),
 ]
 if sys.argv[1] == "all":
     STARTS += [
@@ -44,7 +44,7 @@ if sys.argv[1] == "all":
     ]
 for walker, x in STARTS:
     functions = [wj.stride]
-    if isinstance(walker, (wj.SimplestWalker, wj.DuffingOscillator, wj.HenonMap)):
+    if isinstance(walker, (wj.SimplestWalker, wj.systems.DuffingOscillator, wj.systems.HenonMap)):
         functions += [wj.margins]
     if isinstance(walker, wj.SimplestWalker):
         functions += [lambda walker, x: walker.contact_force(walker.lift(x))]
@@ -79,7 +79,7 @@ def test_strides_of_all_kinds_keep_to_their_shapes(kinds, tmp_path):
 def test_signatures_name_types_as_the_code_does():
     """`help` shows `ArrayLike`, not the eight types that it stands for."""
     shown = [getattr(wj, name) for name in wj.__all__ if name[0].islower()]
-    shown += [wj.Grid, wj.SimplestWalker, wj.KneedWalker, wj.FiveLinkBiped]
+    shown += [wj.Grid, wj.SimplestWalker, wj.KneedWalker, wj.systems.FiveLinkBiped]
     for one in shown:
         assert "Union[" not in str(inspect.signature(one)), one
         assert "jaxlib" not in str(inspect.signature(one)), one

@@ -21,13 +21,13 @@ TorqueWalker(jnp.array(0.01), jnp.array(3.0))
 start, many = [0.2, -0.2], [(0.2, -0.2), (0.21, -0.2)]
 for end in (wj.stride(walker, start), wj.stride(walker, (0.2, -0.2)), wj.strides(walker, many)):
     end.state[0]
-wj.step_down(walker, start, 0.01)
+wj.stride(walker, start, step=-0.01)
 wj.walk(walker, start, 2, ground=[0.0, 0.01]).states
 wj.motion(walker, start, 2, ground=[0.0, 0.01])
 wj.trajectory(walker, start, [0.1, 0.2])
 wj.phase_times(walker, start)
 wj.margins(walker, start)
-wj.margins_of_many(walker, many)
+wj.margins(walker, many)
 wj.explain(walker, start)
 wj.lyapunov(walker, start)
 wj.transients(walker, many)

@@ -11,7 +11,7 @@ from jax.extend.core import jaxprs_in_params
 from robot_examples import BIPED_GAIT, FILES, TELESCOPE, UNIT, as_robot
 
 import walker_jax as wj
-from walker_jax import multibody
+from walker_jax import multibody, systems
 from walker_jax.multibody.single_support import accelerations_and_forces
 from walker_jax.robots.stances import RobotState
 
@@ -51,7 +51,7 @@ def test_a_file_fails_as_the_walker_of_its_masses(name):
 
 
 def test_five_links_are_the_biped_that_is_written_by_hand():
-    robot, biped = robot_examples.five_link(), wj.FiveLinkBiped()
+    robot, biped = robot_examples.five_link(), systems.FiveLinkBiped()
     assert robot.section == biped.section
     found, gait = (wj.find_gait(one, BIPED_GAIT) for one in (robot, biped))
     assert found.stable
@@ -62,7 +62,7 @@ def test_five_links_are_the_biped_that_is_written_by_hand():
 
 @pytest.mark.slow
 def test_five_links_fail_as_the_biped_that_is_written_by_hand():
-    robot, biped = robot_examples.five_link(), wj.FiveLinkBiped()
+    robot, biped = robot_examples.five_link(), systems.FiveLinkBiped()
     starts = BIPED_GAIT * np.random.default_rng(6).uniform(0.4, 2, (200, 9))
     strides = [wj.strides(one, starts) for one in (robot, biped)]
     assert strides[0].outcome.tolist() == strides[1].outcome.tolist()
@@ -84,7 +84,9 @@ def size_of_program(system, x):
 
 def test_the_program_of_a_file_is_not_much_larger():
     x = np.full(9, 0.1)
-    sizes = [size_of_program(one, x) for one in (robot_examples.five_link(), wj.FiveLinkBiped())]
+    sizes = [
+        size_of_program(one, x) for one in (robot_examples.five_link(), systems.FiveLinkBiped())
+    ]
     assert sizes[1] > 1000 and sizes[0] < 1.3 * sizes[1]
 
 

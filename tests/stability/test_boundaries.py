@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from walker_jax.checks import WrongUse
-from walker_jax.fractals import box_counting, uncertainty_exponent
+from walker_jax.fractals.dimensions import box_counting, uncertainty_exponent
 
 
 def circle(p):

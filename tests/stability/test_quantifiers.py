@@ -296,12 +296,12 @@ def test_the_data_set_of_a_boundary_its_picture_and_its_answer(monkeypatch):
     assert first["multipliers"][0][0] == pytest.approx(3.21276939, rel=1e-8)
     fate = data["fate"].values
     labels = np.where(fate == Outcome.OUTSIDE, -1, fate)
-    found = wj.basin_entropy(labels)
+    found = wj.fractals.basin_entropy(labels)
     assert answer["basin_entropy"] == found.value
     assert answer["boundary_entropy"]["value"] == found.boundary
     assert not answer["boundary_entropy"]["fractal"]
     shares = [one["share"] for one in answer["wada"]]
-    np.testing.assert_allclose(shares, wj.merge_regions(labels).share)
+    np.testing.assert_allclose(shares, wj.fractals.merge_regions(labels).share)
     axes = figures.boundary(data)
     legends = [one for one in axes.get_children() if isinstance(one, Legend)]
     words = [text.get_text() for one in legends for text in one.get_texts()]

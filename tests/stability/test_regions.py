@@ -51,7 +51,7 @@ def test_two_attractors_without_a_failure_have_a_boundary(data):
     assert (data.fate.values == 0).all() and data.sizes["number"] == 2
     assert 0.59 < float(data.boundary_entropy) < 0.61
     assert bool(data.boundary_fractal) and 0.5 < float(data.boundary_excess) < 0.9
-    own = wj.basin_entropy(data.attractor.values, 6)
+    own = wj.fractals.basin_entropy(data.attractor.values, 6)
     assert (own.value, own.boundary) == (float(data.basin_entropy), float(data.boundary_entropy))
     assert data.region_attractor.values.tolist() == [0, 1] and not data.region.values.any()
     assert data.edge_attractors.values.tolist() == [[0, 1]]

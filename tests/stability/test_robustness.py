@@ -14,14 +14,14 @@ from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Mapper
 from walker_jax.execution.tiles import map_cells
-from walker_jax.fractals import Uncertainty
+from walker_jax.fractals.dimensions import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability import gait_robustness
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.gait_robustness import common_attributes, join_rows, robustness_table
+from walker_jax.stability.gait_robustness import common_attributes, join_rows
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.sampling import (
     BasinStability,
@@ -209,11 +209,11 @@ def test_a_step_down_that_is_survived_and_one_that_is_not(gait):
     found = least_step_down(WALKER, gait)
     state = np.asarray(gait.states[0])
     for share, ends in ((0.999, Outcome.STRIDE), (1 + 1e-7, found.failure)):
-        down = wj.step_down(WALKER, state, share * found.size)
+        down = wj.stride(WALKER, state, step=-share * found.size)
         after = wj.stride(WALKER, down.state)
         assert after.outcome == Outcome.STRIDE
         assert wj.walk(WALKER, after.state, 200).outcomes[-1] == ends
-    np.testing.assert_allclose(wj.step_down(WALKER, state, found.size).state, found.state)
+    np.testing.assert_allclose(wj.stride(WALKER, state, step=-found.size).state, found.state)
     rough = mapper_of_gait(WALKER, None, 500, 1e-4).attractors[0].states  # the gait at a tolerance
     assert (rough == wj.find_gait(WALKER, tolerance=1e-4).states).all()
     assert 1e-12 < np.abs(rough - gait.states).max() < 1e-4
@@ -225,7 +225,7 @@ def test_a_step_down_that_is_survived_and_one_that_is_not(gait):
     heights = np.array([1 + 1e-8, 1.0001, 1.1, 1.5, 200]) * found.size
     ends = labels_after_step(mapper, starts[: len(heights)], heights)
     for k, height in enumerate(heights):
-        down = wj.step_down(WALKER, state, height)
+        down = wj.stride(WALKER, state, step=-height)
         walk = [down, wj.stride(WALKER, down.state)]
         while len(walk) < 400 and walk[-1].outcome == Outcome.STRIDE:
             walk.append(wj.stride(WALKER, walk[-1].state))
@@ -433,7 +433,7 @@ def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
     monkeypatch.setattr("walker_jax.stability.steps_down.bisect", bisect)
     down = least_step_down(WALKER, gait)
     assert (down.size, down.phase) == (0.02, 1)
-    np.testing.assert_allclose(down.state, wj.step_down(WALKER, states[1], 0.02).state)
+    np.testing.assert_allclose(down.state, wj.stride(WALKER, states[1], step=-0.02).state)
 
 
 @pytest.mark.slow
@@ -477,14 +477,14 @@ def test_rows_of_a_table_may_lack_what_others_have():
 @pytest.mark.slow
 def test_a_table_over_slopes():
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 50), sum=(-0.04, 0.01, 50))
-    table = robustness_table(WALKER, [0.004, 0.0195], grid=grid, levels=1)
+    table = wj.robustness(WALKER, grid, values=[0.004, 0.0195], levels=1)
     assert dict(table.sizes) == {"slope": 2, "coordinate": 2}
     assert float(table.least_disturbance[0]) == pytest.approx(0.00225617, abs=1e-7)
     assert float(table.step_down[0]) == pytest.approx(0.00133962, abs=1e-7)
     assert int(table.gait_period[1]) == 0 and np.isnan(table.least_disturbance[1])
     assert float(table.total_area[1]) == 0 and "walker_slope" not in table.attrs
-    other = robustness_table(
-        wj.SpringWalker(0.004), [0.0, 0.1], "hip_stiffness", grid=grid, levels=0
+    other = wj.robustness(
+        wj.SpringWalker(0.004), grid, values=[0.0, 0.1], parameter="hip_stiffness", levels=0
     )
     assert float(other.least_disturbance[0]) == pytest.approx(0.00225617, abs=1e-7)
     assert table.attrs["walker"] == "SimplestWalker"
@@ -561,11 +561,8 @@ def test_wrong_arguments_are_refused():
         basin_stability(walker, 0.1, gait, confidence=1.0)
     with pytest.raises(ValueError, match="gait must be left out"):
         basin_stability(jax.vmap(wj.SimplestWalker)(np.array([0.004, 0.005])), 0.1, gait)
-    for drop in (-1e-3, np.inf, np.nan):
-        with pytest.raises(ValueError, match="drop must be one number, finite and not negative"):
-            wj.step_down(walker, gait.states[0], drop)
     for values in ([], np.array(0.004)):
         with pytest.raises(ValueError, match="values must be one row"):
-            robustness_table(walker, values)
+            wj.robustness(walker, values=values)
     with pytest.raises(ValueError, match="parameter must be one of"):
-        robustness_table(walker, np.array([0.1]), "mass")
+        wj.robustness(walker, values=np.array([0.1]), parameter="mass")

@@ -223,7 +223,7 @@ def test_walkers_are_chosen_by_their_chances():
 )
 def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit):
     walks = wj.steps_to_fall(WALKER, ground, 2000, jax.random.key(1), gait=gait, limit=limit)
-    chain = wj.metastability(WALKER, ground, jax.random.key(2), gait=gait)
+    chain = wj.steps_to_fall(WALKER, ground, key=jax.random.key(2), method="cells", gait=gait)
     mean, error = float(chain["mean_strides"]), float(chain["mean_strides_error"])
     assert mean - 1.96 * error < walks.high and walks.low < mean + 1.96 * error
     assert error < 0.15 * mean
@@ -291,7 +291,7 @@ def test_a_stochastic_map_that_cannot_be_says_why(gait, monkeypatch):
     pilot = Walked(scattered, np.full(500, Outcome.STRIDE), np.full(500, 8))
     monkeypatch.setattr(stochastic_map, "walk_disturbed", lambda *_: pilot)
     with pytest.raises(ComputationFailed, match=r"no walker fell from any of \d+ cells: ground is"):
-        wj.metastability(WALKER, 1e-3, gait=gait, side=100.0, walkers=64)
+        wj.steps_to_fall(WALKER, 1e-3, 64, method="cells", gait=gait, side=100.0)
 
 
 def test_cells_of_which_nothing_is_known_are_left_out():
@@ -372,7 +372,7 @@ def test_the_error_of_a_mean_life_is_widened_too(gait, monkeypatch):
     monkeypatch.setattr(stochastic_map, "walk_disturbed", walk)
     monkeypatch.setattr(stochastic_map, "transition_matrix", one_cell)
     monkeypatch.setattr(stochastic_map, "solve_chain", solve)
-    found = wj.metastability(WALKER, 1e-3, gait=gait, repetitions=2)
+    found = wj.steps_to_fall(WALKER, 1e-3, method="cells", gait=gait, repetitions=2)
     assert float(found["mean_strides"]) == pytest.approx(110, rel=1e-12)
     half = 110 * np.log(121 / 100) / 2 * np.tan(0.475 * np.pi)  # of a 95 % interval
     assert 1.95996398 * float(found["mean_strides_error"]) == pytest.approx(half, rel=1e-8)
@@ -381,7 +381,7 @@ def test_the_error_of_a_mean_life_is_widened_too(gait, monkeypatch):
 @pytest.mark.slow
 def test_even_ground_has_no_stochastic_map(gait):
     with pytest.raises(ComputationFailed, match="too even"):
-        wj.metastability(WALKER, 0.0, gait=gait)
+        wj.steps_to_fall(WALKER, 0.0, method="cells", gait=gait)
 
 
 # The gait sensitivity norm

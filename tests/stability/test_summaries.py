@@ -9,6 +9,7 @@ from walker_jax import Outcome
 from walker_jax.basins import basin_summary, windows
 from walker_jax.basins.attracting_gaits import compare_with_search, is_same_cycle
 from walker_jax.cli.robustness_command import measures_in_words
+from walker_jax.fractals.dimensions import Uncertainty
 from walker_jax.gaits import reasons, selection
 from walker_jax.gaits.gait_summary import (
     find_stable_intervals,
@@ -17,7 +18,10 @@ from walker_jax.gaits.gait_summary import (
 )
 from walker_jax.gaits.search import search_gait
 from walker_jax.stability import gait_robustness
+from walker_jax.stability.disturbances import LeastDisturbance
 from walker_jax.stability.robustness_fields import FIELDS, summarise_robustness, without_gait
+from walker_jax.stability.sampling import BasinStability
+from walker_jax.stability.steps_down import LeastStepDown
 from walker_jax.walkers.parameters import describe_in_words, describe_walker, space_decimals
 
 WALKER = wj.SimplestWalker(0.004)
@@ -229,12 +233,12 @@ def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
     gait = wj.find_gait(walker)
     point = (0.002, np.array([0.6, 0.8]), np.asarray(gait.states[0]), 0, Outcome.FORWARD, 6)
     answers = {
-        "least_disturbance_if_any": wj.LeastDisturbance(*point),
-        "least_step_down": wj.LeastStepDown(0.001, np.zeros(4), 0, Outcome.FORWARD, 6),
-        "basin_stability": wj.BasinStability(
+        "least_disturbance_if_any": LeastDisturbance(*point),
+        "least_step_down": LeastStepDown(0.001, np.zeros(4), 0, Outcome.FORWARD, 6),
+        "basin_stability": BasinStability(
             *map(np.asarray, (0.3, 0.2, 0.4, 8 * [0], 0, 20.0, np.inf))
         ),
-        "boundary_dimension": wj.Uncertainty(1.25, 1.0, 1.5, 0.75, np.zeros(0), np.zeros(0)),
+        "boundary_dimension": Uncertainty(1.25, 1.0, 1.5, 0.75, np.zeros(0), np.zeros(0)),
     }
     for name, answer in answers.items():
         monkeypatch.setattr(gait_robustness, name, lambda *_, answer=answer, **__: answer)

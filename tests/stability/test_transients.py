@@ -1,5 +1,7 @@
 """Long transients: known rates, exponents and dimensions of saddles, and laws of crises."""
 
+from functools import partial
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.stability.escapes import exponents_along
+from walker_jax.stability.escapes import crisis_exponents, exponents_along
 
 
 def tent(x, steepness):
@@ -112,10 +114,12 @@ def test_crisis_laws_are_found_again():
 
 def test_predicted_exponents():
     """The tent map's limit is 1/2, without contraction in one direction; both agree there."""
-    assert wj.crisis_exponent([-3.0, 1e-300]) == pytest.approx(0.5, abs=2e-3)
-    assert wj.crisis_exponent([-3.0, 1e-300], "homoclinic") == pytest.approx(0.5, abs=2e-3)
-    assert wj.crisis_exponent([4.0, 0.0625]) == pytest.approx(1.0)
-    assert wj.crisis_exponent([4.0, 0.0625], "homoclinic") == pytest.approx(1.0)
+    one_dimension, even = crisis_exponents([-3.0, 1e-300]), crisis_exponents([4.0, 0.0625])
+    assert one_dimension == pytest.approx({"heteroclinic": 0.5, "homoclinic": 0.5}, abs=2e-3)
+    assert even == pytest.approx({"heteroclinic": 1.0, "homoclinic": 1.0})
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    law = partial(wj.crisis_law, values, 1 / values, values / 100, crisis=0.0)
+    assert law(multipliers=[4.0, 0.0625]).predicted == even and law().predicted == {}
 
 
 def test_wrong_use_of_transients():
@@ -132,4 +136,4 @@ def test_wrong_use_of_transients():
     with pytest.raises(WrongUse, match="crisis must be below 1, not"):
         wj.crisis_law(values, values, values, crisis=2.0)
     with pytest.raises(WrongUse, match="multipliers must be two of a saddle"):
-        wj.crisis_exponent([0.5, 0.2])
+        wj.crisis_law(values, values, values, multipliers=[0.5, 0.2])

@@ -178,7 +178,7 @@ def test_a_gait_that_is_not_there_is_robustness_too():
     walker = wj.SimplestWalker(0.03)
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 6), sum=(-0.02, 0.01, 5))
     check_known(wj.robustness(walker, grid, levels=0, check=0), "robustness")
-    table = wj.robustness_table(walker, [0.03, 0.04], grid=grid, levels=0, check=0)
+    table = wj.robustness(walker, grid, values=[0.03, 0.04], levels=0, check=0)
     check_known(table, "robustness table")
 
 

@@ -12,6 +12,7 @@ import walker_jax as wj
 from walker_jax.basins.attracting_gaits import is_same_cycle
 from walker_jax.basins.attractor import Attractor, match_attractor
 from walker_jax.gaits.cycles import cycle_distance, has_shorter_period
+from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import remove_duplicates
 from walker_jax.systems.angles import difference, turn_to, turns_of, wrap
 from walker_jax.walking.consistency import check_projection
@@ -19,7 +20,7 @@ from walker_jax.walking.consistency import check_projection
 TURN = 2 * np.pi
 
 
-class Turned(wj.ImpactOscillator):
+class Turned(wj.systems.ImpactOscillator):
     """An oscillator whose angle is measured from another origin, so that its cut lies elsewhere."""
 
     origin: Any = 0.0
@@ -31,7 +32,7 @@ class Turned(wj.ImpactOscillator):
         return jnp.stack([wrap(state.phase - self.origin), state.v])
 
 
-PLAIN = wj.ImpactOscillator()
+PLAIN = wj.systems.ImpactOscillator()
 GAIT = wj.find_gait(PLAIN, [3.0, -0.5])
 ORIGIN = float(GAIT.states[0, 0]) - np.pi
 CUT = Turned(origin=ORIGIN)  # its gait is on the cut
@@ -98,7 +99,7 @@ def test_the_basin_of_a_gait_on_the_cut_is_that_of_another():
 def test_derivatives_and_exponents_of_a_gait_on_the_cut():
     there = wj.find_gait(CUT, [3.1, -0.5])
     found, expected = (
-        wj.gait_derivatives(system, gait, "stop") for system, gait in ((CUT, there), (PLAIN, GAIT))
+        gait_derivatives(system, gait, "stop") for system, gait in ((CUT, there), (PLAIN, GAIT))
     )
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-12)
@@ -158,10 +159,10 @@ def test_cycles_are_compared_across_the_cut():
 
 
 def test_an_angle_that_is_not_named_is_a_complaint():
-    class Unnamed(wj.BouncingBall):
+    class Unnamed(wj.systems.BouncingBall):
         angles = ()
 
-    assert check_projection(wj.BouncingBall(), jnp.array([0.8, 3.1])) == []
+    assert check_projection(wj.systems.BouncingBall(), jnp.array([0.8, 3.1])) == []
     (complaint,) = check_projection(Unnamed(), jnp.array([0.8, 3.1]))
     assert complaint == "project takes full turns off angle, which angles does not name"
 
@@ -172,7 +173,7 @@ def test_newtons_method_does_not_see_the_seam():
     The two gaits of velocity pi are at cos(angle) = pi (1 - e) / (a (1 + e)), as far from the seam
     on either side of it.
     """
-    ball = wj.BouncingBall(amplitude=0.5, restitution=0.8)
+    ball = wj.systems.BouncingBall(amplitude=0.5, restitution=0.8)
     angle = np.arccos(np.pi * 0.2 / (0.5 * 1.8))
     for start in (np.pi, -np.pi, np.pi - 1e-9, 1e-9 - np.pi, 3 * np.pi):
         found = wj.find_gait(ball, [start, 3.0])

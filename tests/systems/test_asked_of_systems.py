@@ -5,10 +5,11 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from all_measures import all_measures
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.design.measures import cost_is_known, gait_measures
+from walker_jax.design.measures import cost_is_known
 from walker_jax.stability.slices import default_region
 from walker_jax.walkers.parameters import span_of
 from walker_jax.walking.consistency import check_landing
@@ -34,7 +35,7 @@ class Hub:
         return {"theta": angle}, {"hub": hub}, foot + step
 
 
-class DrawnWheel(wj.TorsoWheel):
+class DrawnWheel(wj.systems.TorsoWheel):
     """A torso wheel that says what a walker says."""
 
     spans: ClassVar = {"lean": (0.2, 0.6)}
@@ -71,11 +72,11 @@ def test_a_wheel_has_a_motion(gait):
     np.testing.assert_allclose(along, [2 * np.sin(ALPHA), 0], rtol=0, atol=1e-9)
     assert shown.attrs["spoke"] == 1.0
     with pytest.raises(WrongUse, match="walker must be a system with a picture, unlike TorsoWheel"):
-        wj.motion(wj.TorsoWheel(), gait.states[0], 3)
+        wj.motion(wj.systems.TorsoWheel(), gait.states[0], 3)
 
 
 def test_a_wheel_has_a_speed(gait):
-    found = gait_measures(DrawnWheel(), ["alpha"], gait)
+    found = all_measures(DrawnWheel(), ["alpha"], gait)
     length = found["step-length"]
     assert length.value == pytest.approx(2 * np.sin(ALPHA), rel=1e-15)
     assert length.gradient[0] == pytest.approx(2 * np.cos(ALPHA), rel=1e-13)
@@ -83,25 +84,25 @@ def test_a_wheel_has_a_speed(gait):
     assert found["speed"].value == pytest.approx(speed, rel=1e-14)
     cost = found["cost-of-transport"].value  # on level ground it is the motors' alone
     assert cost == pytest.approx(0.02 / length.value, rel=1e-14)
-    plain = gait_measures(wj.TorsoWheel(), ["alpha"], gait)
-    assert np.isnan(plain["step-length"].value) and not cost_is_known(wj.TorsoWheel())
+    plain = all_measures(wj.systems.TorsoWheel(), ["alpha"], gait)
+    assert np.isnan(plain["step-length"].value) and not cost_is_known(wj.systems.TorsoWheel())
     assert plain["spectral-radius"].value == found["spectral-radius"].value
 
 
 def test_a_wheel_has_a_region_and_a_usual_range(gait):
     region = default_region(DrawnWheel(), gait)
     assert region is not None and region.names == ("psi",)
-    plain = default_region(wj.TorsoWheel(), gait)
-    assert plain is not None and plain.names == wj.TorsoWheel.section
+    plain = default_region(wj.systems.TorsoWheel(), gait)
+    assert plain is not None and plain.names == wj.systems.TorsoWheel.section
     assert span_of(DrawnWheel, "lean") == (0.2, 0.6)
-    assert span_of(wj.TorsoWheel, "lean") is None
+    assert span_of(wj.systems.TorsoWheel, "lean") is None
     assert span_of(wj.KneedWalker, "slope") == (0.03, 0.12)
     assert span_of(wj.SimplestWalker, "slope") == (0.001, 0.022)
 
 
 def test_a_landing_off_the_section_is_told_of_any_system():
     """A state may count turns from anywhere, as the place of a runner does, but not move on so."""
-    wheel = wj.TorsoWheel()
+    wheel = wj.systems.TorsoWheel()
     landed = wheel.lift(jnp.array([-0.5, 0.2, 0.1]))
     assert check_landing(wheel, landed) == []
     complaint = "the last reset leads off the section: rates differ by"

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 
-BOUNDER = wj.BoundingQuadruped()
+BOUNDER = wj.systems.BoundingQuadruped()
 STARTS = {
     (1.04, 0.7, 0.0): "flight, on rear, flight after rear, on front after rear, last flight",
     (1.03, -0.7, 0.01): "flight, on front, flight after front, on rear after front, last flight",
@@ -122,12 +122,12 @@ def test_a_bound_is_the_same_from_the_apex_of_either_flight(gait):
 def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
     """All feet land at once and leave at once, and the pitch stays zero."""
     k, angle, energy = RUNS_AT.values()
-    pronker = wj.BoundingQuadruped(
+    pronker = wj.systems.BoundingQuadruped(
         stiffness=k / 2, rear_angle=angle, front_angle=angle, energy=energy
     )
     stride = lambda x: jnp.append((made := wj.stride(pronker, x)).state, made.time)
     jacobian, stride = jax.jit(jax.jacfwd(stride)), jax.jit(stride)
-    for run in wj.find_gaits(wj.SpringMassRunner(**RUNS_AT)):
+    for run in wj.find_gaits(wj.systems.SpringMassRunner(**RUNS_AT)):
         apex, *_ = run.states[0]
         made = wj.stride(pronker, (apex, 0.0, 0.0))
         np.testing.assert_allclose(made.state, np.array([float(apex), 0, 0]), atol=1e-12)
@@ -145,7 +145,9 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
 def test_derivatives_by_parameters_are_those_of_differences(gait):
     names = "stiffness", "inertia", "hips", "rear_angle", "front_angle", "energy"
     values = np.array([float(getattr(BOUNDER, name)) for name in names])
-    stride = jax.jit(lambda p: wj.stride(wj.BoundingQuadruped(*p), jnp.array(gait.states[0])).state)
+    stride = jax.jit(
+        lambda p: wj.stride(wj.systems.BoundingQuadruped(*p), jnp.array(gait.states[0])).state
+    )
     expected = differences(lambda many: np.stack([*map(stride, many)]), values, np.full(6, 1e-3))
     np.testing.assert_allclose(jax.jacfwd(stride)(values), expected, rtol=1e-8, atol=1e-8)
 
@@ -166,7 +168,7 @@ def test_starts_near_the_bound_return_to_it_and_others_fall(gait):
 @pytest.mark.slow
 def test_margins_have_the_signs_of_outcomes():
     starts = np.stack([*np.meshgrid([0.9, 1.0, 1.1], [-1.5, 0.0, 0.7, 1.5], [-0.1, 0.05])], -1)
-    found = wj.margins_of_many(BOUNDER, starts.reshape(-1, 3))
+    found = wj.margins(BOUNDER, starts.reshape(-1, 3))
     outcome = np.asarray(found.stride.outcome)
     falls = outcome == wj.Outcome.FORWARD
     assert 2 < falls.sum() < (outcome != wj.Outcome.OUTSIDE).sum() - 2
@@ -177,9 +179,9 @@ def test_margins_have_the_signs_of_outcomes():
 
 def test_wrong_uses_are_refused_and_low_starts_are_outside():
     with pytest.raises(ValueError, match="stiffness must be finite and above 0, not -1"):
-        wj.BoundingQuadruped(stiffness=-1.0)
+        wj.systems.BoundingQuadruped(stiffness=-1.0)
     with pytest.raises(ValueError, match="inertia must be finite and above 0, not 0"):
-        wj.BoundingQuadruped(inertia=0.0)
+        wj.systems.BoundingQuadruped(inertia=0.0)
     # at this pitch the front feet would be under the ground
     assert wj.stride(BOUNDER, (1.0, 0.0, -0.3)).outcome == wj.Outcome.OUTSIDE
     assert wj.explain(BOUNDER, (1.0, 0.0, -0.3)).complaints == ["the start is not feasible"]

@@ -22,7 +22,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.identity import (
     FOLDER,
-    AsItIs,
+    FunctionByCode,
     StoreDescriber,
     code_fingerprint,
     hash_of_code,
@@ -305,21 +305,21 @@ def test_a_function_reads_modules_as_they_are_at_that_moment():
     inner.SIZE, inner.back = 1.0, module
     names: dict[str, Any] = {"constants": module}
     exec("def size(): return constants.SIZE + constants.inner.SIZE", names)
-    before = AsItIs(names["size"])
+    before = FunctionByCode(names["size"])
     module.other = 1.0
-    assert AsItIs(names["size"]) == before
+    assert FunctionByCode(names["size"]) == before
     for one in (module, inner):
         one.SIZE = 2.0
-        assert AsItIs(names["size"]) != before
+        assert FunctionByCode(names["size"]) != before
         one.SIZE = 1.0
-    assert AsItIs(names["size"]) == before
+    assert FunctionByCode(names["size"]) == before
 
 
 def test_a_function_is_the_same_wherever_it_stands():
     def made(source):
         names: dict[str, Any] = {}
         exec(source, names)
-        return AsItIs(names["read"])
+        return FunctionByCode(names["read"])
 
     source = "def read(x):\n    return one(x)"
     assert made(source) == made(f"# moved\n{source}") != made(source.replace("one", "other"))
@@ -327,12 +327,14 @@ def test_a_function_is_the_same_wherever_it_stands():
 
 def test_values_of_unusual_kinds_are_told_apart():
     def of(value):
-        return AsItIs(lambda: value)
+        return FunctionByCode(lambda: value)
 
     empty = [FunctionType(of(1).function.__code__, {}, "f", None, (CellType(),)) for _ in range(2)]
-    assert AsItIs(empty[0]) == AsItIs(empty[1]) != of(1)
+    assert FunctionByCode(empty[0]) == FunctionByCode(empty[1]) != of(1)
     wrapped = lambda size: functools.wraps(math.sin)(lambda x, by=size: by * x)
-    assert AsItIs(wrapped(2)) == AsItIs(wrapped(2)) != AsItIs(wrapped(3))  # it is no code of Python
+    assert (
+        FunctionByCode(wrapped(2)) == FunctionByCode(wrapped(2)) != FunctionByCode(wrapped(3))
+    )  # it is no code of Python
     # The order of a set is that of its words, wherever its functions are in memory.
     a, b, c, d = sorted((new_half() for _ in range(4)), key=id)
     assert of({(a, 0), (b, 1)}) == of({(c, 1), (d, 0)}) != of({(a, 0), (b, 2)})
@@ -484,28 +486,32 @@ class Steps:
 def test_functions_that_do_the_same_with_the_same_are_alike():
     make = lambda size, values: lambda key: size * np.sum(values) + key
     ones = np.ones(3)
-    assert AsItIs(make(1.0, ones)) == AsItIs(make(1.0, np.ones(3)))
-    assert hash(AsItIs(make(1.0, ones))) == hash(AsItIs(make(1.0, np.ones(3))))
+    assert FunctionByCode(make(1.0, ones)) == FunctionByCode(make(1.0, np.ones(3)))
+    assert hash(FunctionByCode(make(1.0, ones))) == hash(FunctionByCode(make(1.0, np.ones(3))))
     others = make(2.0, ones), make(1, ones), make(1.0, np.ones(4)), make(1.0, [1.0])
     others += tuple(make(1.0, one) for one in (ones[None], ones[:, None], ones.view(int)))
     for other in (*others, lambda key: key):
-        assert AsItIs(make(1.0, ones)) != AsItIs(other)
+        assert FunctionByCode(make(1.0, ones)) != FunctionByCode(other)
     unhashable = wj.SimplestWalker(0.004)  # it says that it is equal to others
-    assert AsItIs(make(1.0, unhashable)) == AsItIs(make(1.0, unhashable))
+    assert FunctionByCode(make(1.0, unhashable)) == FunctionByCode(make(1.0, unhashable))
     drawing = jax.random.key(0)  # an array without values, which is itself alone
-    assert AsItIs(make(1.0, drawing)) == AsItIs(make(1.0, drawing))
-    assert AsItIs(make(1.0, drawing)) != AsItIs(make(1.0, jax.random.key(0)))
+    assert FunctionByCode(make(1.0, drawing)) == FunctionByCode(make(1.0, drawing))
+    assert FunctionByCode(make(1.0, drawing)) != FunctionByCode(make(1.0, jax.random.key(0)))
     bound = functools.partial(make(1.0, ones), key=2)
-    assert AsItIs(bound) == AsItIs(functools.partial(make(1.0, ones), key=2))
-    assert AsItIs(bound) != AsItIs(functools.partial(make(1.0, ones), key=3))
+    assert FunctionByCode(bound) == FunctionByCode(functools.partial(make(1.0, ones), key=2))
+    assert FunctionByCode(bound) != FunctionByCode(functools.partial(make(1.0, ones), key=3))
     by_name = lambda size: lambda key, *, by=size: by * key
-    assert AsItIs(by_name(2)) == AsItIs(by_name(2)) != AsItIs(by_name(3))
+    assert FunctionByCode(by_name(2)) == FunctionByCode(by_name(2)) != FunctionByCode(by_name(3))
     bound = lambda size: Steps(size).draw
     one = Steps(1.0)
-    assert AsItIs(one.draw) == AsItIs(one.draw) != AsItIs(bound(2.0))
-    assert AsItIs(jax.vmap(make(1.0, ones))) != AsItIs(jax.vmap(make(2.0, ones)))
-    assert AsItIs(make(1.0, ones))(2.0) == 5
-    assert AsItIs(NormalSteps(1e-3)) == AsItIs(NormalSteps(1e-3)) != AsItIs(NormalSteps(2e-3))
+    assert FunctionByCode(one.draw) == FunctionByCode(one.draw) != FunctionByCode(bound(2.0))
+    assert FunctionByCode(jax.vmap(make(1.0, ones))) != FunctionByCode(jax.vmap(make(2.0, ones)))
+    assert FunctionByCode(make(1.0, ones))(2.0) == 5
+    assert (
+        FunctionByCode(NormalSteps(1e-3))
+        == FunctionByCode(NormalSteps(1e-3))
+        != FunctionByCode(NormalSteps(2e-3))
+    )
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from walker_jax import multibody
 from walker_jax.multibody.single_support import SingleSupport
 from walker_jax.systems.five_links import LinkState
 
-BIPED = wj.FiveLinkBiped()
+BIPED = wj.systems.FiveLinkBiped()
 GUESS = -0.1, -0.41, 0.14, 0.16, 0.5, 1.5, 0.5, 0.9, 1.4
 OTHER = np.array([-0.13, -0.38, 0.2, 0.17, 0.6, 1.6, 0.3, 0.7, 1.5])
 """A point of the section, some way from the gait."""
@@ -252,7 +252,7 @@ def test_gaits_of_its_region(gait):
 @pytest.mark.slow
 def test_derivatives_through_ten_strides():
     def last(lean, x):
-        walk = wj.walk(wj.FiveLinkBiped(lean=lean), x, 10)
+        walk = wj.walk(wj.systems.FiveLinkBiped(lean=lean), x, 10)
         return walk.times.sum() + walk.states[-1] @ jnp.arange(1.0, 10.0)
 
     lean, x, h = jnp.asarray(0.15), jnp.asarray(OTHER), 1e-3
@@ -301,6 +301,6 @@ def test_basin_in_a_plane(gait):
 def test_branch(gait):
     branch = wj.continue_gait(BIPED, "lean", (0.1, 0.2), gait)
     assert not branch.folds and not branch.doublings
-    end = wj.find_gait(wj.FiveLinkBiped(lean=jnp.asarray(0.2)), gait.states[0])
+    end = wj.find_gait(wj.systems.FiveLinkBiped(lean=jnp.asarray(0.2)), gait.states[0])
     np.testing.assert_allclose(branch.states[-1], end.states, rtol=0, atol=1e-9)
     assert (np.diff(branch.step_times[:, 0]) < 0).all()  # the further it leans, the faster

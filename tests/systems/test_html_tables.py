@@ -19,7 +19,7 @@ def cells(value) -> tuple[str, list[list[str]]]:
 
 def test_parameters_are_listed_with_units_and_meanings():
     assert cells(WALKER) == ("SimplestWalker", [["slope", "0.009", "rad", "of the ground"]])
-    name, rows = cells(wj.HenonMap())
+    name, rows = cells(wj.systems.HenonMap())
     assert name == "HenonMap" and rows[0] == ["a", "1.4", "", "of the square"]
     assert cells(wj.Map(lambda x, a: a * x, ("x",), parameters={"a": 0.5}))[1] == [
         ["a", "0.5", "", ""]
@@ -27,7 +27,7 @@ def test_parameters_are_listed_with_units_and_meanings():
 
 
 def test_words_are_escaped():
-    class Named(wj.HenonMap):
+    class Named(wj.systems.HenonMap):
         def label(self):
             return "a < b & <script>"
 

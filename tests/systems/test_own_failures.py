@@ -71,9 +71,7 @@ def test_strides_end_in_them():
 
 
 def test_margins_are_how_far_they_are():
-    found = wj.margins_of_many(
-        Juggler(), np.array([[1.0, 0.0], [0.6, 0.0], [0.4, 0.0], [1.9, 0.0]])
-    )
+    found = wj.margins(Juggler(), np.array([[1.0, 0.0], [0.6, 0.0], [0.4, 0.0], [1.9, 0.0]]))
     np.testing.assert_allclose(found.own, [0.5, 0.1, -0.1, 2 - 1.9**2 / 2], atol=1e-12)
     assert np.isnan(found.stopping).all()
     by = jax.grad(lambda system: wj.margins(system, jnp.array([0.6, 0.0])).own)(Juggler())
@@ -113,7 +111,7 @@ class Relay(wj.HybridSystem):
 
 def test_a_mode_that_is_not_the_last_is_judged_at_its_end():
     starts = np.array([[0.5, 0.0], [1.5, 0.0], [0.5, 1.7], [0.5, 2.5], [1.5, 2.5], [-0.5, 1.7]])
-    found = wj.margins_of_many(Relay(), starts)
+    found = wj.margins(Relay(), starts)
     late, lost = map(Relay().failure, Relay.failures)
     assert found.stride.outcome.tolist() == [0, late, lost, lost, late, lost]
     np.testing.assert_array_equal(wj.strides(Relay(), starts).outcome, found.stride.outcome)
@@ -191,8 +189,8 @@ def test_the_basin_names_them(tmp_path):
 
 
 def test_the_area_changes_with_what_moves_their_boundaries():
-    found = wj.area_gradient(Juggler(), GRID, ["ceiling", "slowest"])
-    assert found.area == pytest.approx(3.0, rel=1e-9)
+    found = wj.measure(Juggler(), "area", ["ceiling", "slowest"], grid=GRID)
+    assert found.value == pytest.approx(3.0, rel=1e-9)
     np.testing.assert_allclose(found.gradient, [1.0, -2.0], rtol=1e-4)
 
 
@@ -398,7 +396,7 @@ def test_every_guard_to_the_section_is_measured_in_any_order():
         [[0, 1, 0.2], [0, -1, 0.2], [0, 0.4, 0], [0, -0.4, 0], [0, 1, 0.6], [0, -1, 0.6]]
     )
     starts = np.concatenate([starts, [[0, 0.6, 0.1], [0, -0.6, 0.1]]])
-    found, other = (wj.margins_of_many(TwoDoors(first), starts) for first in ("left", "right"))
+    found, other = (wj.margins(TwoDoors(first), starts) for first in ("left", "right"))
     lost, bored = map(TwoDoors().failure, TwoDoors.failures)
     assert found.stride.outcome.tolist() == [0, 0, *[lost] * 4, bored, bored]
     np.testing.assert_allclose(found.forward[:2], 0.3, atol=1e-12)
@@ -440,6 +438,6 @@ class Twice(wj.HybridSystem):
 
 
 def test_of_two_guards_to_one_failure_the_due_one_is_measured():
-    found = wj.margins_of_many(Twice(), np.array([[1.2], [-1.3], [0.0]]))
+    found = wj.margins(Twice(), np.array([[1.2], [-1.3], [0.0]]))
     np.testing.assert_allclose(found.failed[:2], [-0.2, -0.3], atol=1e-12)
     assert found.stride.outcome[2] == wj.Outcome.STRIDE and found.by_name["out"][2] > 0

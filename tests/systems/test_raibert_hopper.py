@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 import walker_jax as wj
 
-HOPPER = wj.RaibertHopper()
+HOPPER = wj.systems.RaibertHopper()
 NAMES = (
     "stiffness",
     "damping",
@@ -24,7 +24,7 @@ NAMES = (
     "desired_speed",
 )
 VALUES = {name: float(getattr(HOPPER, name)) for name in NAMES}
-SLOW = wj.RaibertHopper(thrust=0.2, thrust_rate=0.4)
+SLOW = wj.systems.RaibertHopper(thrust=0.2, thrust_rate=0.4)
 """Its foot leaves the ground before the motor has stopped."""
 
 
@@ -107,14 +107,14 @@ def test_hopping_in_place_is_that_of_linear_equations():
         return y[0] + y[1] ** 2 / 2
 
     apex = first(lambda h: next_apex(h) - h, 1.1, 3.0)
-    gait = wj.find_gait(wj.RaibertHopper(desired_speed=0.0), [1.5, 0.0])
+    gait = wj.find_gait(wj.systems.RaibertHopper(desired_speed=0.0), [1.5, 0.0])
     np.testing.assert_allclose(gait.states[0], np.array([apex, 0]), atol=1e-12)
     slope = (next_apex(apex + 1e-4) - next_apex(apex - 1e-4)) / 2e-4
     assert np.abs(gait.multipliers - slope).min() < 1e-7
 
 
 def test_without_damping_a_hop_gains_the_work_of_the_motor():
-    hopper = wj.RaibertHopper(damping=0.0)
+    hopper = wj.systems.RaibertHopper(damping=0.0)
     apex, speed = start = (1.3, 0.4)
     *_, work = stride_by_scipy(start, hopper)
     after, forward = wj.stride(hopper, start).state
@@ -136,13 +136,13 @@ def test_hopping_is_stable_and_starts_around_it_return():
 @pytest.mark.slow
 def test_derivatives_by_parameters_are_those_of_differences():
     values = np.array([*VALUES.values()])
-    stride = jax.jit(lambda p: wj.stride(wj.RaibertHopper(*p), jnp.array([1.4, 0.6])).state)
+    stride = jax.jit(lambda p: wj.stride(wj.systems.RaibertHopper(*p), jnp.array([1.4, 0.6])).state)
     expected = differences(lambda many: np.stack([*map(stride, many)]), values, np.full(7, 1e-3))
     np.testing.assert_allclose(jax.jacfwd(stride)(values), expected, rtol=1e-8, atol=1e-8)
 
 
 def test_a_hopper_that_stays_on_the_ground_has_stopped():
-    weak = wj.RaibertHopper(damping=4.0, thrust=0.01)
+    weak = wj.systems.RaibertHopper(damping=4.0, thrust=0.01)
     made = wj.stride(weak, (1.001, 0.0))
     assert made.outcome == wj.Outcome.STOPPED and np.isnan(made.state).all()
     times = np.asarray(wj.phase_times(weak, (1.001, 0.0)))
@@ -151,9 +151,9 @@ def test_a_hopper_that_stays_on_the_ground_has_stopped():
 
 def test_wrong_uses_are_refused_and_low_starts_are_outside():
     with pytest.raises(ValueError, match="thrust_rate must be finite and above 0, not 0"):
-        wj.RaibertHopper(thrust_rate=0.0)
+        wj.systems.RaibertHopper(thrust_rate=0.0)
     with pytest.raises(ValueError, match="damping must be finite and not negative, not -1"):
-        wj.RaibertHopper(damping=-1.0)
+        wj.systems.RaibertHopper(damping=-1.0)
     # lower than a leg in front of it lands, and faster than a leg of length 1 can step
     starts = np.array([[0.9, 0.6], [1.4, 4.0], [np.nan, 0.6]])
     assert wj.strides(HOPPER, starts).outcome.tolist() == [wj.Outcome.OUTSIDE] * 3

@@ -20,8 +20,8 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.rimless_wheel import WheelState
 
 NAMES = "slope alpha torso_mass torso_com torso_inertia stiffness damping lean".split()
-LEVEL = wj.TorsoWheel()
-DOWNHILL = wj.TorsoWheel(0.08, 0.3, 0.7, 0.4, 0.05, 2.0, 0.3, 0.1)
+LEVEL = wj.systems.TorsoWheel()
+DOWNHILL = wj.systems.TorsoWheel(0.08, 0.3, 0.7, 0.4, 0.05, 2.0, 0.3, 0.1)
 WHEELS = {"level": LEVEL, "downhill": DOWNHILL}
 
 
@@ -139,7 +139,7 @@ def test_a_torso_without_mass_leaves_the_closed_return_map():
     Slower than the dead point it rolls back, and faster than gravity holds it flies.
     """
     slope, alpha, rates = 0.1, 0.3, -np.linspace(0.02, 1.1, 60)
-    bare = wj.TorsoWheel(slope, alpha, 0.0, 0.5, 0.1, 0.0, 0.0, 0.0)
+    bare = wj.systems.TorsoWheel(slope, alpha, 0.0, 0.5, 0.1, 0.0, 0.0, 0.0)
     found = wj.strides(bare, np.stack([rates, 0.2 + 0 * rates, 0 * rates], axis=1))
     expected = -np.cos(2 * alpha) * np.sqrt(rates**2 + 4 * np.sin(alpha) * np.sin(slope))
     slow = rates**2 < 2 * (1 - np.cos(alpha - slope))
@@ -161,7 +161,7 @@ def test_strides_end_as_those_of_the_reference_do():
     rng = np.random.default_rng(0)
     xs = rng.uniform((-1.3, -1.5, -2), (0, 1.5, 2), (60, 3))
     wheels = [
-        wj.TorsoWheel(*map(float, values))
+        wj.systems.TorsoWheel(*map(float, values))
         for values in rng.uniform(
             (0, 0.2, 0.2, 0.2, 0.05, 0, 0, 0), (0.2, 0.5, 2, 0.8, 0.3, 3, 1, 0.6), (60, 8)
         )
@@ -241,14 +241,14 @@ def test_derivatives_of_ten_strides_are_those_of_differences():
     values = np.array([vars(LEVEL)[name] for name in NAMES])
 
     def after_ten(z):
-        return wj.walk(wj.TorsoWheel(*z[3:]), z[:3], 10).states[-1, 0]
+        return wj.walk(wj.systems.TorsoWheel(*z[3:]), z[:3], 10).states[-1, 0]
 
     z = jnp.concatenate([x, values])
     slopes = jax.jit(jax.grad(after_ten))(z)
 
     def many(points):
         xs = points[:, :3]
-        wheels = stacked([wj.TorsoWheel(*map(float, values)) for values in points[:, 3:]])
+        wheels = stacked([wj.systems.TorsoWheel(*map(float, values)) for values in points[:, 3:]])
         for _ in range(10):
             xs = wj.strides(wheels, xs).state
         return xs[:, :1]
@@ -271,14 +271,16 @@ def test_cells_of_the_basin_end_as_walks_do():
 def test_a_branch_ends_where_the_wheel_begins_to_fly():
     branch = wj.continue_gait(LEVEL, "lean", (0.4, 0.9), gait_of(LEVEL))
     for lean, states in zip(branch.values[::4], branch.states[::4], strict=True):
-        following, outcome, _ = reference(wj.TorsoWheel(lean=float(lean)), states[0], samples=400)
+        following, outcome, _ = reference(
+            wj.systems.TorsoWheel(lean=float(lean)), states[0], samples=400
+        )
         assert outcome == Outcome.STRIDE
         np.testing.assert_allclose(following, states[0], rtol=0, atol=1e-9)
     assert branch.ends == ("the end of the range", "a state makes no stride")
     (before, last), (slower, state) = branch.values[[-9, -1]], branch.states[[-9, -1], 0]
     ahead = state + 1e-4 / (last - before) * (state - slower)
     assert 0.7 < last < 0.9
-    found = wj.stride(wj.TorsoWheel(lean=float(last) + 1e-4), ahead)
+    found = wj.stride(wj.systems.TorsoWheel(lean=float(last) + 1e-4), ahead)
     assert found.outcome == Outcome.RUNNING
 
 
@@ -304,15 +306,18 @@ def test_areas_of_basins_change_as_their_derivative_says():
     at = dict(zip(LEVEL.section, map(float, gait_of(LEVEL).states[0]), strict=True))
     grid = wj.Grid.through(at, thetadot=(-1, 0, 80), psi=(-0.2, 1.5, 80))
     areas = {
-        lean: wj.area_gradient(wj.TorsoWheel(lean=lean), grid, ["lean"])
+        lean: wj.measure(wj.systems.TorsoWheel(lean=lean), "area", ["lean"], grid=grid)
         for lean in (0.45, 0.5, 0.55)
     }
-    change = areas[0.55].area - areas[0.45].area
-    error = np.hypot(areas[0.55].area_error, areas[0.45].area_error) + 0.1 * areas[0.5].error[0]
+    change = areas[0.55].value - areas[0.45].value
+    error = (
+        np.hypot(areas[0.55].value_error, areas[0.45].value_error)
+        + 0.1 * areas[0.5].gradient_error[0]
+    )
     assert 0.1 * areas[0.5].gradient[0] == pytest.approx(change, abs=3 * error)
     assert abs(change) > 6 * error
     fine = wj.refine(LEVEL, grid, 2)
-    assert float(fine.area[0]) == pytest.approx(areas[0.5].area, abs=1e-3)
+    assert float(fine.area[0]) == pytest.approx(areas[0.5].value, abs=1e-3)
 
 
 # A controller with a state of its own
@@ -325,11 +330,11 @@ class Remembering(NamedTuple):
     integral: jax.Array
 
 
-class IntegratingWheel(wj.TorsoWheel):
+class IntegratingWheel(wj.systems.TorsoWheel):
     """One whose controller integrates the error until the torso leans as it should on average."""
 
     gain: Any = 0.1
-    section = (*wj.TorsoWheel.section, "integral")
+    section = (*wj.systems.TorsoWheel.section, "integral")
 
     def modes(self):
         (mode,) = super().modes().values()

@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 
-WALKER = wj.SpringMassBiped()
-FASTER = wj.SpringMassBiped(energy=1.25)
+WALKER = wj.systems.SpringMassBiped()
+FASTER = wj.systems.SpringMassBiped(energy=1.25)
 WALKED, FLOWN = (0.94, 0.01), (0.9, 0.03)
 """Starts of the faster one: the other leg lands before the first one leaves, or after a flight."""
 RUNS_AT = {"stiffness": 25.4841997961264, "angle": 1.1868238913561442, "energy": 2.27420998980632}
@@ -66,7 +66,7 @@ def stride_by_scipy(walker, height, climb):
         (WALKER, (0.98, 0.02)),
         (FASTER, WALKED),
         (FASTER, FLOWN),
-        (wj.SpringMassBiped(**RUNS_AT), (0.9, 0.01)),
+        (wj.systems.SpringMassBiped(**RUNS_AT), (0.9, 0.01)),
     ],
 )
 def test_a_stride_is_that_of_another_integration(walker, start):
@@ -97,8 +97,8 @@ def test_walking_is_stable_and_symmetric():
 
 
 def test_running_is_that_of_one_leg():
-    runs = wj.find_gaits(wj.SpringMassBiped(**RUNS_AT))
-    apexes = wj.find_gaits(wj.SpringMassRunner(**RUNS_AT))
+    runs = wj.find_gaits(wj.systems.SpringMassBiped(**RUNS_AT))
+    apexes = wj.find_gaits(wj.systems.SpringMassRunner(**RUNS_AT))
     assert len(runs) == len(apexes) == 2
     for run, apex in zip(runs, sorted(apexes, key=lambda one: -one.step_times[0]), strict=True):
         np.testing.assert_allclose(run.step_times, apex.step_times, atol=1e-12)
@@ -115,7 +115,7 @@ def test_derivatives_and_margins_pass_all_ways():
         ends = [[stride(start + s * step * e) for s in (-2, -1, 1, 2)] for e in np.eye(2)]
         slopes = [(a - 8 * b + 8 * c - d) / (12 * step) for a, b, c, d in ends]
         np.testing.assert_allclose(jacobian, np.stack(slopes, axis=1), rtol=1e-7, atol=1e-7)
-    margins = wj.margins_of_many(FASTER, np.array([WALKED, FLOWN, (0.79, 0.38)]))
+    margins = wj.margins(FASTER, np.array([WALKED, FLOWN, (0.79, 0.38)]))
     made = np.asarray(margins.stride.outcome) == wj.Outcome.STRIDE
     assert made.tolist() == [True, True, False]
     assert (np.asarray(margins.backward)[:2] > 0).all()

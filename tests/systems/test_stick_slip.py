@@ -17,7 +17,7 @@ def period(speed, static, kinetic):
 @pytest.mark.parametrize("values", [(0.5, 1.0, 0.5), (0.1, 1.0, 0.9), (2.0, 1.5, 0.2)])
 def test_the_cycle_has_its_period(values):
     speed, static, kinetic = values
-    gait = wj.find_gait(wj.StickSlip(*values))
+    gait = wj.find_gait(wj.systems.StickSlip(*values))
     assert gait.step_times[0] == pytest.approx(float(period(*values)), abs=1e-12)
     top = kinetic + np.hypot(static - kinetic, speed)
     assert gait.states[0, 0] == pytest.approx(top, abs=1e-12)
@@ -28,7 +28,7 @@ def test_the_cycle_has_its_period(values):
 def test_derivatives_pass_modes_that_are_entered_again(jacobian):
     values = jnp.array([0.5, 1.0, 0.5])
     top = lambda p: p[2] + jnp.sqrt((p[1] - p[2]) ** 2 + p[0] ** 2)
-    time = lambda p: wj.stride(wj.StickSlip(*p), top(p)[None]).time
+    time = lambda p: wj.stride(wj.systems.StickSlip(*p), top(p)[None]).time
     expected = jax.jacfwd(lambda p: period(*p))(values)
     np.testing.assert_allclose(jacobian(time)(values), expected, rtol=1e-12)
     curvature = jax.jacfwd(jax.jacfwd(time))(values)
@@ -37,7 +37,7 @@ def test_derivatives_pass_modes_that_are_entered_again(jacobian):
 
 def test_fast_motions_lose_energy_on_half_circles():
     """Below the belt's speed the motion is a circle about kinetic, above it about -kinetic."""
-    system, x, v = wj.StickSlip(), 6.0, 0.5
+    system, x, v = wj.systems.StickSlip(), 6.0, 0.5
     k = float(system.kinetic)
     below = np.hypot(x - k, 0)
     at = k - np.sqrt(below**2 - v**2)  # the block reaches the belt's speed here, past sticking
@@ -49,7 +49,7 @@ def test_fast_motions_lose_energy_on_half_circles():
 
 
 def test_starts_end_in_one_call_each_on_its_way():
-    system = wj.StickSlip()
+    system = wj.systems.StickSlip()
     starts = np.array([0.4, 0.9, 1.2, 2.0, 6.0, 9.0])[:, None]
     made = wj.strides(system, starts)
     alone = [wj.stride(system, x) for x in starts]

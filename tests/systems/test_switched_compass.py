@@ -16,7 +16,7 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.switched_compass import CompassState, after_strike
 
 NAMES = "slope leg_mass com_from_hip torque switch_angle".split()
-DRIVEN = wj.SwitchedCompass(0.04)
+DRIVEN = wj.systems.SwitchedCompass(0.04)
 
 
 # A reference, in the angles s and n of stance and swing leg from the vertical
@@ -167,7 +167,7 @@ def test_the_stable_gait_has_these_numbers():
 @pytest.mark.slow
 def test_without_a_torque_it_is_the_walker_with_point_feet():
     """Whose section leaves out phidot, as the foot that lifts moves along its leg only."""
-    known, walker = wj.PointFootWalker(0.01, 0.01), wj.SwitchedCompass(0.01, 0.01, 1.0, 0.0)
+    known, walker = wj.PointFootWalker(0.01, 0.01), wj.systems.SwitchedCompass(0.01, 0.01, 1.0, 0.0)
     rng = np.random.default_rng(3)
     theta = rng.uniform(0.02, 0.3, 60)
     xs = np.stack([theta, -theta + rng.uniform(-0.04, 0.02, 60)], axis=1)
@@ -192,7 +192,7 @@ def test_without_a_torque_it_is_the_walker_with_point_feet():
 
 def test_a_switch_angle_below_zero_is_refused():
     with pytest.raises(ValueError, match="switch_angle must be finite and not negative"):
-        wj.SwitchedCompass(0.04, switch_angle=-0.1)
+        wj.systems.SwitchedCompass(0.04, switch_angle=-0.1)
 
 
 # Strides
@@ -201,7 +201,9 @@ def test_a_switch_angle_below_zero_is_refused():
 def test_strides_end_as_those_of_the_reference_do():
     rng = np.random.default_rng(0)
     lower, upper = (0, 0.05, 0.2, -0.1, 0), (0.1, 1, 1, 0.1, 0.4)
-    walkers = [wj.SwitchedCompass(*map(float, p)) for p in rng.uniform(lower, upper, (80, 5))]
+    walkers = [
+        wj.systems.SwitchedCompass(*map(float, p)) for p in rng.uniform(lower, upper, (80, 5))
+    ]
     theta, change, turn = rng.uniform((0.1, -0.25, -0.3), (0.5, 0.1, 0.3), (80, 3)).T
     xs = np.stack([theta, -1.1 * theta + change, turn], axis=1)
     xs[:12, 1] -= 0.9  # which fly
@@ -222,7 +224,7 @@ def test_strides_end_as_those_of_the_reference_do():
     np.testing.assert_allclose(time[walks], times[walks], rtol=0, atol=1e-9)
 
 
-class InOneMode(wj.SwitchedCompass):
+class InOneMode(wj.systems.SwitchedCompass):
     """The same torque in one mode, whose field jumps."""
 
     def modes(self):
@@ -304,13 +306,15 @@ def test_derivatives_of_ten_strides_are_those_of_differences():
     z = np.concatenate([x, values])
 
     def after_ten(z):
-        return wj.walk(wj.SwitchedCompass(*z[3:]), z[:3], 10).states[-1, 0]
+        return wj.walk(wj.systems.SwitchedCompass(*z[3:]), z[:3], 10).states[-1, 0]
 
     slopes = jax.jit(jax.grad(after_ten))(jnp.asarray(z))
 
     def many(points):
         xs = points[:, :3]
-        walkers = stacked([wj.SwitchedCompass(*map(float, values)) for values in points[:, 3:]])
+        walkers = stacked(
+            [wj.systems.SwitchedCompass(*map(float, values)) for values in points[:, 3:]]
+        )
         for _ in range(10):
             xs = wj.strides(walkers, xs).state
         return xs[:, :1]
@@ -334,7 +338,7 @@ def test_a_branch_folds_and_doubles_where_the_reference_does():
     (fold,), (doubling,) = branch.folds, branch.doublings
     assert fold.value < 0 < DRIVEN.torque < doubling.value
     for one, multiplier in (fold, 1.0), (doubling, -1.0):
-        walker = wj.SwitchedCompass(0.04, torque=float(one.value))
+        walker = wj.systems.SwitchedCompass(0.04, torque=float(one.value))
         following, _, _ = reference(walker, one.states[0])
         np.testing.assert_allclose(following, one.states[0], rtol=0, atol=1e-9)
         walk = lambda xs, walker=walker: np.array([reference(walker, x)[0] for x in xs])
@@ -366,7 +370,7 @@ def test_the_best_torque_is_that_of_the_least_multiplier():
     torques = np.linspace(0, 0.05, 51)
     guess, radii = gaits()[1].states[0], []
     for torque in torques:
-        gait = wj.find_gait(wj.SwitchedCompass(0.04, torque=float(torque)), guess)
+        gait = wj.find_gait(wj.systems.SwitchedCompass(0.04, torque=float(torque)), guess)
         guess = gait.states[0]
         radii.append(np.abs(gait.multipliers).max())
     assert float(best.value.min()) == pytest.approx(min(radii), abs=2e-3)

@@ -115,7 +115,7 @@ def test_structures_count_as_code():
     assert fingerprint(walker) != fingerprint(NetworkWalker(0.004, policy=other))
     assert fingerprint(with_net()) == fingerprint(with_net(steep=1.0))
     assert fingerprint(with_net()) != fingerprint(with_net(steep=2.0))
-    assert code_fingerprint(wj.HenonMap, code_of(wj.HenonMap())) == ""
+    assert code_fingerprint(wj.systems.HenonMap, code_of(wj.systems.HenonMap())) == ""
 
 
 @pytest.mark.parametrize("system", [NetworkWalker(0.004), pushed(), Curve(np.arange(4.0))])
@@ -249,7 +249,7 @@ def test_areas_and_optima_follow_numbers_of_arrays():
     axes = jnp.array([0.8, 0.5])
     system = wj.Map(lambda x, axes: x / 2, ("x", "y"), parameters={"axes": axes}, feasible=inside)
     grid = wj.Grid.plain(x=(-1, 1, 40), y=(-1, 1, 40))
-    found = wj.area_gradient(system, grid, ("axes[0]", "axes[1]"), levels=3)
+    found = wj.measure(system, "area", ("axes[0]", "axes[1]"), grid=grid, levels=3)
     np.testing.assert_allclose(found.gradient, np.pi * np.array([0.5, 0.8]), rtol=2e-3)
     best = wj.optimise(
         system, {"axes[1]": (0.2, 0.7)}, grid=grid, starts=1, levels=0, progress=False

@@ -321,7 +321,7 @@ def test_outcomes_and_states_are_those_of_another_integrator(count):
 @pytest.mark.slow
 def test_margins_have_the_sign_that_the_outcome_says():
     xs = starts(3000)
-    found = wj.margins_of_many(WALKER, xs)
+    found = wj.margins(WALKER, xs)
     ends = wj.strides(WALKER, xs)
     np.testing.assert_array_equal(found.stride.outcome, ends.outcome)
     ways = {
@@ -342,7 +342,7 @@ def test_a_foot_that_comes_down_after_the_fall_does_not_land():
     """The stance leg is down at 2.24, the foot at 2.26: in one step of the integration."""
     walker, x = changed(WALKER, foot_radius=0.0), np.array([0.28787059, -0.75104167, 0.61825993])
     assert wj.stride(walker, x).outcome == Outcome.FORWARD
-    found = wj.margins_of_many(walker, x[None])
+    found = wj.margins(walker, x[None])
     assert found.stride.outcome[0] == Outcome.FORWARD and found.forward[0] < 0
     assert not found.landing[0] < 0
 
@@ -353,7 +353,7 @@ def test_the_margin_of_a_foot_that_lands_is_of_its_speed(path):
     look = lambda state: jnp.stack([phase.clearance(state), -state.theta, phase.reach(state)])
     look, times = jax.jit(jax.vmap(look)), np.linspace(0, 8, 2001)
     xs = starts(3000)
-    found, kinds = wj.margins_of_many(WALKER, xs), set()
+    found, kinds = wj.margins(WALKER, xs), set()
     for i in np.flatnonzero(found.stride.outcome == Outcome.BENT_KNEE)[:12]:
         height, *admits = np.asarray(look(wj.trajectory(WALKER, xs[i], times))).T
         ahead, speed = np.min(admits, axis=0), np.gradient(height, times)
@@ -377,7 +377,7 @@ def test_landing_margins_vanish_where_a_foot_only_just_lands():
         middle = (good + bad) / 2
         strides = (wj.strides(WALKER, middle).outcome == 0)[:, None]
         good, bad = np.where(strides, middle, good), np.where(strides, bad, middle)
-    found = wj.margins_of_many(WALKER, bad)
+    found = wj.margins(WALKER, bad)
     landed = found.stride.outcome == Outcome.BENT_KNEE
     assert landed.sum() > 5
     assert np.mean(np.abs(found.landing[landed]) < 1e-9) > 0.8
@@ -397,7 +397,7 @@ def test_tension_at_the_knee_strike_does_not_end_a_fall(path):
         assert force(strikes) < 0 and theta[-1] < -np.pi / 2
         assert (phi > 2 * theta)[theta > -np.pi / 2].all()
     assert (wj.strides(WALKER, xs).outcome == Outcome.FORWARD).all()
-    assert (wj.margins_of_many(WALKER, xs).stride.outcome == Outcome.FORWARD).all()
+    assert (wj.margins(WALKER, xs).stride.outcome == Outcome.FORWARD).all()
 
 
 @pytest.mark.slow
@@ -420,9 +420,9 @@ def test_a_start_in_mid_stride_goes_on_with_the_same_stride(path):
 
 @pytest.mark.slow  # test_phases.py has a walker that is sooner compiled
 def test_a_step_down_takes_longer_through_the_same_phases():
-    level, down = wj.stride(WALKER, START), wj.step_down(WALKER, START, 0.0)
+    level, down = wj.stride(WALKER, START), wj.stride(WALKER, START, step=0.0)
     np.testing.assert_allclose(WALKER.project(State(*down.state)), level.state, rtol=0, atol=1e-12)
-    lower = wj.step_down(WALKER, START, 0.005)
+    lower = wj.stride(WALKER, START, step=-0.005)
     assert lower.outcome == Outcome.STRIDE and lower.time > level.time
     assert wj.stride(WALKER, lower.state).outcome == Outcome.STRIDE
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from all_measures import all_measures
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -245,7 +246,7 @@ def test_cost_of_transport_is_known_by_gravity_alone(kind, guess):
     walker = kind(
         *[jnp.array(value) for value in (0.01, 0.5, -0.3)[: sum(one.init for one in fields(kind))]]
     )
-    found = wj.gait_measures(walker, [], wj.find_gait(walker, guess))
+    found = all_measures(walker, [], wj.find_gait(walker, guess))
     assert np.isfinite(found["speed"].value) and np.isnan(found["cost-of-transport"].value)
 
 

@@ -17,6 +17,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.design.sweeps import empty_row
 from walker_jax.explorer.offers import offer
 from walker_jax.figures.text import walker_title
+from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.storage.places import StoreConflict
 from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import value_of, with_parameter
@@ -61,7 +62,7 @@ def test_a_population_walks_as_its_members_do():
 
 def test_gaits_change_with_a_weight_as_their_derivatives_say():
     here, step, middle = gait(), 1e-3, float(value_of(WALKER, WEIGHT))
-    by = wj.gait_derivatives(WALKER, here, WEIGHT)
+    by = gait_derivatives(WALKER, here, WEIGHT)
     changed = (with_parameter(WALKER, WEIGHT, middle + side * step) for side in (-2, -1, 1, 2))
     gaits = [wj.find_gait(walker, here.states[0]) for walker in changed]
     rate = np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
@@ -78,8 +79,8 @@ def test_gaits_equal_those_by_scalars():
     np.testing.assert_array_equal(here.states, there.states)
     np.testing.assert_array_equal(here.multipliers, there.multipliers)
     by, of_scalar = (
-        wj.gait_derivatives(WALKER, here, WEIGHT),
-        wj.gait_derivatives(SCALARS, there, "w10"),
+        gait_derivatives(WALKER, here, WEIGHT),
+        gait_derivatives(SCALARS, there, "w10"),
     )
     np.testing.assert_allclose(by.states, of_scalar.states, rtol=1e-10)
     np.testing.assert_allclose(by.multipliers, of_scalar.multipliers, rtol=1e-9)
@@ -210,8 +211,8 @@ def test_feedback_and_gradients_keep_networks():
     gains = {"slope": (0.01, 0.0)}
     walker = wj.Feedback(WALKER, gait(), gains, {"slope": (0.005, 0.02)})
     np.testing.assert_allclose(wj.stride(walker, gait().states[0]).state, gait().states[0])
-    found = wj.disturbance_gradient(WALKER, (WEIGHT,), gait(), directions=24)
-    same = wj.disturbance_gradient(SCALARS, ("w10",), gait(), directions=24)
+    found = wj.measure(WALKER, "least-disturbance", (WEIGHT,), gait(), directions=24)
+    same = wj.measure(SCALARS, "least-disturbance", ("w10",), gait(), directions=24)
     np.testing.assert_allclose(found.gradient, same.gradient, rtol=1e-6)
 
 

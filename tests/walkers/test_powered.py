@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import powered_reference
 import pytest
+from all_measures import all_measures
 from part_of_swing import PartOfSwing
 
 import walker_jax as wj
@@ -71,16 +72,17 @@ def test_cost_of_transport_is_the_energy_lost_at_heel_strike(slope, names):
     theta, thetadot = gait.states[0]
     before = thetadot**2 / 2 + np.cos(theta - slope) - np.cos(theta + slope)
     gained = values["push_off"] ** 2 / 2 + before - thetadot**2 / 2  # and lost again at heel strike
-    found = wj.gait_measures(walker, names, gait)["cost-of-transport"]
+    found = wj.measure(walker, "cost-of-transport", names, gait)
     assert found.value == pytest.approx(gained / (2 * np.sin(theta)), rel=1e-11)
     h = 1e-5
     for number, name in enumerate(names):
         cost = lambda k, name=name: (
-            wj.gait_measures(
+            wj.measure(
                 other := wj.PoweredWalker(**values | {name: values[name] + k * h}),
+                "cost-of-transport",
                 (),
                 wj.find_gait(other, gait.states[0]),
-            )["cost-of-transport"].value
+            ).value
         )
         assert found.gradient[number] == pytest.approx((cost(1) - cost(-1)) / (2 * h), rel=1e-5)
 
@@ -102,14 +104,14 @@ def test_cost_of_transport_has_the_work_of_hip_and_push_off():
     impulse = push_off * jnp.array([*leg, 0, 0])
     pushed = multibody.push(walker.system(), q, qdot, impulse)[:2]
     work = (float(hip) + push_off * float(leg @ pushed) / 2) / 1.1
-    found = wj.gait_measures(walker, ["hip_spring"], gait)
+    found = all_measures(walker, ["hip_spring"], gait)
     cost, length = found["cost-of-transport"], found["step-length"].value
     assert abs(hip) > 1e-4 and cost.value == pytest.approx(np.sin(0.002) + work / length, rel=1e-9)
     values = []
     for change in (-1e-4, 1e-4):
         other = wj.PoweredPointFootWalker(0.002, 0.05, spring + change, damper, slack, push_off)
         there = wj.find_gait(other, state)
-        values.append(wj.gait_measures(other, (), there)["cost-of-transport"].value)
+        values.append(wj.measure(other, "cost-of-transport", (), there).value)
     assert cost.gradient[0] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
 
 
@@ -215,9 +217,9 @@ def test_gaits_and_sensitivity_norms_by_scipy_alone(values):
 def test_the_sensitivity_norm_changes_as_its_gradient_says():
     values = np.array([0.009, 0.5, 0.1, -0.2, 0.01])
     names = ("slope", "hip_stiffness", "hip_damping", "hip_angle", "push_off")
-    at = lambda values: wj.sensitivity_gradient(wj.PoweredWalker(*values), ()).norm
-    found = wj.sensitivity_gradient(wj.PoweredWalker(*values), names)
-    assert found.norm == pytest.approx(at(values), rel=1e-12)
+    at = lambda values: wj.measure(wj.PoweredWalker(*values), "sensitivity-norm", ()).value
+    found = wj.measure(wj.PoweredWalker(*values), "sensitivity-norm", names)
+    assert found.value == pytest.approx(at(values), rel=1e-12)
     for k, width in ((0, 1e-5), (2, 1e-4), (4, 1e-4)):
         step = np.eye(5)[k] * width
         change = lambda n, step=step: (at(values + n * step) - at(values - n * step)) / (2 * n)

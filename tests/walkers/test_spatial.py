@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from all_measures import all_measures
 from by_differences import differences
 from kane import SIZES, Toy
 from PIL import Image, ImageSequence
@@ -247,7 +248,7 @@ def test_a_disc_does_not_scuff_where_it_strikes():
     starts = region.points_at(np.random.default_rng(11).uniform(0, 1, (1500, len(region.shape))))
     rough, fine = (wj.strides(WALKER, starts, tolerance=one).outcome for one in (1e-6, 1e-12))
     differ = rough != fine
-    margins = wj.margins_of_many(WALKER, starts[differ]).scuffing
+    margins = wj.margins(WALKER, starts[differ]).scuffing
     assert differ.sum() <= 2 and (np.abs(margins) < 1e-4).all()
 
 
@@ -320,7 +321,7 @@ def test_a_step_lets_the_weight_down_by_what_the_impact_loses(gait, radius):
         for one in (end, after)
     )
     step = (before - left) / (2 * float(walker.leg_mass) * np.sin(float(walker.slope)))
-    measures = wj.gait_measures(walker, ["disc_radius"], found)
+    measures = all_measures(walker, ["disc_radius"], found)
     assert measures["step-length"].value == pytest.approx(step, rel=1e-9)
     assert measures["speed"].value == pytest.approx(step / float(time), rel=1e-9)
 

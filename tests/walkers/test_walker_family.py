@@ -261,11 +261,11 @@ def test_float32_strides_are_those_of_float64():
 @pytest.mark.slow
 def test_a_step_down_has_the_limit_of_the_simplest_walker():
     x, drop = np.array([0.2, -0.2]), 2e-3
-    limit = np.asarray(wj.step_down(wj.SimplestWalker(0.009), x, drop).state)
+    limit = np.asarray(wj.stride(wj.SimplestWalker(0.009), x, step=-drop).state)
     errors = [
-        np.abs(wj.step_down(wj.PointFootWalker(0.009, mass), x, drop).state - limit).max()
+        np.abs(wj.stride(wj.PointFootWalker(0.009, mass), x, step=-drop).state - limit).max()
         for mass in (1e-3, 1e-4)
     ]
     assert 9.5 < errors[0] / errors[1] < 10.5
-    spring = wj.step_down(wj.SpringWalker(0.009, 0.0), x, drop)
+    spring = wj.stride(wj.SpringWalker(0.009, 0.0), x, step=-drop)
     np.testing.assert_allclose(spring.state, limit, rtol=0, atol=1e-12)

@@ -138,7 +138,7 @@ def test_second_derivatives_are_forward_over_reverse():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("system", [wj.KneedWalker(0.05), wj.SpringMassBiped()])
+@pytest.mark.parametrize("system", [wj.KneedWalker(0.05), wj.systems.SpringMassBiped()])
 def test_walkers_agree_with_forward_mode(system, monkeypatch):
     """Phases with a balance of power; fractional powers, and modes that begin and end anywhere."""
     x = wj.find_gait(system).states[0]

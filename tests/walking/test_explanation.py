@@ -39,7 +39,7 @@ def test_the_last_rise_is_what_ended_the_stride(x):
 
 @pytest.mark.slow
 def test_a_rise_that_is_not_admitted_is_told():
-    found = wj.explain(wj.SpringMassRunner(), jnp.array([2.0]))
+    found = wj.explain(wj.systems.SpringMassRunner(), jnp.array([2.0]))
     assert found.outcome == wj.Outcome.BACKWARD and len(found.modes) == 2
     counted = {rise.leads_to: rise.admitted for rise in found.modes[1].rises}
     assert counted == {"BACKWARD": True, "STOPPED": False, "rise": False}
@@ -247,13 +247,13 @@ def test_energy_that_should_be_constant_is_looked_at():
     found = wj.explain(Leaky(0.009), jnp.array([0.2, -0.2]))
     (complaint,) = found.complaints
     assert complaint.startswith("in mode 'swing' the energy changes by -0.0")
-    runner = wj.explain(wj.SpringMassRunner(), jnp.array([1.0]))
+    runner = wj.explain(wj.systems.SpringMassRunner(), jnp.array([1.0]))
     energies = np.array([mode.energy for mode in runner.modes])
-    np.testing.assert_allclose(energies, wj.SpringMassRunner().energy, rtol=1e-11)
+    np.testing.assert_allclose(energies, wj.systems.SpringMassRunner().energy, rtol=1e-11)
 
 
 def test_an_angle_may_be_wrapped():
-    found = wj.explain(wj.BouncingBall(), jnp.array([0.8 + 2 * np.pi, 3.1]))
+    found = wj.explain(wj.systems.BouncingBall(), jnp.array([0.8 + 2 * np.pi, 3.1]))
     assert found.outcome == wj.Outcome.STRIDE and found.complaints == [] and found.modes
 
 
@@ -301,11 +301,11 @@ def test_the_command_says_the_same(run):
 
 
 def test_a_map_is_explained_too():
-    found = wj.explain(wj.HenonMap(), jnp.array([0.1, 0.2]))
+    found = wj.explain(wj.systems.HenonMap(), jnp.array([0.1, 0.2]))
     assert found.outcome == wj.Outcome.STRIDE and found.modes == []
     np.testing.assert_allclose(found.jacobian, [[-0.28, 1.0], [0.3, 0.0]], rtol=1e-14)
     with pytest.raises(ValueError, match="must not be traced"):
-        jax.jit(lambda x: wj.explain(wj.HenonMap(), x))(jnp.zeros(2))
+        jax.jit(lambda x: wj.explain(wj.systems.HenonMap(), x))(jnp.zeros(2))
 
 
 @pytest.mark.parametrize("system", [Decaying(), Slow(), Vanishing()], ids=lambda one: one.label())

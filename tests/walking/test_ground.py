@@ -28,8 +28,8 @@ def test_the_modes_on_a_step_are_a_graph(walker):
     assert [*modes] == [*walker.modes(), LOWER]
     check_graph(walker.label(), modes, {*failures_by_name(walker)})
     assert [one.leads_to for one in modes["swing"].guards[-2:]] == [LOWER, "section"]
-    assert has_ground(walker) and not has_ground(wj.SpringMassRunner())
-    assert not has_ground(wj.SpatialWalker()) and not has_ground(wj.HenonMap())
+    assert has_ground(walker) and not has_ground(wj.systems.SpringMassRunner())
+    assert not has_ground(wj.SpatialWalker()) and not has_ground(wj.systems.HenonMap())
 
 
 def test_a_stride_is_smooth_as_a_step_up_turns_into_one_down():
@@ -70,7 +70,7 @@ def test_margins_on_a_step_of_nothing_are_those_of_a_stride():
     none = Disturbance(*zeros)
     arguments = walker, full, none, INTEGRATOR
     found = map_cells(follow_disturbed_margins, arguments, (False, True, True, False))
-    level = wj.margins_of_many(WALKER, full)
+    level = wj.margins(WALKER, full)
     assert {0, 1, 2} <= set(level.stride.outcome.tolist())
     np.testing.assert_allclose(found.failed, level.failed, rtol=0, atol=1e-13)
     for name, values in found.by_name.items():
@@ -86,7 +86,7 @@ def test_margins_on_ground_a_little_lower_are_those_on_level():
     lower: Any = np.full(300, -1e-9), np.zeros(300), np.zeros(300)
     arguments = walker, full, Disturbance(*lower), INTEGRATOR
     found = map_cells(follow_disturbed_margins, arguments, (False, True, True, False))
-    level = wj.margins_of_many(walker, full)
+    level = wj.margins(walker, full)
     np.testing.assert_array_equal(found.stride.outcome, level.stride.outcome)
     assert np.bincount(level.stride.outcome)[1:3].min() > 30
     np.testing.assert_allclose(found.failed, level.failed, rtol=0, atol=1e-7)
@@ -123,7 +123,9 @@ def test_walks_on_rough_ground_are_strides_onto_steps():
         np.testing.assert_allclose(made.states[number + 1], state, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("system", [wj.HenonMap(), wj.SpringMassRunner(), wj.SpatialWalker()])
+@pytest.mark.parametrize(
+    "system", [wj.systems.HenonMap(), wj.systems.SpringMassRunner(), wj.SpatialWalker()]
+)
 def test_systems_without_ground_are_told(system):
     name = type(system).__name__
     x = np.zeros(len(system.section)) + 0.9

@@ -145,7 +145,7 @@ def test_strides_are_those_of_an_independent_integration(some):
 
 def test_margins_are_of_the_same_strides_and_have_their_signs(some):
     for walker, xs, expected in some:
-        found = wj.margins_of_many(walker, xs)
+        found = wj.margins(walker, xs)
         np.testing.assert_array_equal(found.stride.outcome, expected.outcome)
         values = found.failed
         fails = ~np.isin(expected.outcome, [Outcome.STRIDE, Outcome.OUTSIDE])
@@ -237,7 +237,7 @@ def test_its_gradient_is_that_of_sizes(walking, nearest):
     gait, _ = nearest
     names = "limit", "spread", "bound", "least"
     options: Any = dict(directions=48, strides=100)
-    gradient = wj.disturbance_gradient(walking, names, gait, **options).gradient
+    gradient = wj.measure(walking, "least-disturbance", names, gait, **options).gradient
 
     def size(name: str, change: float) -> float:
         other = hooked(**ONE | {name: ONE[name] + change})
@@ -251,11 +251,11 @@ def test_its_gradient_is_that_of_sizes(walking, nearest):
 def test_the_gradient_of_the_area_is_that_of_areas(walking):
     """By a parameter that moves the boundary by more than the errors."""
     finer = wj.Grid.sheared(theta=(0.1, 0.4, 48), sum=(-0.08, 0.04, 48))
-    found = wj.area_gradient(walking, finer, ("stiffness",), levels=2, check=3000)
+    found = wj.measure(walking, "area", ("stiffness",), grid=finer, levels=2, check=3000)
     areas = [
         float(wj.refine(hooked(**ONE | {"stiffness": value}), GRID, 3, check=3000).total_area)
         for value in (ONE["stiffness"] - 0.05, ONE["stiffness"] + 0.05)
     ]
-    error = 3 * float(found.error[0]) + 0.05 * abs(found.gradient[0])
+    error = 3 * float(found.gradient_error[0]) + 0.05 * abs(found.gradient[0])
     assert error < found.gradient[0] / 2
     assert found.gradient[0] == pytest.approx((areas[1] - areas[0]) / 0.1, abs=error)

@@ -4,15 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from all_measures import all_measures
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 
 X = jnp.array([0.7, 2.3])
-BALL = wj.BouncingBall(0.4, 0.8)
+BALL = wj.systems.BouncingBall(0.4, 0.8)
 
 
-class Ball(wj.BouncingBall):
+class Ball(wj.systems.BouncingBall):
     unit: float | jax.Array = 1.0
 
     def modes(self):
@@ -26,7 +27,7 @@ class Ball(wj.BouncingBall):
         return {"flight": flight._replace(integrals=rates, largest=largest)}
 
 
-class Stuck(wj.StickSlip):
+class Stuck(wj.systems.StickSlip):
     def modes(self):
         time = lambda y: jnp.ones_like(y.x)
         slower = lambda y: self.kinetic * y.v
@@ -129,7 +130,7 @@ def test_functions_must_be_named():
 
 
 def test_an_integral_and_a_largest_value_need_two_names():
-    class Twice(wj.BouncingBall):
+    class Twice(wj.systems.BouncingBall):
         def modes(self):
             (flight,) = super().modes().values()
             of = {"height": lambda y: y.height}
@@ -147,7 +148,7 @@ def test_gaits_have_the_means_of_their_integrals():
     def period(speed):
         return np.pi + 2 * np.arctan2(speed, 0.5) + 1 / speed
 
-    found = wj.gait_measures(Stuck(), ["speed"])
+    found = all_measures(Stuck(), ["speed"])
     np.testing.assert_allclose(found["time"].value, period(0.5), atol=1e-12)
     np.testing.assert_allclose(found["time"].gradient, 2 / (1 + 1) / 0.5 - 4, atol=1e-11)
     np.testing.assert_allclose(found["work"].value, 0, atol=1e-12)
@@ -155,10 +156,10 @@ def test_gaits_have_the_means_of_their_integrals():
 
 
 def test_the_name_of_an_integral_is_no_measure_of_gaits():
-    class Fast(wj.BouncingBall):
+    class Fast(wj.systems.BouncingBall):
         def modes(self):
             (flight,) = super().modes().values()
             return {"flight": flight._replace(integrals={"speed": lambda y: y.velocity})}
 
     with pytest.raises(WrongUse, match="must not be named 'speed'"):
-        wj.gait_measures(Fast(), ["restitution"])
+        all_measures(Fast(), ["restitution"])

@@ -12,7 +12,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.execution.tiles import map_cells
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walking.failure_margins import Margins, margins, margins_of_many
+from walker_jax.walking.failure_margins import Margins, margins
 
 WAYS = "backward", "forward", "running", "stopping"
 DECIDES = {
@@ -46,7 +46,7 @@ PARAMS = [pytest.param(name, marks=[pytest.mark.slow] * (name != "simplest")) fo
 def margins_found(request):
     walker = WALKERS[request.param]
     xs = starts(walker)
-    return walker, xs, margins_of_many(walker, xs)
+    return walker, xs, margins(walker, xs)
 
 
 def assert_signs(found: Margins):
@@ -80,7 +80,7 @@ def test_signs_are_the_outcomes_of_the_reference(name):
         outcomes = data["outcome"].ravel()
     xs = np.stack([theta.ravel(), thetadot.ravel()], axis=1)
     slope = float(name.split("_")[1])
-    found = margins_of_many(wj.SimplestWalker(slope), xs)
+    found = margins(wj.SimplestWalker(slope), xs)
     np.testing.assert_array_equal(found.stride.outcome, outcomes)
     assert_signs(found)
     stride = wj.strides(wj.SimplestWalker(slope), xs)
@@ -120,7 +120,7 @@ def assert_derivatives(walker, xs, seed=0, scale=1e-4):
         leaves = [np.asarray(first) + h * along_slope]
         leaves += [np.full(len(xs), float(leaf)) for leaf in others]
         walkers = jax.tree.unflatten(jax.tree.structure(walker), leaves)
-        found = margins_of_many(walkers, xs + h * directions, tolerance=tolerance)
+        found = margins(walkers, xs + h * directions, tolerance=tolerance)
         return np.stack([*found.by_name.values()])
 
     steps = scale * 0.5 ** np.arange(4)
@@ -172,7 +172,7 @@ def test_margins_are_zero_at_the_boundaries(margins_found, way):
     walker, *_ = margins_found
     code = {name: code for code, name in DECIDES.items()}[way]
     good, bad = pairs_at(walker, code)
-    before, after = margins_of_many(walker, good), margins_of_many(walker, bad)
+    before, after = margins(walker, good), margins(walker, bad)
     passed, failed = getattr(before, way), getattr(after, way)
     own = passed > 0  # else another failure came before this one
     assert np.all(failed <= 0)
@@ -189,7 +189,7 @@ def test_margins_are_zero_at_the_boundaries(margins_found, way):
 @pytest.mark.slow
 def test_a_stride_that_is_traced_has_the_same_margins():
     walker, xs = WALKERS["simplest"], starts(WALKERS["simplest"], 200)
-    many = margins_of_many(walker, xs)
+    many = margins(walker, xs)
     mapped = jax.jit(jax.vmap(lambda x: margins(walker, x)))(xs)
     for one, other in zip(jax.tree.leaves(many), jax.tree.leaves(mapped), strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
@@ -201,7 +201,7 @@ def test_a_stride_that_is_traced_has_the_same_margins():
 def test_margins_in_float32_are_close():
     walker = wj.SimplestWalker(0.0165)
     xs = starts(walker, 500)
-    exact, found = margins_of_many(walker, xs), margins_of_many(walker, xs.astype(np.float32))
+    exact, found = margins(walker, xs), margins(walker, xs.astype(np.float32))
     same = exact.stride.outcome == found.stride.outcome
     assert same.mean() > 0.99 and found.forward.dtype == np.float32
     for way in WAYS:
@@ -212,7 +212,7 @@ def test_margins_in_float32_are_close():
 def test_margins_of_the_simplest_walker_in_closed_form():
     """At the top, at the start, and at heel strike."""
     walker, xs = WALKERS["simplest"], starts(WALKERS["simplest"])
-    found = margins_of_many(walker, xs)
+    found = margins(walker, xs)
     outcome, (theta, thetadot) = found.stride.outcome, xs.T
     energy = thetadot**2 / 2 + np.cos(theta - 0.0165) - 1  # above that at the top
     fell, stops, strode = (
@@ -274,7 +274,7 @@ def test_the_forward_margin_is_that_of_the_motion():
     on_section = np.stack([theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot], axis=1)
     launched = rng.uniform([0.0, -0.8, -0.5, -0.8], [0.4, 0.8, 0.0, 0.8], (2000, 4))
     xs = np.concatenate([on_section, launched])
-    found = margins_of_many(walker, xs)
+    found = margins(walker, xs)
     outcome = found.stride.outcome
     strode, fell = (np.flatnonzero(outcome == code) for code in (Outcome.STRIDE, Outcome.FORWARD))
     nearest = strode[np.argsort(found.stride.state[strode, 0])[:8]]  # where the foot comes down
@@ -321,8 +321,8 @@ def test_margins_of_a_stance_leg_of_which_nothing_is_known():
     gravity, slope = 4.0, 0.0165
     xs = starts(WALKERS["simplest"], 2000)
     heavier = lambda least: HeavierWorld(*map(jnp.asarray, (slope, gravity, least)))
-    found = margins_of_many(heavier(np.nan), xs * [1, 2])
-    plain = margins_of_many(WALKERS["simplest"], xs)
+    found = margins(heavier(np.nan), xs * [1, 2])
+    plain = margins(WALKERS["simplest"], xs)
     np.testing.assert_array_equal(found.stride.outcome, plain.stride.outcome)
     theta, thetadot = xs.T
     energy = gravity * (thetadot**2 / 2 + np.cos(theta - slope) - 1)  # above that at the top
@@ -342,7 +342,7 @@ def test_margins_of_a_stance_leg_of_which_nothing_is_known():
         ours, theirs = getattr(found, way)[strode], unit * getattr(plain, way)[strode]
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
     for least, outcome in ((0.1, Outcome.STRIDE), (-1e-4, Outcome.RUNNING)):
-        pressed = margins_of_many(heavier(least), xs[climbs] * [1, 2])
+        pressed = margins(heavier(least), xs[climbs] * [1, 2])
         again = (pressed.stride.outcome == outcome) & (theta[climbs] > slope + 0.01)
         assert again.sum() > 50
         np.testing.assert_allclose(pressed.running[again], least, rtol=0, atol=1e-12)
@@ -370,7 +370,7 @@ def test_a_stance_leg_that_stops_for_a_moment_has_turned_back():
         strides, edges(walker, theta, -1.3 * theta, 1e-9)[0], rtol=0, atol=1e-9
     )
     found = [
-        margins_of_many(walker, np.stack([theta, rate], axis=1))
+        margins(walker, np.stack([theta, rate], axis=1))
         for rate in (strides - 1e-9, falls + 1e-9)  # beyond rounding
     ]
     for one, outcome in zip(found, (Outcome.STRIDE, Outcome.BACKWARD), strict=True):

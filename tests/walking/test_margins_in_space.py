@@ -55,12 +55,12 @@ def assert_signs(found: Margins, ways: set) -> None:
 @pytest.fixture(scope="module")
 def some():
     """Margins of a few thousand starts."""
-    return wj.margins_of_many(WALKER, starts(1, near=300, far=3000))
+    return wj.margins(WALKER, starts(1, near=300, far=3000))
 
 
 def test_signs_of_margins_are_the_outcomes(some):
     assert_signs(some, set(DECIDES))
-    back = wj.margins_of_many(WALKER, GAIT[None])
+    back = wj.margins(WALKER, GAIT[None])
     np.testing.assert_allclose(back.stride.state[0], GAIT, rtol=0, atol=1e-7)
     assert np.isnan(back.failed).all()
 
@@ -91,7 +91,7 @@ def test_forward_margins_are_by_how_much_heel_strikes_were_some(some):
 def test_signs_are_the_outcomes_of_strides(allow):
     """And a stride is the one that `strides` makes."""
     walker, xs = wj.SpatialWalker(allow_scuffing=allow), starts()
-    found, expected = wj.margins_of_many(walker, xs), wj.strides(walker, xs)
+    found, expected = wj.margins(walker, xs), wj.strides(walker, xs)
     np.testing.assert_array_equal(found.stride.outcome, expected.outcome)
     np.testing.assert_allclose(found.stride.state, expected.state, rtol=0, atol=1e-11)
     np.testing.assert_allclose(found.stride.time, expected.time, rtol=0, atol=1e-11)
@@ -99,7 +99,7 @@ def test_signs_are_the_outcomes_of_strides(allow):
 
 
 def outcomes_of_margins(xs):
-    return wj.margins_of_many(WALKER, xs).stride.outcome
+    return wj.margins(WALKER, xs).stride.outcome
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_margins_are_zero_where_outcomes_change(outcome_of, far, pairs):
         middle = (a + b) / 2
         strides = (outcome_of(middle) == Outcome.STRIDE)[:, None]
         a, b = np.where(strides, middle, a), np.where(strides, b, middle)
-    found, beyond = wj.margins_of_many(WALKER, a), wj.margins_of_many(WALKER, b)
+    found, beyond = wj.margins(WALKER, a), wj.margins(WALKER, b)
     ends, sizes = np.asarray(beyond.stride.outcome), np.abs(beyond.failed)
     for code in DECIDES:
         at = ends == code
@@ -156,12 +156,10 @@ def test_derivatives_of_failing_margins_are_differences():
     found = differentiate_margins(WALKER, xs, none, np.eye(7), names, 1e-14)
 
     def at(h):
-        columns = [
-            wj.margins_of_many(WALKER, xs + h * axis, tolerance=1e-14).failed for axis in np.eye(7)
-        ]
+        columns = [wj.margins(WALKER, xs + h * axis, tolerance=1e-14).failed for axis in np.eye(7)]
         for name in names:
             other = wj.SpatialWalker(**{name: float(getattr(WALKER, name)) + h})
-            columns.append(wj.margins_of_many(other, xs, tolerance=1e-14).failed)
+            columns.append(wj.margins(other, xs, tolerance=1e-14).failed)
         return np.stack(columns, axis=1)
 
     steps = 2e-4 * 0.5 ** np.arange(3)
@@ -209,12 +207,12 @@ def test_its_gradient_is_that_of_bisections():
     """For a push from the side, of walkers a little wider and with a little larger discs."""
     gait = wj.find_gait(WALKER, GAIT)
     names = ["hip_width", "disc_radius"]
-    found = wj.disturbance_gradient(WALKER, names, gait, along=np.eye(7)[4], directions=16)
+    found = wj.measure(WALKER, "least-disturbance", names, gait, along=np.eye(7)[4], directions=16)
 
     def size(name, h):
         walker = wj.SpatialWalker(**{name: float(getattr(WALKER, name)) + h})
         x = np.asarray(wj.find_gait(walker, GAIT).states[0])
-        low, high = found.size - 2e-4, found.size + 2e-4
+        low, high = found.value - 2e-4, found.value + 2e-4
         for _ in range(6):  # 65 points each: to 1e-14
             sizes = np.linspace(low, high, 65)
             failed = (
@@ -249,14 +247,14 @@ def test_the_gradient_of_a_slice_is_that_of_areas():
     point = dict(zip(WALKER.section, GAIT.tolist(), strict=True))
     around = lambda name, half: (point[name] - half, point[name] + half, 16)
     grid = wj.Grid.through(point, yaw=around("yaw", 0.25), leandot=around("leandot", 0.05))
-    found = wj.area_gradient(WALKER, grid, ["hip_width"], levels=3, strides=100, check=1000)
+    found = wj.measure(WALKER, "area", ["hip_width"], grid=grid, levels=3, strides=100, check=1000)
     areas = [
         float(wj.refine(wj.SpatialWalker(hip_width=w), grid, 4, strides=100, check=1000).total_area)
         for w in (width - 0.004, width + 0.004)
     ]
     assert found.lost == 0 and found.crossings > 100 and not found.averaged.any()
     assert found.gradient[0] == pytest.approx((areas[1] - areas[0]) / 0.008, rel=0.08)
-    assert found.area == pytest.approx(np.mean(areas), rel=0.02)
+    assert found.value == pytest.approx(np.mean(areas), rel=0.02)
 
 
 @pytest.mark.slow

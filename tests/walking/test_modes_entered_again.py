@@ -146,7 +146,7 @@ def test_trajectories_and_times_of_modes_pass_all_flights():
 
 def test_a_block_sticks_and_slips_again():
     """From the cycle's turn: on a circle about kinetic, then with the belt, and again."""
-    system = wj.StickSlip()
+    system = wj.systems.StickSlip()
     speed, static, kinetic = (float(getattr(system, n)) for n in ("speed", "static", "kinetic"))
     d = static - kinetic
     radius, slip = np.hypot(d, speed), np.pi + np.arctan2(speed, d)

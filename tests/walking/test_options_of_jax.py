@@ -14,8 +14,15 @@ import walker_jax as wj
 
 WALKER, START, FALL = wj.SimplestWalker(0.009), jnp.array([0.2003, -0.1998]), jnp.array([0.3, -0.1])
 GRID = wj.Grid.sheared(theta=(0.1, 0.3, 6), sum=(-0.02, 0.01, 6))
-SLOW = {"boundary", "metastability", "most_probable_fall", "robustness_table", "steps_to_fall"}
-SLOW |= {"gait_sensitivity", "sensitivity_gradient", "prove_basin", "prove_doubling", "prove_gait"}
+SLOW = {"boundary", "steps_to_fall by cells", "most_probable_fall", "robustness over values"}
+SLOW |= {"steps_to_fall"}
+SLOW |= {
+    "gait_sensitivity",
+    "measure sensitivity-norm",
+    "prove_basin",
+    "prove_doubling",
+    "prove_gait",
+}
 """Functions that take seconds to compile."""
 EACH = pytest.mark.parametrize(
     "name", [pytest.param(one, marks=[pytest.mark.slow] if one in SLOW else []) for one in CALLS]
@@ -25,7 +32,9 @@ EACH = pytest.mark.parametrize(
 def test_every_function_is_tried():
     """But for the explorer's page, which is not computed here."""
     functions = {one for one in wj.__all__ if inspect.isfunction(getattr(wj, one))}
-    assert functions - {"explore"} == {*CALLS}
+    functions |= {f"fractals.{one}" for one in wj.fractals.__all__}
+    classes = {"Feedback", "Policy"}
+    assert functions - {"explore"} | classes == {one.split()[0] for one in CALLS}
 
 
 @EACH
@@ -45,7 +54,7 @@ FALLS = {
     "strides": lambda: wj.strides(WALKER, FALL[None]).outcome[0],
     "walk": lambda: wj.walk(WALKER, FALL, 2).outcomes[-1],
     "rough ground": lambda: wj.walk(WALKER, FALL, 1, ground=jnp.array([0.001])).outcomes[-1],
-    "step down": lambda: wj.step_down(WALKER, FALL, 0.001).outcome,
+    "step down": lambda: wj.stride(WALKER, FALL, step=-0.001).outcome,
     "margins": lambda: wj.margins(WALKER, FALL).stride.outcome,
     "mapped": lambda: jax.jit(jax.vmap(lambda x: wj.stride(WALKER, x).outcome))(FALL[None])[0],
     "basin": lambda: wj.basin(WALKER, GRID, "direct").fate.values.max(),

@@ -18,7 +18,7 @@ from walker_jax.kernels import kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State
-from walker_jax.walking.failure_margins import margins_of_many
+from walker_jax.walking.failure_margins import margins
 from walker_jax.walking.iteration import iterate
 
 
@@ -68,7 +68,7 @@ def torqued(request):
 def test_a_foot_down_and_up_again_within_a_step_has_struck(torqued, tolerance):
     walker, xs, expected = torqued
     assert_same(wj.strides(walker, xs, tolerance=tolerance), expected)
-    found = margins_of_many(walker, xs, tolerance=tolerance)
+    found = margins(walker, xs, tolerance=tolerance)
     assert_same(found.stride, expected)
     fails = ~np.isin(expected.outcome, [Outcome.STRIDE, Outcome.OUTSIDE])
     assert fails.sum() > 10
@@ -207,7 +207,7 @@ def ruled(request):
 def test_strides_and_margins_keep_to_the_rules_of_a_walker(ruled):
     walker, xs, expected = ruled
     assert_same(wj.strides(walker, xs), expected)
-    found = margins_of_many(walker, xs)
+    found = margins(walker, xs)
     assert_same(found.stride, expected)
     assert len(np.unique(expected.outcome)) > 2
     values = found.failed
@@ -228,7 +228,7 @@ def test_margins_of_own_rules_vanish_where_failing_begins(name):
         middle = (good + bad) / 2
         strides = (wj.strides(walker, middle).outcome == 0)[:, None]
         good, bad = np.where(strides, middle, good), np.where(strides, bad, middle)
-    values = np.abs(margins_of_many(walker, bad).failed)
+    values = np.abs(margins(walker, bad).failed)
     assert np.median(values) < 1e-9 and np.mean(values < 1e-6) > 0.9
 
 
@@ -311,7 +311,7 @@ class SpreadByMode(wj.SimplestWalker):
 def test_modes_of_ones_own_are_what_every_function_follows():
     """A guard that is added to the swing does what the same fall does."""
     one, other, xs = RULES["within a step"][0], SpreadByMode(0.01), starts(200)
-    expected, found = (margins_of_many(walker, xs) for walker in (one, other))
+    expected, found = (margins(walker, xs) for walker in (one, other))
     outcome = expected.stride.outcome
     assert (outcome == Outcome.SIDEWAYS).sum() > 20
     for value, known in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
@@ -358,9 +358,7 @@ def test_falls_of_ones_own_end_phases_too(by_margins):
     whole = wj.strides(walker, xs)
     phased = PhasedWalker(walker.slope, walker.limit, walker.slowest)
     assert (whole.outcome == Outcome.BACKWARD).sum() > 20
-    assert_same(
-        margins_of_many(phased, xs).stride if by_margins else wj.strides(phased, xs), whole, 1e-9
-    )
+    assert_same(margins(phased, xs).stride if by_margins else wj.strides(phased, xs), whole, 1e-9)
 
 
 @pytest.mark.slow
@@ -394,8 +392,8 @@ def test_boundaries_move_with_limits_of_falls_as_margins_say():
     assert np.abs(moved).max() > 0.05
 
     grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
-    area = wj.area_gradient(at(-0.22), grid, ("limit",), levels=2, check=10_000)
-    assert area.gradient[0] < -3 * area.error[0] and area.lost < 0.02 * area.crossings
+    area = wj.measure(at(-0.22), "area", ("limit",), grid=grid, levels=2, check=10_000)
+    assert area.gradient[0] < -3 * area.gradient_error[0] and area.lost < 0.02 * area.crossings
 
 
 # Conditions
@@ -418,7 +416,7 @@ def test_conditions_are_looked_at_from_the_start_on():
     expected = strides_by_fixed_steps(Legs(0.01, condition=condition), xs)
     assert (expected.outcome == Outcome.BUCKLED).sum() > 20
     assert_same(wj.strides(walker, xs), expected)
-    found = margins_of_many(walker, xs)
+    found = margins(walker, xs)
     assert_same(found.stride, expected)
     failed = expected.outcome == Outcome.BUCKLED
     np.testing.assert_allclose(found.buckling[failed], limit - xs[failed, 0], atol=1e-12)

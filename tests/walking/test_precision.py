@@ -24,7 +24,7 @@ def test_a_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
     expected = wj.strides(walker(np.float64), double)
     for found in (
         wj.strides(walker(np.float32), single),
-        wj.margins_of_many(walker(np.float32), single).stride,
+        wj.margins(walker(np.float32), single).stride,
         jax.jit(jax.vmap(lambda x: wj.stride(walker(np.float32), x)))(jnp.asarray(single)),
     ):
         assert found.outcome[0] == expected.outcome[0] == Outcome.STRIDE
@@ -64,7 +64,7 @@ def assert_alike(starts):
     single = wj.strides(walker(np.float32), starts)
     double = wj.strides(walker(np.float64), starts.astype(float))
     unlike = np.flatnonzero(single.outcome != double.outcome)
-    margins = wj.margins_of_many(walker(np.float64), starts[unlike].astype(float))
+    margins = wj.margins(walker(np.float64), starts[unlike].astype(float))
     backward = np.abs(margins.backward)
     ways = np.abs([margins.forward, margins.running, margins.stopping])
     nearest = np.fmin.reduce(ways)  # NaN where none came up
@@ -117,7 +117,7 @@ def test_what_needs_float64_refuses_float32():
         for call in (
             lambda: wj.boundary_dimension(simplest, grid),
             lambda: wj.robustness(simplest, grid),
-            lambda: wj.robustness_table(simplest, [0.004]),
+            lambda: wj.robustness(simplest, values=[0.004]),
             lambda: wj.continue_gait(simplest, "slope", (0.001, 0.02)),
             lambda: wj.most_probable_fall(simplest),
         ):

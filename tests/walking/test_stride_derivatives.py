@@ -137,7 +137,7 @@ def test_a_step_down_is_what_the_motion_of_the_feet_gives():
         return [thetadot, phidot, np.sin(theta - slope), swing]
 
     for drop in (0.0, 1e-4, 2e-3, 0.02):
-        found = wj.step_down(walker, x, drop)
+        found = wj.stride(walker, x, step=-drop)
         assert found.outcome == Outcome.STRIDE
         time = float(found.time)
         before = solve_ivp(field, (0, time), full, rtol=1e-13, atol=1e-13, method="DOP853").y[:, -1]
@@ -151,7 +151,7 @@ def test_a_step_down_is_what_the_motion_of_the_feet_gives():
         expected = stance, -phi, rate, rate - trailing
         np.testing.assert_allclose(found.state, expected, rtol=0, atol=1e-10)
     level = wj.stride(walker, x)
-    flat = wj.step_down(walker, x, 0.0)
+    flat = wj.stride(walker, x, step=0.0)
     np.testing.assert_allclose(flat.state[jnp.array([0, 2])], level.state, rtol=0, atol=1e-13)
     assert float(flat.state[1] - 2 * flat.state[0]) == pytest.approx(0, abs=1e-13)
     assert float(flat.time) == pytest.approx(float(level.time), abs=1e-12)
@@ -188,15 +188,15 @@ def test_an_impulse_changes_the_momentum_also_on_lower_ground():
 
 def test_a_step_down_may_fail():
     walker = SimplestWalker(0.009)
-    assert wj.step_down(walker, np.array([0.2, -0.2]), 0.9).outcome == Outcome.FORWARD
-    assert wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).outcome == Outcome.BACKWARD
-    assert np.isnan(wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).state).all()
+    assert wj.stride(walker, np.array([0.2, -0.2]), step=-0.9).outcome == Outcome.FORWARD
+    assert wj.stride(walker, np.array([0.2, -0.1]), step=-1e-3).outcome == Outcome.BACKWARD
+    assert np.isnan(wj.stride(walker, np.array([0.2, -0.1]), step=-1e-3).state).all()
 
 
 @pytest.mark.slow
 def test_a_step_down_has_derivatives():
     walker = SimplestWalker(0.009)
-    state = lambda z: wj.step_down(walker, z[:2], z[2]).state
+    state = lambda z: wj.stride(walker, z[:2], step=-z[2]).state
     z, width = jnp.array([0.2, -0.2, 1e-3]), 1e-4
     jacobian = jax.jit(jax.jacfwd(state))(z)
     step = lambda i, h: (state(z.at[i].add(h)) - state(z.at[i].add(-h))) / (2 * h)

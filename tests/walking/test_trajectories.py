@@ -239,7 +239,7 @@ def test_a_vector_field_that_gives_no_state_is_refused(rates, found):
         lambda x: wj.stride(Own(0.004), x),
         lambda x: wj.margins(Own(0.004), x),
         lambda x: wj.trajectory(Own(0.004), x, jnp.array([1.0])),
-        lambda x: wj.step_down(Own(0.004), x, 0.001),
+        lambda x: wj.stride(Own(0.004), x, step=-0.001),
     ):
         for call in (function, jax.jit(function)):
             with pytest.raises(ValueError, match=f"^{re.escape(said)}"):

@@ -41,7 +41,7 @@ BYTES_STORED = {"cell-map": 16, "direct": 0}
 """Peak memory in bytes for each cell, as `BYTES_PER_CELL`, if the result goes into a store."""
 
 
-@refuses_tracers("area_gradient gives derivatives of a basin's area")
+@refuses_tracers("measure gives derivatives of a basin's area")
 def basin(
     walker: System,
     grid: Grid,

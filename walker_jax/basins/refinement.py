@@ -39,7 +39,7 @@ FINEST = 30
 """Largest number of levels; memory ends far below."""
 
 
-@refuses_tracers("area_gradient gives derivatives of a basin's area")
+@refuses_tracers("measure gives derivatives of a basin's area")
 def refine(
     walker: System,
     grid: Grid,
@@ -218,7 +218,7 @@ def refine_cells(
         followed.append(len(cells.cells))
         boundary.append(len(next_cells))
 
-    drawn, excess, counts = check_twice(cells, levels, check)
+    drawn, excess, counts = correct_and_estimate(cells, levels, check)
     depth = cells.runs.levels_of(drawn)
     weight = cells.inherited() / np.maximum(counts, 1)
     missing = (weight[depth] * excess)[excess != 0]
@@ -258,7 +258,7 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
     check_whole("strides", strides)
 
 
-def check_twice(
+def correct_and_estimate(
     cells: RefinedCells, levels: int, check: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
     """Check cells twice: follow what the first check finds, and estimate what is left.

@@ -166,7 +166,7 @@ def follow_manifold(
     t = float(np.dot(difference(end, saddle, turns), direction))
     while len(curve.points) < points and step > SHORTEST:
         tangent, rate = tangent_of(jacobian, curve.at(t)[1], along)
-        found = correct(image, curve, x + step * tangent, t + step * rate, tangent, turns)
+        found = find_preimage(image, curve, x + step * tangent, t + step * rate, tangent, turns)
         if found is not None:
             new_x, new_t, new_jacobian = found
             gap = float(np.linalg.norm(new_x - x))
@@ -192,7 +192,7 @@ def tangent_of(
     return null[:2], float(null[2])
 
 
-def correct(
+def find_preimage(
     image: ImageOf,
     curve: Curve,
     x: Float[np.ndarray, " 2"],

@@ -107,7 +107,7 @@ class Command(click.Command):
                 f"--{first}", flags_of(self.get_params(ctx)), cutoff=0.8
             )
             instead = meant(similar) or help_of(ctx)
-            raise WrongUse(f"{shown(first)} is an argument too many: {instead}")
+            raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
 
     def refuse_both(self, ctx: click.Context) -> None:
         """Refuse two options that exclude each other."""

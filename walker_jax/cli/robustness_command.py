@@ -1,7 +1,6 @@
 """`walker-jax robustness`."""
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -119,11 +118,10 @@ def robustness(
     how, grid = measures.settings(walker), region.grid(walker)
     asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
     request = request_for("robustness", walker, without=[name] * bool(values), **asked)
-    measure: Any = partial(wj.robustness, walker)
-    if values is not None:
-        measure = partial(wj.robustness_table, walker, values, name)
+    over: Any = {} if values is None else {"values": values, "parameter": name}
     picture = "robustness" if values is None else "robustness_table"
-    data = output.produce(request, lambda: measure(grid, progress=True, **how), picture)
+    measure = lambda: wj.robustness(walker, grid, progress=True, **over, **how)
+    data = output.produce(request, measure, picture)
     about = request["walker"]
     if values is None:
         at = slope_of(about)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32
 
 from walker_jax.cellmaps import cell_image
 from walker_jax.control.actions import Actions
-from walker_jax.controlled_maps import Boxes
+from walker_jax.controlled_maps import ImageBoxes
 from walker_jax.execution.progress import track
 from walker_jax.execution.tiles import map_cells
 from walker_jax.execution.workers import Compute
@@ -68,9 +68,9 @@ class MappedCells(NamedTuple):
         ends = [np.empty((boxes, m, d), place) for _ in range(2)]
         return cls(np.empty((n, m), np.int32), *ends, *np.empty((2, boxes, m), bool))
 
-    def boxes(self, shape: tuple[int, ...], *, every: bool) -> Boxes:
+    def boxes(self, shape: tuple[int, ...], *, every: bool) -> ImageBoxes:
         """Return the boxes of the inner bound, or, if not `every`, of the outer one."""
-        return Boxes(self.low, self.high, self.whole if every else self.some, shape, every)
+        return ImageBoxes(self.low, self.high, self.whole if every else self.some, shape, every)
 
 
 class Arrivals(NamedTuple):

@@ -17,13 +17,14 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.labels import Label
 from walker_jax.basins.refinement import Refined, refine_cells
-from walker_jax.checks import WrongUse, numbers, refuses_tracers, short
+from walker_jax.checks import WrongUse, numbers, short
 from walker_jax.design.grid_lines import boundary_pairs, compare_lines, inverse_chances
+from walker_jax.design.measures import Measure
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.segments import Segments, narrow
@@ -58,38 +59,6 @@ Density = Callable[[Float[np.ndarray, "n section"]], Float[np.ndarray, " n"]]
 """A density of starts on the section."""
 
 
-class AreaGradient(NamedTuple):
-    """The area of a basin, and its derivatives by parameters of the walker."""
-
-    area: float
-    """Area of the basins of all attractors within the grid or slice (rad^2 per unit of time); over
-    three dimensions a volume (rad^3 per unit of time squared)."""
-    gradient: Float[np.ndarray, " parameters"]
-    """Its derivatives."""
-    area_error: float
-    error: Float[np.ndarray, " parameters"]
-    """Standard errors. That of the gradient combines the scatter between lines of the grid, an
-    estimate for parts thinner than a cell, and the crossings of unknown velocity. It is infinite
-    where the boundary is `fractal` and the derivative is not averaged: the integral along such a
-    boundary may even have the wrong sign. Give `bands` there."""
-    averaged: Bool[np.ndarray, " parameters"]
-    """Whether each derivative is an average over a band."""
-    crossings: int
-    """Number of points where lines cross the boundary."""
-    lost: int
-    """Crossings of unknown velocity: they border on another attractor, on infeasible starts, on a
-    failure without a margin, or on one whose margin jumps there, as where a strike is missed that
-    would have led to another stride. Those at infeasible starts count as fixed, since the
-    parameters of most walkers do not move that border. Each of the others enters the error with the
-    root-mean-square velocity of the known ones."""
-    strides: int
-    """Total number of strides; those with derivatives count once for each direction."""
-    fractal: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
-    """Whether the boundary is fractal at the scale of the cells: neighbouring lines cross parts of
-    it that move independently. It is not told in three dimensions."""
-
-
-@refuses_tracers("it gives derivatives itself, by the parameters named")
 def area_gradient(
     walker: System,
     grid: Grid,
@@ -102,14 +71,8 @@ def area_gradient(
     seed: int = 0,
     tolerance: float | None = None,
     density: Density | None = None,
-) -> AreaGradient:
+) -> Measure:
     """Compute the area of the basin within a grid, and its derivatives by parameters.
-
-    ```python
-    walker = wj.SimplestWalker(slope=0.004)
-    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
-    found = wj.area_gradient(walker, grid, ["slope"])
-    ```
 
     With n the unit normal of the boundary,
 
@@ -141,27 +104,7 @@ def area_gradient(
     the integral over the basin is the basin stability, and its derivative the integral of density
     times v along the boundary.
 
-    **Arguments:**
-
-    - `walker`: a single walker, with numbers for parameters.
-    - `grid`: as in `refine`, which divides it at the boundary; its borders are fixed.
-    - `parameters`: names of parameters of the walker, of one number or of a whole leaf or tree, as
-      `policy.layers[0].weight`; or a function of the walker that returns leaves, as for
-      `eqx.tree_at`. Derivatives are by all their numbers, those of an array in C order.
-    - `bands`: a half width above 0 for each parameter; it is reduced on a side where the walker
-      refuses the value.
-    - `levels`: number of times that cells on the boundary are halved.
-    - `strides`: number of strides for which a walker is followed.
-    - `check`, `seed`: as in `refine`, for the areas.
-    - `tolerance`: tolerance of the integration, as in `stride`.
-    - `density`: density of starts, a function of states of shape (n, section) that returns n
-      numbers and does not depend on parameters. All areas are then probabilities that such starts
-      converge.
-
-    **Returns** an `AreaGradient`, with zeros if nothing walks.
-
-    Raises `ValueError` for parameters that the walker does not have, for bands that are not
-    positive numbers, for a grid of one axis, and as `refine`.
+    Arguments are those of `measure`. The measure has zeros if nothing walks.
     """
     parameters = numbers_chosen(walker, parameters)
     widths = check_bands(parameters, bands)
@@ -213,7 +156,7 @@ def differentiate_area(
     parameters: Sequence[str],
     widths: Float[np.ndarray, " parameters"] | None,
     at_band_ends: AreaSettings,
-) -> AreaGradient:
+) -> Measure:
     """Differentiate a measured area, over bands of some half widths where the integral is unsure.
 
     The areas at the ends of bands may have settings of their own.
@@ -238,11 +181,11 @@ def differentiate_area(
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
         made += below.strides + above.strides
-    return AreaGradient(
-        area=size.area,
+    return Measure(
+        value=size.area,
         gradient=gradient,
-        area_error=size.area_error,
-        error=error,
+        value_error=size.area_error,
+        gradient_error=error,
         averaged=averaged,
         crossings=integral.crossings,
         lost=integral.lost,

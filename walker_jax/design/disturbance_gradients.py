@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.checks import refuses_tracers
 from walker_jax.design.area_gradients import check_bands, walkers_at_band_ends
+from walker_jax.design.measures import Measure
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import GaitPull
 from walker_jax.gaits.search import search_gait
@@ -33,16 +33,6 @@ the disturbance, over the size, above which the margin jumps there. Otherwise it
 which is how far beyond that is, but for errors of the integration."""
 
 
-class DisturbanceGradient(NamedTuple):
-    """The least disturbance of a gait, and its derivatives by parameters of the walker."""
-
-    size: float
-    gradient: Float[np.ndarray, " parameters"]
-    averaged: bool
-    """Whether the derivatives are averages over bands."""
-
-
-@refuses_tracers("it gives derivatives itself, by the parameters named")
 def disturbance_gradient(
     walker: System,
     parameters: Choice = ("slope",),
@@ -54,14 +44,8 @@ def disturbance_gradient(
     directions: int = DENSE,
     strides: int = 500,
     tolerance: float | None = None,
-) -> DisturbanceGradient:
+) -> Measure:
     """Compute the least disturbance of a gait, and its derivatives by parameters of the walker.
-
-    ```python
-    walker = wj.SimplestWalker(slope=0.004)
-    found = wj.disturbance_gradient(walker, ["slope"])
-    found.size, found.gradient
-    ```
 
     The least disturbance (the minimal fatal shock) is the smallest from which the walker does not
     return or, with `fall`, from which it falls.
@@ -76,11 +60,10 @@ def disturbance_gradient(
     stride. The derivatives are then averages over `bands`, as in `area_gradient`, as far as the
     gait is stable there, or NaN without bands.
 
-    `parameters` are chosen as in `area_gradient`. Other arguments and errors are those of
-    `least_disturbance`, in its plain metric.
+    Arguments and errors are those of `least_disturbance`, in its plain metric.
     """
     parameters = numbers_chosen(walker, parameters)
-    widths = check_bands(parameters, bands)
+    widths, every = check_bands(parameters, bands), np.ones(len(parameters), bool)
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     search = partial(
         least_disturbance,
@@ -106,12 +89,12 @@ def disturbance_gradient(
             by_state, np.zeros(len(by_state)), np.zeros(len(axes), complex)
         )
         gradient = -(by_parameter + moved) / slope
-        return DisturbanceGradient(found.size, gradient, False)
+        return Measure(found.size, gradient, averaged=~every)
     if bands is None:
-        return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)
+        return Measure(found.size, np.full(len(widths), np.nan), averaged=~every)
     pairs = zip(parameters, widths, strict=True)
     gradient = [mean_derivative_over_band(search, walker, gait, *pair, tolerance) for pair in pairs]
-    return DisturbanceGradient(found.size, np.array(gradient), True)
+    return Measure(found.size, np.array(gradient), averaged=every)
 
 
 def mean_derivative_over_band(

@@ -101,19 +101,17 @@ def evaluate_objective(
         how = area_settings(problem, problem.grid, stage)
         at_band_ends = how._replace(levels=max(0, how.levels - BAND_LEVELS_OMITTED))
         area = differentiate_area(measure_area(how, walker), names, bands, at_band_ends)
-        found[problem.size], made = Measure(area.area, area.gradient), area.strides
+        found[problem.size], made = area, area.strides
         weight = abs(problem.weights[problem.size])
-        value_error, gradient_error = weight * area.area_error, weight * area.error
+        value_error, gradient_error = weight * area.value_error, weight * area.gradient_error
     if set(problem.measures) - {problem.size}:
         gait = gait_of(values)
         others = [name for name in problem.measures if name not in BY_THEMSELVES]
         how = others, problem.functions, problem.tolerance
         found |= differentiate_measures(walker, names, gait, *how)
         if "sensitivity-norm" in problem.weights:
-            found["sensitivity-norm"] = Measure(
-                *sensitivity_gradient(
-                    check_planar(walker), names, gait, tolerance=problem.tolerance
-                )
+            found["sensitivity-norm"] = sensitivity_gradient(
+                check_planar(walker), names, gait, tolerance=problem.tolerance
             )
         if "least-disturbance" in problem.weights:
             found["least-disturbance"] = Measure(0.0, np.zeros(len(names)))
@@ -174,17 +172,15 @@ def evaluate_disturbance(
     options: Any = {"strides": problem.strides, "tolerance": problem.tolerance}
     options |= {"bands": bands, "directions": directions}
     try:
-        least = disturbance_gradient(walker, names, gait, **options)
+        return disturbance_gradient(walker, names, gait, **options)
     except (WrongUse, ComputationFailed, np.linalg.LinAlgError):
         # The walker returns from everywhere, or the gait is lost to rounding.
         return Measure(np.nan, np.full(len(names), np.nan))
-    return Measure(least.size, least.gradient)
 
 
 def evaluate_fall(problem: Problem, walker: System, names: tuple[str, ...], gait: Gait) -> Measure:
     """Measure the action of the most probable fall and its gradient; NaN if the search fails."""
     try:
-        fall = fall_gradient(check_planar(walker), names, gait, tolerance=problem.tolerance)
+        return fall_gradient(check_planar(walker), names, gait, tolerance=problem.tolerance)
     except (WrongUse, ComputationFailed, np.linalg.LinAlgError):
         return Measure(np.nan, np.full(len(names), np.nan))
-    return Measure(fall.action, fall.gradient)

@@ -7,14 +7,14 @@ topples the walker, over the variance of the disturbances (`stability.probable_f
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from walker_jax.checks import refuses_tracers
+from walker_jax.design.measures import Measure
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import GaitPull
 from walker_jax.gaits.selection import require_gait
@@ -32,15 +32,6 @@ from walker_jax.walking.disturbed import (
 from walker_jax.walking.pulling import pull_back
 
 
-class FallGradient(NamedTuple):
-    """The action of the most probable fall, and its derivatives by parameters of the walker."""
-
-    action: float
-    """Half the sum of the squares of the disturbances, in units of their standard deviations."""
-    gradient: Float[np.ndarray, " parameters"]
-
-
-@refuses_tracers("it gives derivatives itself, by the parameters named")
 def fall_gradient(
     walker: Walker,
     parameters: Choice = ("slope",),
@@ -50,14 +41,11 @@ def fall_gradient(
     strides: int = 4,
     directions: int = 60,
     tolerance: float | None = None,
-) -> FallGradient:
+) -> Measure:
     """Compute the action of the most probable fall, and its derivatives by parameters.
 
-    ```python
-    walker = wj.SimplestWalker(slope=0.004)
-    found = wj.fall_gradient(walker, ["slope"], strides=2)
-    found.action, found.gradient
-    ```
+    The action is half the sum of the squares of the disturbances, in units of their standard
+    deviations.
 
     On ground whose heights have a small standard deviation s, the mean number of strides to a fall
     is about exp(action / s^2), for the default `ground`. On the boundary of the sequences that
@@ -65,8 +53,7 @@ def fall_gradient(
     a parameter changes for df/dp = -(dm/dp) / (dm/df), and the action grows by its square. The
     least sequence itself changes too, but to second order.
 
-    `parameters` are chosen as in `area_gradient`; other arguments and errors are those of
-    `most_probable_fall`.
+    Arguments and errors are those of `most_probable_fall`.
     """
     names = numbers_chosen(walker, parameters)
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
@@ -94,7 +81,7 @@ def fall_gradient(
     by_gait = GaitPull(walker, gait, names, tolerance)
     none = np.zeros(len(gait.states)), np.zeros(len(x), complex)
     by_numbers = by_numbers + by_gait.pull(np.asarray(by_state)[None], *none)
-    return FallGradient(fall.action, -2 * fall.action * by_numbers / by_scale)
+    return Measure(fall.action, -2 * fall.action * by_numbers / by_scale)
 
 
 @jax.jit

@@ -48,7 +48,7 @@ class Limits:
             for limit, side in zip(ends, (1, -1), strict=True):
                 if np.isfinite(limit):
                     scale = side / (abs(limit) or 1.0)
-                    value, gradient = measures[name]
+                    value, gradient, *_ = measures[name]
                     gradient = gradient * problem.scale
                     found.append(Slack(name, scale * (value - limit), scale * gradient))
         self.known[values.tobytes()] = found

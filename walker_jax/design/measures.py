@@ -12,14 +12,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Inexact
 
-from walker_jax.checks import WrongUse, check_kind, refuses_tracers
+from walker_jax.checks import WrongUse, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import GaitPull
-from walker_jax.gaits.search import search_gait
 from walker_jax.systems.system import System
-from walker_jax.walkers.choices import Choice, numbers_chosen, values_of
+from walker_jax.walkers.choices import values_of
 from walker_jax.walkers.model import Scalar
 from walker_jax.walking.integrals import integrals, named_functions
 from walker_jax.walking.stride import stride
@@ -30,51 +29,37 @@ GaitFunction = Callable[[Any, Gait], Any]
 
 
 class Measure(NamedTuple):
-    """A measure of a walker's gait, and its derivatives by parameters."""
+    """A quantity of a walker, and its derivatives by parameters."""
 
-    value: float
-    gradient: Float[np.ndarray, " parameters"]
-
-
-@refuses_tracers("it gives derivatives itself, by the parameters named")
-def gait_measures(
-    walker: System,
-    parameters: Choice = ("slope",),
-    gait: Gait | None = None,
-    *,
-    tolerance: float | None = None,
-) -> dict[str, Measure]:
-    """Measure a gait's speed, step length, stability and cost, with derivatives by parameters.
-
-    ```python
-    walker = wj.SimplestWalker(slope=0.004)
-    speed = wj.gait_measures(walker, ["slope"])["speed"]
-    speed.value, speed.gradient
-    ```
-
-    - "step-length": the mean length of a step along the slope, in the unit of length;
-    - "speed": the step length over the mean step time;
-    - "spectral-radius": the modulus of the gait's largest multiplier, per stride: its root of the
-      order of the period;
-    - "cost-of-transport": the energy lost per unit of weight and of distance along the slope. It is
-      sin(slope) plus the work of all motors in a step over the step's length
-      (`Walker.motor_work`), hip and push-off together; NaN if that work is not known. So on level
-      ground it is the motors' work alone, and uphill that work less what gravity takes.
-
-    The mean of each integral and largest value that the modes name (`integrals`) is there too, by
-    its name.
-
-    Arguments are those of `gait_derivatives`, and parameters as in `area_gradient`; the gait is
-    that of `find_gait` by default. All measures are NaN if there is no gait. A system that makes no
-    steps has only the spectral radius; its other measures are NaN.
-
-    Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
-    gait that is not one of this walker.
-    """
-    names = numbers_chosen(walker, parameters)
-    gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
-    check_kind("gait", gait, Gait)
-    return differentiate_measures(walker, names, gait, measures_known(walker), {}, tolerance)
+    value: Any
+    """A number; an array for states, multipliers and step times of a gait. Of a basin, the area of
+    the basins of all attractors within the grid or slice (rad^2 per unit of time), or over three
+    dimensions the volume (rad^3 per unit of time squared)."""
+    gradient: Inexact[np.ndarray, "*value parameters"]
+    """Its derivatives, over the numbers of the parameters last."""
+    value_error: float = 0.0
+    """Standard error of the value; 0 but for areas, volumes and basin stability."""
+    gradient_error: Float[np.ndarray, " parameters"] = np.zeros(0)
+    """Standard errors of the derivatives of areas, volumes and basin stability; otherwise empty.
+    They combine the scatter between lines of the grid, an estimate for parts thinner than a cell,
+    and the crossings of unknown velocity. They are infinite where the boundary is `fractal` and the
+    derivative is not averaged: the integral along such a boundary may even have the wrong sign.
+    Give `bands` there."""
+    averaged: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
+    """Whether each derivative is an average over a band; empty where none ever is."""
+    crossings: int = 0
+    """Number of points where lines cross the boundary of a basin."""
+    lost: int = 0
+    """Crossings of unknown velocity: they border on another attractor, on infeasible starts, on a
+    failure without a margin, or on one whose margin jumps there, as where a strike is missed that
+    would have led to another stride. Those at infeasible starts count as fixed, since the
+    parameters of most walkers do not move that border. Each of the others enters the error with the
+    root-mean-square velocity of the known ones."""
+    strides: int = 0
+    """Total number of strides for a basin; those with derivatives count once for each direction."""
+    fractal: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
+    """Whether a basin's boundary is fractal at the scale of the cells: neighbouring lines cross
+    parts of it that move independently. It is not told in three dimensions."""
 
 
 def measures_known(walker: System) -> tuple[str, ...]:
@@ -105,7 +90,8 @@ def differentiate_measures(
     by_gait = GaitPull(walker, gait, names, tolerance)
     real, exact = eqx.partition(walker, eqx.is_inexact_array_like)
     arrays = [jnp.asarray(one) for one in (gait.states, gait.step_times, gait.multipliers)]
-    known = {name: partial(one, tolerance) for name, one in KNOWN.items()} | dict(functions)
+    known = {name: partial(one, tolerance) for name, one in KNOWN.items()}
+    known |= {name: partial(number_from, name, one) for name, one in functions.items()}
     known["cost-of-transport"] = partial(
         cost_of_transport, tolerance, cost_is_known(walker), walker.driven_by_gravity()
     )
@@ -130,6 +116,21 @@ def differentiate_measures(
         means = partial(mean_integrals, summed, tolerance)
         found |= zip(summed, measure(means), strict=True)
     return {name: found[name] for name in wanted}
+
+
+def number_from(name: str, function: GaitFunction, walker: Any, gait: Gait) -> Scalar:
+    """Return the number of a function of a gait; refuse a function that returns another thing."""
+    value = function(walker, gait)
+    try:
+        number = jnp.asarray(value)
+        number = number.astype(float) if number.dtype.kind in "iu" else number
+        single = number.shape == () and jnp.issubdtype(number.dtype, jnp.floating)
+    except (TypeError, ValueError):
+        number, single = jnp.zeros(()), False
+    if not single:
+        array = f"an array of shape {np.shape(value)}" if hasattr(value, "dtype") else short(value)
+        raise WrongUse(f"{name} must return one real number, not {array}")
+    return number
 
 
 def mean_step_length(tolerance: float | None, walker: Any, gait: Gait) -> Scalar | float:

@@ -24,7 +24,7 @@ from walker_jax.basins.matching import number_alike
 from walker_jax.basins.refinement import FINEST, refine
 from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
-from walker_jax.design.measures import gait_measures
+from walker_jax.design.measures import differentiate_measures
 from walker_jax.execution.pieces import Work, complete_store
 from walker_jax.execution.workers import Compute
 from walker_jax.gaits.search import search_gait
@@ -267,7 +267,7 @@ def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
     if gait is not None:
         row |= {"gait_period": len(gait.states), "gait_state": np.asarray(gait.states[0])}
         row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}
-        of_gait = gait_measures(walker, (), gait, tolerance=tolerance)
+        of_gait = differentiate_measures(walker, (), gait, GAIT_NUMBERS, {}, tolerance)
         row |= {name.replace("-", "_"): of_gait[name].value for name in GAIT_NUMBERS}
     of_basin = ("total_area", "total_area_error", *(without_gait(walker) if plan.robust else ()))
     return row | {name: fine[name].values for name in of_basin}

@@ -25,7 +25,7 @@ def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
 
     **Arguments:**
 
-    - `data`: what `walker_jax.metastability` returns.
+    - `data`: what `walker_jax.steps_to_fall` by cells returns.
     - `ax`: where to draw; by default, on a new figure of 6.4 by 5.2 inches.
     - `style`: which words to draw, as in `Style`.
 

@@ -162,7 +162,7 @@ def robustness_measures(
 
     **Arguments:**
 
-    - `data`: what `walker_jax.robustness_table` returns.
+    - `data`: what `walker_jax.robustness` over values returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
     - `style`: which words to draw, as in `Style`.
 
@@ -226,7 +226,7 @@ def robustness_table(data: xr.Dataset) -> Figure:
 
     **Arguments:**
 
-    - `data`: what `walker_jax.robustness_table` returns.
+    - `data`: what `walker_jax.robustness` over values returns.
 
     **Returns** the figure, of 13 by 8.4 inches. Raises `ValueError` for another data set.
     """

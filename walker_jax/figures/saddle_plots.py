@@ -106,7 +106,7 @@ def crisis_law(
 
     - `values`, `lives`, `errors`: as for `walker_jax.crisis_law`; bars are two standard errors.
     - `law`: what `walker_jax.crisis_law` returns.
-    - `predicted`: exponents of `walker_jax.crisis_exponent`, by their labels. Lines with these
+    - `predicted`: exponents by their labels, such as `law.predicted`. Lines with these
       exponents go through the centre of the lives, as the fitted law does.
     - `openings`: values of the parameter to mark, by their labels.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.

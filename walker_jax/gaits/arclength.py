@@ -31,7 +31,7 @@ class Point(NamedTuple):
     local: Linearisation
 
 
-def correct(
+def correct_point(
     value: float,
     cycle: Float[np.ndarray, "period section"],
     row: Float[np.ndarray, " size"] | None,

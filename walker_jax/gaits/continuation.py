@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.gaits.arclength import Point, correct, displace, scaled_step, tangent
+from walker_jax.gaits.arclength import Point, correct_point, displace, scaled_step, tangent
 from walker_jax.gaits.events import Bifurcation, crosses_half_period, find_bifurcations
 from walker_jax.gaits.requests import Task
 from walker_jax.systems.angles import Turns
@@ -57,7 +57,7 @@ def follow_branch(
     """Follow a branch from a start; the parameter at first grows (sign 1) or falls (-1)."""
     width = bounds[1] - bounds[0]
     path = Path([], [], "no gait")
-    first = yield from correct(start.value, start.states, None, width)
+    first = yield from correct_point(start.value, start.states, None, width)
     if first is None:
         return path
     path.points.append(first)
@@ -78,7 +78,7 @@ def follow_branch(
             length = distance / direction[-1]
         row = np.append(np.zeros(len(direction) - 1), 1.0) if at_end else direction
         value, cycle = displace(point, direction * length, width)
-        new = yield from correct(value, cycle, row, width)
+        new = yield from correct_point(value, cycle, row, width)
         found = None
         if new is not None:
             next_direction = tangent(new, width)

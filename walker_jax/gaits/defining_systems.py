@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from walker_jax.gaits.cycles import cycle_matrices, multiply_jacobians
 from walker_jax.gaits.derivatives import SecondDerivatives
-from walker_jax.gaits.requests import Expansion
+from walker_jax.gaits.requests import SecondOrderRequest
 
 FOLD, DOUBLING, TORUS, BRANCH = "fold", "doubling", "neimark-sacker", "branch point"
 KINDS = FOLD, DOUBLING, TORUS, BRANCH
@@ -50,13 +50,13 @@ class Frame(NamedTuple):
     """Direction e of the unfolding; zero for other kinds."""
 
 
-def request_of(kind: str, unknowns: Unknowns) -> Expansion:
+def request_of(kind: str, unknowns: Unknowns) -> SecondOrderRequest:
     """Return the request whose response `assemble` takes."""
     vectors, count = unknowns.vectors, len(unknowns.values)
     directions = np.concatenate([vectors, np.zeros((*vectors.shape[:2], count))], axis=2)
     if kind == BRANCH:
         directions[:, :, -count] = unknowns.scalars[:2, None]
-    return Expansion(unknowns.values, unknowns.cycle, directions)
+    return SecondOrderRequest(unknowns.values, unknowns.cycle, directions)
 
 
 def frame_at(kind: str, unknowns: Unknowns, local: SecondDerivatives) -> tuple[Unknowns, Frame]:

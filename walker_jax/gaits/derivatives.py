@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from walker_jax.checks import refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import (
     MAX_RESIDUAL,
@@ -51,17 +50,10 @@ class GaitDerivatives(NamedTuple):
     """d(step time)/dp."""
 
 
-@refuses_tracers("find_gait can be differentiated within them")
 def gait_derivatives(
     walker: System, gait: Gait, parameter: str, *, tolerance: Real | None = None
 ) -> GaitDerivatives:
     """Differentiate a gait's states, multipliers and step times by a parameter of the walker.
-
-    ```python
-    walker = wj.SimplestWalker(slope=0.004)
-    gait = wj.find_gait(walker)
-    wj.gait_derivatives(walker, gait, "slope").multipliers
-    ```
 
     By the implicit function theorem, dx solves J_i dx_i - dx_{i+1} = -dS(x_i)/dp. The derivative
     of a multiplier is (w dM v) / (w v), where M = J_k ... J_1, v and w are the right and left

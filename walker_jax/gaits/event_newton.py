@@ -92,10 +92,10 @@ def begin(
     if not np.isfinite(local.by_columns).all():
         return None
     unknowns, frame = frame_at(kind, unknowns, local)
-    return (yield from correct(kind, unknowns, frame, None, widths))
+    return (yield from correct_event(kind, unknowns, frame, None, widths))
 
 
-def correct(
+def correct_event(
     kind: str,
     unknowns: Unknowns,
     frame: Frame,

@@ -19,7 +19,7 @@ from walker_jax.gaits.continuation import (
     passes_start,
 )
 from walker_jax.gaits.defining_systems import BRANCH, TORUS, Frame, Unknowns, move
-from walker_jax.gaits.event_newton import UNFOLDED, Solution, begin, correct, scales_of
+from walker_jax.gaits.event_newton import UNFOLDED, Solution, begin, correct_event, scales_of
 from walker_jax.gaits.events import crosses_half_period
 from walker_jax.gaits.normal_forms import VANISHING, find_coefficient
 from walker_jax.gaits.requests import Task
@@ -102,7 +102,7 @@ def advance(
 ) -> Task:
     """Find the point where a curve meets the plane normal to `row` at a scaled step; or None."""
     unknowns = move(point.unknowns, step * scales_of(point.unknowns, ranges.widths))
-    solution = yield from correct(kind, unknowns, point.frame, row, ranges.widths)
+    solution = yield from correct_event(kind, unknowns, point.frame, row, ranges.widths)
     return None if solution is None else (yield from describe(kind, solution))
 
 

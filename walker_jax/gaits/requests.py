@@ -26,7 +26,7 @@ class Request(NamedTuple):
     cycle: Float[np.ndarray, "period section"]
 
 
-class Expansion(NamedTuple):
+class SecondOrderRequest(NamedTuple):
     """A request for strides from a cycle, with `SecondDerivatives` along each direction."""
 
     values: Float[np.ndarray, " parameters"]
@@ -36,7 +36,7 @@ class Expansion(NamedTuple):
 
 
 Task = Generator[Any, Any, Any]
-"""A generator that yields a `Request`, an `Expansion` or `Curves`, and receives derivatives."""
+"""A generator that yields a `Request`, a `SecondOrderRequest` or `Curves`, and gets derivatives."""
 
 
 def run_batched(tasks: Sequence[Task], compute: Callable[[list[Any]], list[Any]]) -> list[Any]:
@@ -68,7 +68,7 @@ def compute_responses(
 ) -> list[Any]:
     """Compute the responses to requests at values of these parameters."""
     results: list[Any] = [None] * len(requests)
-    kinds = (Request, follow_cycles), (Expansion, expand), (Curves, differentiate_curves)
+    kinds = (Request, follow_cycles), (SecondOrderRequest, expand), (Curves, differentiate_curves)
     for kind, compute in kinds:
         which = [i for i, one in enumerate(requests) if isinstance(one, kind)]
         if which:
@@ -93,7 +93,10 @@ def follow_cycles(
 
 
 def expand(
-    system: System, parameters: Sequence[str], requests: list[Expansion], integrator: Integrator
+    system: System,
+    parameters: Sequence[str],
+    requests: list[SecondOrderRequest],
+    integrator: Integrator,
 ) -> list[SecondDerivatives]:
     """Make strides with second derivatives; every state and direction is a cell of its own."""
     lengths = [one.directions.shape[0] * len(one.cycle) for one in requests]

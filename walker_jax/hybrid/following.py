@@ -18,7 +18,7 @@ from walker_jax.hybrid.beginnings import begins_on_its_lower_side
 from walker_jax.hybrid.crossings import Crossing, first_rise, may_rise
 from walker_jax.hybrid.misses import (
     Misses,
-    Seen,
+    StepRecord,
     add_misses,
     dip_between,
     find_least,
@@ -227,7 +227,7 @@ def begin_following(
     return mode, Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
 
 
-def follow_measured(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
+def follow_measured(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, StepRecord]:
     """Make a step of a measured mode, and search all of it."""
     last = measured_step(mode, method, now.last)
     return search_step(mode, method, now._replace(last=last, count=now.count + 1))
@@ -282,7 +282,7 @@ def measured_step(mode: Mode, method: Method, step: Step) -> Step:
     return Step(step.end, end, time, length, step.ends_below, ends, step.watched, quiet, memory)
 
 
-def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, Seen]:
+def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, StepRecord]:
     """Find the first event in the last step, if there is one, and earlier violations."""
     last = now.last
     series = method.series_of(last.start, last.memory)
@@ -298,7 +298,7 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     refined = method.refine_time(event, last.start, series, until, last.length)
     until = jnp.where(jnp.isfinite(when), refined, last.length)
     arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
-    seen = Seen(last.start, series, last.length, arrival, until, crossings, now.violated)
+    seen = StepRecord(last.start, series, last.length, arrival, until, crossings, now.violated)
     misses = None if now.misses is None else add_misses(mode, now.misses, seen)
     if mode.foregone is not None:
         foregone = (number == NO_GUARD) & value_at(mode.foregone.holds, last.end)

@@ -61,7 +61,7 @@ class Misses(NamedTuple):
     """The greatest misses up to the step in which each condition was violated."""
 
 
-class Seen(NamedTuple):
+class StepRecord(NamedTuple):
     """A step, up to the end of the mode."""
 
     start: Any
@@ -83,7 +83,7 @@ def no_misses(mode: Mode, start: Any) -> Misses:
     return Misses(none, none, [infinite] * len(none), least, dict.fromkeys(least, none))
 
 
-def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
+def add_misses(mode: Mode, known: Misses, step: StepRecord) -> Misses:
     """Add the misses of a step to those that are known. All values have their derivatives."""
     found = [turns_in_step(*one, step) for one in zip(mode.guards, step.crossings, strict=True)]
     nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
@@ -119,7 +119,7 @@ class Turns(NamedTuple):
     """When it rises, since the start of the step."""
 
 
-def turns_in_step(guard: Guard, crossing: Crossing, step: Seen) -> Turns:
+def turns_in_step(guard: Guard, crossing: Crossing, step: StepRecord) -> Turns:
     """Find where a guard turns in a step, and where it rises without being admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
@@ -214,7 +214,7 @@ def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -
     return Instant(early | late, bracketed_newton(rate_and_slope, first, last))
 
 
-def least_in_step(condition: Condition, step: Seen) -> Scalar:
+def least_in_step(condition: Condition, step: StepRecord) -> Scalar:
     """Return the least value of a condition where it turns in a step; infinite if it does not."""
     least = find_least(condition, step)
     there = with_fast_sincos(condition.value)(evaluate_series(step.series, least.time))
@@ -259,7 +259,7 @@ def dip_between(before: tuple, after: tuple, length: Scalar) -> Dip:
 
 def find_least(
     condition: Condition,
-    step: Seen,
+    step: StepRecord,
     *,
     known: tuple[Scalar, Scalar] | None = None,
     sign_alone: bool = False,

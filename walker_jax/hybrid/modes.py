@@ -101,7 +101,7 @@ class Guard(NamedTuple):
         return counts
 
 
-class Foregone(NamedTuple):
+class EarlyExit(NamedTuple):
     """A sufficient condition for a mode to end in one way: it need not be followed any further."""
 
     holds: Callable[[Any], Bool[Array, ""]]
@@ -118,7 +118,7 @@ class Mode(NamedTuple):
     guards: tuple[Guard, ...]
     """The earliest rise ends the mode; of rises at the same time, the first guard's counts."""
     conditions: tuple[Condition, ...] = ()
-    foregone: Foregone | None = None
+    foregone: EarlyExit | None = None
     rates_at: Callable[[Any], Any] | None = None
     """The time derivative of a single state, where `field` is no function."""
     as_smooth: bool = False

@@ -38,7 +38,7 @@ def loop_rule(expansion, equation, operands: list[Series]) -> list[Series]:
     params = equation.params
     constants, carried = scan_counts(params)
     if params["length"] > MAX_TURNS:
-        return expansion.keep(equation, operands)
+        return expansion.default_rule(equation, operands)
     fixed, carry = operands[:constants], operands[constants : constants + carried]
     inputs, turns = operands[constants + carried :], range(params["length"])
     rows = {}

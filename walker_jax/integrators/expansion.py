@@ -99,8 +99,8 @@ def first_coefficients(closed: ClosedJaxpr, leaves: list) -> list[Array]:
 def without_derivatives(function: Callable, start: PyTree, *, once: bool = False) -> Callable:
     """Return a function with `sincos` in which nothing is differentiated.
 
-    Neither its argument nor the values in its closure are. It is traced at `start`. If `once`, all
-    calls with states of the same types share one program, in loops too.
+    Its argument and the values in its closure are constants to differentiation. It is traced at
+    `start`. If `once`, all calls with states of the same types share one program, in loops too.
     """
     closed, shapes = trace(function, start)
     held = lax.stop_gradient(closed.consts)
@@ -137,7 +137,7 @@ class Expansion(Interpreter):
         finally:
             self.source = caller
 
-    def keep(self, equation, operands: list[Series]) -> list[Series]:
+    def default_rule(self, equation, operands: list[Series]) -> list[Series]:
         """Evaluate a primitive without a rule; raise if an operand varies with time."""
 
         def rule(k, operands, bind):

@@ -120,7 +120,7 @@ def lu_rule(expansion, equation, operands: list[Series]) -> list[Series]:
     """
     (a,), bind = operands, binding(equation)
     if a[0].shape[-1] != a[0].shape[-2]:
-        return expansion.keep(equation, operands)
+        return expansion.default_rule(equation, operands)
     values = bind(a[0])
     identity = jnp.eye(a[0].shape[-1], dtype=a[0].dtype)
 

@@ -74,10 +74,10 @@ class Zeros(Unrolling):
         if equation.primitive.name not in (*CALLS, *CALLS_WITH_DERIVATIVES):
             variables: Any = (*equation.invars, *equation.outvars)
             if any(math.prod(one.aval.shape) > MOST_ENTRIES for one in variables):
-                return self.keep(equation, operands)
+                return self.default_rule(equation, operands)
         return super().apply(equation, operands)
 
-    def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    def default_rule(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         return [np.full(one.aval.shape, UNKNOWN, object) for one in equation.outvars]
 
     def evaluate_term(self, primitive, params: dict, operands: list, dtypes: list) -> Any:

@@ -51,8 +51,8 @@ class PowerBalance(eqx.Module):
         """
         leaves, structure = jax.tree.flatten(state)
         with keeping_results():
-            factors = with_fast_sincos(self.factorise)(self.halves(leaves)[0])
-            motion, unknown = self.expand(*self.halves(leaves))
+            factors = with_fast_sincos(self.factorise)(self.split_state(leaves)[0])
+            motion, unknown = self.expand(*self.split_state(leaves))
             p, preceding, forming = self.balance(motion, leaves)
             for k in range(order):
                 missing = [jnp.zeros_like(leaves[0]) if c is None else c for c in (s[k] for s in p)]
@@ -65,7 +65,7 @@ class PowerBalance(eqx.Module):
                     one.coefficients.append(value * factor)
             return jax.tree.unflatten(structure, [coefficients_up_to(one, order) for one in motion])
 
-    def halves(self, leaves: list) -> tuple[list, list]:
+    def split_state(self, leaves: list) -> tuple[list, list]:
         """Split leaves into coordinates and rates."""
         return leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
 
@@ -109,7 +109,7 @@ class VirtualPower(PowerBalance):
     def __call__(self, state: PyTree) -> PyTree:
         """The time derivative of a state."""
         leaves, structure = jax.tree.flatten(state)
-        q, rates = self.halves(leaves)
+        q, rates = self.split_state(leaves)
         velocity = lambda q: jax.jvp(self.transfer, (q,), (rates,))[1]
         convective = jax.jvp(velocity, (q,), (rates,))[1]
         accelerations = self.solve(self.factorise(q), self.virtual_power(q, rates, convective))
@@ -120,7 +120,7 @@ class VirtualPower(PowerBalance):
         return [*unknown, *map(derivative, unknown)], unknown
 
     def balance(self, state, start):
-        (q, qdot), (at, rates) = self.halves(state), self.halves(start)
+        (q, qdot), (at, rates) = self.split_state(state), self.split_state(start)
         with recording(series_log) as of_transfer:
             x = compose(self.transfer, q, at)
         with recording(series_log) as of_power:
@@ -158,7 +158,7 @@ class ConstrainedPower(PowerBalance):
     def power(self, q: list, u: list, momentum: list, momentum_rates: list) -> list:
         """Return p: one scalar for each of u."""
 
-    def halves(self, leaves: list) -> tuple[list, list]:
+    def split_state(self, leaves: list) -> tuple[list, list]:
         """Split leaves into coordinates and independent rates."""
         count = len(leaves) - len(self.independent)
         return leaves[:count], leaves[count:]
@@ -167,7 +167,7 @@ class ConstrainedPower(PowerBalance):
     def __call__(self, state: PyTree) -> PyTree:
         """The time derivative of a state."""
         leaves, structure = jax.tree.flatten(state)
-        q, u = self.halves(leaves)
+        q, u = self.split_state(leaves)
         qdot = self.rates(q, u)
         momentum, convective = jax.jvp(lambda q: self.momentum(q, u), (q,), (qdot,))
         udot = self.solve(self.factorise(q), self.power(q, u, momentum, convective))
@@ -185,7 +185,7 @@ class ConstrainedPower(PowerBalance):
         return [*moving, *u], u
 
     def balance(self, state, start):
-        both, at = self.halves(state), self.halves(start)
+        both, at = self.split_state(state), self.split_state(start)
         with recording(series_log) as of_momentum:
             momentum = compose(lambda both: self.momentum(*both), both, at)
         with recording(series_log) as of_power:

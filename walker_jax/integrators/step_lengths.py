@@ -275,7 +275,7 @@ class Dependence(Interpreter):
     def constant(self, value) -> frozenset:
         return frozenset()
 
-    def keep(self, equation, operands: list[frozenset]) -> list[frozenset]:
+    def default_rule(self, equation, operands: list[frozenset]) -> list[frozenset]:
         linear = equation.primitive.name in (*LINEAR, "add", "sub", "convert_element_type")
         if equation.primitive.name in ("mul", "div"):
             linear = not all(operands) if equation.primitive.name == "mul" else not operands[1]

@@ -190,14 +190,14 @@ class LLVMEmitter(Unrolling):
             self.alternatives[id(result)] = (result, *operands)
         return result
 
-    def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    def default_rule(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive = equation.primitive
         if equation.effects or primitive.name.endswith("callback"):
             # An effect would happen once, while the program is emitted.
             raise UnsupportedPrimitive(primitive.name)
         if primitive.name != "cond" and self.all_known(operands):
             with contextlib.suppress(TypeError):  # a random key has no numerical value
-                return super().keep(equation, operands)
+                return super().default_rule(equation, operands)
         if primitive.name in ARRAY_RULES:
             return ARRAY_RULES[primitive.name](self, equation, operands)
         inner = self.inner(equation)

@@ -64,7 +64,7 @@ class Unrolling(Interpreter):
     def constant(self, value) -> np.ndarray:
         return self.entries_of(value if isinstance(value, jax.Array) else np.asarray(value))
 
-    def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    def default_rule(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         """Apply a primitive to whole arrays."""
         known = all(is_known(entry) for operand in operands for entry in operand.ravel())
         arrays = [assemble(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
@@ -184,7 +184,7 @@ class Unrolling(Interpreter):
         """Multiply matrices; batch axes come first, then the free axes of either side."""
         dtypes = {variable.aval.dtype for variable in (*equation.invars, *equation.outvars)}
         if len(dtypes) > 1:
-            return self.keep(equation, operands)
+            return self.default_rule(equation, operands)
         (dtype,), (left, right) = dtypes, operands
         dimensions = equation.params["dimension_numbers"]
         (over_left, over_right), (batch_left, batch_right) = dimensions
@@ -210,7 +210,7 @@ class Unrolling(Interpreter):
         """
         entries, *indices = operands
         if not all(is_known(entry) for index in indices for entry in index.ravel()):
-            return self.keep(equation, operands)
+            return self.default_rule(equation, operands)
         params = equation.params
         numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
         avals = [variable.aval for variable in equation.invars[1:]]
@@ -218,7 +218,7 @@ class Unrolling(Interpreter):
         params = params | {"fill_value": 0} if "fill_value" in params else params
         (places,) = bind_primitive(equation.primitive, params, [numbers, *indices], now=True)
         if not places.all():
-            return self.keep(equation, operands)
+            return self.default_rule(equation, operands)
         return [entries.ravel()[places.ravel() - 1].reshape(places.shape)]
 
 

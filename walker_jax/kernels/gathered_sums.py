@@ -101,7 +101,7 @@ class Gathering(Interpreter):
     def constant(self, value) -> Any:
         return value
 
-    def keep(self, equation, operands: list, **params) -> list:
+    def default_rule(self, equation, operands: list, **params) -> list:
         results = binding(equation)(*map(value_of, operands), **params)
         return results if equation.primitive.multiple_results else [results]
 
@@ -109,20 +109,20 @@ class Gathering(Interpreter):
 def add(gathering: Gathering, equation, operands: list) -> list:
     like = equation.outvars[0].aval
     if not is_long(like) or not all(v.aval.shape == like.shape for v in equation.invars):
-        return gathering.keep(equation, operands)
+        return gathering.default_rule(equation, operands)
     return [Sum([term for one in operands for term in terms_of(one)])]
 
 
 def multiply(gathering: Gathering, equation, operands: list) -> list:
     if not is_long(equation.outvars[0].aval):
-        return gathering.keep(equation, operands)
+        return gathering.default_rule(equation, operands)
     return [Sum([Term(tuple(map(value_of, operands)))])]
 
 
 def contract(gathering: Gathering, equation, operands: list) -> list:
     contracted, batches = equation.params["dimension_numbers"]
     if not is_long_product(equation) or any((*contracted, *batches)):
-        return gathering.keep(equation, operands)
+        return gathering.default_rule(equation, operands)
     return [Sum([Term(tuple(map(value_of, operands)), equation)])]
 
 
@@ -136,7 +136,7 @@ def within(*names: str) -> Callable:
             else with_gathered_sums(one)
         )
         inner = {name: gather(equation.params[name]) for name in names}
-        return gathering.keep(equation, operands, **inner)
+        return gathering.default_rule(equation, operands, **inner)
 
     return rule
 

@@ -42,7 +42,7 @@ class Interpreter(abc.ABC):
         """Return the value of a constant of the jaxpr."""
 
     @abc.abstractmethod
-    def keep(self, equation: JaxprEqn, operands: list) -> list:
+    def default_rule(self, equation: JaxprEqn, operands: list) -> list:
         """Return the results of a primitive that has no rule."""
 
     def interpret(self, closed: ClosedJaxpr, inputs: list) -> list:
@@ -70,7 +70,7 @@ class Interpreter(abc.ABC):
 
     def apply(self, equation: JaxprEqn, operands: list) -> list:
         """Return the results of an equation."""
-        rule = self.rules.get(equation.primitive.name, type(self).keep)
+        rule = self.rules.get(equation.primitive.name, type(self).default_rule)
         return rule(self, equation, operands)
 
 

@@ -69,7 +69,7 @@ kernel_p.multiple_results = True
 
 def call_program(program: Program, leaves: Sequence[jax.Array]) -> list[jax.Array]:
     """Call a program by its primitive; within another kernel, evaluate its own equations."""
-    leaves = vary_alike(list(map(without_weak_type, leaves)))
+    leaves = unify_varying_axes(list(map(without_weak_type, leaves)))
     if tracing_for_kernel.value:
         return (program.function_in_reverse if reversing.value else program.function)(*leaves)
     return kernel_p.bind(*leaves, program=program, mapped=(0,) * len(leaves))
@@ -135,7 +135,7 @@ def varying_axes(aval) -> frozenset:
     return aval.manual_axis_type.varying
 
 
-def vary_alike(leaves: list) -> list:
+def unify_varying_axes(leaves: list) -> list:
     """Make all values vary along every mesh axis along which any of them varies."""
     axes = frozenset().union(*(varying_axes(jax.typeof(leaf)) for leaf in leaves))
     missing = [tuple(axes - varying_axes(jax.typeof(leaf))) for leaf in leaves]
@@ -148,7 +148,7 @@ def vary_alike(leaves: list) -> list:
 def vary_together(tree: Any) -> Any:
     """Make all arrays of a tree vary alike, as those that a loop carries must."""
     leaves, structure = jax.tree.flatten(tree)
-    return jax.tree.unflatten(structure, vary_alike(leaves))
+    return jax.tree.unflatten(structure, unify_varying_axes(leaves))
 
 
 def estimate_operations(program: Program, directions: int) -> int:

@@ -36,8 +36,8 @@ from walker_jax.identity import (
     MOST,
     PACKAGE,
     USED,
-    AsItIs,
     Describer,
+    FunctionByCode,
     home_of,
     is_own,
     sha256_of,
@@ -158,7 +158,7 @@ def static_functions(structure: Any) -> tuple[Callable, ...]:
     return tuple(one for one in jax.tree.leaves(statics_of(structure)) if callable(one))
 
 
-def identify_by_code(function: Callable) -> AsItIs | None:
+def identify_by_code(function: Callable) -> FunctionByCode | None:
     """Wrap a function so that it equals any other with the same code and globals.
 
     None if it has more than these, such as a closure or defaults.
@@ -166,7 +166,7 @@ def identify_by_code(function: Callable) -> AsItIs | None:
     plain = isinstance(function, types.FunctionType) and not function.__closure__
     if not plain or function.__defaults__ or function.__kwdefaults__:
         return None
-    return AsItIs(function, (function.__code__, id(function.__globals__)))
+    return FunctionByCode(function, (function.__code__, id(function.__globals__)))
 
 
 def definition_place(thing: Any) -> str:

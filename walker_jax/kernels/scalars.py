@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from walker_jax.identity import AsItIs
+from walker_jax.identity import FunctionByCode
 from walker_jax.kernels.program_cache import code_of_program, identify_by_code
 from walker_jax.kernels.signs import Signed
 from walker_jax.kernels.stored import multiplies_long_matrices
@@ -45,7 +45,7 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
 
 @partial(jax.jit, static_argnums=0, inline=True)
-def unroll_once(code: AsItIs, *args) -> PyTree:
+def unroll_once(code: FunctionByCode, *args) -> PyTree:
     """Evaluate `unrolled`, traced once for all functions with the same code."""
     return unrolled(code.function, *args)
 

@@ -1,4 +1,4 @@
-"""Arithmetic with signs apart from numbers, so that hardly a number is negated.
+"""Arithmetic that propagates signs apart from numbers, to avoid negations.
 
 Derivatives are full of signs, as that of a cosine is the negative of a sine. Here a sign passes
 through products and sums until it makes a sum a difference. Results are the same to the bit, but
@@ -102,8 +102,8 @@ class Signed(Unrolling):
             return 2, "", super().identity(entry.of)
         return super().identity(entry)
 
-    def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        return super().keep(equation, list(map(self.all_computed, operands)))
+    def default_rule(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        return super().default_rule(equation, list(map(self.all_computed, operands)))
 
     # Rules: (primitive, parameters, operands, types) -> result.
 

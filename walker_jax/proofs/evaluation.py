@@ -120,7 +120,7 @@ class EnclosureInterpreter(Interpreter):
             raise UnsupportedPrimitive("proofs need functions of scalars, not of arrays")
         return rounded_once(float(value), self.space)
 
-    def keep(self, equation, operands: list) -> list:
+    def default_rule(self, equation, operands: list) -> list:
         raise UnsupportedPrimitive(f"proofs have no rule for {equation.primitive.name!r}")
 
     def sine_and_cosine(self, x: Enclosure) -> tuple[Enclosure, Enclosure]:

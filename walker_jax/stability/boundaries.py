@@ -14,13 +14,13 @@ from walker_jax.basins.edge_states import EdgeState, edge_state, fate_of
 from walker_jax.basins.runs import attractors_of, fates_of, label_of
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
-from walker_jax.entropies import BOX, basin_entropy
 from walker_jax.execution.progress import bar, track
+from walker_jax.fractals.entropies import BOX, basin_entropy
+from walker_jax.fractals.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.systems.outcomes import OUTCOMES, Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System, check_single
-from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 
 NO_REGION = (Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells in no region, as no walk is known. Cells that are not feasible starts are in none

@@ -16,7 +16,12 @@ from walker_jax.basins.computation import check_grid
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
 from walker_jax.execution.progress import bar
-from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
+from walker_jax.fractals.dimensions import (
+    Uncertainty,
+    sort_distances,
+    uncertainty_exponent,
+    upper_probability,
+)
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.system import System

@@ -59,7 +59,7 @@ class LeastDisturbance(NamedTuple):
     """Strides before the failing one."""
 
 
-@refuses_tracers("disturbance_gradient gives derivatives of the least disturbance")
+@refuses_tracers("measure gives derivatives of the least disturbance")
 def least_disturbance(
     walker: System,
     gait: Gait | None = None,

@@ -12,8 +12,9 @@ its Lyapunov exponents, in one and in two dimensions:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -224,6 +225,8 @@ class CrisisLaw(NamedTuple):
     """Confidence interval of the exponent, with the error of the crisis if that is fitted."""
     misfit: float
     """chi^2 per degree of freedom; far above 1 if the lives follow no such law."""
+    predicted: Mapping[str, float] = MappingProxyType({})
+    """Exponents that given multipliers predict, by the kind of the crisis."""
 
 
 SOUGHT = -12.0, 6.0
@@ -241,6 +244,7 @@ def crisis_law(
     *,
     crisis: float | None = None,
     confidence: float = 0.95,
+    multipliers: Sequence[Any] | ArrayLike | None = None,
 ) -> CrisisLaw:
     """Fit mean lives beyond a crisis by a power of the distance from it.
 
@@ -262,11 +266,18 @@ def crisis_law(
     - `lives`, `errors`: mean lives at these values, and their standard errors.
     - `crisis`: value of the parameter at the crisis, below all `values`; by default it is fitted.
     - `confidence`: confidence level of the interval.
+    - `multipliers`: the two Floquet multipliers of the orbit that the attractor meets, for the
+      exponents of a heteroclinic and of a homoclinic crisis (`predicted`): 1/2 + log|a| / |log|b||
+      and log|b| / log|a b|^2, with a the expanding and b the contracting one. In a heteroclinic
+      crisis the orbit lies on the attractor, and its unstable manifold touches the stable manifold
+      of another orbit. In a homoclinic crisis the orbit's own manifolds touch (Grebogi, Ott and
+      Yorke 1987, Phys. Rev. A 36:5365-5380).
 
     **Returns** a `CrisisLaw`.
 
-    Raises `ValueError` for arguments out of range; `ComputationFailed` if no crisis in the range of
-    the search fits best.
+    Raises `ValueError` for arguments out of range, and for multipliers that are not those of a
+    saddle that contracts areas; `ComputationFailed` if no crisis in the range of the search fits
+    best.
     """
     values, lives, errors = (
         numbers(name, one)
@@ -283,6 +294,7 @@ def crisis_law(
     check_confidence(confidence)
     if crisis is not None and not (is_number(crisis) and -np.inf < crisis < values[0]):
         raise WrongUse(f"crisis must be below {values[0]:g}, not {short(crisis)}")
+    predicted = {} if multipliers is None else crisis_exponents(multipliers)
     weights = (lives / errors) ** 2
     at, exponent, chi = fit_crisis(values, np.log(lives), weights, crisis)
     nearest, farthest = np.exp(SOUGHT) * (values[-1] - values[0])
@@ -293,7 +305,7 @@ def crisis_law(
     tried = [fit_crisis(values, np.log(lives) + one, weights, crisis)[1] for one in scatter]
     low, high = np.quantile(tried, [(1 - confidence) / 2, (1 + confidence) / 2])
     freedom = len(values) - 2 - (crisis is None)
-    return CrisisLaw(at, exponent, float(low), float(high), chi / freedom)
+    return CrisisLaw(at, exponent, float(low), float(high), chi / freedom, predicted)
 
 
 def fit_crisis(
@@ -321,27 +333,8 @@ def fit_crisis(
     return float(crisis), *line(crisis)
 
 
-@refuses_tracers()
-def crisis_exponent(
-    multipliers: Sequence[Any] | ArrayLike,
-    kind: Literal["heteroclinic", "homoclinic"] = "heteroclinic",
-) -> float:
-    """Return the exponent of mean lives that the multipliers of an orbit predict.
-
-        heteroclinic:  1/2 + log|a| / |log|b||        homoclinic:  log|b| / log|a b|^2
-
-    ```python
-    gait = wj.find_gait(wj.SimplestWalker(slope=0.019))
-    wj.crisis_exponent(gait.multipliers)
-    ```
-
-    The theory is for sections of two dimensions (Grebogi, Ott and Yorke 1987, Phys. Rev. A
-    36:5365-5380). Here a is the expanding and b the contracting Floquet multiplier of the orbit. In
-    a heteroclinic crisis the orbit lies on the attractor, and its unstable manifold touches the
-    stable manifold of another orbit. In a homoclinic crisis the orbit's own manifolds touch.
-
-    Raises `ValueError` unless the multipliers are those of a saddle that contracts areas.
-    """
+def crisis_exponents(multipliers: Sequence[Any] | ArrayLike) -> dict[str, float]:
+    """Return the exponents of mean lives that the multipliers of an orbit predict."""
     try:
         sizes = np.sort(np.abs(np.asarray(multipliers, complex)))
     except (TypeError, ValueError):
@@ -350,9 +343,8 @@ def crisis_exponent(
         raise WrongUse(
             f"multipliers must be two of a saddle that contracts areas, not {short(multipliers)}"
         )
-    if not (isinstance(kind, str) and kind in ("heteroclinic", "homoclinic")):
-        raise WrongUse(f"kind must be heteroclinic or homoclinic, not {short(kind)}")
     contracting, expanding = np.log(sizes)
-    if kind == "homoclinic":
-        return float(contracting / (2 * (expanding + contracting)))
-    return float(0.5 + expanding / abs(contracting))
+    return {
+        "heteroclinic": float(0.5 + expanding / abs(contracting)),
+        "homoclinic": float(contracting / (2 * (expanding + contracting))),
+    }

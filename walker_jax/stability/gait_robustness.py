@@ -18,7 +18,7 @@ from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar, track
 from walker_jax.execution.threads import side_by_side
-from walker_jax.fractals import Uncertainty
+from walker_jax.fractals.dimensions import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
@@ -36,7 +36,7 @@ from walker_jax.stability.robustness_fields import (
     variables_of_steps,
     without_gait,
 )
-from walker_jax.stability.rough_ground import steps_to_fall
+from walker_jax.stability.rough_ground import count_strides
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
@@ -51,6 +51,7 @@ WALKS, WALK_LIMIT = 1000, 2000
 cores, and give an interval of some 6 % if all walks fall."""
 LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
 """Outcomes of a walker that neither returns to its gait nor falls."""
+NEEDED_BY = "robustness, which has the dimension of a boundary,"
 NEGLIGIBLE = 1e-9
 """Coordinates of a gait's state below this share of the largest have no size: they are rounding."""
 
@@ -60,6 +61,8 @@ def robustness(
     walker: System,
     grid: Grid | None = None,
     *,
+    values: Sequence[Any] | ArrayLike | None = None,
+    parameter: str = "slope",
     levels: int = 4,
     check: int = 500_000,
     disturbances: float = 0.1,
@@ -75,6 +78,7 @@ def robustness(
     grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
     data = wj.robustness(wj.SimplestWalker(0.004), grid, levels=1, check=1000)
     float(data.least_disturbance), float(data.stability), float(data.step_down)
+    table = wj.robustness(wj.SimplestWalker(0.004), grid, values=[0.004, 0.009], check=1000)
     ```
 
     **Arguments:**
@@ -83,6 +87,9 @@ def robustness(
     - `grid`: grid for `refine` and `boundary_dimension`. The default for a walker on point feet has
       all feasible angles, with sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others.
       For any other walker it is a slice around the gait, in space over yaw and leandot.
+    - `values`, `parameter`: values of a parameter, to measure walkers with these: the result is
+      then a table over them. Without a grid, each walker with mass on its legs has a slice around
+      its own gait.
     - `levels`, `check`: of refinement; in space, where strides take longer, choose fewer starts.
     - `disturbances`: for `basin_stability`, as shares of the coordinates of the gait's own state,
       of the largest where one is 0, and of 1 where all are.
@@ -111,22 +118,26 @@ def robustness(
     - `note`: the gait of `find_gait` if that is another one, otherwise empty. A default slice lies
       around the gait of `find_gait`.
 
-    Values are NaN or -1 where no gait attracts, and for steps down of a walker in space.
+    Values are NaN or -1 where no gait attracts, and for steps down of a walker in space. A table
+    has no results by cell or attractor.
 
-    Raises `ValueError` as `refine` does, without a grid where no gait of period one is found, and
-    for a ground under a walker in space.
+    Raises `ValueError` as `refine` does, without a grid where no gait of period one is found, for
+    a ground under a walker in space, and for values that the walker refuses.
     """
+    about: Any = {"strides": strides, "tolerance": tolerance}
+    if values is not None:
+        how = {"levels": levels, "check": check, "disturbances": disturbances, "ground": ground}
+        return tabulate(walker, values, parameter, grid, progress, how | {"seed": seed} | about)
     if ground is not None:
         check_planar(walker)
     if grid is not None:
         check_grid(walker, grid, "direct", kind="robustness")
-    check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
+    check_precision(jnp.asarray(0.0).dtype, NEEDED_BY)
     with bar("search for a gait", progress):
         searched = search_gait(walker, tolerance=tolerance)
         grid = default_region(walker, searched) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found", of="grid")
-    about: Any = {"strides": strides, "tolerance": tolerance}
     with bar("basin", progress):
         data = refine(walker, grid, levels, check=check, seed=seed, progress=progress, **about)
     data.attrs["disturbances"] = disturbances
@@ -197,46 +208,24 @@ def measure_walks(
 ) -> dict[str, Any]:
     """Return the variables of walks on rough ground."""
     how: Any = {"gait": gait, "limit": WALK_LIMIT, "tolerance": tolerance}
-    walks = steps_to_fall(check_planar(walker), ground, WALKS, jax.random.key(seed), **how)
+    walks = count_strides(check_planar(walker), ground, WALKS, jax.random.key(seed), **how)
     return dict(zip(GROUND_NAMES, walks[:3], strict=True))
 
 
-@refuses_tracers()
-def robustness_table(
+def tabulate(
     walker: System,
-    values: Sequence[Any] | ArrayLike,
-    parameter: str = "slope",
-    grid: Grid | None = None,
-    *,
-    levels: int = 4,
-    check: int = 500_000,
-    disturbances: float = 0.1,
-    strides: int = 500,
-    seed: int = 0,
-    ground: float | None = None,
-    tolerance: float | None = None,
-    progress: bool = True,
+    values: Any,
+    parameter: str,
+    grid: Grid | None,
+    progress: bool,
+    how: dict[str, Any],
 ) -> xr.Dataset:
-    """Compute `robustness` over values of a parameter, without the results by cell or attractor.
-
-    Arguments are those of `robustness`. Without a grid, each walker with mass on its legs has a
-    slice around its own gait. `progress` shows a bar on a terminal.
-
-    ```python
-    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
-    table = wj.robustness_table(wj.SimplestWalker(0.004), [0.004, 0.009], grid=grid, check=1000)
-    table.least_disturbance.values  # one for each slope
-    ```
-
-    Raises `ValueError` also for values that the walker refuses.
-    """
+    """Measure robustness over values of a parameter; `how` has the arguments of all measures."""
     values = numbers("values", values)
     if values.ndim != 1 or len(values) == 0:
         raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
-    check_precision(jnp.asarray(0.0).dtype, "robustness_table, as robustness does,")
-    how: Any = {"levels": levels, "check": check, "disturbances": disturbances, "strides": strides}
-    how |= {"seed": seed, "ground": ground, "tolerance": tolerance}
+    check_precision(jnp.asarray(0.0).dtype, NEEDED_BY)
     rows = []
     for value in track(values, parameter, progress):
         there = with_parameter(walker, parameter, float(value))
@@ -247,7 +236,7 @@ def robustness_table(
             continue
         one = robustness(there, region, progress=progress, **how)
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
-    about = {"walker": walker.label(), "disturbances": disturbances}
+    about = {"walker": walker.label(), "disturbances": how["disturbances"]}
     return join_rows(rows, values, parameter).assign_attrs(
         about | common_attributes(rows, parameter)
     )

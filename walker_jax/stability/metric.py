@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_precision, short
-from walker_jax.identity import AsItIs
+from walker_jax.identity import FunctionByCode
 from walker_jax.systems.system import System
 
 SOLVING_STEPS = 60
@@ -81,7 +81,9 @@ class CurvedMetric(NamedTuple):
     def lengths(self, state: State, unit: Points, size: Sizes) -> tuple[Sizes, Sizes]:
         """Call `solve_lengths` on a power of two of rays, to compile few programs."""
         number = np.minimum(np.arange(1 << max(0, len(size) - 1).bit_length()), len(size) - 1)
-        found = solve_lengths(AsItIs(self.distance), jnp.asarray(state), unit[number], size[number])
+        found = solve_lengths(
+            FunctionByCode(self.distance), jnp.asarray(state), unit[number], size[number]
+        )
         length, error = (np.asarray(one)[: len(size)] for one in found)
         return length, error
 
@@ -93,7 +95,9 @@ class CurvedMetric(NamedTuple):
         size = np.linalg.norm(y, axis=1, keepdims=True)
         unit, d = y / size, self.disturbance(state, y)
         length = np.linalg.norm(d, axis=1, keepdims=True)
-        slopes = np.asarray(gradients(AsItIs(self.distance), jnp.asarray(state), jnp.asarray(d)))
+        slopes = np.asarray(
+            gradients(FunctionByCode(self.distance), jnp.asarray(state), jnp.asarray(d))
+        )
         growth = np.sum(slopes * unit, axis=1, keepdims=True)
         along = np.sum(gradient * unit, axis=1, keepdims=True) / growth
         across = (gradient - along * slopes) * length / size

@@ -20,13 +20,12 @@ from walker_jax.checks import (
     check_confidence,
     check_whole,
     is_number,
-    refuses_tracers,
     short,
 )
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
-from walker_jax.identity import AsItIs
+from walker_jax.identity import FunctionByCode
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import check_single
@@ -63,11 +62,10 @@ class StepsToFall(NamedTuple):
     """`Outcome` of the failure, `STRIDE`, or `UNDECIDED`."""
 
 
-@refuses_tracers()
-def steps_to_fall(
+def count_strides(
     walker: Walker,
     ground: float | RandomDisturbance,
-    n: int = 1000,
+    n: int,
     key: Any = None,
     *,
     gait: Gait | None = None,
@@ -75,37 +73,7 @@ def steps_to_fall(
     confidence: float = 0.95,
     tolerance: float | None = None,
 ) -> StepsToFall:
-    """Count the strides that walkers make on rough ground until they fall, starting in a gait.
-
-    Walks stop after `limit` strides, or where the outcome is `UNDECIDED`: no walker counts as
-    fallen unless it is known to fall. For such walks, the mean assumes a constant chance to fall in
-    each stride. That holds once a walk has forgotten its start: the chance then does not depend on
-    the number of strides before. The interval is that of Clopper and Pearson for such a chance
-    (1934, Biometrika 26:404-413). If all walks fall and are 30 or more, it is the interval of the
-    sample mean, for any distribution. Numbers of strides jump as parameters change, so there is no
-    derivative; `gait_sensitivity` and the least disturbance have one.
-
-    ```python
-    walks = wj.steps_to_fall(wj.SimplestWalker(0.004), 2e-4, n=100, limit=1000)
-    walks.mean, walks.low, walks.high
-    walks.ended.mean()  # the share that fell
-    ```
-
-    **Arguments:**
-
-    - `walker`: any planar walker.
-    - `ground`: the standard deviation of normally distributed heights, in the unit of length. Or a
-      function of a JAX random key, which returns the height of the next foothold above the present
-      one, such as `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance`.
-    - `n`: number of walks.
-    - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
-    - `gait`: walks start at its first state; that of `find_gait` by default.
-    - `limit`: most strides of a walk.
-    - `confidence`: of the interval.
-    - `tolerance`: of the integration, as in `stride`.
-
-    Raises `ValueError` for a walker without a gait, and for arguments out of range.
-    """
+    """Count the strides of n walks on rough ground until they fall, as `steps_to_fall` says."""
     check_planar(walker)
     check_whole("n", n)
     check_whole("limit", limit)
@@ -137,7 +105,7 @@ def walk_disturbed(
     while len(active) and done < limit:
         count = min(STRIDES_PER_CALL, limit - done)
         own = keys[pad_to_power_of_two(active)]
-        drawn = np.asarray(draw(AsItIs(ground), own, done, count))[: len(active)]
+        drawn = np.asarray(draw(FunctionByCode(ground), own, done, count))[: len(active)]
         part = map_cells(
             follow_disturbed_walk,
             (walker, end.state[active], drawn.astype(states.dtype), integrator),

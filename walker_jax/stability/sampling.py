@@ -4,8 +4,8 @@ The same starts also show the way back: the number of strides, also per unit of 
 the sizes of disturbances that the walker survives. The terms are those of the stability quantifiers
 of Attractors.jl, but three definitions differ. Means here are over the starts that return; there,
 sums over these are divided by the weight of all starts. The size of a disturbance here is its
-distance from the nearest state of the gait; there, by default, from the centroid of the states. A
-start at the gait has no pace here; there, up to a distance, it has a pace of zero.
+distance from the nearest state of the gait; there, by default, from the centroid of the states. The
+pace is undefined here at zero disturbance; there, up to a distance, it is zero.
 """
 
 from __future__ import annotations

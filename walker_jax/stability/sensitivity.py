@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
-from walker_jax.identity import AsItIs
+from walker_jax.identity import FunctionByCode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.reductions import largest
 from walker_jax.walkers.model import Scalar, State, Walker, check_planar
@@ -112,7 +112,7 @@ def gait_sensitivity(
     if len(gait.states) != 1:
         raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
     walker, state, integrator = prepare(walker, gait.states[0], tolerance)
-    functions = tuple(map(AsItIs, inputs)), tuple(map(AsItIs, outputs))
+    functions = tuple(map(FunctionByCode, inputs)), tuple(map(FunctionByCode, outputs))
     return respond_to(walker, state, integrator, functions)
 
 

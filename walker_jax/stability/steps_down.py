@@ -17,7 +17,7 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.iteration import strides as take_strides
-from walker_jax.walking.stride import follow_step, step_down
+from walker_jax.walking.stride import follow_step, stride
 
 HEIGHTS = 4096
 """Number of heights that are tried, up to the least one from which the walker does not return."""
@@ -84,7 +84,7 @@ def least_step_down(
     beyond = end(states[phase], BEYOND * height)
     first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
-    down = step_down(walker, states[phase], height, tolerance=tolerance)
+    down = stride(walker, states[phase], step=-height, tolerance=tolerance)
     return LeastStepDown(height, np.asarray(down.state), phase, failure, made)
 
 

@@ -27,7 +27,6 @@ from walker_jax.checks import (
     WrongUse,
     check_whole,
     is_number,
-    refuses_tracers,
     short,
 )
 from walker_jax.execution.tiles import map_cells
@@ -68,49 +67,22 @@ MAX_ITERATIONS = 10_000
 NO_CELL = "no cell leads to another: walks end at once; give a more even ground"
 
 
-@refuses_tracers()
-def metastability(
+def survival_of_cells(
     walker: Walker,
     ground: float | RandomDisturbance,
+    walkers: int,
     key: Any = None,
     *,
     gait: Gait | None = None,
     side: float = 0.8,
-    walkers: int = 100_000,
     repetitions: int = 4,
     tolerance: float | None = None,
 ) -> xr.Dataset:
-    """Estimate how long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
-
-    The cost hardly depends on how rare falls are. The method is independent of `steps_to_fall`.
-
-    ```python
-    data = wj.metastability(wj.SimplestWalker(0.004), 2e-4, walkers=20_000, repetitions=2)
-    float(data.mean_strides), float(data.mean_strides_error)
-    ```
-
-    **Arguments:**
-
-    - `walker`: a walker whose section has two coordinates.
-    - `ground`, `key`, `gait`, `tolerance`: as in `steps_to_fall`.
-    - `side`: of cells, in standard deviations of states along each direction.
-    - `walkers`: in all cells together, 12 or more in each; each makes 80 strides.
-    - `repetitions`: number of runs with other random numbers; their scatter gives the error.
-
-    **Returns** a data set: `survival`, the chance not to fall in a stride of long walks;
-    `mean_strides` to a fall, from the gait on, as in `StepsToFall`; its standard error
-    `mean_strides_error`, 1.96 of which make a 95 % interval, as by Student's t; `undecided`,
-    strides without an answer, which do not count. The quasi-stationary distribution has the
-    `chance` of each cell of the last repetition, its `centre` in theta, thetadot and, on rough
-    ground, the gap phi - 2 theta, and the `edges` of all cells.
-
-    Raises `ValueError` for arguments out of range, and `ComputationFailed` where walks end too
-    early to be metastable, or so rarely that there are more than MOST_CELLS cells.
-    """
+    """Estimate the chance to survive a stride by a cell map, as `steps_to_fall` says."""
     check_planar(walker)
     if len(walker.section) != 2:
         raise WrongUse(f"walker must have two section coordinates, not {walker.section}")
-    check_whole("walkers", walkers)
+    check_whole("n", walkers)
     check_whole("repetitions", repetitions, 2)
     if not (is_number(side) and 0 < side < np.inf):
         raise WrongUse(f"side must be a number above 0, not {short(side)}")
@@ -364,19 +336,19 @@ def solve_chain(
     count = len(chain.indptr) - 1
     backward = chain.T.tocsr()
     survival, distribution = largest_eigenvector(backward, count)
-    _, promise = largest_eigenvector(chain, count)
-    promise = promise / (distribution @ promise)
+    _, right_eigenvector = largest_eigenvector(chain, count)
+    right_eigenvector = right_eigenvector / (distribution @ right_eigenvector)
     if 1 - survival < SETTLED:  # nothing falls: 1 to rounding
         return 1.0, distribution, np.full(count, np.inf)
     life = survival / (1 - survival)
-    source = chain @ np.ones(len(promise)) - survival * promise
-    rest = np.zeros_like(promise)
+    source = chain @ np.ones(len(right_eigenvector)) - survival * right_eigenvector
+    rest = np.zeros_like(right_eigenvector)
     for _ in range(MAX_ITERATIONS):
         former, rest = rest, source + chain @ rest
-        rest = rest - (distribution @ rest) * promise
+        rest = rest - (distribution @ rest) * right_eigenvector
         if np.abs(rest - former).max() <= SETTLED * life:
             break
-    return survival, distribution, life * promise + rest
+    return survival, distribution, life * right_eigenvector + rest
 
 
 def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.ndarray, " cells"]]:

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid, axes_around
-from walker_jax.hybrid.modes import SECTION, Condition, Foregone, Guard, Mode
+from walker_jax.hybrid.modes import SECTION, Condition, EarlyExit, Guard, Mode
 from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
@@ -70,7 +70,9 @@ class Walker(HybridSystem):
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)
-        StoreDescriber(cls)  # keeps its files: one may be edited while its code is in use
+        StoreDescriber(
+            cls
+        )  # snapshots its source files, which may be edited while the code is in use
 
     def __check_init__(self):
         settle(self)
@@ -169,7 +171,7 @@ class Walker(HybridSystem):
         )
         over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
         known = is_unchanged(self, home_of(type(self), "past_contact"), *SWING)
-        foregone = Foregone(over, Outcome.FORWARD.name) if known else None
+        foregone = EarlyExit(over, Outcome.FORWARD.name) if known else None
         swing = Mode(
             self.equations(),
             (*fall_guards(self), strike),
@@ -211,8 +213,8 @@ class Walker(HybridSystem):
     def past_contact(self, state: Any) -> Bool[Array, ""]:
         """Return whether h > 0 can only grow from here, so that no heel strike follows.
 
-        This sufficient condition spares a walker that falls from the section the rest of its fall;
-        outcomes must not depend on it. By default that is never known. A class that redefines one
+        By this sufficient condition the integration stops once a fall is certain; outcomes must not
+        depend on it. By default that is never known. A class that redefines one
         of the methods in `SWING` and not this one does without.
         """
         return jnp.zeros_like(state.theta, bool)

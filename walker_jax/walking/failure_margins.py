@@ -34,7 +34,7 @@ from walker_jax.systems.outcomes import Outcome, Stride, nan_unless
 from walker_jax.systems.system import System, apply_map
 from walker_jax.walking.courses import Course, Numbers, Part, end_course, fold_parts
 from walker_jax.walking.iteration import for_each_start
-from walker_jax.walking.starts import during_stride, on_section, prepare
+from walker_jax.walking.starts import as_floating, during_stride, on_section, prepare
 from walker_jax.walking.stride import first_of, modes_from, start_course
 
 WAYS = {
@@ -103,33 +103,33 @@ class Margins(NamedTuple):
 
 def margins(
     walker: System,
-    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
+    x: Float[ArrayLike, "*n coordinates"] | Sequence[Any],
     *,
     tolerance: Real | None = None,
+    progress: str | None = None,
 ) -> Margins:
-    """Follow one stride, as `stride` does, and measure its margins.
+    """Follow one stride, as `stride` does, or one from each of n starts, and measure its margins.
 
-    Arguments and errors are those of `stride`. First derivatives are exact. Margins are smooth
-    except where the instant that determines them jumps.
+    Arguments and errors are those of `stride`; starts in rows, of shape (n, coordinates), are
+    followed as by `strides`, on all devices and cores. First derivatives are exact. Margins are
+    smooth except where the instant that determines them jumps.
 
     ```python
     found = wj.margins(wj.SimplestWalker(0.004), (0.2, -0.2))
     found.backward, found.forward  # both positive: the walker makes the stride
     ```
     """
+    if as_floating(x).ndim == 2:
+        return margins_of_rows(walker, x, tolerance, progress)
     return follow_margins(*prepare(walker, x, tolerance))
 
 
-@refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(xs)")
-def margins_of_many(
-    walker: System,
-    xs: Float[ArrayLike, "n coordinates"] | Sequence[Any],
-    *,
-    tolerance: Real | None = None,
-    progress: str | None = None,
+@refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(x)", called="margins")
+def margins_of_rows(
+    walker: System, x: Any, tolerance: Real | None, progress: str | None
 ) -> Margins:
-    """Compute `margins` for each of n starts, with one walker or n, as in `strides`."""
-    return for_each_start(follow_margins, walker, xs, tolerance, progress=progress)
+    """Measure the margins of one stride from each row of x, with one walker or n."""
+    return for_each_start(follow_margins, walker, x, tolerance, progress=progress, name="x")
 
 
 @kernel

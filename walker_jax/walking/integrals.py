@@ -40,7 +40,7 @@ def integrals(
     """Compute the integrals and largest values along the stride from x that a system's modes name.
 
     ```python
-    class Measured(wj.SpringMassRunner):
+    class Measured(wj.systems.SpringMassRunner):
         def modes(self):
             height = {"height": lambda state: state.y}
             return {of: mode._replace(integrals=height) for of, mode in super().modes().items()}

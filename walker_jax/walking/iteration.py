@@ -122,19 +122,20 @@ def for_each_start(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
     progress: str | None = None,
+    name: str = "xs",
 ) -> Any:
     """Compute function(walker, x, integrator) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, System)
-    xs = array("xs", xs)
+    xs = array(name, xs)
     if xs.dtype.kind not in "fiub":
-        raise WrongUse(f"xs must be real numbers, not of type {xs.dtype}")
+        raise WrongUse(f"{name} must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
-        raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
+        raise WrongUse(f"{name} must have shape (n, coordinates), not {xs.shape}")
     sizes = sizes_of_starts(walker)
     if xs.shape[1] not in sizes:
         full = " or ".join(f"(n, {size})" for size in sizes[1:])
         raise WrongUse(
-            f"xs must have shape (n, {sizes[0]}), on the section {walker.section}, "
+            f"{name} must have shape (n, {sizes[0]}), on the section {walker.section}, "
             + (f"or {full}, full states, " if full else "")
             + f"not {xs.shape}"
         )

@@ -62,7 +62,8 @@ def stride(
       (theta, phi, thetadot, phidot), for a launch or after a push. A full state is feasible if it
       is finite and the stance leg stands, |theta| < pi/2.
     - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
-      length; by default 0. The swing foot comes down there ahead of the other, with a straight
+      length; by default 0. It is negative for a step down, as in `stride(walker, x, step=-0.001)`.
+      The swing foot comes down there ahead of the other, with a straight
       knee; if it does not rise that high, the walker falls. Scuffing is judged by the present
       level. The result's state is then a full state, just after heel strike and off the section, as
       one foot is lower. `stride` takes it from there, on a slope through the standing foot.
@@ -151,31 +152,6 @@ def start_course(
 
     first, *_ = modes
     return begin_course(first, *with_fast_sincos(begin)(walker, x))
-
-
-def step_down(
-    walker: HybridSystem,
-    x: Float[ArrayLike, " coordinates"] | Sequence[Any],
-    drop: Real,
-    *,
-    tolerance: Real | None = None,
-) -> Stride:
-    """Make one stride whose heel strike is on ground lower by `drop`, which is not negative.
-
-    It is `stride(walker, x, step=-drop)`; `drop` is in the unit of length.
-
-    ```python
-    walker = wj.SimplestWalker(0.004)
-    end = wj.step_down(walker, wj.find_gait(walker).states[0], 0.001)
-    end.state  # a full state: the feet stand at different heights
-    ```
-    """
-    if not isinstance(drop, Tracer):
-        check_number("drop", drop)
-        if not 0 <= drop < np.inf:
-            raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
-    step = -drop if isinstance(drop, Tracer) else -float(drop)
-    return stride(walker, x, step=step, tolerance=tolerance)
 
 
 @kernel

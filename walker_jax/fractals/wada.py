@@ -107,7 +107,7 @@ def merge_regions(
     ```python
     grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
     data = wj.basin(wj.SimplestWalker(0.004), grid)
-    wj.merge_regions(data.fate.values).wada  # do all fates share one boundary?
+    wj.fractals.merge_regions(data.fate.values).wada  # do all fates share one boundary?
     ```
 
     Raises ValueError for fewer regions, and for grids too small to be made coarser that often.

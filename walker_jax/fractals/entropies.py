@@ -80,7 +80,7 @@ def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -
     ```python
     grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
     data = wj.basin(wj.SimplestWalker(0.004), grid)
-    wj.basin_entropy(data.fate.values).boundary  # log 2 = 0.69 at most, if the boundary is smooth
+    wj.fractals.basin_entropy(data.fate.values).boundary  # at most log 2 = 0.69, if it is smooth
     ```
 
     Raises ValueError for labels that are not numbers, and for a box that does not fit.

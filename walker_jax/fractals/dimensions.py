@@ -112,7 +112,7 @@ def box_counting(
     ```python
     grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 200))
     data = wj.basin(wj.SimplestWalker(0.004), grid)
-    wj.box_counting(data.fate.values).value  # the dimension of the boundary between fates
+    wj.fractals.box_counting(data.fate.values).value  # the dimension of the boundary between fates
     ```
 
     Raises ValueError if labels are not numbers, the array is too small for `MIN_SCALES` sizes, or
@@ -199,8 +199,8 @@ def information_dimension(
     of the points. It is NaN for too few points.
 
     ```python
-    walk = wj.walk(wj.HenonMap(), (0.1, 0.1), 20_000)
-    found = wj.information_dimension(walk.states[100:])
+    walk = wj.walk(wj.systems.HenonMap(), (0.1, 0.1), 20_000)
+    found = wj.fractals.information_dimension(walk.states[100:])
     found.value, found.low, found.high
     ```
 
@@ -263,7 +263,7 @@ def uncertainty_exponent(
     ```python
     draw = lambda generator, count: generator.random((count, 2))
     above = lambda points: (points[:, 1] > points[:, 0]).astype(int)
-    wj.uncertainty_exponent(above, draw, (0.003, 0.01, 0.03)).value  # about 1, for a line
+    wj.fractals.uncertainty_exponent(above, draw, (0.003, 0.01, 0.03)).value  # about 1, for a line
     ```
 
     Raises ValueError if an argument is out of range, or the functions return wrong shapes.
