@@ -3,7 +3,7 @@
 compass.xml starts at its gait, once with the contacts of this package, which neither give nor slip,
 and once in MuJoCo's time steps, with its soft contacts. Errors are of angles (rad): in the swing,
 and after the heel strike of the second foot. Then five_link.xml, with the controller of
-five_link.py, against systems.FiveLinkBiped, which is written by hand: the time until a first stride is
+five_link.py, against systems.FiveLinkBiped, written by hand: the time until a first stride is
 done, each compiled anew, in turns. Three minutes on one core.
 
 The answer: to first order in the time constant of contacts, also after the impact if the time step

@@ -1,4 +1,4 @@
-"""The robot of five_link.xml, whose motors follow the virtual constraints of walker_jax.systems.FiveLinkBiped."""
+"""The robot of five_link.xml, by the virtual constraints of walker_jax.systems.FiveLinkBiped."""
 
 from pathlib import Path
 
