@@ -346,10 +346,11 @@ def test_out_of_time_ends_a_measurement_and_hurries_the_last(monkeypatch):
         return row
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate)
-    monkeypatch.setattr(Trace, "is_out_of_time", lambda trace: len(began) > 2)
+    clock = lambda: 61.0 if len(began) > 2 else 0.0
+    monkeypatch.setattr("walker_jax.design.budget.perf_counter", clock)
     walker = wj.SpringWalker(0.004, 1.0)
     grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.1, 0.05, 40))
-    options = {"grid": grid, "starts": 1, "levels": 2, "progress": False}
+    options = {"grid": grid, "starts": 1, "levels": 2, "progress": False, "seconds": 60}
     found = optimise(walker, {"hip_stiffness": (0.0, 30.0)}, "area", **options)
     assert began[:3] == [0, 0, 0] and ended[:2] == [0, 0] and {*ended[2:]} == {-3}
     assert bool(found.out_of_time) and not bool(found.converged)

@@ -13,7 +13,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.gaits.derivatives import GaitPull, gait_derivatives
 from walker_jax.stability import margin_changes
-from walker_jax.stability.margin_changes import differentiate_margins
+from walker_jax.stability.margin_changes import margins_with_derivatives
 from walker_jax.walkers.choices import numbers_chosen, values_of
 from walker_jax.walkers.parameters import with_values
 
@@ -79,9 +79,11 @@ def test_margins_in_reverse_equal_those_forward(monkeypatch):
     x = np.asarray(c + radius * np.sqrt(1 - k) * out)
     made = np.array([stride_count(DISC, one) for one in x], np.int32)
     assert made[0] > 5 and made[-2] >= 1
-    back = differentiate_margins(DISC, x, made, np.eye(2), NAMES, 1e-12)
+    known, back = margins_with_derivatives(DISC, x, made, np.eye(2), NAMES, 1e-12)
     monkeypatch.setattr(margin_changes, "MANY", 1000)
-    forward = differentiate_margins(DISC, x, made, np.eye(2), NAMES, 1e-12)
+    margins, forward = margins_with_derivatives(DISC, x, made, np.eye(2), NAMES, 1e-12)
+    np.testing.assert_allclose(margins, known, rtol=1e-12)
+    assert len(np.unique(margins)) == len(x)
     np.testing.assert_allclose(back, forward, rtol=1e-11, atol=1e-16 * abs(forward).max())
     step = 1e-6 * MIX[3]
     ends = [

@@ -236,9 +236,9 @@ def test_the_error_of_an_integral_is_of_independent_parts(monkeypatch, fate, str
     def changes(walker, x, *_):
         line = np.floor(9 * x[:, 1])
         moves = np.where(line == 8, np.nan, 5 * line)
-        return np.stack([np.full(len(x), -5.0), 0 * line, moves], axis=1)
+        return 0 * line, np.stack([np.full(len(x), -5.0), 0 * line, moves], axis=1)
 
-    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    monkeypatch.setattr("walker_jax.design.area_gradients.margins_with_derivatives", changes)
     integral = integrate_along_boundary(walker, found, ("slope",))
     # lines 0 to 7 move by their numbers: in four parts, by 0 + 4, 1 + 5, 2 + 6 and 3 + 7
     assert integral.gradient[0] == pytest.approx(28 / 36, rel=1e-12)
@@ -251,8 +251,8 @@ def test_the_error_has_a_part_for_what_is_thinner_than_a_cell(disc, monkeypatch)
     """A strip of 5/8 of a cell, whose sides move by one cell: a centre is in 5 of 8 such strips."""
     strip = lambda mapper, x, **_: labels_where(np.abs(x[:, 0] - 0.375) < 5 / 64, x)
     monkeypatch.setattr(Mapper, "follow", strip)
-    changes = lambda walker, x, *_: np.tile([3.0, 0.0, 3.0], (len(x), 1))
-    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    changes = lambda walker, x, *_: (np.zeros(len(x)), np.tile([3.0, 0.0, 3.0], (len(x), 1)))
+    monkeypatch.setattr("walker_jax.design.area_gradients.margins_with_derivatives", changes)
     grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 8))
     found = wj.measure(wj.SimplestWalker(0.004), "area", ["slope"], grid=grid, levels=0)
     assert found.crossings == 16 and found.gradient[0] == pytest.approx(16 / 32, rel=1e-12)
@@ -279,11 +279,11 @@ def test_the_least_disturbance_changes_with_boundary_and_gait(monkeypatch, direc
         assert made.tolist() == [6] * len(x)
         np.testing.assert_allclose(x, np.broadcast_to(state, x.shape), rtol=0, atol=1e-9)
         row = 7 * np.array([*(-np.array(u)), 3 + moved @ u])
-        return np.stack([np.full(3, np.nan), *[row] * (len(x) - 1)])  # the first is not known
+        margins = 7 * (SIZE(0.004) - (x - np.asarray(gait.states[0])) @ u)
+        return margins, np.stack([np.full(3, np.nan), *[row] * (len(x) - 1)])  # the first unknown
 
-    monkeypatch.setattr("walker_jax.design.disturbance_gradients.differentiate_margins", changes)
-    margins = lambda walker, x, *_: 7 * (SIZE(0.004) - (x - np.asarray(gait.states[0])) @ u)
-    monkeypatch.setattr("walker_jax.design.disturbance_gradients.margins_after", margins)
+    name = "walker_jax.design.disturbance_gradients.margins_with_derivatives"
+    monkeypatch.setattr(name, changes)
     gradient = wj.measure(walker, "least-disturbance", ("slope",), gait)
     assert gradient.value == SIZE(0.004) and not gradient.averaged.any()
     assert gradient.gradient == pytest.approx([3.0], rel=1e-9)
@@ -299,8 +299,8 @@ def test_without_a_margin_the_least_changes_by_a_bands_average(monkeypatch):
         )
 
     monkeypatch.setattr("walker_jax.design.disturbance_gradients.least_disturbance", least)
-    nan = lambda walker, x, *_: np.full((len(x), 3), np.nan)
-    monkeypatch.setattr("walker_jax.design.disturbance_gradients.differentiate_margins", nan)
+    nan = lambda walker, x, *_: (np.full(len(x), np.nan), np.full((len(x), 3), np.nan))
+    monkeypatch.setattr("walker_jax.design.disturbance_gradients.margins_with_derivatives", nan)
     walker = wj.SimplestWalker(0.012)
     assert np.isnan(wj.measure(walker, "least-disturbance", ["slope"]).gradient).all()
     for width, low, high in ((0.002, 0.010, 0.014), (0.004, 0.008, 0.012)):

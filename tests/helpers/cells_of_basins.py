@@ -62,6 +62,7 @@ def let_grow(monkeypatch: pytest.MonkeyPatch, centre: np.ndarray) -> None:
     def changes(walker, x, made, directions, parameters, tolerance):
         away = x - centre
         along = -(away @ directions.T) / np.linalg.norm(away, axis=1, keepdims=True)
-        return 7 * np.concatenate([along, np.full((len(x), len(parameters)), 10.0)], axis=1)
+        by = 7 * np.concatenate([along, np.full((len(x), len(parameters)), 10.0)], axis=1)
+        return np.zeros(len(x)), by
 
-    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    monkeypatch.setattr("walker_jax.design.area_gradients.margins_with_derivatives", changes)

@@ -10,6 +10,7 @@ from walker_jax.stability.rays import (
     bisect,
     bisect_nearest,
     nearest_failure,
+    scan,
     spacing,
     spread_directions,
 )
@@ -170,3 +171,23 @@ def test_the_nearest_of_rays_is_found_as_if_all_were_followed(count):
     np.testing.assert_array_equal(nearest.argmin(axis=1), every.argmin(axis=1))
     exact = np.where(np.isfinite(high.ravel()), radius(flat), np.inf)
     np.testing.assert_allclose(nearest.min(axis=1), exact.reshape(count, 9).min(axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("scale", "share"), [(0.04, 0.5), (1.0, 0.8), (30.0, 0.96)])
+def test_a_scan_outwards_finds_the_nearest_of_all(scale, share):
+    """Bit by bit, from fewer points; farther failures are left out."""
+    rays, followed = spread_directions(2, 720), []
+
+    def fails(y):
+        followed.append(len(y))
+        return (gaps(y / scale) < 0).any(axis=1)
+
+    every = scan(fails, rays, 128)
+    all_of_them = sum(followed)
+    followed.clear()
+    near = scan(fails, rays, 128, 8)
+    assert sum(followed) < share * all_of_them
+    found = np.isfinite(near)
+    np.testing.assert_array_equal(near[found], every[found])
+    assert 0 < found.sum() < np.isfinite(every).sum() and near[found].min() == every.min()
+    assert every[~found].min() > every.min()

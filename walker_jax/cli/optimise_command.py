@@ -232,6 +232,7 @@ def optimum_in_words(walker: "wj.System", answer: dict, objective: str) -> Itera
         place += f", held by the limit of {', '.join(answer['binding'])}"
     end = "converged" if answer["converged"] else "not converged"
     if answer["out_of_time"]:
-        end = "out of time: the same command goes on"
+        first = answer["first_seconds"]
+        end = f"out of time after a first measurement of {first:.3g} s: the same command goes on"
     yield f"  {place}; {end}, {answer['evaluations']} evaluations"
     yield "  A wider --bound, more --starts or another --seed may find a better one."

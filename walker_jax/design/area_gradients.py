@@ -28,7 +28,7 @@ from walker_jax.design.measures import Measure
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.segments import Segments, narrow
-from walker_jax.stability.margin_changes import differentiate_margins, margins_after
+from walker_jax.stability.margin_changes import margins_with_derivatives
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.choices import Choice, numbers_chosen
@@ -279,14 +279,14 @@ def integrate_along_boundary(
         x = fine.points_at(outside / shape)
         labels = follow(outside)
         beyond = labels.strides
-        tolerance = found.mapper.integrator.tolerance
-        change = differentiate_margins(walker, x, beyond, tangents.T, parameters, tolerance)
+        given = tangents.T, parameters, found.mapper.integrator.tolerance
+        margins, change = margins_with_derivatives(walker, x, beyond, *given)
         made += int((beyond + 1).sum()) * (change.shape[1] + 1)
         slopes, by_parameter = change[:, : len(shape)], change[:, len(shape) :]
         with np.errstate(invalid="ignore", divide="ignore"):
             steepness = np.sum(slopes**2, axis=1)
             moves = by_parameter * (np.abs(slopes[:, axis]) / steepness)[:, None]
-            distance = np.abs(margins_after(walker, x, beyond, tolerance) / slopes[:, axis])
+            distance = np.abs(margins / slopes[:, axis])
         moves[distance > JUMP] = np.nan
         if density is not None and len(x):
             moves = moves * density_at(density, x)[:, None]

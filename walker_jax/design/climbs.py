@@ -1,6 +1,6 @@
 """One ascent along the gradient of an objective, within bounds and limits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import closing
 from typing import NamedTuple
@@ -43,63 +43,79 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
     It ends earlier if the time is over, with the best so far; a measurement in progress is then
     given up. But the first start is always measured.
     """
-    if (run, stage) == (0, 0):
-        return climb_by_steps(trace, run, stage, place)
+    problem, budget = trace.problem, trace.budget
+    where = problem.describe_values(problem.values(place))
+    found = Climb(None, None, False, f"{where}: no time")
+    first = (run, stage) == (0, 0)
     try:
-        with stopped_when(trace.is_out_of_time):
-            return climb_by_steps(trace, run, stage, place)
+        if not first:
+            budget.wait_for_first()
+        with stopped_when(budget.is_over):
+            for further in climb_by_steps(trace, run, stage, place):
+                found = further
     except CancelledError:
-        if not trace.is_out_of_time():  # another climb has failed
+        if not budget.ran_out:  # another climb has failed
             raise
-    problem = trace.problem
-    return Climb(None, None, False, f"{problem.describe_values(problem.values(place))}: no time")
+        found = with_highest(trace, run, stage, found)
+    finally:
+        if first:
+            budget.begin()  # without a measurement, if the walker refuses the start
+    return found
+
+
+def with_highest(trace: Trace, run: int, stage: int, found: Climb) -> Climb:
+    """Return a climb that was cut within a step with the highest place measured in that step."""
+    best = found.best
+    if best is not None:
+        for row in trace.rows_of(run, stage):
+            best = row if is_higher(trace.problem, best, row) else best
+    return found._replace(best=best)
 
 
 def climb_by_steps(
     trace: Trace, run: int, stage: int, place: Float[np.ndarray, " parameters"]
-) -> Climb:
-    """Do the work of `climb`; raise `CancelledError` where no time is left before a first step."""
+) -> Iterator[Climb]:
+    """Do the work of `climb`, and yield the climb as far as it has come, after each step."""
     import optax  # only here, as it takes a quarter of a second
 
     problem = trace.problem
-    if trace.is_out_of_time() and (run, stage) != (0, 0):
-        raise CancelledError
+    if trace.budget.is_over():
+        return
     begin = trace.limits.nearest_allowed(place)
     if begin is None:
-        return Climb(None, None, False, explain_failure(trace, place))
+        yield Climb(None, None, False, explain_failure(trace, place))
+        return
     start = trace.measure(run, stage, begin)
+    trace.budget.begin()  # also if it was known
     here = start if can_be_climbed(problem, start) else None
     if here is None and stage == 0:
         here = rescue(trace, run, start)
     if here is None:
-        return Climb(start, None, False, explain_failure(trace, begin))
+        yield Climb(start, None, False, explain_failure(trace, begin))
+        return
+    yield Climb(start, here, False)
     optimiser = optax.adam(STEP_SIZES[stage], b1=0.5, b2=0.9, eps=1e-12)
     standard = lambda: jax.numpy_dtype_promotion("standard")  # as optax's own arithmetic needs
     with standard():
         state = optimiser.init(jnp.asarray(begin))
     best = here
     for _ in range(MAX_STAGE_STEPS):
-        if trace.is_out_of_time():
-            break
+        if trace.budget.is_over():
+            return
         place = problem.place_of(best.parameters)
         uphill = problem.sign * best.gradient * problem.scale
         downhill = jnp.asarray(-trace.limits.feasible_direction(place, uphill))
         with standard():
             update, state = optimiser.update(downhill, state)
-        try:
-            with stopped_when(trace.is_out_of_time):
-                higher = step_up(trace, run, stage, best, np.asarray(update))
-        except CancelledError:
-            if not trace.is_out_of_time():  # another climb has failed
-                raise
-            break
+        higher = step_up(trace, run, stage, best, np.asarray(update))
         if higher is None:
-            return Climb(start, best, True)
+            yield Climb(start, best, True)
+            return
         resolved = stage < len(STEP_SIZES) - 1 and sure_gain(problem, best, higher) == 0
         best = higher
+        yield Climb(start, best, False)
         if resolved:  # finer grids tell more than further steps
-            break
-    return Climb(start, best, False)
+            return
 
 
 def step_up(
@@ -159,7 +175,7 @@ def lengthen(
 ) -> Float[np.ndarray, " parameters"]:
     """Double a whole step as long as the objective surely improves; return the last goal."""
     share = 2.0
-    while not trace.is_out_of_time():
+    while not trace.budget.is_over():
         farther = goal_of(share)
         if farther is None or np.array_equal(farther, goal):
             break

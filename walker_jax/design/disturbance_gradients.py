@@ -21,7 +21,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
-from walker_jax.stability.margin_changes import differentiate_margins, margins_after
+from walker_jax.stability.margin_changes import margins_with_derivatives
 from walker_jax.stability.rays import DENSE
 from walker_jax.systems.system import System
 from walker_jax.walkers.choices import Choice, numbers_chosen
@@ -77,8 +77,8 @@ def disturbance_gradient(
     checked_tolerance = default_tolerance(found.state.dtype, tolerance)
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
-    changes = differentiate_margins(walker, beyond, made, axes, parameters, checked_tolerance)
-    margins = margins_after(walker, beyond, made, checked_tolerance)
+    given = axes, parameters, checked_tolerance
+    margins, changes = margins_with_derivatives(walker, beyond, made, *given)
     slopes_along = changes[:, : len(axes)] @ found.direction
     known = np.isfinite(changes).all(axis=1)
     known &= np.abs(margins) <= JUMP * found.size * np.abs(slopes_along)

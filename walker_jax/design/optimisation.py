@@ -28,6 +28,7 @@ from walker_jax.checks import (
     refuses_tracers,
 )
 from walker_jax.design.area_gradients import Density
+from walker_jax.design.budget import Budget
 from walker_jax.design.climbs import Climb, climb
 from walker_jax.design.evaluation import (
     ENDS_STAGE,
@@ -153,9 +154,11 @@ def optimise(
     - `known`: an earlier result, or the trace of an interrupted run; its measurements are reused.
     - `keep`: called with the trace after each measurement.
     - `seconds`: time of the climbs, compilation included, after which the best walker so far is
-      the optimum. A measurement in progress is given up, that of the first start excepted. Both
-      ends are then measured on a grid half as fine, and their basins shown on fewer cells, which
-      comes on top, as does a scan. The run can be continued by `known`.
+      the optimum. A measurement in progress is given up, and none begins that would not fit. The
+      budget cannot cut the measurement of the first start with its compilation (`first_seconds`).
+      A third of the time left after that comes on top, for the ends, on a grid half as fine, a
+      scan and the basins shown; what does not fit is left out, and ends then have the values of
+      the climb. The run can be continued by `known`.
     - `progress`: whether to show progress on a terminal, after a second.
 
     **Returns** a data set. Over the parameters:
@@ -171,7 +174,8 @@ def optimise(
       the least disturbance, for which the search gives an upper bound;
     - `binding`: the measures whose limits bind at the optimum;
     - `converged`: whether it ended because no step of the last stage along the gradient improved
-      the objective; `out_of_time`: whether it ended because the `seconds` were over;
+      the objective; `out_of_time`: whether anything was left out because the `seconds` were over;
+      with these, `first_seconds`: the time until the first start was measured;
     - `note_start` and `note_optimum`: the gait of `find_gait`, if that is another one.
 
     Over all evaluations, the trace: `run`, `stage` (-1 for the scan, -2 for the ends, -3 for these
@@ -199,7 +203,7 @@ def optimise(
     check_whole("starts", starts)
     check_whole("scan", scan, 0)
     levels = default_levels(goal[0]) if levels is None else levels
-    budget = check_budget(seconds)
+    budget = Budget(check_budget(seconds))
     training = read_training(steps, rate, batch)
     how = (grid, levels, strides, seed, tolerance, density, functions)
     problem = pose_problem(walker, read_bounds(walker, bounds, parameters), goal, limits, how)
@@ -219,18 +223,13 @@ def optimise(
             first = list(side_by_side(climb_from, enumerate(places)))
         trace.sort_runs()
     run, last = (0, first[0]) if many else climb_on(trace, first)
+    limited = {} if seconds is None else {"first_seconds": budget.first}
     notes = {"note": ("start_number", string_array(one.note for one in first))}
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
-    ended = {
-        "converged": last.converged,
-        "out_of_time": trace.is_out_of_time() and not last.converged,
-    }
-    hurried = ended["out_of_time"] or many
-    found = measure_ends(trace, start, best, hurried) | ended
-    found |= scan_objective(trace, best, scan) if scan else {}
-    found |= {} if problem.grid is None else compare_basins(problem, start, best, hurried)
+    found = finish(trace, start, best, scan, hurried=budget.ran_out or many)
+    found |= limited | {"converged": last.converged, "out_of_time": budget.ran_out}
     return trace.data().assign(notes | found | {"found": True})
 
 
@@ -248,14 +247,39 @@ def climb_on(trace: Trace, first: list[Climb]) -> tuple[int, Climb]:
     return run, last
 
 
+def finish(trace: Trace, start: Evaluation, best: Evaluation, scan: int, hurried: bool) -> dict:
+    """Measure what follows the climbs, as far as there is time for it; roughly if `hurried`."""
+    budget, problem = trace.budget, trace.problem
+    budget.extend()
+    found = measure_ends(trace, start, best, hurried)
+    if scan:
+        found |= budget.try_in_time(partial(scan_objective, trace, best, scan)) or {}
+    if problem.grid is not None:
+        work = partial(compare_basins, problem, start, best, hurried or budget.ran_out)
+        # it compiles programs of its own, as the first measurement did
+        found |= budget.try_in_time(work, least=budget.first or 0.0) or {}
+    return found
+
+
 def measure_ends(trace: Trace, start: Evaluation, best: Evaluation, hurried: bool) -> dict:
-    """Measure the start and the end of the best climb; roughly if `hurried`."""
+    """Measure the start and the end of the best climb again; roughly if `hurried`.
+
+    Without time for that they have the values of the climb. That is as good if `hurried`, except
+    for areas.
+    """
     problem, sides = trace.problem, {"start": start, "optimum": best}
     found: dict = {}
     ends = [problem.place_of(row.parameters) for row in sides.values()]
     stage = HURRIED_ENDS_STAGE if hurried else ENDS_STAGE
-    with closing(trace.measure_each(best.run, stage, ends)) as rows:
-        exactly = list(rows)
+
+    def measure() -> list[Evaluation]:
+        with closing(trace.measure_each(best.run, stage, ends)) as rows:
+            return list(rows)
+
+    exactly = None
+    if problem.size or not hurried:
+        exactly = trace.budget.try_in_time(measure)
+    exactly = [start, best] if exactly is None else exactly
     for (name, row), exact in zip(sides.items(), exactly, strict=True):
         found[name] = "parameter", row.parameters
         found[f"objective_{name}"] = row.value

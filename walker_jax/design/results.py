@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from walker_jax.design.evaluation import ENDS_STAGE, HURRIED_ENDS_STAGE
+from walker_jax.design.evaluation import SCAN_STAGE
 from walker_jax.systems.outcomes import names_in
 
 if TYPE_CHECKING:
@@ -78,7 +78,8 @@ def runs(data: xr.Dataset, parameter: str) -> list[Run]:
     """Return all runs, over one parameter."""
     at = data["parameters"].sel(parameter=parameter).values
     run, stage, value = (data[name].values for name in ("run", "stage", "value"))
-    best = run[(stage == ENDS_STAGE) | (stage == HURRIED_ENDS_STAGE)][0]
+    optimal = (data["parameters"] == data["optimum"]).all("parameter").values
+    best = run[optimal & (stage != SCAN_STAGE)][-1]
     found = []
     for number in np.unique(run[stage >= 0]).tolist():
         own = (stage >= 0) & (run == number)
@@ -138,6 +139,7 @@ def summarise_optimum(data: xr.Dataset) -> dict:
         "evaluations": data.sizes["evaluation"],
         "converged": bool(data["converged"]),
         "out_of_time": bool(data["out_of_time"]),
+        **{name: float(data[name]) for name in ("first_seconds",) if name in data},
     }
 
 

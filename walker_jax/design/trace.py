@@ -1,6 +1,5 @@
 """The trace of an optimisation: its measurements and their places, kept on disk."""
 
-import math
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable
@@ -14,6 +13,7 @@ from jaxtyping import Float
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
 from walker_jax.design.area_gradients import AreaSettings, MeasuredArea
+from walker_jax.design.budget import Budget
 from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
 from walker_jax.design.limits import Limits
 from walker_jax.design.problem import Problem, describe_problem
@@ -39,7 +39,7 @@ class Trace:
         keep: Callable[[xr.Dataset], object] | None,
         progress: bool,
         expected: int,
-        seconds: float = math.inf,
+        budget: Budget | None = None,
     ):
         self.problem, self.keep = problem, keep
         self.rows: list[Evaluation] = []
@@ -58,12 +58,7 @@ class Trace:
         self.areas: dict[tuple, MeasuredArea] = {}
         self.limits = Limits(problem, self.gait)
         self.progress, self.expected, self.began = progress, expected, time.perf_counter()
-        self.ends = self.began + seconds
-        """Time after which climbs make no further step."""
-
-    def is_out_of_time(self) -> bool:
-        """Return whether the time for climbs has passed."""
-        return time.perf_counter() >= self.ends
+        self.budget = Budget() if budget is None else budget
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
         """Return the walker's gait with the largest basin in the grid.
@@ -143,9 +138,12 @@ class Trace:
             with mine:
                 row = self.find(key, with_gradient)
                 if row is None:
-                    row = self.measured[key] = evaluate_objective(
-                        self.problem, stage, values, self.gait, measure_area, value_only=value_only
-                    )
+                    with self.budget.measuring((key[0], value_only)):
+                        row = evaluate_objective(
+                            *(self.problem, stage, values, self.gait, measure_area),
+                            value_only=value_only,
+                        )
+                    self.measured[key] = row
                 return row
 
         all_values = [self.problem.values(place) for place in places]
@@ -168,7 +166,8 @@ class Trace:
         with bar(self.label(values), self.progress):
             row = self.find(key, True)
             if row is None:
-                row = evaluate_objective(self.problem, 0, values, self.gait, measure_area)
+                with self.budget.measuring("batch"):
+                    row = evaluate_objective(self.problem, 0, values, self.gait, measure_area)
         own = row._replace(run=0, stage=0)
         self.add(key, row, own)
         return own
@@ -201,6 +200,11 @@ class Trace:
                 self.rows[i] = row
                 return
         self.rows.append(row)
+
+    def rows_of(self, run: int, stage: int) -> list[Evaluation]:
+        """Return the measurements of one stage of a run so far."""
+        with self.lock:
+            return [row for row in self.rows if (row.run, row.stage) == (run, stage)]
 
     def sort_runs(self) -> None:
         """Sort the measurements by run, as runs were made side by side."""

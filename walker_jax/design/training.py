@@ -6,6 +6,7 @@ Some walkers on the way are measured once more, all on one finer grid, and the b
 Other objectives have no batches: each step has their gradient.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -47,16 +48,17 @@ def train(trace: Trace, place: Float[np.ndarray, " parameters"], how: Training) 
     with standard():
         state = optimiser.init(jnp.asarray(place))
     allowed, rows = trace.limits.nearest_allowed(place), []
-    while allowed is not None and len(rows) <= how.steps and not (rows and trace.is_out_of_time()):
+    while allowed is not None and len(rows) <= how.steps:
         grid = problem.grid and batch_grid(problem.grid, how.batch, random)
 
         def measure(settings: AreaSettings, walker: System, grid=grid) -> MeasuredArea:
             return settings._replace(grid=grid, levels=0, check=0).measure(walker)
 
         place = allowed
-        row = trace.measure_batch(place, measure)
-        if not can_be_climbed(problem, row):
+        row = trace.budget.try_in_time(partial(trace.measure_batch, place, measure))
+        if row is None or not can_be_climbed(problem, row):
             break
+        trace.budget.begin()  # also if it was known
         rows.append(row)
         uphill = problem.sign * row.gradient * problem.scale
         downhill = jnp.asarray(-trace.limits.feasible_direction(place, uphill))
@@ -67,8 +69,13 @@ def train(trace: Trace, place: Float[np.ndarray, " parameters"], how: Training) 
         return Climb(None, None, False, explain_failure(trace, place))
     if problem.size:
         some = np.unique(np.linspace(0, len(rows) - 1, CHECKS + 1).round().astype(int))
-        places = [problem.place_of(rows[number].parameters) for number in some]
-        rows = [trace.measure(0, CHECK_STAGE, one, value_only=True) for one in places]
+        order = [some[0], *some[:0:-1]]  # in a hurry the first and the last tell most
+        places = [problem.place_of(rows[number].parameters) for number in order]
+        check = partial(trace.measure, 0, CHECK_STAGE, value_only=True)
+        trace.budget.extend()
+        checked = [trace.budget.try_in_time(partial(check, one)) for one in places]
+        known = [row for row in checked if row is not None]
+        rows = known if len(known) > 1 else [rows[0], rows[-1]]
     return Climb(rows[0], max(rows, key=lambda row: problem.sign * row.value), False)
 
 

@@ -149,7 +149,7 @@ class SharpParts(Interpreter):
     def constant(self, value):
         return value
 
-    def keep(self, equation, operands: list) -> list:
+    def default_rule(self, equation, operands: list) -> list:
         results = binding(equation)(*operands)
         results = results if equation.primitive.multiple_results else [results]
         if is_sharp(equation):

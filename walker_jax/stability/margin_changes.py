@@ -23,7 +23,7 @@ from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.stride import follow_stride
 
 
-def differentiate_margins(
+def margins_with_derivatives(
     walker: System,
     x: Float[np.ndarray, "n section"],
     made: Int[np.ndarray, " n"],
@@ -31,16 +31,19 @@ def differentiate_margins(
     parameters: Sequence[str],
     tolerance: Real,
     solver: Solver | None = None,
-) -> Float[np.ndarray, "n columns"]:
-    """Compute derivatives of the margins of failing walks from x, along directions and parameters.
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n columns"]]:
+    """Compute margins of failing walks from x, and derivatives along directions and by parameters.
 
-    Each walk fails after the strides that it has `made`. Derivatives are NaN where it does not. By
-    many parameters they are computed in reverse.
+    Each walk fails after the strides that it has `made`. Its margin is about zero beside the
+    boundary of that failure. It is not where the boundary is a jump: a strike that is missed leads
+    to another stride, and that to the failure. All is NaN where a walk does not fail. By many
+    parameters derivatives are computed in reverse.
     """
     dtype, n = x.dtype, len(x)
     if n and len(parameters) >= MANY and solver is None:
         by_numbers, by_start = pull_margins(walker, x, made, parameters, tolerance)
-        return np.concatenate([by_start @ directions.T.astype(dtype), by_numbers], axis=1)
+        changes = np.concatenate([by_start @ directions.T.astype(dtype), by_numbers], axis=1)
+        return margins_after(walker, x, made, tolerance), changes
     columns = len(directions) + len(parameters)
     zero = np.zeros((len(parameters), x.shape[1]), dtype)
     along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
@@ -50,7 +53,13 @@ def differentiate_margins(
     tangent = with_values(zeros, {name: column(name) for name in parameters})
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
     shared = in_dtype(walker, dtype), Integrator(tolerance, solver).in_dtype(dtype)
-    return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
+    found, changes = map_cells(margin_jvp, (shared, cells))
+    return found[::columns], changes.reshape(n, columns)
+
+
+def differentiate_margins(*given: Any) -> Float[np.ndarray, "n columns"]:
+    """Return the derivatives of `margins_with_derivatives` alone."""
+    return margins_with_derivatives(*given)[1]
 
 
 def pull_margins(
@@ -93,12 +102,7 @@ def pull_failures(
 def margins_after(
     walker: System, x: Float[np.ndarray, "n section"], made: Int[np.ndarray, " n"], tolerance: Real
 ) -> Float[np.ndarray, " n"]:
-    """Return the margins of failing walks from x, which fail after the strides they have `made`.
-
-    They are about zero beside the boundary of that failure. They are not where the boundary is a
-    jump: a strike that is missed leads to another stride, and that to the failure. Margins are NaN
-    where a walk does not fail.
-    """
+    """Return the margins of `margins_with_derivatives` alone."""
     shared = in_dtype(walker, x.dtype), Integrator(tolerance).in_dtype(x.dtype)
     return map_cells(margin_after, (shared, (x, np.asarray(made))))
 
@@ -111,15 +115,15 @@ def margin_after(shared: tuple, cell: tuple) -> Scalar:
     return follow_margins(walker, end.state, integrator).failed
 
 
-def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
-    """Compute the derivative of the margin of the failure that ends a walk after `count` strides.
+def margin_jvp(shared: tuple, cell: tuple) -> tuple[Scalar, Scalar]:
+    """Compute the margin of the failure that ends a walk after `count` strides, and a derivative.
 
-    The derivative is along tangents of the walker and of the start. It is NaN where the walk does
-    not end in that stride.
+    The derivative is along tangents of the walker and of the start. Both are NaN where the walk
+    does not end in that stride.
     """
     walker, integrator = shared
     x, count, tangents = cell
 
     margin = lambda walker, x: margin_after((walker, integrator), (x, count))
     value, change = jax.jvp(margin, (walker, x), (as_tangent(walker, tangents[0]), tangents[1]))
-    return jnp.where(jnp.isnan(value), jnp.nan, change)
+    return value, jnp.where(jnp.isnan(value), jnp.nan, change)

@@ -13,6 +13,8 @@ from walker_jax.segments import Segments, narrow
 
 RAYS, RADII = 720, 128
 """Directions in two dimensions, and distances along each, of the first scan."""
+PARTS = 8
+"""Parts of these distances, tried outwards up to the first in which anything fails."""
 DENSE, SHELL = 16 * RAYS, 64
 """Directions of the second scan, and its distances up to the nearest failure."""
 KEPT = 0.01
@@ -91,7 +93,7 @@ def nearest_rays(
     """Find directions of the local minima of the distance to failures, and these distances."""
     rank = len(basis)
     rays = spread_directions(rank, RAYS)
-    first = scan(fails, rays @ basis, RADII)
+    first = scan(fails, rays @ basis, RADII, PARTS)
     # Closer rays, then closer distances: a nearer failure may lie between those of the first scan.
     # If the next distances miss a finger that is already known, the known distance is kept.
     dense = spread_directions(rank, count)
@@ -145,14 +147,20 @@ def polish(
     return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
 
 
-def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Float[np.ndarray, " n"]:
+def scan(
+    fails: Callable, rays: Float[np.ndarray, "n size"], count: int, parts: int = 1
+) -> Float[np.ndarray, " n"]:
     """Find the first failure along each ray, within a reach of at most four times the nearest.
 
-    Raises `ComputationFailed` where nothing fails up to a length of a thousand.
+    With several `parts` of the reach, only failures in the part of the nearest are found. Raises
+    `ComputationFailed` where nothing fails up to a length of a thousand.
     """
     reach = 0.1
     while True:
-        first = first_failures(fails, rays, 0.0, reach, count)
+        for part in np.split(np.linspace(0.0, reach, count + 1)[1:], parts):
+            first = first_of(fails, rays, np.broadcast_to(part, (len(rays), len(part))))
+            if np.isfinite(first).any():
+                break
         if np.isinf(first).all():
             if reach > 1e3:
                 raise ComputationFailed(
@@ -191,9 +199,15 @@ def first_failures(
 ) -> Float[np.ndarray, " n"]:
     """Return the first failing distance along each ray; infinite where none fails."""
     distances = np.linspace(low, high, count + 1, axis=-1)[..., 1:]
-    distances = np.broadcast_to(distances, (len(rays), count))
+    return first_of(fails, rays, np.broadcast_to(distances, (len(rays), count)))
+
+
+def first_of(
+    fails: Callable, rays: Float[np.ndarray, "n size"], distances: Float[np.ndarray, "n m"]
+) -> Float[np.ndarray, " n"]:
+    """Return the first of increasing distances that fails along each ray; infinite if none does."""
     points = distances[..., None] * rays[:, None]
-    failed = fails(points.reshape(-1, rays.shape[1])).reshape(len(rays), count)
+    failed = fails(points.reshape(-1, rays.shape[1])).reshape(distances.shape)
     found = distances[np.arange(len(rays)), failed.argmax(axis=1)]
     return np.where(failed.any(axis=1), found, np.inf)
 
