@@ -47,6 +47,11 @@ from walker_jax.hybrid.modes import Mode as Mode
 from walker_jax.proofs.basin_proofs import prove_basin as prove_basin
 from walker_jax.proofs.doubling_proofs import prove_doubling as prove_doubling
 from walker_jax.proofs.gait_proofs import prove_gait as prove_gait
+from walker_jax.robots.black_boxes import BlackBox as BlackBox
+from walker_jax.robots.exports import export_motion as export_motion
+from walker_jax.robots.robot_files import robot as robot
+from walker_jax.stability.audits import Audit as Audit
+from walker_jax.stability.audits import audit as audit
 from walker_jax.stability.basin_fractions import continue_basins as continue_basins
 from walker_jax.stability.basin_volumes import basin_volume as basin_volume
 from walker_jax.stability.boundaries import boundary as boundary

@@ -57,6 +57,20 @@ def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
     return {name: (float(low), float(high), cells) for name, low, high in ends}
 
 
+def window_of_basin(system: System) -> dict[str, Any] | None:
+    """Return the axes of a system's `basin_region`, along some coordinates, the others fixed.
+
+    None where there is no such region, or it is not along coordinates.
+    """
+    region = system.basin_region(lambda: require_gait(system, system.section).states[0])
+    if region is None or not {*region.names} <= {*system.section}:
+        return None
+    ends = zip(region.names, region.lower, region.upper, region.shape, strict=True)
+    ranges = {name: (float(low), float(high), count) for name, low, high, count in ends}
+    at = dict(zip(system.section, map(float, np.asarray(region.origin)), strict=True))
+    return at | ranges
+
+
 def whole_section(walker: System) -> dict[str, Any] | None:
     """Return the axes of a window of three dimensions that holds most of a walker's basin, or all.
 

@@ -236,9 +236,10 @@ def jsonable(value: Any) -> Any:
 
 
 def is_walker(system: "wj.System") -> bool:
-    """Return whether a system is a walker, which has gaits and walks."""
+    """Return whether a system is a walker or a robot, which has gaits and walks."""
+    from walker_jax.cli.section import is_robot
 
-    return isinstance(system, wj.Walker)
+    return isinstance(system, wj.Walker) or is_robot(system)
 
 
 def is_map(system: "wj.System", times: Any) -> bool:

@@ -201,14 +201,22 @@ def state_from(walker: "wj.System", given: dict[str, float]) -> "Float[np.ndarra
 
 
 def axes_of_region(system: "wj.System") -> dict[str, Any]:
-    """Return the axes of the region in which a system's gaits are sought."""
-    from walker_jax.basins.windows import window_of_region
+    """Return the axes of the region of a system's gaits, or of the basin of a robot's."""
+    from walker_jax.basins.windows import window_of_basin, window_of_region
 
-    axes = window_of_region(system, WINDOW_CELLS)
+    known = is_robot(system)
+    axes = window_of_basin(system) if known else window_of_region(system, WINDOW_CELLS)
     if axes is None:
         names = ", ".join(system.section)
         raise WrongUse(f"--axis NAME={RANGE} is required, for each of {names}")
     return axes
+
+
+def is_robot(system: "wj.System") -> bool:
+    """Return whether a system is a robot from a file, which has a window around its gait."""
+    from walker_jax.robots.robots import Robot
+
+    return isinstance(system, Robot)
 
 
 def check_names(option: str, walker: "wj.System", given: dict[str, Any]) -> None:
@@ -227,7 +235,7 @@ def check_section(walker: "wj.System", axis: dict[str, Any]) -> None:
             f"{walker.label()} has a section of one coordinate, and pictures have two: use "
             "walker_jax.basin in Python"
         )
-    if count > 3 and not axis:
+    if count > 3 and not axis and not is_robot(walker):
         raise WrongUse(
             f"--axis is required: {walker.label()} has a section of {count} coordinates; give two "
             f"or three of them as NAME={RANGE}, the others as NAME=VALUE"

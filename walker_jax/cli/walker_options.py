@@ -45,7 +45,7 @@ def systems_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
 
 WALKER = Option(
     ["walker", "--walker"],
-    help=f"The model, such as kneed, or FILE.py:CLASS (default: {DEFAULT}).",
+    help=f"The model, such as kneed, FILE.py:CLASS or ROBOT.xml (default: {DEFAULT}).",
     shell_complete=walkers_that_begin,
     **THEME,
 )
@@ -179,16 +179,31 @@ def load(name: str, system: str | None) -> Chosen:
     from walker_jax.cli.startup import configure_jax  # loads JAX
 
     configure_jax()
+    from walker_jax.robots.files import is_robot_file
     from walker_jax.walkers.parameters import options, parameters_of, trees
     from walker_jax.walkers.references import find_system, find_walker
 
     try:
+        if system is None and is_robot_file(name):
+            return load_robot(name)
         kind = find_walker(name) if system is None else find_system(system)
     except WrongUse as error:
         raise WrongUse(f"--{error}") from error
     more = (*trees(kind), *options(kind)) if isinstance(kind, type) else ()
     described = [*parameters_of(kind), *more]
     return Chosen(name if system is None else system, described, kind, system is not None)
+
+
+def load_robot(name: str) -> Chosen:
+    """Load the robot of an MJCF or URDF file; its numbers are the defaults."""
+    from walker_jax.robots.robot_files import robot
+    from walker_jax.walkers.parameters import parameters_of
+
+    try:
+        kind = robot(name)
+    except WrongUse as error:
+        raise WrongUse(f"walker {name}: {error}") from error
+    return Chosen(name, [*parameters_of(kind)], kind, system=True)
 
 
 def read_tree(tree: "Tree", file: str | None) -> Any:

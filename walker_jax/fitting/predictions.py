@@ -17,7 +17,7 @@ from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.parameters import with_values
-from walker_jax.walking.stride import first_of, follow_stride, modes_from
+from walker_jax.walking.stride import follow_stride, modes_from
 from walker_jax.walking.trajectories import state_after
 
 
@@ -36,7 +36,7 @@ def sample_state(
     Before the start they follow the rates at the start: the recorded heel strike may be too early.
     """
     state = state_after(system, x, jnp.maximum(time, 0), integrator)
-    rates = first_of(modes_from(system, x)).rates(system.launch(x))
+    rates = next(iter(modes_from(system, x).values())).rates(system.launch(x))
     before = jnp.minimum(time, 0)
     return jnp.stack(jax.tree.leaves(state)) + before * jnp.stack(jax.tree.leaves(rates))
 

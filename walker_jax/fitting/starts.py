@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse
 from walker_jax.fitting.steps import Steps
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.walking.stride import first_of, modes_from
+from walker_jax.walking.stride import modes_from
 
 SHARE = 0.25
 """Share of a step's duration, from its start, over which a quadratic gives value and rate."""
@@ -79,7 +79,7 @@ def points_of_section(
     def seen(x):
         """Return the columns and their rates at the start x."""
         start = system.launch(x)
-        rates = first_of(modes_from(system, x)).rates(start)
+        rates = next(iter(modes_from(system, x).values())).rates(start)
         numbers = (jnp.stack(jax.tree.leaves(one)) for one in (start, rates))
         return jnp.concatenate([one[jnp.asarray(places)] for one in numbers])
 
