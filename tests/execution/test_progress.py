@@ -12,7 +12,7 @@ from timers import AtOnce
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.execution import progress, workers
+from walker_jax.execution import pieces, progress
 from walker_jax.gaits import branches, search
 from walker_jax.stability import boundaries, gait_robustness
 from walker_jax.systems.outcomes import Outcome
@@ -58,9 +58,9 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(storage.Pieces, "write", interrupted)
         calls[name]()
-    track = workers.track
+    track = pieces.track
     keep = lambda things, label, wanted, *counts: seen.append(counts) or track(things, label, False)
-    monkeypatch.setattr(workers, "track", keep)
+    monkeypatch.setattr(pieces, "track", keep)
     calls[name]()
     assert seen == [(4, 3)]
 

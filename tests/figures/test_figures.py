@@ -490,7 +490,7 @@ def test_fits_are_drawn_with_their_residuals():
     figure = figures.fit(FITTED)
     samples, residuals = figure.axes
     assert len(samples.lines) == 2 + 2 * 6 and len(residuals.lines) == 2 + 1
-    drawn = samples.lines[1].get_xydata()
+    drawn = np.asarray(samples.lines[1].get_xydata())
     after = (FITTED["time"] - FITTED["begin"]).transpose("step", "sample")
     np.testing.assert_allclose(drawn[:, 0], after.values.ravel())
     np.testing.assert_allclose(drawn[:, 1], FITTED["recorded"].values[..., 1].ravel())
@@ -504,6 +504,6 @@ def test_the_band_of_a_basin_lies_where_draws_differ():
     (middle,) = ax.collections[1].get_paths()
     # cells are centred: the edge of half of the draws lies at 0.4 of the cells' numbers
     edge = np.interp(0.4 * 19, np.arange(20), np.asarray(SHARED_GRID.axes["theta"]))
-    assert np.abs(middle.vertices[:, 0] - edge).max() < 0.04
+    assert np.abs(np.asarray(middle.vertices)[:, 0] - edge).max() < 0.04
     with pytest.raises(ValueError, match="draws must be of shape"):
         figures.basin_band(SHARED_GRID, SHARES[0])

@@ -218,7 +218,7 @@ def test_a_bifurcation_found_beyond_a_step_is_none_of_the_step():
     waves = lambda x, p: -x * (1 + 0.3 * jnp.sin(p))
 
     def look(first, last):
-        ends = [arclength.correct(p, np.zeros((1, 1)), None, width) for p in (first, last)]
+        ends = [arclength.correct_point(p, np.zeros((1, 1)), None, width) for p in (first, last)]
         one, other = (done_with(waves, task) for task in ends)
         along = np.array([0.0, 1.0])
         return done_with(waves, events.find_bifurcations(one, other, along, along, width))

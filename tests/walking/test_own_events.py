@@ -13,7 +13,8 @@ from part_of_swing import PartOfSwing
 import walker_jax as wj
 from walker_jax.hybrid.modes import Guard
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.taylor_steps import step_size, taylor_step
+from walker_jax.integrators.step_lengths import step_size
+from walker_jax.integrators.taylor_steps import taylor_step
 from walker_jax.kernels import kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome

@@ -209,13 +209,18 @@ METHODS = {"cell-map": CellMapping, "direct": DirectIteration}
 
 def compute_in_memory(method: CellMapping | DirectIteration, progress: bool) -> xr.Dataset:
     """Compute `basin` as one piece in memory."""
+    basins = label_in_memory(method, progress)
+    return to_dataset(method.walker, method.grid, basins, method.settings)
+
+
+def label_in_memory(method: CellMapping | DirectIteration, progress: bool = False) -> Basins:
+    """Compute the labels of all cells of a grid, in their order, as one piece."""
     grid, notes = method.grid, method.notes()
     values = method.piece(notes, Block(0, grid.shape), progress=progress)
     found = method.finish(InMemory(notes, grid.shape, values))
     values |= next(found.pieces)
     fate, attractor, strides = (values[name] for name in ARRAYS)
-    basins = Basins(fate, attractor, strides, found.attractors, found.cell_cycles)
-    return to_dataset(method.walker, grid, basins, method.settings)
+    return Basins(fate, attractor, strides, found.attractors, found.cell_cycles)
 
 
 def work_of(method: CellMapping | DirectIteration, request: dict | None) -> Work:

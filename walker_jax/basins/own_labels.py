@@ -90,7 +90,8 @@ def clusters_of(
     features = features[known]
     span = np.ptp(features, axis=0)
     span[span <= 10.0**-DIGITS * np.abs(features).max(axis=0)] = np.inf
-    model = HDBSCAN(min_cluster_size=label.smallest, allow_single_cluster=True, copy=True)
+    about: Any = dict(min_cluster_size=label.smallest, allow_single_cluster=True, copy=True)
+    model = HDBSCAN(**about)  # its stubs take words for `copy` alone
     found = model.fit_predict(((features - features.min(axis=0)) / span).round(DIGITS))
     clusters, first = np.unique(found[found >= 0], return_index=True)
     order = np.full(len(clusters) + 1, -1)

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from walker_jax.basins.attractor import Attractor, in_order
 from walker_jax.basins.attractor_search import label_and_find, with_attractors_from
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.methods import CellMapping
+from walker_jax.basins.methods import CellMapping, label_in_memory
 from walker_jax.explorer.lattice import (
     HOME_CELLS,
     TILE,
@@ -125,7 +125,7 @@ def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[dict]
     """Compute the bytes of a rectangle of cells by cell mapping; describe its attractors too."""
     home, at = home_of(subject.offer, subject.section), plane_of(subject)
     grid = home.grid(subject, cells, at)
-    found = CellMapping(subject.walker, grid, {}, INTEGRATOR).at_once()
+    found = label_in_memory(CellMapping(subject.walker, grid, {}, INTEGRATOR))
     label, strides = in_bytes(found.fate, found.attractor, found.strides)
     artefacts = found.cell_cycles.artefact.tolist() if found.cell_cycles else None
     return label.tobytes() + strides.tobytes(), describe_attractors(found.attractors, artefacts)

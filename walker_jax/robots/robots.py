@@ -195,7 +195,7 @@ class Robot(HybridSystem):
 
         reset = lambda state: stance.straightened(state, knee)
         past = (self.bearing(stance),) if self.straight_legs() else (self.ahead(stance),)
-        down = Guard(self.depth(stance), "BENT_KNEE", past, (self.ahead(stance),))
+        down = Guard(self.depth(stance), "BENT_KNEE", (*past, self.ahead(stance)))
         guards = (*self.falls(stance), down, Guard(straight, "knee_locked", reset=reset))
         return self.mode(stance, guards, (self.forces(stance), *self.clears(stance)))
 
