@@ -156,7 +156,7 @@ def refined_by(number_of, monkeypatch, levels=2, check=4000, seed=0):
         return Label(fate, number, np.ones(len(x), np.int32), x)
 
     mapper = Mapper(WALKER, [Attractor(np.zeros((1, 2)))] * 2, Integrator(1e-12), 10)
-    monkeypatch.setattr(Mapper, "follow", labels_of)
+    monkeypatch.setattr(Mapper, "walk", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_scouts", lambda *_, boxes: mapper)
     options = {"strides": 10, "check": check, "seed": seed, "tolerance": None}
     return refinement.refine_cells(WALKER, SQUARE, levels, **options), asked

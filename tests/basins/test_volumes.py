@@ -279,7 +279,7 @@ def test_a_blade_thinner_than_a_cell_grows_within_its_error(monkeypatch, walks_i
                 wj.measure(WALKER, "volume", ["slope"], grid=grid, levels=levels, check=1000)
             )
         away = np.array([one.gradient[0] for one in found]) - exact
-        error = np.array([one.error[0] for one in found])
+        error = np.array([one.gradient_error[0] for one in found])
         assert np.all(np.abs(away) < 4 * error) and error.mean() < share * exact
         assert abs(away.mean()) < share * exact / 2
         assert np.sqrt(np.mean((away / error) ** 2)) < 1.5

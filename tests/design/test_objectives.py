@@ -208,7 +208,7 @@ def test_the_error_of_an_integral_is_of_independent_parts(monkeypatch, fate, str
         labels.strides[last & ~labels.converged] = strides
         return labels
 
-    monkeypatch.setattr(Mapper, "follow", follow)
+    monkeypatch.setattr(Mapper, "walk", follow)
     grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 9))
     attractor = np.repeat([0, 0, -1, -1], 9).reshape(4, 9).astype(np.int16)
     label = label_of(np.where(attractor < 0, 1, 0), attractor)
@@ -250,7 +250,7 @@ def test_the_error_of_an_integral_is_of_independent_parts(monkeypatch, fate, str
 def test_the_error_has_a_part_for_what_is_thinner_than_a_cell(disc, monkeypatch):
     """A strip of 5/8 of a cell, whose sides move by one cell: a centre is in 5 of 8 such strips."""
     strip = lambda mapper, x, **_: labels_where(np.abs(x[:, 0] - 0.375) < 5 / 64, x)
-    monkeypatch.setattr(Mapper, "follow", strip)
+    monkeypatch.setattr(Mapper, "walk", strip)
     changes = lambda walker, x, *_: (np.zeros(len(x)), np.tile([3.0, 0.0, 3.0], (len(x), 1)))
     monkeypatch.setattr("walker_jax.design.area_gradients.margins_with_derivatives", changes)
     grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 8))

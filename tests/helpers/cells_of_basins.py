@@ -51,7 +51,7 @@ def let_walk(
         return labels_where(inside(mapper.walker, x), x)
 
     mapper = lambda walker, grid, *limits, boxes: Mapper(walker, [cycle], *limits)
-    monkeypatch.setattr(Mapper, "follow", labels_of)
+    monkeypatch.setattr(Mapper, "walk", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_scouts", mapper)
     return asked
 

@@ -1,13 +1,16 @@
 """Each public function that computes, on a problem so small that it takes about a second."""
 
+import warnings
 from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from reference import ROOT
 
 import walker_jax as wj
+from walker_jax.checks import PrecisionWarning
 from walker_jax.systems.system import System
 
 WALKER = wj.SimplestWalker(0.009)
@@ -65,6 +68,33 @@ def doubling() -> wj.Bifurcation:
 
 def noise(rng: np.random.Generator, n: int) -> np.ndarray:
     return rng.normal(size=(n, 2))
+
+
+def recordings() -> Any:
+    """Return three steps of the simplest walker, as encoders see them."""
+    times, walker = 0.1 * np.arange(76), wj.SimplestWalker(0.009)
+    theta = wj.trajectory(walker, wj.find_gait(walker).states[0], times, strides=3).theta
+    return wj.read_recordings({"time": times, "theta": theta}, strikes=[0.0, 3.8825, 7.7649])
+
+
+@cache
+def fitted() -> Any:
+    noise = {"theta": 1e-3, "time": 1e-3}
+    return wj.fit(wj.SimplestWalker(0.008), recordings(), "slope", noise=noise)
+
+
+def export() -> Any:
+    path = ROOT / "docs" / "robots" / "compass.xml"
+    robot = wj.robot(path)
+    return wj.export_motion(robot, wj.find_gait(robot).states[0], path, strides=1)
+
+
+def black_box() -> wj.BlackBox:
+    """Return a contraction that JAX does not see; it falls from beyond 0.2."""
+    halve = lambda x: (x / 2, np.abs(x).max(axis=1) < 0.2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        return wj.BlackBox(halve, ("x", "y"))
 
 
 QUIET: dict[str, Any] = {"progress": False}
@@ -163,6 +193,12 @@ CALLS: dict[str, Callable[[], Any]] = {
     "Feedback": lambda: wj.stride(
         wj.Feedback(WALKER, gait(), {"slope": [0.01, 0.0]}, {"slope": (0.005, 0.02)}), X
     ),
+    "read_recordings": recordings,
+    "fit": fitted.__wrapped__,
+    "propagate": lambda: wj.propagate(lambda walker: walker.slope**2, fitted()),
+    "robot": lambda: wj.robot(ROOT / "docs" / "robots" / "compass.xml"),
+    "export_motion": export,
+    "audit": lambda: wj.audit(black_box(), [0.0, 0.0], 0.1, samples=20),
     "least_step_down": lambda: wj.least_step_down(WALKER, gait(), strides=50),
     "steps_to_fall": lambda: wj.steps_to_fall(WALKER, 0.01, 8, gait=gait(), limit=9),
     "steps_to_fall by cells": lambda: wj.steps_to_fall(

@@ -17,8 +17,11 @@ GRID = wj.Grid.sheared(theta=(0.1, 0.3, 6), sum=(-0.02, 0.01, 6))
 SLOW = {"boundary", "steps_to_fall by cells", "most_probable_fall", "robustness over values"}
 SLOW |= {"steps_to_fall"}
 SLOW |= {
+    "export_motion",
+    "fit",
     "gait_sensitivity",
     "measure sensitivity-norm",
+    "propagate",
     "prove_basin",
     "prove_doubling",
     "prove_gait",

@@ -73,7 +73,6 @@ def fit(
     recordings = wj.read_recordings({"time": times, "theta": theta}, strikes=[0.0, 3.8825, 7.7649])
     noise = {"theta": 1e-3, "time": 1e-3}
     found = wj.fit(wj.SimplestWalker(0.008), recordings, "slope", noise=noise)
-    found.parameters["slope"], found.errors["slope"]
     ```
 
     **Arguments:**

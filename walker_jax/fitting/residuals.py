@@ -152,13 +152,13 @@ def step_residuals(
     )
     jacobian = found.jacobian.at[..., size].multiply(-1)  # by the time at which the step begins
     finite = jnp.isfinite(found.values) & jnp.isfinite(jacobian).all(axis=-1)
-    off = jnp.where(known, (found.values - recorded) / noise, 0)
+    off = jnp.where(known, (found.values - recorded) / noise[None], 0)
     lost = jnp.where(known, LOST, 0.0)
     rate = jax.vmap(jax.vmap(jax.grad(partial(standardise, layout.loss))))(
         jnp.where(finite, off, 0)
     )
     used = (known & finite)[..., None]
-    slopes = jnp.where(used, rate[..., None] * jacobian / noise[:, None], 0)
+    slopes = jnp.where(used, rate[..., None] * jacobian / noise[None, :, None], 0)
     root = jnp.sqrt(weight)
     residuals = root * jnp.where(finite, standardise(layout.loss, off), lost)
     return Predicted(residuals.reshape(-1), root * slopes.reshape(-1, len(variables)))

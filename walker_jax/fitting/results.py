@@ -171,7 +171,10 @@ def data_of(
             "time": (per_sample[:2], np.where(real, steps.times, np.nan)),
             "recorded": (per_sample, steps.values + gaps),
             "fitted": (per_sample, np.asarray(fitted) + gaps),
-            "residual": (per_sample, (steps.values - fitted) / np.asarray(data.noise) + gaps),
+            "residual": (
+                per_sample,
+                (steps.values - np.asarray(fitted)) / np.asarray(data.noise) + gaps,
+            ),
             "begin": ("step", np.asarray(motion.begins)),
             "end": ("step", np.asarray(motion.ends)),
             "recorded_end": ("step", steps.ends),

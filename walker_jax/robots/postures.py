@@ -56,4 +56,4 @@ def mujoco_states(
         return found
 
     rest = reader.base - np.array([0.0, plane.height])
-    return model.qpos0 + placed(joints, base - rest), placed(turns, moves)
+    return model.qpos0[None] + placed(joints, base - rest[None]), placed(turns, moves)

@@ -108,7 +108,7 @@ def names_of_outcomes(failures: Sequence[str] = ()) -> dict[Outcome, str]:
 def outcome_in_words(name: str) -> str:
     """Describe an outcome in words, given its name; a system's own failure is its name."""
     known = Outcome.__members__.get(name)
-    return known.words if known else name.replace("_", " ")
+    return name.replace("_", " ") if known is None else known.words
 
 
 def stride_table(stride: "Stride") -> str | None:
