@@ -574,6 +574,7 @@ def test_what_jax_cannot_trace_says_so():
         "slice_basin": "value",
         "fractals.information_dimension": "points",
         "crisis_law": "lives",
+        "audit": "state",
     }
     others |= dict.fromkeys(("chart", "continue_event", "lyapunov", "transients"), "system")
     others |= dict.fromkeys(("find_attractors", "basin_volume"), "system")

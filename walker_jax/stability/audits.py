@@ -13,7 +13,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, numbers
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    check_whole,
+    numbers,
+    refuses_tracers,
+)
 from walker_jax.robots.black_boxes import BlackBox, answer
 from walker_jax.stability.sampling import wilson_interval
 
@@ -41,6 +48,7 @@ class Audit(NamedTuple):
     """Strides that were simulated."""
 
 
+@refuses_tracers()
 def audit(
     box: BlackBox,
     state: Float[ArrayLike, " section"] | Sequence[Any],
