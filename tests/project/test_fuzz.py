@@ -569,13 +569,9 @@ TRACEABLE = "stride margins walk trajectory find_gait integrals phase_times labe
 def test_what_jax_cannot_trace_says_so():
     names = "box_counting", "basin_entropy", "merge_regions"
     others = {f"fractals.{name}": "labels" for name in names}
-    others |= {"fractals.uncertainty_exponent": "distances"}
-    others |= {
-        "slice_basin": "value",
-        "fractals.information_dimension": "points",
-        "crisis_law": "lives",
-        "audit": "state",
-    }
+    others |= {"fractals.uncertainty_exponent": "distances", "slice_basin": "value"}
+    others |= {"fractals.information_dimension": "points"}
+    others |= {"crisis_law": "lives", "audit": "state"}
     others |= dict.fromkeys(("chart", "continue_event", "lyapunov", "transients"), "system")
     others |= dict.fromkeys(("find_attractors", "basin_volume"), "system")
     for name, good in calls().items():
