@@ -36,12 +36,12 @@ jax.config.update("jax_enable_x64", True)
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "helpers"))
 
-import mujoco_strides  # noqa: E402
-import robot_examples  # noqa: E402
-from robot_examples import FILES, as_robot  # noqa: E402
+import mujoco_strides  # noqa: E402 (after the path to it)
+import robot_examples  # noqa: E402 (after the path to it)
+from robot_examples import FILES, as_robot  # noqa: E402 (after the path to it)
 
-import walker_jax as wj  # noqa: E402
-from walker_jax import systems  # noqa: E402
+import walker_jax as wj  # noqa: E402 (after the precision is set)
+from walker_jax import systems  # noqa: E402 (after the precision is set)
 
 TIMES = 0.7, 1.2
 

@@ -61,8 +61,7 @@ def fitted_samples(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Sty
     """
     check_dataset(data, "fit")
     ax = axes_for(ax, style, 6, 5)
-    after = (data["time"] - data["begin"]).transpose("step", "sample").values
-    handles = draw_columns(ax, data, after, "recorded")
+    handles, after = draw_columns(ax, data, "recorded")
     for k in range(data.sizes["column"]):
         lines = ax.plot(after.T, data["fitted"].values[..., k].T, lw=0.6, color=INK)
     lines[0].set_label("fitted")
@@ -91,8 +90,7 @@ def fit_residuals(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     """
     check_dataset(data, "fit")
     ax = axes_for(ax, style, 6, 5)
-    after = (data["time"] - data["begin"]).transpose("step", "sample").values
-    handles = draw_columns(ax, data, after, "residual")
+    handles, _ = draw_columns(ax, data, "residual")
     ax.axhline(0, lw=0.6, color=INK)
     squares, free = data.attrs["sum_of_squares"], data.attrs["degrees_of_freedom"]
     note = f"sum of squares {squares:.4g}, {free} degrees of freedom"
@@ -101,14 +99,18 @@ def fit_residuals(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
 
 
 def draw_columns(
-    ax: Axes, data: xr.Dataset, after: Float[np.ndarray, "steps samples"], name: str
-) -> list[Line2D]:
-    """Draw a variable of all samples as dots, in a colour for each column."""
+    ax: Axes, data: xr.Dataset, name: str
+) -> tuple[list[Line2D], Float[np.ndarray, "steps samples"]]:
+    """Draw a variable of all samples as dots, in a colour for each column.
+
+    Returns the dots, and the times of the samples since heel strike.
+    """
+    after = (data["time"] - data["begin"]).transpose("step", "sample").values
     handles = []
     for k, column in enumerate(data["column"].values):
         look: Any = {"ms": 2, "color": BASINS[k % len(BASINS)], "label": str(column)}
         handles += ax.plot(after.ravel(), data[name].values[..., k].ravel(), ".", **look)
-    return handles
+    return handles, after
 
 
 def fit_correlations(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
@@ -129,7 +131,8 @@ def fit_correlations(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[S
     with np.errstate(invalid="ignore"):
         correlations = covariance / np.outer(errors, errors)
     image = ax.imshow(correlations, cmap="RdBu", vmin=-1, vmax=1)
-    for (i, j), value in np.ndenumerate(correlations):
+    numbers = np.ndenumerate(correlations) if style.get("labels", True) else ()
+    for (i, j), value in numbers:
         dark = abs(value) > 0.6
         ax.text(j, i, f"{value:.2f}", ha="center", va="center", color="white" if dark else INK)
     ax.set_xticks(range(len(names)), names)

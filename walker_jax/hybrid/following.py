@@ -356,7 +356,7 @@ def rises_perhaps(guard: Guard, one: Crossing, length: Scalar, end: Any) -> Bool
         return one.below & ~one.ends_below
     slope = evaluate_polynomial(derivative_of(one.value), length)
     rises = ~one.ends_below & (one.below | ((one.value[1] < 0) & (slope > 0)))
-    for function, series in zip(guard.admits, one.admits, strict=False):
+    for function, series in zip(guard.admits, one.admits, strict=True):
         rises &= (series[0] > 0) | (value_at(function, end) > 0)
     return rises
 

@@ -68,8 +68,7 @@ def cut_in_reverse(field: VectorField, series: PyTree, length: Scalar, tolerance
     if has_sharp_features(field, start):
         parts = sharp_parts(field)
         about = parts, series, function_series(parts, series), AGREEMENT * tolerance
-        fits = partial(parts_agree, *about)
-        length = shorten_until(fits, length)
+        length = shorten_until(partial(parts_agree, *about), length)
     return lax.stop_gradient(length)
 
 
@@ -93,7 +92,8 @@ def squared_rate(field: VectorField, state: PyTree) -> Scalar:
 def change_all(tree: PyTree) -> PyTree:
     """Return a direction in which all numbers of a tree change, no two alike.
 
-    An array of many numbers changes in proportion, as its products with a series are known.
+    An array of many numbers changes in proportion, as its products with a series are known; so one
+    of zeros does not change.
     """
     numbers = itertools.count(1)
 
