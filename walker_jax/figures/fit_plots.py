@@ -139,9 +139,9 @@ def fit_correlations(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[S
     ax.set_yticks(range(len(names)), names)
     bar = figure_of(ax).colorbar(image, ax=ax)
     bar.set_label("correlation")
-    return finish(
-        ax, style, title=walker_title(data), x="parameter", y="parameter", beside=[bar.ax]
-    )
+    note, both = f"errors from {data.sizes['step']} steps", "parameter"
+    title = walker_title(data)
+    return finish(ax, style, title=title, note=note, x=both, y=both, beside=[bar.ax])
 
 
 def basin_band(
