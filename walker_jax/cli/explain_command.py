@@ -47,7 +47,8 @@ def explain(walker: "wj.System", start: Start, form: Json) -> None:
     }
     next_step = advice.get(found.name, "walker-jax basin shows which starts go on")
     if found.complaints and found.name != "OUTSIDE":
-        next_step = "mend what the lines with ! say, and explain again"
+        several = "first " * (len(found.complaints) > 1)
+        next_step = f"mend what the {several}line with ! says, and explain again"
     lines = [with_words(str(found), walker), f"Next: {next_step}."]
     form.tell(answer, lines)
 

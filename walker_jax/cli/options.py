@@ -254,7 +254,7 @@ def refuse(reason: str, **options: Any) -> None:
             raise WrongUse(f"{option_of(name)} {reason}")
 
 
-REWORDED = {"parameter": "--over", "bounds": "--bound", "grid": "--axis"}
+REWORDED = {"parameter": "--over", "bounds": "--bound", "grid": "--axis", "region": "--radius"}
 """Arguments of the library with options of other names."""
 
 

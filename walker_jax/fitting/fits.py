@@ -144,7 +144,8 @@ def check_systems(system: Any) -> tuple[HybridSystem, ...]:
     check_precision(jax.dtypes.canonicalize_dtype(float), "fit")
     shapes = {str(jax.tree.structure(one)) for one in systems}
     if len(systems) > 2 or len(shapes) > 1:
-        raise WrongUse(f"system must be one, or two of one kind, not {short(system)}")
+        kinds = " and ".join(type(one).__name__ for one in systems)
+        raise WrongUse(f"system must be one, or two of one kind, not {kinds}")
     return tuple(in_dtype(one, np.float64, jnp.asarray) for one in systems)
 
 
