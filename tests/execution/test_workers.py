@@ -6,6 +6,8 @@ from functools import partial
 import pytest
 
 from walker_jax.execution.workers import open_workers
+
+
 def test_only_the_first_process_gets_the_interrupts_of_a_terminal():
     """Ctrl-C goes to all processes of a terminal; each worker's traceback would fill a screen."""
     if not hasattr(signal, "pthread_sigmask"):

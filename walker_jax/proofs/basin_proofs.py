@@ -29,7 +29,7 @@ from walker_jax.walking.iteration import iterate
 LEAST_TRAP = 1e-7
 STARTS_OF_CIRCLE = 1024
 """Number of starts on a disc's circle that are tried before a proof. If the radius exceeds the
-least disturbance by 1e-5 of it, an arc of some 1e-2 rad falls, which is longer than their spacing."""
+least disturbance by 1e-5 of it, an arc of some 1e-2 rad falls, longer than their spacing."""
 CELLS_OF_DISC = 16
 """Number of cells along a diameter, before they are split."""
 ROUNDING_OF_AREA = 1e-12
