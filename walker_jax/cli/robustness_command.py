@@ -26,7 +26,7 @@ from walker_jax.refusals import WrongUse
 class Table(Ranged, theme="Slopes"):
     over: str = option("slope", "The parameter of a table, with --from and --to.")
     low: float | None = number(None, "Lowest slope, or value, of a table.", "--from")
-    count: int | None = whole(None, "Rows of the table (default: 20).", least=2)
+    count: int | None = whole(None, "Rows of the table (default: 20).", least=2, most=10_000)
 
     @property
     def ranged(self) -> tuple[str, float | None] | None:
