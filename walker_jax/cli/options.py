@@ -260,6 +260,7 @@ REWORDED = {
     "grid": "--axis",
     "region": "--radius",
     "cells": "the N of --over",
+    "file": "FILE",
 }
 """Arguments of the library with options of other names."""
 
