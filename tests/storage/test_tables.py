@@ -56,7 +56,7 @@ def test_files_for_other_programs(tmp_path, data):
     np.testing.assert_array_equal(found["state"], data["state"])
     assert found["units"]["speed"] == "m/s" and found["dimensions"]["cells"] == "x slope"
     assert [found["note"][0], found["note"][2]] == ["a_b", "5 %"]
-    assert (tmp_path / "a.tex").read_text() == as_tex(table_of(storage.load(path)))
+    assert (tmp_path / "a.tex").read_text() == as_tex(table_of(storage.open_dataset(path)))
     with pytest.raises(WrongUse, match=r"must end in one of \.nc, \.csv, \.tex, \.mat, not"):
         storage.export(path, tmp_path / "a.txt")
 

@@ -152,7 +152,8 @@ def powers_of(unit: str) -> Powers:
 
 def read_product(tokens: list[str]) -> Powers:
     """Read factors, of which those after a slash divide, as far as they are units."""
-    found, sign = dict.fromkeys(BASES, Fraction(0)), 1
+    found: Powers = {base: Fraction(0) for base in BASES}
+    sign = 1
     while tokens and (tokens[0] in (*BASES, "/") or tokens[:2] == ["√", "("]):
         token = tokens.pop(0)
         if token == "/":
