@@ -179,6 +179,19 @@ def test_the_pages_name_no_function_that_is_not_public():
         assert all(two in inner.get(one, {two}) for one, two in names), page.name
 
 
+SEARCHED = """URDF, MJCF, MuJoCo, animation, neural network, reinforcement learning, export, Simulink, MATLAB, limit
+cycle, domain of attraction, rough terrain, stairs, system identification, parameter estimation, calibration, tutorial,
+getting started, GUI, API, HPC, Monte Carlo, optimization, autodiff, event detection, hybrid automaton, PD control,
+license, cite, GPU, CSV, NetCDF, torque, push-off, knee, quadruped, Lyapunov, Floquet, viability"""
+
+
+def test_search_finds_the_words_that_people_type():
+    """The search of the site has the text of pages and the tags above it."""
+    text = " ".join(" ".join(page.read_text().split()) for page in (ROOT / "docs").glob("*.md"))
+    missing = [one for one in " ".join(SEARCHED.split()).split(", ") if one not in text]
+    assert not missing
+
+
 def test_every_public_function_is_in_a_table_or_the_glossary():
     text = "".join((ROOT / "docs" / name).read_text() for name in ("tasks.md", "glossary.md"))
     functions = {f"wj.{name}" for name in wj.__all__ if name[0].islower()}
