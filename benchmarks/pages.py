@@ -4,11 +4,11 @@
     python benchmarks/pages.py quickstart fit  # these pages
     python benchmarks/pages.py --list          # what would run, and what would not
 
-Each page begins in an empty folder and with no compiled programs. Its blocks run in their order as
-they are printed: Python in one process for each page, commands one after the other, also those of
-tables and in the text. The files that they name are there: those of docs/robots, and blocks of
-Python that begin with their name, `# torque.py`. A block whose comment before it begins with `not
-run` does not run.
+Each page begins in an empty folder, and without compiled programs unless `WALKER_JAX_CACHE_DIR` has
+them. Its blocks run in their order as they are printed: Python in one process for each page,
+commands one after the other, also those of tables and in the text. The files that they name are
+there: those of docs/robots, and blocks of Python that begin with their name, `# torque.py`. A block
+whose comment before it begins with `not run` does not run.
 
 What a block of Python prints is compared with the comments behind its lines of `print`, or with the
 block of text that follows it: words must be the same, numbers equal to their printed digits. The
@@ -120,7 +120,7 @@ def read_blocks(page: Path) -> list[Block]:
         if words[0] == "walker-jax" and len(words) > 2 - row and words[1] != "...":
             line = text.count("\n", 0, match.start()) + 1
             told = tells_time(text, match.start(), match.end())
-            found.append((match.start(), Block(line, *read_command(" ".join(words)), told)))
+            found.append((match.start(), Block(line, *read_command(" ".join(words)), None, told)))
     return [block for _, block in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -137,19 +137,20 @@ def read_fence(
         first, rest = source.split("\n", 1)
         yield "python", first.removeprefix(">>> "), rest
     elif language in ("bash", "console"):
-        for command in source.replace("\\\n", " ").splitlines():
-            if command.strip() and not command.startswith("#"):
-                yield read_command(command.removeprefix("$ "))
+        lines = re.sub(r"\\\n", " ", source).splitlines()
+        commands = [one.removeprefix("$ ") for one in lines if one and not one.startswith("#")]
+        for one in commands:  # the last of which prints the text below
+            yield *read_command(one), output if one is commands[-1] else None
 
 
-def read_command(command: str) -> tuple[str, str, None]:
-    """Return a command without its comment, and without what installs packages."""
+def read_command(command: str) -> tuple[str, str]:
+    """Return the kind of a command, and the command without comment and installations."""
     command = re.sub(r"\s+#.*$", "", re.sub(r"^pip install .*? && ", "", command))
-    return ("not run" if command.startswith(NEVER) else "command"), command, None
+    return ("not run" if command.startswith(NEVER) else "command"), command
 
 
 def tells_time(text: str, start: int, end: int) -> bool:
-    """Whether the block, a paragraph beside it, or a sentence for all of the page tells how long."""
+    """Whether the block, a paragraph beside it, or a sentence on the page tells how long."""
     before = text[:start].rstrip().rpartition("\n\n")[2]
     after = text[end:].lstrip().partition("\n\n")[0]
     page = " ".join(re.findall(r"on this page\s[^.]*", text))
@@ -164,7 +165,7 @@ class Run:
         self.folder, self.started = folder, []
         paths = [str(Path(sys.executable).parent), os.environ["PATH"]]
         cache = {"WALKER_JAX_CACHE_DIR": str(folder / ".cache"), "MPLBACKEND": "agg"}
-        self.around = {**os.environ, **cache, "PATH": os.pathsep.join(paths)}
+        self.around = {**cache, **os.environ, "PATH": os.pathsep.join(paths)}
         self.python: subprocess.Popen | None = None
 
     def make(self, block: Block) -> Made:
@@ -215,7 +216,7 @@ class Run:
         for process in self.started:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGTERM)
-                process.communicate()
+            process.communicate()
 
 
 def processor_time() -> float:
