@@ -198,18 +198,11 @@ class Run:
         return Made(out, failure, time.perf_counter() - began, processor_time() - spent)
 
     def start(self, command: list[str], stdin: int | None) -> subprocess.Popen:
-        process = subprocess.Popen(
-            command,
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=None if stdin else subprocess.STDOUT,
-            text=True,
-            cwd=self.folder,
-            env=self.around,
-            start_new_session=True,
-        )
-        self.started.append(process)
-        return process
+        streams = {"stdin": stdin, "stdout": subprocess.PIPE}
+        streams["stderr"] = None if stdin else subprocess.STDOUT
+        place = {"cwd": self.folder, "env": self.around, "text": True, "start_new_session": True}
+        self.started.append(subprocess.Popen(command, **streams, **place))
+        return self.started[-1]
 
     def end(self) -> None:
         """End what still runs."""
@@ -266,13 +259,9 @@ def find_files() -> dict[str, str]:
 
 def find_pages(names: list[str]) -> list[Path]:
     """Return the pages of these names, or all, the heavy ones last."""
-    docs = [one for one in sorted((ROOT / "docs").glob("*.md")) if one.name != "numbers.md"]
-    pages = [
-        ROOT / "README.md",
-        *docs,
-        ROOT / "notebooks" / "README.md",
-    ]  # verify_readme has numbers
-    pages.sort(key=lambda page: page.stem in HEAVY)
+    docs = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "notebooks" / "README.md"]
+    docs = [page for page in docs if page.name != "numbers.md"]  # verify_readme.py has it
+    pages = sorted([ROOT / "README.md", *docs], key=lambda page: page.stem in HEAVY)
     return [page for page in pages if not names or page.stem in names]
 
 
