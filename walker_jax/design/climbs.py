@@ -1,5 +1,6 @@
 """One ascent along the gradient of an objective, within bounds and limits."""
 
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import closing
@@ -85,8 +86,12 @@ def climb_by_steps(
     if begin is None:
         yield Climb(None, None, False, explain_failure(trace, place))
         return
+    if trace.budget.first is None and trace.budget.seconds < math.inf:
+        value = trace.measure(run, stage, begin, value_only=True)
+        trace.budget.begin()  # also if it was known
+        yield Climb(value, value if walks(problem, value) else None, False)
     start = trace.measure(run, stage, begin)
-    trace.budget.begin()  # also if it was known
+    trace.budget.begin()
     here = start if can_be_climbed(problem, start) else None
     if here is None and stage == 0:
         here = rescue(trace, run, start)
