@@ -49,16 +49,20 @@ from walker_jax.hybrid.modes import SECTION, Guard, Mode
 
 jax.config.update("jax_enable_x64", True)
 SLOPE, GAIN = 0.009, 0.001
-REPEATS = 3
+REPEATS = 2
 TOLERANCE = 1e-12
 """Of diffrax; that of walker_jax is its default, of the same size."""
 AHEAD = -0.3
 """The angle between the legs from which on a swing leg is ahead, and its foot comes down."""
 WAYS = ("walker_jax", "diffrax", "XLA")
-IN_A_ROW = 3
+IN_A_ROW = 10
 """Strides of a walk that is differentiated."""
-FEWER = 2
+FEWER = 50
 """So many times fewer walks are differentiated than strides made."""
+SMALLER = {"walker_jax": 1, "diffrax": 16, "XLA": 64}
+"""So many times fewer strides are made and differentiated by slower ways."""
+NETWORKS, ALONE = 256, 8
+"""Networks of a population, and of those that walk one by one beside it."""
 
 
 class State(NamedTuple):
@@ -69,9 +73,9 @@ class State(NamedTuple):
     torque: Any
 
 
-def network(width: int, layers: int, within: bool) -> eqx.nn.MLP:
+def network(width: int, layers: int, within: bool, key: Any = None) -> eqx.nn.MLP:
     """Return a perceptron with drawn weights, whose torques leave every walker walking."""
-    key = jax.random.key(width)
+    key = jax.random.key(width) if key is None else key
     inputs = 4 if within else 2
     return eqx.nn.MLP(inputs, "scalar", width, layers, activation=jnp.tanh, key=key)
 
@@ -155,11 +159,15 @@ def functions(way: str, within: bool):
     return map(eqx.filter_jit, (strides, eqx.filter_grad(ends)))
 
 
+def near_the_gait(starts: int) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.stack([rng.uniform(0.198, 0.202, starts), -rng.uniform(0.202, 0.206, starts)], 1)
+
+
 def measure(way: str, width: int, layers: int, within: bool, starts: int, file: str) -> None:
     """Print seconds until the first results, and numbers per second; save the gradient."""
     policy = network(width, layers, within)
-    rng = np.random.default_rng(0)
-    xs = np.stack([rng.uniform(0.198, 0.202, starts), -rng.uniform(0.202, 0.206, starts)], 1)
+    xs = near_the_gait(starts)
     found, strides = [], 1
     for compute in functions(way, within):
         times, given = [], jnp.asarray(xs)
@@ -180,7 +188,7 @@ def report(width: int, layers: int, within: bool, starts: int, ways: list[str]) 
             if way == "XLA":
                 settings["WALKER_JAX_KERNELS"] = "off"
             file = f"{folder}/gradient.npy"
-            given = [way, width, layers, int(within), starts if way != "XLA" else starts // 4, file]
+            given = [way, width, layers, int(within), starts // SMALLER[way], file]
             done = subprocess.run(
                 [sys.executable, __file__, "--one", *map(str, given)],
                 env=os.environ | settings,
@@ -196,6 +204,23 @@ def report(width: int, layers: int, within: bool, starts: int, ways: list[str]) 
     own, other = (known.get(way, np.array([np.nan])) for way in WAYS[:2])
     wrong = np.max(np.abs(other - own)) / np.max(np.abs(own))
     print(f"    {layers} x {width:<3} {where:6}" + " |".join(cells) + f" | {wrong:.0e}", flush=True)
+
+
+def report_population(width: int, layers: int, starts: int) -> None:
+    """Print strides per second of many networks at once, and of some one after the other."""
+    keys, xs = jax.random.split(jax.random.key(0), NETWORKS), jnp.asarray(near_the_gait(starts))
+    make = lambda key: NetworkWalker(network(width, layers, True, key), True)
+    walkers, policies = eqx.filter_vmap(make)(keys), list(map(make, keys[:ALONE]))
+    one = jax.jit(jax.vmap(wj.stride, (None, 0)))
+    every = jax.jit(jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None)))
+    together, alone = lambda: every(walkers, xs), lambda: [one(each, xs) for each in policies]
+    for compute, count in ((together, NETWORKS), (alone, ALONE)):
+        found, times = jax.block_until_ready(compute()), []
+        for _ in range(REPEATS):
+            start = time.process_time()
+            found = jax.block_until_ready(compute())
+            times.append(time.process_time() - start)
+        print(f"{count:5} networks {count * starts / min(times):8.0f}/s", flush=True)
 
 
 if __name__ == "__main__":
