@@ -59,7 +59,7 @@ IN_A_ROW = 10
 """Strides of a walk that is differentiated."""
 FEWER = 50
 """So many times fewer walks are differentiated than strides made."""
-SMALLER = {"walker_jax": 1, "diffrax": 16, "XLA": 64}
+SMALLER = {"walker_jax": 1, "diffrax": 25, "XLA": 100}
 """So many times fewer strides are made and differentiated by slower ways."""
 NETWORKS, ALONE = 256, 8
 """Networks of a population, and of those that walk one by one beside it."""
