@@ -48,7 +48,7 @@ import walker_jax as wj
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
 
 jax.config.update("jax_enable_x64", True)
-SLOPE, GAIN = 0.009, 0.001
+SLOPE, GAIN = 0.009, 0.0002
 REPEATS = 2
 TOLERANCE = 1e-12
 """Of diffrax; that of walker_jax is its default, of the same size."""
@@ -61,6 +61,8 @@ FEWER = 50
 """So many times fewer walks are differentiated than strides made."""
 SMALLER = {"walker_jax": 1, "diffrax": 25, "XLA": 100}
 """So many times fewer strides are made and differentiated by slower ways."""
+COMPARED = 40
+"""Walks whose gradients are compared."""
 NETWORKS, ALONE = 256, 8
 """Networks of a population, and of those that walk one by one beside it."""
 
@@ -160,8 +162,8 @@ def functions(way: str, within: bool):
 
 
 def near_the_gait(starts: int) -> np.ndarray:
-    rng = np.random.default_rng(0)
-    return np.stack([rng.uniform(0.198, 0.202, starts), -rng.uniform(0.202, 0.206, starts)], 1)
+    """Return starts of walks that do not fall; fewer are the first ones of more."""
+    return np.random.default_rng(0).uniform(0.199, 0.201, (starts, 2)) * [1, -1]
 
 
 def measure(way: str, width: int, layers: int, within: bool, starts: int, file: str) -> None:
@@ -169,7 +171,8 @@ def measure(way: str, width: int, layers: int, within: bool, starts: int, file: 
     policy = network(width, layers, within)
     xs = near_the_gait(starts)
     found, strides = [], 1
-    for compute in functions(way, within):
+    forward, gradient = functions(way, within)
+    for compute in (forward, gradient):
         times, given = [], jnp.asarray(xs)
         for _ in range(REPEATS + 1):
             start = time.process_time()
@@ -177,6 +180,8 @@ def measure(way: str, width: int, layers: int, within: bool, starts: int, file: 
             times.append(time.process_time() - start)
         print(times[0] - min(times[1:]), strides * len(xs) / min(times[1:]))
         xs, strides = xs[: starts // FEWER], IN_A_ROW
+    if len(xs) > COMPARED:
+        found = gradient(policy, jnp.asarray(xs[:COMPARED]))
     np.save(file, np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(found)]))
 
 
@@ -215,10 +220,11 @@ def report_population(width: int, layers: int, starts: int) -> None:
     every = jax.jit(jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None)))
     together, alone = lambda: every(walkers, xs), lambda: [one(each, xs) for each in policies]
     for compute, count in ((together, NETWORKS), (alone, ALONE)):
-        found, times = jax.block_until_ready(compute()), []
+        jax.block_until_ready(compute())
+        times = []
         for _ in range(REPEATS):
             start = time.process_time()
-            found = jax.block_until_ready(compute())
+            jax.block_until_ready(compute())
             times.append(time.process_time() - start)
         print(f"{count:5} networks {count * starts / min(times):8.0f}/s", flush=True)
 
@@ -229,7 +235,10 @@ if __name__ == "__main__":
         width, layers, within, starts = map(int, numbers)
         measure(way, width, layers, bool(within), starts, file)
     else:
-        given = [*sys.argv[1:], *["8,16,32,64", "1,2", "512", ",".join(WAYS)][len(sys.argv) - 1 :]]
+        given = [
+            *sys.argv[1:],
+            *["8,16,32,64", "1,2", "50000", ",".join(WAYS)][len(sys.argv) - 1 :],
+        ]
         widths, sizes = ([int(x) for x in one.split(",")] for one in given[:2])
         ways = given[3].split(",")
         print(" " * 17 + "".join(f"{way:>38}" for way in ways))
@@ -237,3 +246,4 @@ if __name__ == "__main__":
             for layers in sizes:
                 for width in widths:
                     report(width, layers, within, int(given[2]), ways)
+        report_population(16, 2, int(given[2]) // FEWER)

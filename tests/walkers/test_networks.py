@@ -120,13 +120,17 @@ def test_margins_have_derivatives_by_all_weights():
         known = jnp.stack([found.failed, found.backward, found.forward, found.running])
         return jnp.where(jnp.isnan(known), 0, known) @ jnp.array([1.0, 0.6, -0.3, 0.2])
 
-    xs = jnp.array([[0.2, -0.2], [0.2, -0.15], [0.35, -0.3], [0.15, -0.28], [0.2, -0.25], [0.5, -1]])
+    xs = jnp.array(
+        [[0.2, -0.2], [0.2, -0.15], [0.35, -0.3], [0.15, -0.28], [0.2, -0.25], [0.5, -1]]
+    )
     outcomes = {wj.Outcome(int(one)).name for one in wj.strides(WALKER, xs).outcome}
     assert outcomes == {"STRIDE", "BACKWARD", "FORWARD", "RUNNING"}
     back, forward = (
         jax.vmap(along(number, (0, 1)), (None, 0))(WALKER, xs) for along in (jax.grad, jax.jacfwd)
     )
-    rows = lambda tree: np.concatenate([one.reshape(len(xs), -1) for one in jax.tree.leaves(tree)], 1)
+    rows = lambda tree: np.concatenate(
+        [one.reshape(len(xs), -1) for one in jax.tree.leaves(tree)], 1
+    )
     scale = np.abs(rows(forward)).max(axis=1, keepdims=True)
     np.testing.assert_allclose(rows(back) / scale, rows(forward) / scale, rtol=0, atol=1e-10)
 

@@ -99,7 +99,9 @@ def check_derivatives(name: str, kind: str) -> None:
     numbers, rebuild = ravel_pytree(eqx.filter(walker.policy, eqx.is_inexact_array_like))
 
     def number(flat):
-        end = wj.stride(eqx.tree_at(lambda one: one.policy, walker, rebuild(flat)), x, tolerance=TOLERANCE)
+        end = wj.stride(
+            eqx.tree_at(lambda one: one.policy, walker, rebuild(flat)), x, tolerance=TOLERANCE
+        )
         return end.state @ jnp.linspace(0.5, 1, len(x)) + 0.3 * end.time
 
     assert int(wj.stride(walker, x, tolerance=TOLERANCE).outcome) == wj.Outcome.STRIDE

@@ -259,7 +259,7 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
 
 
 def batch_one_by_one(operands, batched, program: Program, mapped: tuple[int, ...]):
-    """Add an axis of calls, each of which has cells that share some operands, one after the other."""
+    """Add an axis of calls, one after the other: the cells of each share some operands."""
     along = list(np.flatnonzero(batched))
 
     def call(some):
