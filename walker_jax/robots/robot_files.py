@@ -18,6 +18,7 @@ from walker_jax.robots.machine import Machine
 from walker_jax.robots.planes import plane_of
 from walker_jax.robots.reading import Reader, keyframe_of
 from walker_jax.robots.robots import Robot
+from walker_jax.robots.soft_contacts import soft_contact
 
 UNNAMED = "MuJoCo Model"
 """The name that MuJoCo gives to a model without one."""
@@ -65,12 +66,13 @@ def robot(
     numbers, key = dict(reader.ledger.numbers), keyframe_of(reader, machine)
     numbers |= {} if key is None else key.ctrl
     numbers |= dict(parameters or {})
-    made = Robot(machine, numbers, controller, check_scuffing=check_scuffing)
+    how: Any = {"contact": soft_contact(reader), "check_scuffing": check_scuffing}
+    made = Robot(machine, numbers, controller, **how)
     if key is None:
         return made
     free = [machine.order.index(i) for i in made.landing().free]
     near = [key.coordinates[i] for i in free[:-1]] + [key.rates[i] for i in free]
-    return Robot(machine, numbers, controller, near=tuple(near), check_scuffing=check_scuffing)
+    return Robot(machine, numbers, controller, near=tuple(near), **how)
 
 
 def read_machine(path: str | os.PathLike, feet: Sequence[str] | None) -> tuple[Reader, Machine]:
