@@ -43,8 +43,8 @@ def remarks_on(contact: SoftContact | None) -> tuple[str, ...]:
     solref, solimp = (" ".join(f"{one:g}" for one in some) for some in contact[:2])
     slip = "freely" if contact.friction is None else f"beyond a friction of {contact.friction:g}"
     return (
-        f"MuJoCo: its ground gives way (solref {solref}, solimp {solimp}): a foot that stands sinks "
-        f"by {contact.rest:.2g}; here it is rigid, and a foot never slips, but there {slip}",
+        f"MuJoCo: its ground gives way (solref {solref}, solimp {solimp}): a foot that stands "
+        f"sinks by {contact.rest:.2g}; here it is rigid, and a foot never slips, but there {slip}",
         f"MuJoCo: it stops a foot that comes down at a speed v in {contact.stop:.3g}, which is "
         f"{contact.stop / contact.step:.3g} of its time steps, {contact.reach:.2g} v below the "
         "ground; here the impact is instant, without rebound",

@@ -7,7 +7,7 @@ import { Diagram } from "./diagram.js";
 import { Facts } from "./facts.js";
 import { Lattice } from "./lattice.js";
 import { BasinMap } from "./map.js";
-import { Palette, css } from "./palette.js";
+import { FADES, Palette, css } from "./palette.js";
 import { Picture } from "./picture.js";
 import { Stage } from "./stage.js";
 import { OUTSIDE, State } from "./state.js";
@@ -37,6 +37,8 @@ async function begin() {
   let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
   const loading = new Set(); // the keys of the homes that are awaited
   let prepared = ""; // the walker that picture and facts belong to
+  let pointed = null; // the place that the readout tells of
+  let legend = [];
 
   // ---------------------------------------------------------------- the picture
 
@@ -77,10 +79,12 @@ async function begin() {
   /** Nothing of the former walker stands under the name of the one that is being prepared. */
   function clearFormer() {
     prepared = "";
+    pointed = null;
+    map.clear();
     picture.clear();
     facts.clear("");
+    legend = [];
     $("#legend").replaceChildren();
-    $("#hover").textContent = "\u00a0";
   }
 
   const showPicture = () => {
@@ -141,6 +145,7 @@ async function begin() {
     clearTimeout(walking);
     if (state.restore()) {
       controls.update();
+      facts.mark();
       showArrow();
       stage.draw();
       queueMicrotask(showPicture);
@@ -168,6 +173,7 @@ async function begin() {
     facts.showAttractors(attractors);
     showLegend();
   });
+  picture.addEventListener("changed", tellPlace);
   picture.addEventListener("changed", () => {
     $("#progress").setAttribute("aria-valuenow", Math.round(100 * picture.progress));
     $("#progress i").style.width = `${100 * picture.progress}%`;
@@ -223,14 +229,23 @@ async function begin() {
     return label in state.fates ? state.failure(label, strides, many) : "";
   }
 
+  /** The readout: where the hand points, and what happens from there; grey while the picture is another's. */
+  function tellPlace() {
+    const found = pointed && lattice && picture.at(pointed);
+    let text = "\u00a0";
+    if (pointed && lattice) {
+      const gait = map.gaitAt(pointed), places = Math.max(4, 4 + Math.ceil(map.view.zoom / 3.3));
+      const where = map.values(pointed).map((v, k) => `${state.axes[k].symbol} ${decimals(v, places)}`).join("   ");
+      const words = gait ? `${gait.stable ? "stable" : "unstable"} ${state.words.gait} of period ${gait.period}, multipliers ${multipliers(gait)}` : "";
+      text = `${where}   ${words || (found ? happens(found) : "")}`;
+    }
+    if ($("#hover").textContent !== text) $("#hover").textContent = text;
+    $("#hover").classList.toggle("pending", Boolean(found) && !picture.isOf(found.layer, state));
+  }
   map.addEventListener("hover", ({ detail: place }) => {
-    if (!place || !lattice) return ($("#hover").textContent = "\u00a0");
+    pointed = place;
     $("#hover").setAttribute("aria-live", map.cross ? "polite" : "off"); // of keys, not of a mouse
-    const gait = map.gaitAt(place);
-    const found = picture.at(place), places = Math.max(4, 4 + Math.ceil(map.view.zoom / 3.3));
-    const where = map.values(place).map((v, k) => `${state.axes[k].symbol} ${decimals(v, places)}`).join("   ");
-    const words = gait ? `${gait.stable ? "stable" : "unstable"} ${state.words.gait} of period ${gait.period}, multipliers ${multipliers(gait)}` : "";
-    $("#hover").textContent = `${where}   ${words || (found ? happens(found) : "")}`;
+    tellPlace();
   });
 
   function showLegend() {
@@ -252,18 +267,45 @@ async function begin() {
     const rows = new Map();
     const order = (label) => (label >= about.labels.first ? label - 1000 : label === OUTSIDE ? 1000 : label);
     for (const label of [...counts.keys()].sort((a, b) => order(a) - order(b))) {
-      const colour = css(palette.colour(label, layer.attractors));
+      const colours = [css(palette.colour(label, layer.attractors))];
       const key = label >= about.labels.first + palette.basins.length ? "other attractors" : name(label);
       const unknown = label === about.labels.unmatched || state.fates[label]?.name === "UNDECIDED";
-      rows.set(unknown ? `${key}: ${count(counts.get(label), "cell")}` : key, colour);
+      rows.set(unknown ? `${key}: ${count(counts.get(label), "cell")}` : key, colours);
     }
-    $("#legend").replaceChildren(...[...rows].map(([words, colour]) => {
+    const { gait, stride, lose } = state.words;
+    const basin = [...counts.keys()].find((label) => label >= about.labels.first && !layer.attractors[label - about.labels.first]?.artefact);
+    const fall = [...counts.keys()].find((label) => state.fates[label]?.lost);
+    if (basin !== undefined) rows.set(`${FADES.walks.join(" to ")} ${stride}s to the ${gait}`, palette.scale(basin));
+    if (fall !== undefined) rows.set(`${FADES.falls.join(" to ")} ${stride}s until ${lose}`, palette.scale(fall));
+    legend = [...rows].map(([words, colours]) => ({ words, colours }));
+    $("#legend").replaceChildren(...legend.map(({ words, colours }) => {
       const item = document.createElement("li");
       item.innerHTML = "<i></i><span></span>";
-      item.firstChild.style.background = colour;
+      item.firstChild.classList.toggle("scale", colours.length > 1);
+      item.firstChild.style.background = colours.length > 1 ? `linear-gradient(to right, ${colours})` : colours[0];
       item.lastChild.textContent = words;
       return item;
     }));
+  }
+
+  /** The picture as it is saved: what draws it, its parameters and its legend. */
+  function drawing() {
+    const basin = state.tab === "basin";
+    if (basin && !lattice) throw new Error("The picture is not there yet");
+    const canvas = basin ? map.canvas : $("#diagram"), style = getComputedStyle(canvas);
+    const told = (value) => String(Number((value ?? 0).toPrecision(8))).replace("-", "\u2212");
+    const value = ({ name, unit }) => `${spaced(name)} ${told(state.parameters[name])} ${unit.replace("^2", "²")}`.trim();
+    const fixed = basin ? state.plane.others.map((name, k) => `at ${state.kind.coordinates[name].symbol} ${told(picture.layer?.at[k])}`) : [];
+    const parameters = state.kind.parameters.filter(({ name }) => basin || name !== state.over).map(value);
+    const title = walkerName().replace(/^the /, ""), { gait } = state.words;
+    return {
+      draw: (c) => (basin ? map : diagram).drawOn(c),
+      width: canvas.clientWidth, height: canvas.clientHeight,
+      title: `${title[0].toUpperCase()}${title.slice(1)}: ${basin ? "basin of attraction" : `${gait}s over the ${spaced(state.over)}`}`,
+      about: [...parameters, ...fixed, ...(basin && state.method === "cell-map" ? ["by cell mapping"] : [])],
+      legend: basin ? legend : [],
+      ground: style.getPropertyValue("--page").trim(), ink: style.getPropertyValue("--ink").trim(),
+    };
   }
 
   // ---------------------------------------------------------------- the walk
@@ -419,11 +461,7 @@ async function begin() {
       if (!lattice) throw new Error("The picture is not there yet");
       return { ...state.subject(), method: state.method, cells: viewCells() };
     },
-    canvas: () => {
-      if (state.tab !== "basin") return $("#diagram");
-      if (!lattice) throw new Error("The picture is not there yet");
-      return $("#map");
-    },
+    drawing,
     say,
     title: () => `${state.tab}-${state.walker}-${Number((Object.values(state.parameters)[0] ?? 0).toPrecision(6))}`,
   });
@@ -470,6 +508,8 @@ async function begin() {
       map.arrow = null;
       facts.rough = null;
     }
+    facts.mark();
+    tellPlace();
     controls.update();
     update();
     if (kind === "everything" && state.start) startWalk(state.start);
