@@ -446,7 +446,7 @@ def test_saved_pictures_have_parameters_and_legend(opened, tmp_path):
         told = [one.text for one in root.iter("{http://www.w3.org/2000/svg}text")]
         assert told[0] == f"Simplest walker: {words}"
         if tab == "basin":
-            assert told[1] == "slope 0.006 rad" and "0.20" in told
+            assert told[1] == "slope 0.006 rad" and "0.2" in told
             assert told[-len(page.value(legend)) :] == page.value(legend)
             assert "8 to 160 strides to the gait" in told and "falls forward" in told
         viewer = page.context.new_page()

@@ -258,12 +258,18 @@ class Robot(HybridSystem):
 def window_around(robot: Robot, x: Any) -> Grid:
     """Return a slice through a point, along the stance leg's first coordinate and its rate."""
     point = dict(zip(robot.section, np.asarray(x, float).tolist(), strict=True))
-    first = robot.section[0]
-    axes = {}
-    for name, least in ((first, 0.1), (f"{first}_rate", 0.5)):
-        width = max(abs(point[name]), least) / 2
-        axes[name] = point[name] - width, point[name] + width, WINDOW_CELLS
-    return Grid.through(point, **axes)
+    ends, first = ends_around(robot, x), robot.section[0]
+    names = first, f"{first}_rate"
+    return Grid.through(point, **{name: (*ends[name], WINDOW_CELLS) for name in names})
+
+
+def ends_around(robot: Robot, x: Any) -> dict[str, tuple[float, float]]:
+    """Return the ends of a window around a point along each coordinate."""
+    found = {}
+    for name, value in zip(robot.section, np.asarray(x, float).tolist(), strict=True):
+        width = max(abs(value), 0.5 if name.endswith("_rate") else 0.1) / 2
+        found[name] = value - width, value + width
+    return found
 
 
 def pendulum_region(robot: Robot, count: int) -> Grid:

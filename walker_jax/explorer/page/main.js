@@ -302,7 +302,7 @@ async function begin() {
       draw: (c) => (basin ? map : diagram).drawOn(c),
       width: canvas.clientWidth, height: canvas.clientHeight,
       title: `${title[0].toUpperCase()}${title.slice(1)}: ${basin ? "basin of attraction" : `${gait}s over the ${spaced(state.over)}`}`,
-      about: [...parameters, ...fixed, ...(basin && state.method === "cell-map" ? ["by cell mapping"] : [])],
+      about: [...parameters, ...fixed, ...(basin && state.method === "cell-map" ? ["by cell mapping"] : []), ...(basin ? [] : diagram.note().split("; "))],
       legend: basin ? legend : [],
       ground: style.getPropertyValue("--page").trim(), ink: style.getPropertyValue("--ink").trim(),
     };
