@@ -43,10 +43,10 @@ def asked(**more):
 
 def test_a_robot_has_a_page_in_the_words_of_walkers(client):
     about = client.ask("/api/about").json()["walkers"]
-    assert list(about)[0] == "simplest" and {"compass", "kneed"} <= set(about)
+    assert next(iter(about)) == "simplest" and {"compass", "kneed"} <= set(about)
     one = about["compass"]
     assert (one["walker"], one["film"], one["spans"]) == (True, False, {})
-    assert list(one["planes"])[0] == "stance_leg-stance_leg_rate"
+    assert next(iter(one["planes"])) == "stance_leg-stance_leg_rate"
     assert {"slope", "leg_mass", "gravity"} <= {each["name"] for each in one["parameters"]}
     home = client.ask("/api/home", asked()).json()
     assert np.abs(np.array(home["gait"]) - GAIT).max() < 1e-6
@@ -63,7 +63,9 @@ def test_its_picture_and_its_walk_are_those_of_the_package(client, robot):
     np.testing.assert_allclose(states, wj.walk(robot, 1.01 * GAIT, 2).states, rtol=1e-9)
 
 
-def test_workers_get_it_whole_and_its_copies_give_the_data(client, robot, run, tmp_path, monkeypatch):
+def test_workers_get_it_whole_and_its_copies_give_the_data(
+    client, robot, run, tmp_path, monkeypatch
+):
     offered = offer(robot)
     again = pickle.loads(pickle.dumps(offered))
     assert again == offered and again.build(again.defaults).machine == robot.machine

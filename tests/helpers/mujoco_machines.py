@@ -72,7 +72,7 @@ class Constrained:
     def inverse(self, joints, forces, locked):
         """Forces that MuJoCo's inverse dynamics miss, at the joints that are not locked.
 
-        Given are the joints' accelerations and the ground's force on the first foot, from whose rest
+        Given are the joints' accelerations and the ground's force on the first foot. As that rests,
         the acceleration of the base follows.
         """
         data, (J, drift) = self.data, self.foot(0)

@@ -71,7 +71,7 @@ def test_a_foot_that_is_stopped_follows_its_equation():
     for damping in (30.0, 99.999, 100.001, 400.0):
         roots = np.roots([1.0, damping, 2500.0]).astype(complex)
         time, depth = stopping(2500.0, damping)
-        weights = np.linalg.solve([[1, 1], roots], [0, 1])
+        weights = np.linalg.solve(np.stack([np.ones(2), roots]), np.array([0.0, 1.0]))
         depths, rates = weights * np.exp(roots * time), weights * roots * np.exp(roots * time)
         assert abs(rates.sum()) < 1e-7 and depths.sum().real == pytest.approx(depth, rel=1e-6)
 

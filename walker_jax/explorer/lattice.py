@@ -79,7 +79,8 @@ def home_of(offered: Offer, section: str) -> Home:
     """Return the home window of an offer on a section.
 
     For the simplest walker in the sheared plane it is the paper's window. For any other walker in
-    the plane, and for a robot, it lies around the default gait. For other systems it is that of `window_of`.
+    the plane, and for a robot, it lies around the default gait. For other systems it is that of
+    `window_of`.
     """
     gait = first_state(offered)
     if not offered.has_film:

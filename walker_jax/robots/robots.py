@@ -220,6 +220,10 @@ class Robot(HybridSystem):
             tuple(coordinates[i] for i in first.free), tuple(speeds[i] for i in first.free)
         )
 
+    def names_of_state(self):
+        names = [self.machine.links[i].name for i in self.first().free]
+        return *names, *(f"{name}_rate" for name in names)
+
     def shown(self, state):
         of_first = len(state.rates) == len(self.first().free)
         return state if of_first else self.begin(state)

@@ -59,12 +59,12 @@ def soft_contact(reader: Reader) -> SoftContact | None:
     found = touch(reader, TOUCH * size)
     if found is None:
         return None
-    contact, depth = found[0], 0.0
+    (contact, (stiffness, damping, impedance)), depth = found, 0.0
     strength, slope = reader.plane.gravity()
     for _ in range(ROUNDS):
-        _, (stiffness, damping, impedance) = touch(reader, max(depth, TOUCH * size)) or found
         load = (1 - impedance) * strength * np.cos(slope)
         depth = load / (impedance * stiffness) if stiffness else np.inf
+        _, (stiffness, damping, impedance) = touch(reader, max(depth, TOUCH * size)) or found
     stop, reach = stopping(impedance * stiffness, impedance * damping)
     return SoftContact(
         tuple(contact.solref.tolist()),

@@ -6,14 +6,15 @@ import { Controls } from "./controls.js";
 import { Diagram } from "./diagram.js";
 import { Facts } from "./facts.js";
 import { Lattice } from "./lattice.js";
+import { Legend } from "./legend.js";
 import { BasinMap } from "./map.js";
-import { FADES, Palette, css } from "./palette.js";
+import { Palette } from "./palette.js";
 import { Picture } from "./picture.js";
 import { Stage } from "./stage.js";
-import { OUTSIDE, State } from "./state.js";
+import { State } from "./state.js";
 import { TakeAway } from "./takeaway.js";
 import { Walk } from "./walk.js";
-import { count, decimals, multipliers, number, spaced } from "./words.js";
+import { count, decimals, multipliers, spaced } from "./words.js";
 
 const $ = (selector) => document.querySelector(selector);
 const PUSHES = { "[": -0.01, "]": 0.01 }; // along the slope, by keys
@@ -33,12 +34,12 @@ async function begin() {
   const diagram = new Diagram($("#diagram"), state, palette);
   const facts = new Facts(document, state);
   const controls = new Controls($(".controls"), state);
+  const legend = new Legend($("#legend"), state, palette);
   const compiling = new Compiling($("#view-basin .plot"));
   let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
   const loading = new Set(); // the keys of the homes that are awaited
   let prepared = ""; // the walker that picture and facts belong to
   let pointed = null; // the place that the readout tells of
-  let legend = [];
 
   // ---------------------------------------------------------------- the picture
 
@@ -83,8 +84,7 @@ async function begin() {
     map.clear();
     picture.clear();
     facts.clear("");
-    legend = [];
-    $("#legend").replaceChildren();
+    legend.clear();
   }
 
   const showPicture = () => {
@@ -249,43 +249,8 @@ async function begin() {
   });
 
   function showLegend() {
-    const layer = picture.layer, found = lattice && picture.cells(map.view);
-    if (!layer || !found) return;
-    const counts = new Map();
-    for (const [, , label] of found.all) counts.set(label, (counts.get(label) ?? 0) + 1);
-    const name = (label) => {
-      const { gait, on } = state.words;
-      if (label === about.labels.unmatched) return `${on}, to no known ${gait}`;
-      if (label < about.labels.first) return state.fates[label].words;
-      const one = layer.attractors[label - about.labels.first];
-      if (one?.artefact) return "artefacts of cell mapping";
-      if (!one?.period) return "basin without a period";
-      const alike = layer.attractors.filter(({ period, artefact }) => period === one.period && !artefact);
-      const where = alike.length > 1 ? ` at ${state.axes[0].symbol} ${number(state.shown(one.states[0])[0], 3)}` : "";
-      return `basin of the ${gait} of period ${one.period}${where}`;
-    };
-    const rows = new Map();
-    const order = (label) => (label >= about.labels.first ? label - 1000 : label === OUTSIDE ? 1000 : label);
-    for (const label of [...counts.keys()].sort((a, b) => order(a) - order(b))) {
-      const colours = [css(palette.colour(label, layer.attractors))];
-      const key = label >= about.labels.first + palette.basins.length ? "other attractors" : name(label);
-      const unknown = label === about.labels.unmatched || state.fates[label]?.name === "UNDECIDED";
-      rows.set(unknown ? `${key}: ${count(counts.get(label), "cell")}` : key, colours);
-    }
-    const { gait, stride, lose } = state.words;
-    const basin = [...counts.keys()].find((label) => label >= about.labels.first && !layer.attractors[label - about.labels.first]?.artefact);
-    const fall = [...counts.keys()].find((label) => state.fates[label]?.lost);
-    if (basin !== undefined) rows.set(`${FADES.walks.join(" to ")} ${stride}s to the ${gait}`, palette.scale(basin));
-    if (fall !== undefined) rows.set(`${FADES.falls.join(" to ")} ${stride}s until ${lose}`, palette.scale(fall));
-    legend = [...rows].map(([words, colours]) => ({ words, colours }));
-    $("#legend").replaceChildren(...legend.map(({ words, colours }) => {
-      const item = document.createElement("li");
-      item.innerHTML = "<i></i><span></span>";
-      item.firstChild.classList.toggle("scale", colours.length > 1);
-      item.firstChild.style.background = colours.length > 1 ? `linear-gradient(to right, ${colours})` : colours[0];
-      item.lastChild.textContent = words;
-      return item;
-    }));
+    const found = lattice && picture.cells(map.view);
+    if (picture.layer && found) legend.show(picture.layer, found.all);
   }
 
   /** The picture as it is saved: what draws it, its parameters and its legend. */
@@ -303,7 +268,7 @@ async function begin() {
       width: canvas.clientWidth, height: canvas.clientHeight,
       title: `${title[0].toUpperCase()}${title.slice(1)}: ${basin ? "basin of attraction" : `${gait}s over the ${spaced(state.over)}`}`,
       about: [...parameters, ...fixed, ...(basin && state.method === "cell-map" ? ["by cell mapping"] : []), ...(basin ? [] : diagram.note().split("; "))],
-      legend: basin ? legend : [],
+      legend: basin ? legend.entries : [],
       ground: style.getPropertyValue("--page").trim(), ink: style.getPropertyValue("--ink").trim(),
     };
   }
