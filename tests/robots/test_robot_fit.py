@@ -12,7 +12,12 @@ def test_a_mass_and_the_slope_come_back_from_angles_of_the_legs():
     """Noise of 1e-3 rad; errors are those of the Jacobian."""
     truth = {"leg_mass": 5.2, "slope": 0.051}
     robot = wj.robot(FILES / "compass.xml", parameters=truth)
-    assert robot.names_of_state() == ("stance_leg", "swing_leg", "stance_leg_rate", "swing_leg_rate")
+    assert robot.names_of_state() == (
+        "stance_leg",
+        "swing_leg",
+        "stance_leg_rate",
+        "swing_leg_rate",
+    )
     made = wj.walk(robot, wj.find_gait(robot, GAIT).states[0] * 1.01, 8)
     strikes = np.append(0, np.cumsum(made.times))
     times = np.arange(0.02, strikes[-1], 0.04)

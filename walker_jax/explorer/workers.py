@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+from asyncio import CancelledError
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable
 from concurrent.futures import ThreadPoolExecutor
@@ -154,7 +155,7 @@ class Worker:
             await self.give_up(job)
             raise
         if state == INTERRUPTED:  # by a terminal's Ctrl-C, which reaches all processes
-            raise asyncio.CancelledError
+            raise CancelledError
         if state != "done":
             raise Failure(state, result)
         return result
