@@ -116,6 +116,8 @@ class Explanation(NamedTuple):
     state: Float[np.ndarray, " section"]
     jacobian: Float[np.ndarray, "section coordinates"]
     """Derivative of the next point by the start; NaN where there is none."""
+    remarks: tuple[str, ...]
+    """The system's own `remarks`."""
 
     def __str__(self) -> str:
         lines = [f"{self.system} from {format_point(self.start)}: {self.name}"]
@@ -146,6 +148,7 @@ class Explanation(NamedTuple):
             if rows == columns and np.isfinite(self.jacobian).all():
                 largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
                 lines[-1] += f", greatest multiplier {largest:.6g}"
+        lines += self.remarks
         lines += [f"? {one}" for mode in self.modes for one in mode.doubts]
         lines += [f"! {one}" for one in self.complaints]
         return "\n".join(lines)
@@ -211,9 +214,8 @@ def explain(
             )
     state = np.asarray(made.state)
     name = name_of_outcome(outcome, walker.failures)
-    return Explanation(
-        outcome, name, walker.label(), np.asarray(x), records, complaints, state, jacobian
-    )
+    about = walker.label(), np.asarray(x), records, complaints, state, jacobian
+    return Explanation(outcome, name, *about, walker.remarks())
 
 
 def check_records(records: list[ModeRecord]) -> list[str]:
