@@ -35,6 +35,8 @@ from walker_jax.walkers.parameters import parameters_of, value_of, with_values
 
 FIRST_NOISE = 0.01
 """Noise where none is given, as a share of a column's standard deviation, in the first search."""
+MOST_RESAMPLED = 1_000_000
+"""Most fits to resampled steps: each is a fit, and all are kept."""
 NOISE_ROUNDS = 3
 """Searches in which noise that is not given is found from the residuals of the one before."""
 MARGIN = 4
@@ -110,7 +112,7 @@ def fit(
         raise WrongUse("parameters must name one parameter or more, not none")
     check_choice("shooting", shooting, SHOOTING)
     check_choice("loss", loss, LOSSES)
-    check_whole("bootstrap", bootstrap, least=0)
+    check_whole("bootstrap", bootstrap, least=0, most=MOST_RESAMPLED)
     recordings, of_state = as_recordings(recordings), names_of_state(systems[0])
     columns = tuple(recordings[0].values)
     if unknown := [name for name in columns if name not in of_state]:
@@ -144,7 +146,8 @@ def check_systems(system: Any) -> tuple[HybridSystem, ...]:
     check_precision(jax.dtypes.canonicalize_dtype(float), "fit")
     shapes = {str(jax.tree.structure(one)) for one in systems}
     if len(systems) > 2 or len(shapes) > 1:
-        raise WrongUse(f"system must be one, or two of one kind, not {short(system)}")
+        kinds = " and ".join(type(one).__name__ for one in systems)
+        raise WrongUse(f"system must be one, or two of one kind, not {kinds}")
     return tuple(in_dtype(one, np.float64, jnp.asarray) for one in systems)
 
 
