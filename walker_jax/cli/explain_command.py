@@ -38,6 +38,7 @@ def explain(walker: "wj.System", start: Start, form: Json) -> None:
         "outcome": found.name,
         "modes": modes,
         "complaints": found.complaints,
+        "remarks": found.remarks,
         "state": found.state if known else None,
         "jacobian": found.jacobian if known else None,
     }

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+from asyncio import CancelledError
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable
 from concurrent.futures import ThreadPoolExecutor
@@ -36,6 +37,7 @@ NICENESS = 10
 """Niceness of workers, so that pictures come first."""
 SAID = "said"
 """Kind of a failure whose message is shown to the user."""
+INTERRUPTED = "interrupted"
 SETTINGS = (
     "jax_enable_x64",
     "jax_compilation_cache_dir",
@@ -113,7 +115,7 @@ def answer(function: Callable, arguments: tuple, connection: Connection) -> tupl
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
     except Interrupted:
-        return "interrupted", None
+        return INTERRUPTED, None
     except (WrongUse, ComputationFailed) as error:
         return SAID, str(error)
     except Exception as error:
@@ -147,6 +149,8 @@ class Worker:
         except asyncio.CancelledError:
             await self.give_up(job)
             raise
+        if state == INTERRUPTED:  # by a terminal's Ctrl-C, which reaches all processes
+            raise CancelledError
         if state != "done":
             raise Failure(state, result)
         return result

@@ -20,7 +20,7 @@ from walker_jax.hybrid.following import (
     Unfinished,
     begin_following,
     follow_measured,
-    follow_on,
+    integrate_mode,
 )
 from walker_jax.hybrid.graphs import suit_state
 from walker_jax.hybrid.misses import turns_in_step
@@ -117,6 +117,8 @@ class Explanation(NamedTuple):
     state: Float[np.ndarray, " section"]
     jacobian: Float[np.ndarray, "section coordinates"]
     """Derivative of the next point by the start; NaN where there is none."""
+    remarks: tuple[str, ...]
+    """The system's own `remarks`."""
 
     def __str__(self) -> str:
         lines = [f"{self.system} from {format_point(self.start)}: {self.name}"]
@@ -147,6 +149,7 @@ class Explanation(NamedTuple):
             if rows == columns and np.isfinite(self.jacobian).all():
                 largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
                 lines[-1] += f", greatest multiplier {largest:.6g}"
+        lines += self.remarks
         lines += [f"? {one}" for mode in self.modes for one in mode.doubts]
         first = ["! first: "] if len(self.complaints) > 1 else ["! "]
         marks = [*first, *["! then: "] * len(self.complaints)]
@@ -212,9 +215,8 @@ def explain(
             )
     state = np.asarray(made.state)
     name = name_of_outcome(outcome, walker.failures)
-    return Explanation(
-        outcome, name, walker.label(), np.asarray(x), records, complaints, state, jacobian
-    )
+    about = walker.label(), np.asarray(x), records, complaints, state, jacobian
+    return Explanation(outcome, name, *about, walker.remarks())
 
 
 def check_records(records: list[ModeRecord], *, driven_by_gravity: bool) -> list[str]:
@@ -285,7 +287,7 @@ def record_mode(
 
     There is none if the mode ends in a failure, or by no guard.
     """
-    mode = suit_state(name, mode, state)._replace(foregone=None)
+    mode = suit_state(name, mode, state)._replace(early_exit=None)
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
     mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
     made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
@@ -365,7 +367,7 @@ def follow_steps(name: str, mode: Mode, method: Method, begun: Followed) -> Foll
         greatest = [max(known, float(value)) for known, value in zip(greatest, values, strict=True)]
         way.append((time + length, now.last.end))
     if int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
-        now = kernel(lambda now: follow_on(mode, method, now, measured=False)[0])(now)
+        now = kernel(lambda now: integrate_mode(mode, method, now, measured=False)[0])(now)
         time = float(now.last.time)
         if not np.isfinite(time + float(now.last.length)):
             reason = why_it_stops(mode, method, now.last.start, time)
