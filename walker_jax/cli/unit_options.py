@@ -71,7 +71,7 @@ class Sizes(NamedTuple):
 
     @property
     def named(self) -> dict[str, Any]:
-        """What JSON says of the units."""
+        """The units, for JSON."""
         if self.units is None:
             return {}
         return {"units": {"angle": "rad", "rate": "rad/s", "time": "s"} | self.units._asdict()}

@@ -151,9 +151,8 @@ class Explanation(NamedTuple):
                 lines[-1] += f", greatest multiplier {largest:.6g}"
         lines += self.remarks
         lines += [f"? {one}" for mode in self.modes for one in mode.doubts]
-        first = ["! first: "] if len(self.complaints) > 1 else ["! "]
-        marks = [*first, *["! then: "] * len(self.complaints)]
-        lines += map("".join, zip(marks, self.complaints, strict=False))
+        order = ["first: ", *["then: "] * len(self.complaints)] if self.complaints[1:] else [""]
+        lines += [f"! {n}{one}" for n, one in zip(order, self.complaints, strict=False)]
         return "\n".join(lines)
 
 
@@ -224,10 +223,8 @@ def check_records(records: list[ModeRecord], *, driven_by_gravity: bool) -> list
     unending = bool(records) and not records[-1].led_to
     found = []
     for mode in records:
-        if driven_by_gravity:
-            found += check_energy(mode)
-        if unending:
-            found += check_guards(mode)
+        found += check_energy(mode) if driven_by_gravity else []
+        found += check_guards(mode) if unending else []
     return found
 
 
