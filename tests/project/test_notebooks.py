@@ -84,9 +84,9 @@ def kernel():
     client.execute(cleanup_kc=True)  # as it does not where the manager is given
 
 
-def test_there_are_ten_notebooks_each_in_the_table():
+def test_there_are_eleven_notebooks_each_in_the_table():
     table = (NOTEBOOKS / "README.md").read_text()
-    assert sorted(int(path.name.partition("-")[0]) for path in PATHS) == [*range(1, 11)]
+    assert sorted(int(path.name.partition("-")[0]) for path in PATHS) == [*range(1, 12)]
     assert all(f"({path.name})" in table for path in PATHS)
 
 
