@@ -28,7 +28,7 @@ def test_the_page_fits_a_slope_and_carries_its_error_on():
 
 
 def test_the_page_leaves_out_the_one_recording_that_is_not_like_the_others():
-    """With heights a tenth larger a ball has a tenth more gravity, and bounces at the same times."""
+    """A ball whose heights are a tenth larger has a tenth more gravity, and the same times."""
     balls = [record_ball(noise=1e-3, seed=seed)[0] for seed in range(3)]
     other = balls[1]._replace(values={"height": 1.1 * balls[1].values["height"]})
     names = run_program("fit.md", "leave one recording out", wj=wj)

@@ -101,7 +101,7 @@ def test_every_run_has_its_numbers_and_its_row():
             assert set(run["end"]) == known
             assert set(run["derivatives"]) == {*system["variables"], run["by"]}
             assert all(set(row) == known for row in run["derivatives"].values())
-            assert [one["mode"] for one in run["events"]][0] == run["mode"]
+            assert run["events"][0]["mode"] == run["mode"]
     assert not rows
     assert f"in {closed} systems" in page and "Twenty-four systems" in page
     assert len(formulas.names()) == 24
