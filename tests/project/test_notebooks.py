@@ -17,6 +17,14 @@ PATHS = sorted(NOTEBOOKS.glob("*.ipynb"))
 ROOM = 200_000
 """Bytes that a notebook may have."""
 
+QUICKEST = "3-the-basin"
+"""The notebook that is executed among the tests that are not slow."""
+
+
+def speed(path: Path) -> list[pytest.MarkDecorator]:
+    return [] if path.stem == QUICKEST else [pytest.mark.slow]
+
+
 each_notebook = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 
 
@@ -86,8 +94,9 @@ def test_the_kernel_is_of_this_interpreter():
     assert own_kernel().format_kernel_cmd()[0] == sys.executable
 
 
-@pytest.mark.slow  # seconds for the kernel alone
-@each_notebook
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, id=path.stem, marks=speed(path)) for path in PATHS]
+)
 def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     notebook = read(path)
     held, drawn = printed(notebook), figures(notebook)

@@ -23,6 +23,7 @@ from typing import Any
 import jax
 
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.execution.workers import hold_interrupts, interrupts_held
 
 WORKERS = 2
 """Number of processes: one for all jobs, and one more for short jobs."""
@@ -80,12 +81,6 @@ def serve(connection: Connection, settings: dict[str, Any]) -> None:
             connection.send((SAID, f"the walker cannot be loaded: {type(error).__name__}: {error}"))
             continue
         connection.send(answer(function, arguments, connection))
-
-
-def hold_interrupts(held: bool) -> None:
-    """Block interrupts in this thread and the processes that it starts, or unblock them."""
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_BLOCK if held else signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def quiet(unraisable: Any) -> None:
@@ -197,11 +192,8 @@ class Worker:
         self.connection, other = context.Pipe()
         settings = {name: getattr(jax.config, name) for name in SETTINGS}
         self.process = context.Process(target=serve, args=(other, settings), daemon=True)
-        hold_interrupts(True)  # until the process can handle them, those of a terminal too
-        try:
+        with interrupts_held():  # until the process can handle them, those of a terminal too
             self.process.start()
-        finally:
-            hold_interrupts(False)
         other.close()
         self.connection.recv()  # the message that it is ready
 

@@ -16,6 +16,11 @@ from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.hybrid.beginnings import begins_on_its_lower_side
 from walker_jax.hybrid.crossings import Crossing, first_rise, may_rise
+from walker_jax.hybrid.measured_in_reverse import (
+    carried_of,
+    decided_of,
+    transpose_measured_steps,
+)
 from walker_jax.hybrid.misses import (
     Misses,
     StepRecord,
@@ -107,14 +112,17 @@ def follow_mode(
     A guard that has just `risen` as the mode begins ends it there, with the derivatives of that
     event. If `measured`, every step is searched, and its misses are recorded.
     """
-    in_reverse = reversing.value and method.is_series and not measured
+    in_reverse = reversing.value and method.is_series
     if in_reverse:
         method = method.in_reverse()
     find = partial(find_event, mode, going=going, method=method, risen=risen, measured=measured)
-    if in_reverse:
+    if in_reverse and not measured:
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
-        last, _ = find(start)
+        if in_reverse:
+            last = find_measured_in_reverse(mode, find, start, going, method)
+        else:
+            last, _ = find(start)
         arrive = partial(method.refine_event, surface_of(mode, last.guard))
     refined, delay = zero_where_unused(arrive, last.arrival)
     ended = has_ended(mode, last.guard)
@@ -162,7 +170,11 @@ def integrate_mode(
     def follow(carry):
         now, tapes = carry
         if measured:
-            return follow_measured(mode, method, now)[0], tapes
+            found, seen = follow_measured(mode, method, now)
+            if writer is not None:
+                known = carried_of(now), decided_of(found, seen)
+                tapes = writer.put(tapes, now.count, *known)
+            return found, tapes
         step = partial(next_step, mode, method, violated=now.violated)
         quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
         # In a batch, lanes that have ended wait here for the others.
@@ -170,8 +182,8 @@ def integrate_mode(
         if writer is None:
             last, count = make_steps(step, *about)
         else:
-            at = lambda last: (last.end, last.time + last.length)
-            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), at)
+            row = lambda made: ((made.start, made.time), made.memory.control)
+            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), row)
         return search_step(mode, method, now._replace(last=last, count=count))[0], tapes
 
     return lax.while_loop(unfinished, follow, (begun, writer and writer.tapes))
@@ -198,6 +210,20 @@ def find_in_reverse(
         return method.refine_event(surface_of(mode, last.guard), arrival)
 
     return last._replace(arrival=state, time=time + until), arrive
+
+
+def find_measured_in_reverse(
+    mode: Mode, find: Callable, start: Any, going: Bool[Array, ""], method: Method
+) -> Unfinished:
+    """Find the first event, and the misses before it, so that reverse mode transposes all steps."""
+    mode, begun = begin_following(mode, start, going, method, True)
+
+    def find_steps(start, writer):
+        last, tapes = find(start, writer=writer)
+        return last, has_ended(mode, last.guard), tapes
+
+    follow, guards = partial(follow_measured, mode, method), partial(along, mode)
+    return transpose_measured_steps(mode, method, find_steps, follow, guards, begun)
 
 
 def surface_of(mode: Mode, number: Int[Array, ""]) -> Callable[[Any], Scalar]:
