@@ -304,7 +304,7 @@ def test_words_of_another_picture_are_grey_and_its_axes_go(opened):
     page.page.focus("#map")
     page.page.keyboard.press("+")
     note = "document.querySelector('#compiling').textContent"
-    page.wait(f"{note}.endsWith('s until now, longer than most times')")
+    page.wait(f"{note}.endsWith('s, longer than usual')")
     held.let_go()
     page.finished()
     assert page.value(f"{colours} > 1 && {note} === ''")
