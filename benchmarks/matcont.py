@@ -147,10 +147,13 @@ def main():
     jax.config.update("jax_enable_x64", True)
     begin = time.perf_counter()
     print(f"{'':32}{'here':>22}{'published':>22}{'differ':>9}")
-    cubic = wj.continue_gait(Cubic(), "p", (-1, 1), wj.find_gait(Cubic(), [-2.1]))
+    cubic = wj.continue_gait(Cubic(), "p", (-1.0, 1.0), wj.find_gait(Cubic(), [-2.1]))
     for fold, value in zip(sorted(cubic.folds, key=lambda one: -one.value), (2, -2), strict=True):
         line("MC-EQ-001", "fold, p", fold.value, value / 3)
-    systems = {"MC-EQ-002": (VanDerPol(), "mu", 0), "MC-EQ-003": (AdaptiveControl(), "alpha", 1)}
+    systems = {
+        "MC-EQ-002": (VanDerPol(), "mu", 0.0),
+        "MC-EQ-003": (AdaptiveControl(), "alpha", 1.0),
+    }
     for name, (system, parameter, value) in systems.items():
         rest = wj.find_gait(system, np.zeros(len(system.section)))
         (hopf,) = wj.continue_gait(

@@ -79,9 +79,9 @@ def test_a_radial_cycle_has_its_closed_form(systems):
 @pytest.mark.slow
 def test_continuation_finds_the_bifurcations(systems):
     cubic = systems["Cubic"]()
-    branch = wj.continue_gait(cubic, "p", (-1, 1), wj.find_gait(cubic, [-2.1]))
+    branch = wj.continue_gait(cubic, "p", (-1.0, 1.0), wj.find_gait(cubic, [-2.1]))
     assert np.allclose(sorted(one.value for one in branch.folds), [-2 / 3, 2 / 3], atol=1e-13)
-    for name, parameter, value in (("VanDerPol", "mu", 0), ("AdaptiveControl", "alpha", 1)):
+    for name, parameter, value in (("VanDerPol", "mu", 0.0), ("AdaptiveControl", "alpha", 1.0)):
         system = systems[name]()
         rest = wj.find_gait(system, np.zeros(len(system.section)))
         (hopf,) = wj.continue_gait(
