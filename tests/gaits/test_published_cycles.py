@@ -62,7 +62,8 @@ def test_cycles_of_a_circuit_are_critical_where_matcont_has_them(systems, name):
     assert abs(nu - published) < 2e-7
     cycle = wj.find_gait(systems["Circuit"](nu), guess)
     assert abs(cycle.step_times[0] - period) < 5e-6
-    theirs = multipliers_by_scipy(nu, *cycle.states[0], cycle.step_times[0])
+    x, z = cycle.states[0]
+    theirs = multipliers_by_scipy(nu, x, z, cycle.step_times[0])
     for one in (*cycle.multipliers, 1):  # 1 along the flow
         assert np.min(np.abs(theirs - one)) < 1e-9
     assert np.min(np.abs(CRITICAL[name](theirs))) < 1e-9

@@ -74,6 +74,8 @@ ATTRACTED = -1
 """Stands for a fate, in `fate_start` and `fate_optimum`, where the walker converges."""
 USUAL_MEASUREMENTS = 10
 """Measurements of one climb, to estimate how long an optimisation takes."""
+MOST_MEASURED = 10_000
+"""Most starts, and values in the scan of a parameter: each takes a second or more."""
 VIEW_CELLS = 300
 """Cells along each axis of the basins shown for the start and the optimum."""
 VIEW_CELLS_IN_SPACE = HURRIED_VIEW_CELLS = 100
@@ -163,7 +165,7 @@ def optimise(
     - `keep`: called with the trace after each measurement.
     - `seconds`: time of the climbs, compilation included, after which the best walker so far is
       the optimum. A measurement in progress is given up, and none begins that would not fit. The
-      budget cannot cut the measurement of the first start with its compilation (`first_seconds`).
+      budget cannot cut the first value of the objective with its compilation (`first_seconds`).
       A third of the time left after that comes on top, for the ends, on a grid half as fine, a
       scan and the basins shown; what does not fit is left out, and ends then have the values of
       the climb. The run can be continued by `known`.
@@ -183,7 +185,7 @@ def optimise(
     - `binding`: the measures whose limits bind at the optimum;
     - `converged`: whether it ended because no step of the last stage along the gradient improved
       the objective; `out_of_time`: whether anything was left out because the `seconds` were over;
-      with these, `first_seconds`: the time until the first start was measured;
+      with these, `first_seconds`: the time until the first value was known;
     - `note_start` and `note_optimum`: the gait of `find_gait`, if that is another one.
 
     Over all evaluations, the trace: `run`, `stage` (-1 for the scan, -2 for the ends, -3 for these
@@ -208,8 +210,8 @@ def optimise(
     goal, limits = parse_objective(goal, further), parse_limits(limits[0], limits[1], further)
     if known is not None:
         check_kind("known", known, xr.Dataset)
-    check_whole("starts", starts)
-    check_whole("scan", scan, 0)
+    check_whole("starts", starts, most=MOST_MEASURED)
+    check_whole("scan", scan, 0, MOST_MEASURED)
     levels = default_levels(goal[0]) if levels is None else levels
     budget = Budget(check_budget(seconds))
     training = read_training(steps, rate, batch)
