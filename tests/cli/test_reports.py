@@ -192,3 +192,9 @@ def test_what_is_told_of_a_map(run, line):
     _, told, error = run(*line.split(), "--system", "henon")
     said = re.sub(r"walker-jax( \w+)?|--\w+", "", told + error)
     assert re.search(r"iterate|cycle", said) and not re.findall(WALKS + "|time", said)
+
+
+def test_a_radius_beyond_the_least_disturbance_is_named(run):
+    code, out, err = run("prove", "--radius", "0.01")
+    start = "walker-jax: --radius 0.01 must be at most the least disturbance: the start ("
+    assert (code, out) == (2, "") and err.startswith(start) and err.count("\n") == 1
