@@ -338,7 +338,8 @@ def table(claims: list[Claim]) -> str:
     rows = {}
     for one in claims:
         words = one.quotation.strip("| ").replace(" | ", "; ")
-        bounds = f"{one.low:.14g}" + (f" to {one.high:.14g}" if one.low < one.high else "")
+        digits = ".14g" if f"{one.low:g}" == f"{one.high:g}" and one.low < one.high else "g"
+        bounds = f"{one.low:{digits}}" + (f" to {one.high:{digits}}" if one.low < one.high else "")
         test = one.test or TESTS.get(one.command, "")
         cells = one.page.removeprefix("docs/"), words, f"`{one.command}`", test and f"`{test}`"
         rows.setdefault(cells, []).append(bounds)
