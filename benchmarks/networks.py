@@ -48,17 +48,23 @@ import walker_jax as wj
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
 
 jax.config.update("jax_enable_x64", True)
-SLOPE, GAIN = 0.009, 0.001
-REPEATS = 3
+SLOPE, GAIN = 0.009, 0.0002
+REPEATS = 2
 TOLERANCE = 1e-12
 """Of diffrax; that of walker_jax is its default, of the same size."""
 AHEAD = -0.3
 """The angle between the legs from which on a swing leg is ahead, and its foot comes down."""
 WAYS = ("walker_jax", "diffrax", "XLA")
-IN_A_ROW = 3
+IN_A_ROW = 10
 """Strides of a walk that is differentiated."""
-FEWER = 2
+FEWER = 50
 """So many times fewer walks are differentiated than strides made."""
+SMALLER = {"walker_jax": 1, "diffrax": 25, "XLA": 100}
+"""So many times fewer strides are made and differentiated by slower ways."""
+COMPARED = 40
+"""Walks whose gradients are compared."""
+NETWORKS, ALONE = 256, 8
+"""Networks of a population, and of those that walk one by one beside it."""
 
 
 class State(NamedTuple):
@@ -69,9 +75,9 @@ class State(NamedTuple):
     torque: Any
 
 
-def network(width: int, layers: int, within: bool) -> eqx.nn.MLP:
+def network(width: int, layers: int, within: bool, key: Any = None) -> eqx.nn.MLP:
     """Return a perceptron with drawn weights, whose torques leave every walker walking."""
-    key = jax.random.key(width)
+    key = jax.random.key(width) if key is None else key
     inputs = 4 if within else 2
     return eqx.nn.MLP(inputs, "scalar", width, layers, activation=jnp.tanh, key=key)
 
@@ -155,13 +161,18 @@ def functions(way: str, within: bool):
     return map(eqx.filter_jit, (strides, eqx.filter_grad(ends)))
 
 
+def near_the_gait(starts: int) -> np.ndarray:
+    """Return starts of walks that do not fall; fewer are the first ones of more."""
+    return np.random.default_rng(0).uniform(0.199, 0.201, (starts, 2)) * [1, -1]
+
+
 def measure(way: str, width: int, layers: int, within: bool, starts: int, file: str) -> None:
     """Print seconds until the first results, and numbers per second; save the gradient."""
     policy = network(width, layers, within)
-    rng = np.random.default_rng(0)
-    xs = np.stack([rng.uniform(0.198, 0.202, starts), -rng.uniform(0.202, 0.206, starts)], 1)
+    xs = near_the_gait(starts)
     found, strides = [], 1
-    for compute in functions(way, within):
+    forward, gradient = functions(way, within)
+    for compute in (forward, gradient):
         times, given = [], jnp.asarray(xs)
         for _ in range(REPEATS + 1):
             start = time.process_time()
@@ -169,6 +180,8 @@ def measure(way: str, width: int, layers: int, within: bool, starts: int, file: 
             times.append(time.process_time() - start)
         print(times[0] - min(times[1:]), strides * len(xs) / min(times[1:]))
         xs, strides = xs[: starts // FEWER], IN_A_ROW
+    if len(xs) > COMPARED:
+        found = gradient(policy, jnp.asarray(xs[:COMPARED]))
     np.save(file, np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(found)]))
 
 
@@ -180,7 +193,7 @@ def report(width: int, layers: int, within: bool, starts: int, ways: list[str]) 
             if way == "XLA":
                 settings["WALKER_JAX_KERNELS"] = "off"
             file = f"{folder}/gradient.npy"
-            given = [way, width, layers, int(within), starts if way != "XLA" else starts // 4, file]
+            given = [way, width, layers, int(within), starts // SMALLER[way], file]
             done = subprocess.run(
                 [sys.executable, __file__, "--one", *map(str, given)],
                 env=os.environ | settings,
@@ -198,13 +211,34 @@ def report(width: int, layers: int, within: bool, starts: int, ways: list[str]) 
     print(f"    {layers} x {width:<3} {where:6}" + " |".join(cells) + f" | {wrong:.0e}", flush=True)
 
 
+def report_population(width: int, layers: int, starts: int) -> None:
+    """Print strides per second of many networks at once, and of some one after the other."""
+    keys, xs = jax.random.split(jax.random.key(0), NETWORKS), jnp.asarray(near_the_gait(starts))
+    make = lambda key: NetworkWalker(network(width, layers, True, key), True)
+    walkers, policies = eqx.filter_vmap(make)(keys), list(map(make, keys[:ALONE]))
+    one = jax.jit(jax.vmap(wj.stride, (None, 0)))
+    every = jax.jit(jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None)))
+    together, alone = lambda: every(walkers, xs), lambda: [one(each, xs) for each in policies]
+    for compute, count in ((together, NETWORKS), (alone, ALONE)):
+        jax.block_until_ready(compute())
+        times = []
+        for _ in range(REPEATS):
+            start = time.process_time()
+            jax.block_until_ready(compute())
+            times.append(time.process_time() - start)
+        print(f"{count:5} networks {count * starts / min(times):8.0f}/s", flush=True)
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--one"]:
         way, *numbers, file = sys.argv[2:]
         width, layers, within, starts = map(int, numbers)
         measure(way, width, layers, bool(within), starts, file)
     else:
-        given = [*sys.argv[1:], *["8,16,32,64", "1,2", "512", ",".join(WAYS)][len(sys.argv) - 1 :]]
+        given = [
+            *sys.argv[1:],
+            *["8,16,32,64", "1,2", "50000", ",".join(WAYS)][len(sys.argv) - 1 :],
+        ]
         widths, sizes = ([int(x) for x in one.split(",")] for one in given[:2])
         ways = given[3].split(",")
         print(" " * 17 + "".join(f"{way:>38}" for way in ways))
@@ -212,3 +246,4 @@ if __name__ == "__main__":
             for layers in sizes:
                 for width in widths:
                     report(width, layers, within, int(given[2]), ways)
+        report_population(16, 2, int(given[2]) // FEWER)

@@ -18,6 +18,7 @@ from walker_jax.design.sweeps import empty_row
 from walker_jax.explorer.offers import offer
 from walker_jax.figures.text import walker_title
 from walker_jax.gaits.derivatives import gait_derivatives
+from walker_jax.kernels import primitive
 from walker_jax.storage.places import StoreConflict
 from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import value_of, with_parameter
@@ -44,7 +45,7 @@ def test_strides_equal_those_by_scalars_to_the_bit():
     assert np.nanmax(abs(free.state - of_network.state)) > 1e-3
 
 
-def test_a_population_walks_as_its_members_do():
+def test_a_population_walks_as_its_members_do(monkeypatch):
     keys = jax.random.split(jax.random.key(5), 4)
     make = lambda key: NetworkWalker(
         0.009, policy=eqx.nn.MLP(2, 1, 4, 1, activation=jnp.tanh, key=key)
@@ -56,8 +57,15 @@ def test_a_population_walks_as_its_members_do():
         for i, name in enumerate(ends._fields):
             expected = np.stack([one[i] for one in one_by_one])
             np.testing.assert_array_equal(getattr(ends, name), expected)
-    several = jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None))(walkers, xs)
+    every = lambda walkers: jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None))(walkers, xs)
+    several = every(walkers)
     np.testing.assert_array_equal(several.state[2], wj.strides(select(walkers, 2), xs).state)
+    total = lambda walkers: every(walkers).time.sum()
+    expected = jax.grad(total)(walkers)
+    monkeypatch.setattr(primitive, "MOST_COPIED", 0)  # one network after the other
+    np.testing.assert_array_equal(every(walkers).state, several.state)
+    for one, other in zip(*map(jax.tree.leaves, (jax.grad(total)(walkers), expected)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-13)
 
 
 def test_gaits_change_with_a_weight_as_their_derivatives_say():
@@ -102,6 +110,29 @@ def test_all_leaves_have_derivatives():
         times = wj.strides(with_parameter(WALKER, name, values), np.tile(x, (4, 1))).time
         by = float(times @ np.array([1.0, -8.0, 8.0, -1.0])) / (12 * step)
         np.testing.assert_allclose(value_of(back, name), by, rtol=1e-7, atol=1e-9)
+
+
+def test_margins_have_derivatives_by_all_weights():
+    """In reverse as forward, where walkers stride, fall either way, or run."""
+
+    def number(walker, x):
+        found = wj.margins(walker, x)
+        known = jnp.stack([found.failed, found.backward, found.forward, found.running])
+        return jnp.where(jnp.isnan(known), 0, known) @ jnp.array([1.0, 0.6, -0.3, 0.2])
+
+    xs = jnp.array(
+        [[0.2, -0.2], [0.2, -0.15], [0.35, -0.3], [0.15, -0.28], [0.2, -0.25], [0.5, -1]]
+    )
+    outcomes = {wj.Outcome(int(one)).name for one in wj.strides(WALKER, xs).outcome}
+    assert outcomes == {"STRIDE", "BACKWARD", "FORWARD", "RUNNING"}
+    back, forward = (
+        jax.vmap(along(number, (0, 1)), (None, 0))(WALKER, xs) for along in (jax.grad, jax.jacfwd)
+    )
+    rows = lambda tree: np.concatenate(
+        [one.reshape(len(xs), -1) for one in jax.tree.leaves(tree)], 1
+    )
+    scale = np.abs(rows(forward)).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(rows(back) / scale, rows(forward) / scale, rtol=0, atol=1e-10)
 
 
 def test_a_machine_of_tables_solves_its_equation():

@@ -16,6 +16,11 @@ from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.hybrid.beginnings import begins_on_its_lower_side
 from walker_jax.hybrid.crossings import Crossing, first_rise, may_rise
+from walker_jax.hybrid.measured_in_reverse import (
+    carried_of,
+    decided_of,
+    transpose_measured_steps,
+)
 from walker_jax.hybrid.misses import (
     Misses,
     StepRecord,
@@ -51,7 +56,7 @@ class End(NamedTuple):
     time: Scalar
     """Time since the start of the mode."""
     guard: Int[Array, ""]
-    """Number of the guard that ended it. For a foregone end it is the number of all guards; without
+    """Number of the guard that ended it. For an early exit it is the number of all guards; without
     an end, `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
     """Conditions that were violated, at both ends of the mode too."""
@@ -107,14 +112,17 @@ def follow_mode(
     A guard that has just `risen` as the mode begins ends it there, with the derivatives of that
     event. If `measured`, every step is searched, and its misses are recorded.
     """
-    in_reverse = reversing.value and method.is_series and not measured
+    in_reverse = reversing.value and method.is_series
     if in_reverse:
         method = method.in_reverse()
     find = partial(find_event, mode, going=going, method=method, risen=risen, measured=measured)
-    if in_reverse:
+    if in_reverse and not measured:
         last, arrive = find_in_reverse(mode, find, start, method)
     else:
-        last, _ = find(start)
+        if in_reverse:
+            last = find_measured_in_reverse(mode, find, start, going, method)
+        else:
+            last, _ = find(start)
         arrive = partial(method.refine_event, surface_of(mode, last.guard))
     refined, delay = zero_where_unused(arrive, last.arrival)
     ended = has_ended(mode, last.guard)
@@ -141,10 +149,10 @@ def find_event(
     mode, begun = begin_following(mode, start, going, method, measured)
     if risen is not None:
         begun = begun._replace(guard=jnp.where(risen >= 0, risen, begun.guard))
-    return follow_on(mode, method, begun, measured=measured, writer=writer)
+    return integrate_mode(mode, method, begun, measured=measured, writer=writer)
 
 
-def follow_on(
+def integrate_mode(
     mode: Mode,
     method: Method,
     begun: Unfinished,
@@ -162,7 +170,11 @@ def follow_on(
     def follow(carry):
         now, tapes = carry
         if measured:
-            return follow_measured(mode, method, now)[0], tapes
+            found, seen = follow_measured(mode, method, now)
+            if writer is not None:
+                known = carried_of(now), decided_of(found, seen)
+                tapes = writer.put(tapes, now.count, *known)
+            return found, tapes
         step = partial(next_step, mode, method, violated=now.violated)
         quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
         # In a batch, lanes that have ended wait here for the others.
@@ -170,8 +182,8 @@ def follow_on(
         if writer is None:
             last, count = make_steps(step, *about)
         else:
-            at = lambda last: (last.end, last.time + last.length)
-            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), at)
+            row = lambda made: ((made.start, made.time), made.memory.control)
+            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), row)
         return search_step(mode, method, now._replace(last=last, count=count))[0], tapes
 
     return lax.while_loop(unfinished, follow, (begun, writer and writer.tapes))
@@ -198,6 +210,20 @@ def find_in_reverse(
         return method.refine_event(surface_of(mode, last.guard), arrival)
 
     return last._replace(arrival=state, time=time + until), arrive
+
+
+def find_measured_in_reverse(
+    mode: Mode, find: Callable, start: Any, going: Bool[Array, ""], method: Method
+) -> Unfinished:
+    """Find the first event, and the misses before it, so that reverse mode transposes all steps."""
+    mode, begun = begin_following(mode, start, going, method, True)
+
+    def find_steps(start, writer):
+        last, tapes = find(start, writer=writer)
+        return last, has_ended(mode, last.guard), tapes
+
+    follow, guards = partial(follow_measured, mode, method), partial(along, mode)
+    return transpose_measured_steps(mode, method, find_steps, follow, guards, begun)
 
 
 def surface_of(mode: Mode, number: Int[Array, ""]) -> Callable[[Any], Scalar]:
@@ -268,8 +294,8 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
         turns = ((before[1] < 0) & (rate > 0)) | dip_between(before, after, length).exists
         may |= ((value < 0) | turns) & ~violated[condition.leads_to]
         seen.append((before, after))
-    if mode.foregone is not None:
-        may |= value_at(mode.foregone.holds, end)
+    if mode.early_exit is not None:
+        may |= value_at(mode.early_exit.holds, end)
     return Step(begins, end, step.time + step.length, length, below, ends, seen, ~may, memory)
 
 
@@ -300,9 +326,9 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
     seen = StepRecord(last.start, series, last.length, arrival, until, crossings, now.violated)
     misses = None if now.misses is None else add_misses(mode, now.misses, seen)
-    if mode.foregone is not None:
-        foregone = (number == NO_GUARD) & value_at(mode.foregone.holds, last.end)
-        number = jnp.where(foregone, len(mode.guards), number)
+    if mode.early_exit is not None:
+        exits = (number == NO_GUARD) & value_at(mode.early_exit.holds, last.end)
+        number = jnp.where(exits, len(mode.guards), number)
     if not method.is_series:  # without a time of the event the motion is undecided
         number = jnp.where(jnp.isnan(until), NO_GUARD, number)
         last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))

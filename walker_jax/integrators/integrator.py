@@ -48,7 +48,8 @@ from walker_jax.integrators.taylor import (
 from walker_jax.integrators.taylor_steps import (
     SERIES_ORDER,
     Taylor,
-    taylor_step,
+    end_at_kink,
+    smooth_step,
     usable_series,
 )
 
@@ -165,7 +166,7 @@ class Memory(NamedTuple):
 
     control: PyTree
     """The length of the next step, and what the controller and the solver keep; of a Taylor method,
-    nothing."""
+    nothing, or in reverse mode the length of the last step, if it met no kink."""
     series: PyTree
     """The polynomial of the step, where expanding it again costs more than carrying it; else
     None."""
@@ -218,6 +219,7 @@ class Method(eqx.Module):
         if isinstance(solver, Taylor):
             order = solver.order
             carries |= isinstance(self.field, PowerBalance)
+            control = zero_at(state) if self.limits.in_reverse else ()
         else:
             carries, order = True, SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
             zero, terms = zero_at(state), self.terms
@@ -238,18 +240,12 @@ class Method(eqx.Module):
         step; and the memory for the next step.
         """
         if isinstance(self.solver, Taylor):
-            order = self.solver.order
-            series, length = taylor_step(
-                self.field,
-                state,
-                order,
-                self.tolerance,
-                *self.others,
-                watched=self.watched,
-                limits=self.limits,
-            )
+            about = self.tolerance, self.watched, self.limits
+            series, smooth = smooth_step(self.field, state, self.solver.order, *about)
+            series, length = end_at_kink(self.field, series, smooth, self.tolerance, *self.others)
             kept = None if memory.series is None else series
-            return series, evaluate_series(series, length), length, Memory((), kept)
+            control = smooth if self.limits.in_reverse else ()
+            return series, evaluate_series(series, length), length, Memory(control, kept)
         length, kept, first = memory.control
         zero, terms = jnp.zeros_like(length), self.terms
         controller = controller_of(self.tolerance, self.limits.longest)

@@ -64,14 +64,14 @@ def write_steps(
     made: Int[Array, ""],
     most: int,
     writer: Writer,
-    start_of: Callable[[PyTree], PyTree],
+    row_of: Callable[[PyTree], tuple[PyTree, PyTree]],
 ) -> tuple[PyTree, Int[Array, ""], list]:
-    """Make the same steps, and write on tapes where each begins: `start_of` the step before it."""
+    """Make the same steps, and write each on tapes: where it begins, and what was decided there."""
 
     def make(now):
         last, count, tapes = now
-        tapes = writer.put(tapes, count, start_of(last))
-        return step(last), count + 1, tapes
+        made = step(last)
+        return made, count + 1, writer.put(tapes, count, *row_of(made))
 
     begun = last, made, writer.tapes
     (last, _, tapes), made = make_steps(make, begun, lambda now: goes_on(now[0]), going, made, most)

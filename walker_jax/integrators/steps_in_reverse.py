@@ -36,11 +36,12 @@ from walker_jax.integrators.taylor import (
     VectorField,
     evaluate_series,
     function_series,
+    grow_both,
     order_of,
     solution_series,
     with_zeros,
 )
-from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, binding
+from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, binding, enter
 
 RATE_ORDER = 5
 """Order of the time derivatives that tell the rate of all derivatives for reverse mode."""
@@ -53,21 +54,40 @@ of the tolerance of derivatives. If it holds at the end of a step, derivatives o
 some hundred times as accurate."""
 
 
-def cut_in_reverse(field: VectorField, series: PyTree, length: Scalar, tolerance: Real) -> Scalar:
+def series_with_sharp_parts(
+    field: VectorField, state: PyTree, order: int
+) -> tuple[PyTree, tuple[list[Array], ...]]:
+    """Return the series of the solution from a state, and of all sharp functions in the field."""
+    if not has_sharp_features(field, state):
+        return solution_series(field, state, order), ()
+    both = with_sharp_parts(field)
+    if isinstance(field, PowerBalance):
+        series = solution_series(field, state, order)
+        return series, function_series(lambda state: both(state)[1], series)
+    return grow_both(both, jax.tree.map(jnp.asarray, state), order)
+
+
+def cut_in_reverse(
+    field: VectorField,
+    series: PyTree,
+    sharp: tuple[list[Array], ...],
+    length: Scalar,
+    tolerance: Real,
+) -> Scalar:
     """Cut a step to what derivatives in all directions allow; constant to derivatives.
 
     If the derivative in which all numbers change grew at its rate r for ever, its term of order
     n - 1 would be (r h)^(n-1) / (n-1)!, which is at most the tolerance of derivatives.
     """
-    order, series = order_of(series), lax.stop_gradient(series)
+    order, (series, sharp) = order_of(series), lax.stop_gradient((series, sharp))
     tolerance = DERIVATIVE_TOLERANCE * jnp.asarray(tolerance, length.dtype)
     reach = jnp.exp((jnp.log(tolerance) + math.lgamma(order)) / (order - 1))
     start = evaluate_series(series, jnp.zeros_like(length))
     square = squared_rate(field, start)
     length = jnp.where(square > 0, jnp.minimum(length, reach / jnp.sqrt(square)), length)
-    if has_sharp_features(field, start):
-        parts = sharp_parts(field)
-        about = parts, series, function_series(parts, series), AGREEMENT * tolerance
+    if sharp:
+        parts = lambda state: with_sharp_parts(field)(state)[1]
+        about = parts, series, sharp, AGREEMENT * tolerance
         length = shorten_until(partial(parts_agree, *about), length)
     return lax.stop_gradient(length)
 
@@ -128,14 +148,16 @@ def parts_agree(
     return reduce(operator.and_, near)
 
 
-def sharp_parts(function: Callable[[PyTree], PyTree]) -> Callable[[PyTree], tuple[Array, ...]]:
-    """Return a function of a state: the results of all sharp primitives within a function."""
+def with_sharp_parts(
+    function: Callable[[PyTree], PyTree],
+) -> Callable[[PyTree], tuple[PyTree, tuple[Array, ...]]]:
+    """Return a function with the results of all sharp primitives within it."""
 
     def evaluate(state):
-        closed, _ = trace(function, state)
+        closed, shapes = trace(function, state)
         parts = SharpParts([])
-        parts.interpret(closed, jax.tree.leaves(state))
-        return tuple(parts.found)
+        results = parts.interpret(closed, jax.tree.leaves(state))
+        return jax.tree.unflatten(jax.tree.structure(shapes), results), tuple(parts.found)
 
     return evaluate
 
@@ -156,4 +178,9 @@ class SharpParts(Interpreter):
             self.found += results
         return results
 
-    rules: ClassVar = {**CALLS, **CALLS_WITH_DERIVATIVES}
+    def call(self, equation, operands: list) -> list:
+        """Call a function that has derivatives or a series of its own."""
+        enter(self, equation, operands)
+        return self.default_rule(equation, operands)
+
+    rules: ClassVar = {**CALLS, **dict.fromkeys(CALLS_WITH_DERIVATIVES, call)}

@@ -80,6 +80,11 @@ def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyT
 
 
 def grow_series(vector_field, state, order):
+    return grow_both(lambda state: (vector_field(state), ()), state, order)[0]
+
+
+def grow_both(rates_and_others: Callable, state: PyTree, order: int) -> tuple[PyTree, PyTree]:
+    """Return the coefficients of a solution, and of other functions of the state along it."""
     leaves, structure = jax.tree.flatten(state)
     rates: list[Series] = []
 
@@ -87,8 +92,9 @@ def grow_series(vector_field, state, order):
         return Series(lambda k: leaves[i] if k == 0 else scale(rates[i][k - 1], 1 / k))
 
     solutions = jax.tree.unflatten(structure, [solution(i) for i in range(len(leaves))])
-    rates += jax.tree.leaves(compose(vector_field, solutions, state))
-    return jax.tree.map(lambda series: coefficients_up_to(series, order), solutions)
+    found, others = compose(rates_and_others, solutions, state)
+    rates += jax.tree.leaves(found)
+    return jax.tree.map(lambda series: coefficients_up_to(series, order), (solutions, others))
 
 
 expand_solution = eqx.filter_custom_jvp(grow_series)

@@ -22,7 +22,7 @@ from walker_jax.integrators.step_lengths import (
     longest_step,
     scale_of,
 )
-from walker_jax.integrators.steps_in_reverse import cut_in_reverse
+from walker_jax.integrators.steps_in_reverse import cut_in_reverse, series_with_sharp_parts
 from walker_jax.integrators.taylor import (
     VectorField,
     evaluate_series,
@@ -62,26 +62,32 @@ def taylor_step(
     ends just behind the kink, by `tolerance` times the length. The length is NaN if f jumps by more
     than the root of the tolerance, relative to |y| or |y'|.
     """
-    series = solution_series(vector_field, state, order)
-    length = smooth_length(vector_field, state, series, tolerance, watched, limits)
+    series, length = smooth_step(vector_field, state, order, tolerance, watched, limits)
     return end_at_kink(vector_field, series, length, tolerance, *others)
 
 
-def smooth_length(
+def smooth_step(
     vector_field: VectorField,
     state: PyTree,
-    series: PyTree[list],
+    order: int,
     tolerance: Real,
     watched: tuple[Callable[[PyTree], Scalar], ...],
     limits: StepLimits,
-) -> Scalar:
-    """Return the length of a step from a state, if it meets no kink; constant to derivatives."""
-    length = longest_step(vector_field, state, series, tolerance, limits)
+) -> tuple[PyTree[list], Scalar]:
+    """Return the series of a step from a state, and its length if it meets no kink.
+
+    The length is constant to derivatives.
+    """
     if limits.in_reverse:
-        length = cut_in_reverse(vector_field, series, length, tolerance)
+        series, sharp = series_with_sharp_parts(vector_field, state, order)
+        length = longest_step(vector_field, state, series, tolerance, limits)
+        length = cut_in_reverse(vector_field, series, sharp, length, tolerance)
+    else:
+        series = solution_series(vector_field, state, order)
+        length = longest_step(vector_field, state, series, tolerance, limits)
     for function in watched:
         length = cut_for_function(function, lax.stop_gradient(series), length, tolerance)
-    return length
+    return series, length
 
 
 def end_at_kink(

@@ -13,7 +13,7 @@ from jaxtyping import Array, Int, PyTree
 from walker_jax.integrators.integrator import Method, zero_at
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import evaluate_series, solution_series
-from walker_jax.integrators.taylor_steps import Taylor, end_at_kink, smooth_length
+from walker_jax.integrators.taylor_steps import Taylor, end_at_kink, smooth_step
 from walker_jax.kernels.reverse import with_transposed_turns
 
 
@@ -39,9 +39,9 @@ def transpose_steps(
         return solution_series(field, state, method.solver.order)
 
     def decide(carry):
-        state, _ = carry
-        about = method.tolerance, method.watched, method.limits
-        return smooth_length(field, state, expand(state), *about)
+        assert isinstance(method.solver, Taylor)
+        about = method.solver.order, method.tolerance, method.watched, method.limits
+        return smooth_step(field, carry[0], *about)[1]
 
     def turn(carry, length):
         state, time = carry

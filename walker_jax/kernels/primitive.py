@@ -60,6 +60,9 @@ LONG_CELLS = 4000
 
 In other calls, and on other devices, every direction becomes a cell of its own.
 """
+MOST_COPIED = 2**20
+"""Most numbers, 8 MiB, of which each cell of a call gets a copy: larger ones, as the weights of
+many networks that walk from many starts, would be read from memory over and over."""
 MAX_DIRECTIONS = 32
 """Most directions at once: each number of directions needs a program of its own."""
 
@@ -236,6 +239,9 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
             return batch_directions(operands, batched, (size, directions), more, mapped)
     each = zip(operands, mapped, batched, strict=True)
     cells = next((x.shape[over : over + own] for x, own, over in each if own), ())
+    alike = [x.size for x, own, over in zip(operands, mapped, batched, strict=True) if over > own]
+    if math.prod(cells) * sum(alike) > MOST_COPIED and cells:
+        return batch_one_by_one(operands, batched, program, mapped)
 
     def spread(x, own, over):
         """Return an operand of some cells with the axes of all cells."""
@@ -249,6 +255,18 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
     operands = list(map(spread, operands, mapped, batched))
     either = tuple(1 + len(cells) if a or b else 0 for a, b in zip(mapped, batched, strict=True))
     outputs = kernel_p.bind(*operands, program=program, mapped=either)
+    return outputs, [0] * len(outputs)
+
+
+def batch_one_by_one(operands, batched, program: Program, mapped: tuple[int, ...]):
+    """Add an axis of calls, one after the other: the cells of each share some operands."""
+    along = list(np.flatnonzero(batched))
+
+    def call(some):
+        values = replace_some(operands, along, some)
+        return kernel_p.bind(*values, program=program, mapped=mapped)
+
+    outputs = jax.lax.map(call, [operands[i] for i in along])
     return outputs, [0] * len(outputs)
 
 

@@ -28,9 +28,11 @@ NO_TRANSPOSE = (
     "can't apply forward-mode autodiff (jvp) to a custom_vjp",
     "Differentiation rule for 'custom_lin'",
     "Transpose rule",
+    "Linearization failed to produce known values",
 )
 """How JAX's errors begin for a loop of a user's own, for a loop of this module within a derivative
-(twice), and for a primitive without a transpose."""
+(twice), for a primitive without a transpose, and for steps whose lengths depend on the direction,
+as those of margins do."""
 
 reversing = jax.make_user_context(False)
 """True while the function is traced that an adjoint transposes."""
@@ -40,9 +42,9 @@ class Writer(NamedTuple):
     """A tape on which a loop writes the starts of its turns, as it is made."""
 
     tapes: list
-    put: Callable[[list, Int[Array, ""], PyTree], list]
-    """From tapes, the number of a turn and what the loop carries at its start, to the tapes with
-    that row."""
+    put: Callable[..., list]
+    """From tapes, the number of a turn, what the loop carries at its start and what is decided
+    there, to the tapes with that row."""
 
 
 class Traced:
@@ -91,8 +93,8 @@ def with_transposed_turns(
     decided = jax.tree.unflatten(deciding.structure, deciding.shapes)
     tapes = Tapes([*leaves, *deciding.shapes])
 
-    def put(written, i, carried):
-        row = [*jax.tree.leaves(carried), *jax.tree.leaves(decide(carried))]
+    def put(written, i, carried, decided=()):
+        row = [*jax.tree.leaves(carried), *jax.tree.leaves(decided)]
         return tapes.write(written, jnp.clip(i, 0, ROWS), row)
 
     finding = Traced(lambda start, written: find(start, Writer(written, put)), start, tapes.blank())
