@@ -21,6 +21,7 @@ ZERO = mpf(10) ** -30
 SAMPLES = {
     "buck_converter": 2e-5,
     "stiff_ground": 5e-5,
+    "kneed_walker": 1 / 32,
     "rocking_block": 1 / 32,
 }
 """Times between samples of the guards where they are not `USUAL`."""

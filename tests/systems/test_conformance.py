@@ -63,6 +63,8 @@ def test_walkers_walk_as_published():
     """Their first heel strikes are those of the gaits in tests/data."""
     strikes = lambda name, number: float(read(name, 0)[1]["events"][number]["time"])
     assert strikes("simplest_walker", 0) == pytest.approx(3.882463752851, abs=3e-8)
+    assert strikes("kneed_walker", 0) == pytest.approx(0.348612000484, abs=1e-12)
+    assert strikes("kneed_walker", 1) == pytest.approx(0.5643281659149, abs=1e-12)
 
 
 def test_both_ways_compute_the_numbers_anew():
@@ -101,8 +103,8 @@ def test_every_run_has_its_numbers_and_its_row():
             assert all(set(row) == known for row in run["derivatives"].values())
             assert run["events"][0]["mode"] == run["mode"]
     assert not rows
-    assert f"in {closed} systems" in page and "Twenty-three systems" in page
-    assert len(formulas.names()) == 23
+    assert f"in {closed} systems" in page and "Twenty-four systems" in page
+    assert len(formulas.names()) == 24
 
 
 def test_a_wrong_answer_has_few_digits():
