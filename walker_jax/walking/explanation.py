@@ -59,7 +59,6 @@ MOST_RECORDED = 10_000
 """Most steps of a mode that are recorded one by one; then only its end is found. To record a step
 takes a thousand times as long as to make it."""
 
-
 ROUNDING = 1e-9
 """Part of a step within which two guards rise at once."""
 
