@@ -27,7 +27,7 @@ def read(name: str, i: int) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def check(name: str, i: int) -> None:
-    """This package has the events of a run; its numbers are right to a tolerance of 1e-12 a step."""
+    """This package has the events of a run, and its numbers to a tolerance of 1e-12 a step."""
     system, run = read(name, i)
     slopes = [abs(float(one)) for row in run["derivatives"].values() for one in row.values()]
     lost = math.log10(max(1.0, *slopes))  # digits of float64, by which the run amplifies errors
