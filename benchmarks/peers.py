@@ -6,9 +6,9 @@ time of one ball on one core, the last number the largest error. heyoka's balls 
 one, as its event calls no Python and only stops the integrator; from a height of exactly 0 it
 misses the event. Peers are optional: jaxonomy 3.4 asks for jax 0.9, but runs with 0.10.
 
-The answer: strides take a 16th of heyoka's time, a hundredth of jaxonomy's under `vmap`, and
-a 3000th of SciPy's, with less error than any. In a kernel diffrax takes 1.3 times as long as strides, and a fifth of its
-own time without one. These flights are short: where solves need many steps, or
+The answer: strides take a 16th of heyoka's time, a hundredth of jaxonomy's under `vmap`, and a
+3000th of SciPy's, with less error than any. In a kernel diffrax takes 1.3 times as long as strides,
+and a fifth of its own time without one. These flights are short: where solves need many steps, or
 different numbers of them, a kernel gains more (benchmarks/kernels.py).
 
     2 cores; jax 0.10.2, diffrax 0.7.2, heyoka 7.13.2, jaxonomy 3.4.1; 20000 balls, with errors
