@@ -3,7 +3,8 @@
 The reference is that of `small_steps.py`, which shares no integration and no search with the
 package; for systems that are no walkers it follows their modes, guards and conditions in the same
 way. A stride is wrong if its outcome differs, and no start within the solver's accuracy has it; or
-if its state or its time are farther off than those of such starts are from each other. That
+if its state or its time are off by more than the tolerance, and farther than those of such starts
+are from each other. That
 accuracy is 100 times the tolerance, and at least 1e-7, which is the reference's. Undecided strides
 are counted apart: a method of low order gives up where it would need more than 20 000 steps.
 
@@ -125,7 +126,7 @@ from small_steps import (
 
 import walker_jax as wj
 from walker_jax.execution.tiles import map_cells
-from walker_jax.hybrid.graphs import in_order
+from walker_jax.hybrid.graphs import entered_again, in_order
 from walker_jax.hybrid.modes import SECTION
 from walker_jax.kernels import kernel
 from walker_jax.systems.family import SYSTEMS
@@ -150,6 +151,8 @@ FINER, EXAMPLES = 10, 3
 """How much finer the reference is computed where a stride is wrong by it; strides shown."""
 STEPS = {"five-link-biped": 5e-4, "torso-wheel": 2e-3}
 """Small steps of systems whose unit of time is long."""
+PASSES = 4
+"""Passes over the modes of a graph in which an edge leads back; what needs more is unclear."""
 GUARDS, NONE = 200, -1
 """Code of a mode's first guard, in place of an outcome; others follow; and that of none."""
 
@@ -204,7 +207,9 @@ def system_by_small_steps(system: Any, x: Any, step: Any) -> Any:
     outcome = jnp.where(feasible, int(Outcome.UNDECIDED), int(Outcome.OUTSIDE))
     entries = {first: (jnp.asarray(True), start)}
     struck = jnp.asarray(int(Outcome.STRIDE))
-    for name in in_order(modes):
+    for name in in_order(modes) * (PASSES if entered_again(modes) else 1):
+        if name not in entries:
+            continue
         mode, (reached, y) = modes[name], entries.pop(name)
         on = reached & (outcome == Outcome.UNDECIDED)
         begun, due = fallen_in(mode, numbers, y), guard_due(mode, modes, y, step)
@@ -234,7 +239,9 @@ def system_by_small_steps(system: Any, x: Any, step: Any) -> Any:
             known, other = entries.get(to, (jnp.asarray(False), after))
             after = jax.tree.map(partial(jnp.where, took), after, other)
             entries[to] = known | took, after
-    y = entries[SECTION][1]
+    y = entries.pop(SECTION)[1]
+    for reached, _ in entries.values():
+        outcome = jnp.where(reached & (outcome == Outcome.UNDECIDED), UNCLEAR, outcome)
     fallen = fallen_in(modes[first], numbers, system.begin(y))
     back = (struck == Outcome.STRIDE) & (fallen != Outcome.UNDECIDED)
     struck = jnp.where(back, fallen, struck)
@@ -285,21 +292,21 @@ def survey(name: str, count: int, solvers: dict[str, Any]) -> None:
         ]
         made, codes = map(np.stack, zip(*made, strict=True))
         errors = np.abs(made - alone)
-        clear = (outcome != UNCLEAR) & (codes != Outcome.UNDECIDED)
-        wrong, off = clear & (codes != outcome), clear & (errors > NEAR).any(axis=2)
+        clear, near = (outcome != UNCLEAR) & (codes != Outcome.UNDECIDED), max(NEAR, tolerance)
+        wrong, off = clear & (codes != outcome), clear & (errors > near).any(axis=2)
         for _ in range(BESIDE):
             if not len(rows := np.flatnonzero((wrong | off).any(axis=0))):
                 break
-            apart = max(NEAR, ACCURACY * tolerance) * rng.uniform(-1, 1, (len(rows), xs.shape[1]))
+            apart = max(near, ACCURACY * tolerance) * rng.uniform(-1, 1, (len(rows), xs.shape[1]))
             end, code = ends(rows, xs[rows] + apart, step)
             spread[rows] = np.maximum(spread[rows], np.abs(end - alone[rows]))
             wrong[:, rows] &= (code != UNCLEAR) & (codes[:, rows] != code)
-            off[:, rows] &= (errors[:, rows] > NEAR + OFF * spread[rows]).any(axis=2)
+            off[:, rows] &= (errors[:, rows] > near + OFF * spread[rows]).any(axis=2)
         if len(rows := np.flatnonzero((wrong | off).any(axis=0))):  # the reference more finely
             end, code = ends(rows, xs[rows], step / FINER)
             errors = np.abs(made[:, rows] - end)
             wrong[:, rows] &= (code != UNCLEAR) & (codes[:, rows] != code)
-            off[:, rows] &= (errors > NEAR + OFF * spread[rows]).any(axis=2)
+            off[:, rows] &= (errors > near + OFF * spread[rows]).any(axis=2)
         for i, title in enumerate(solvers):
             undecided = codes[i] == Outcome.UNDECIDED
             rows_of[title].append([undecided.sum(), wrong[i].sum(), off[i].sum()])

@@ -52,10 +52,11 @@ def clock(monkeypatch):
     def evaluate(problem, stage, values, *_, value_only=False):
         later = clock.at_ends if stage == ENDS_STAGE else ALONE if value_only else LATER
         clock.work(later if clock.begun else FIRST)
-        none, away = np.zeros(len(values)), values - TOP
+        away, unknown = values - TOP, np.nan if value_only else 0.0
         value = 1 - float(np.sum(away**2))
+        uphill, error = -2 * away + unknown, np.full(len(values), unknown)
         of_all = np.full(len(problem.measures), value)
-        return Evaluation(-1, stage, values, value, 0.0, -2 * away, none, of_all, 0)
+        return Evaluation(-1, stage, values, value, 0.0, uphill, error, of_all, 0)
 
     def basins(*_):
         clock.work(VIEW)
@@ -91,6 +92,14 @@ def test_an_optimisation_holds_its_budget(clock, starts):
     assert ended[0] == ended[1] <= ended[2] and np.all(np.diff(ended) >= 0) and ended[-1] > ended[0]
 
 
+def test_the_first_value_is_known_before_its_gradient(clock):
+    """A gradient that would take too long, with programs of its own, is given up."""
+    found, took = optimum_within(clock, FIRST + KERNEL)
+    assert took <= FIRST + 2 * KERNEL and found.found and found.out_of_time
+    assert found.evaluation.size == 1 and np.isnan(found.gradient).all()
+    assert float(found.objective_start) == 1 - (0.004 - TOP) ** 2
+
+
 def test_with_enough_time_nothing_is_left_out(clock):
     whole, _ = optimum_within(clock, None, scan=3)
     found, took = optimum_within(clock, 1000.0, scan=3)
@@ -103,7 +112,7 @@ def test_with_enough_time_nothing_is_left_out(clock):
 def test_ends_scan_and_basins_have_a_third_more(clock, monkeypatch):
     """A climb that converges leaves them what it did not use; without time they are left out."""
     monkeypatch.setattr("walker_jax.execution.threads.cores", lambda: 1)
-    _, climbed = optimum_within(clock, None)
+    _, climbed = optimum_within(clock, 1e6)
     climbed -= 2 * LATER + VIEW
     seconds, ends = climbed + KERNEL, FIRST + (climbed + KERNEL - FIRST) * 4 / 3
     points = int((ends - climbed - 2 * LATER) / LATER)

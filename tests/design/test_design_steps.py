@@ -197,13 +197,13 @@ def test_where_nothing_walks_steps_lead_to_more_stable_gaits(monkeypatch, walkin
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
     begin = np.array([0.019, 0.4])
     trace = Trace(problem, None, None, False, 1)
-    found = climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0))
+    found = climbs.climb_to_walking(trace, 0, made_up(problem, 0, begin, 0.0))
     way = np.arange(1, 9)[:, None] * [-0.002, 0.1]
     np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)
     assert (found is not None) == (steps == 4)
     flat = {"spectral-radius": Measure(1.5, np.zeros(2))}
     monkeypatch.setattr("walker_jax.design.climbs.differentiate_measures", lambda *_, **__: flat)
-    assert climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0)) is None
+    assert climbs.climb_to_walking(trace, 0, made_up(problem, 0, begin, 0.0)) is None
 
 
 @pytest.mark.parametrize(("objective", "best"), [("speed", 1), ("spectral-radius", 2)])

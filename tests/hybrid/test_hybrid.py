@@ -167,8 +167,8 @@ def oscillator(state):
     return p, -q
 
 
-def mode_of(*guards, conditions=(), foregone=None):
-    return Mode(oscillator, guards, conditions, foregone=foregone)
+def mode_of(*guards, conditions=(), early_exit=None):
+    return Mode(oscillator, guards, conditions, early_exit=early_exit)
 
 
 def taylor(field=oscillator, tolerance=TOLERANCE, dtype="float64", others=()):
@@ -296,8 +296,8 @@ def test_violated_conditions_are_noted_and_do_not_end_a_mode():
     }
 
 
-def test_what_is_foregone_or_not_going_is_not_followed():
-    mode = mode_of(DOWN, foregone=EarlyExit(lambda state: state[1] < -0.2, "BACKWARD"))
+def test_what_exits_early_or_is_not_going_is_not_followed():
+    mode = mode_of(DOWN, early_exit=EarlyExit(lambda state: state[1] < -0.2, "BACKWARD"))
 
     @kernel
     def run(q, going):

@@ -71,7 +71,7 @@ def known_of(kind) -> set[str]:
         "falls last": all(one.persists for one in falls),
         "the foot stays down": strike.persists,
         "the force is least at ends": swing.conditions[0].least_at_ends,
-        "past contact": swing.foregone is not None,
+        "past contact": swing.early_exit is not None,
         "gravity": walker.driven_by_gravity(),
         "gait region": region.shape != wj.Walker.gait_region(walker).shape,
     }

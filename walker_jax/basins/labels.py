@@ -40,7 +40,7 @@ SURVIVAL = 1000, 2000
 """Strides after which all walkers that show whether motions without a period last are on one, and
 further strides in which none of those on it may fall or converge to a cycle. This tells an
 attractor from a transient whose mean life is below some 85,000 strides."""
-FURTHER = 2**14
+EXTRA_STRIDES = 2**14
 """Further strides for which undecided walkers are followed to a cycle. They end all but one in ten
 million transients with a mean life of 1000 strides, and half of those with 24,000."""
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from walker_jax.basins.attractor import Attractor, match_attractor, targets_of
 from walker_jax.basins.labels import (
     CLOSE,
-    FURTHER,
+    EXTRA_STRIDES,
     SKIPPED,
     SURVIVAL,
     VISITED,
@@ -52,7 +52,7 @@ class Mapper(NamedTuple):
     integrator: Integrator
     strides: int
     """Most strides for which a walker is followed."""
-    further: int = FURTHER
+    further: int = EXTRA_STRIDES
     """Further strides for which the remaining walkers are followed to their cycles; a later fall
     does not count."""
 

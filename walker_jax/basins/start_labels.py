@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import attracts, survey
-from walker_jax.basins.labels import FURTHER, Label
+from walker_jax.basins.labels import EXTRA_STRIDES, Label
 from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import (
     WrongUse,
@@ -84,7 +84,7 @@ def label(
     start: Float[ArrayLike, " section"] | Sequence[Any],
     *,
     strides: int = 200,
-    further: int = FURTHER,
+    further: int = EXTRA_STRIDES,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Label:

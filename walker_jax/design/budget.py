@@ -1,9 +1,9 @@
 """The time that an optimisation may take.
 
-The first measurement cannot be cut, with all that leads to it and all the programs that it
-compiles. After it, work that has begun stops before its next kernel once the time is over, and no
-measurement begins that would take longer than is left, if it takes as long as the last one of its
-kind. For what follows the climbs there is a third more of the time that the first measurement left.
+The first value of the objective cannot be cut, with all that leads to it and all the programs that
+it compiles. After it, work that has begun stops before its next kernel once the time is over, and
+no measurement begins that would take longer than is left, if it takes as long as the last one of
+its kind. For what follows the climbs there is a third more of the time that the first value left.
 """
 
 import math
@@ -29,7 +29,7 @@ class Budget:
         self.seconds, self.began = seconds, perf_counter()
         self.ends = self.began + seconds
         self.first: float | None = None
-        """Seconds until the first measurement was made; None before."""
+        """Seconds until the first value was known; None before."""
         self.first_made = threading.Event()
         self.took: dict[Hashable, float] = {}
         """Seconds of the last measurement of each kind."""
@@ -37,7 +37,7 @@ class Budget:
         """Whether anything was left out because no time was left."""
 
     def left(self) -> float:
-        """Return the seconds left; all of them until the first measurement is made."""
+        """Return the seconds left; all of them until the first value is known."""
         return math.inf if self.first is None else self.ends - perf_counter()
 
     def is_over(self) -> bool:
@@ -47,7 +47,7 @@ class Budget:
         return over
 
     def begin(self) -> None:
-        """Note that the first measurement has been made, if that is not known."""
+        """Note that the first value is known, if that is new."""
         if self.first is None:
             self.first = perf_counter() - self.began
         self.first_made.set()
@@ -58,7 +58,7 @@ class Budget:
         self.ends = self.began + self.seconds + extra
 
     def wait_for_first(self) -> None:
-        """Wait for the first measurement, which other work would delay, if time is limited."""
+        """Wait for the first value, which other work would delay, if time is limited."""
         if self.seconds < math.inf:
             self.first_made.wait()
 

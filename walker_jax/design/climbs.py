@@ -1,5 +1,6 @@
 """One ascent along the gradient of an objective, within bounds and limits."""
 
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import closing
@@ -22,7 +23,7 @@ if none does, the stage ends. Some objectives are discontinuous: just before a j
 or a step in the opposite direction may improve them."""
 MAX_STAGE_STEPS = 40
 """Most steps of a stage."""
-MAX_RESCUE_STEPS = 8
+MAX_STEPS_TO_WALKING = 8
 """Most long steps towards a more stable gait, from a start where nothing walks."""
 SIGNIFICANT_ERRORS = 2
 """Number of standard errors above which a difference of values is significant."""
@@ -85,11 +86,15 @@ def climb_by_steps(
     if begin is None:
         yield Climb(None, None, False, explain_failure(trace, place))
         return
+    if trace.budget.first is None and trace.budget.seconds < math.inf:
+        value = trace.measure(run, stage, begin, value_only=True)
+        trace.budget.begin()  # also if it was known
+        yield Climb(value, value if walks(problem, value) else None, False)
     start = trace.measure(run, stage, begin)
-    trace.budget.begin()  # also if it was known
+    trace.budget.begin()
     here = start if can_be_climbed(problem, start) else None
     if here is None and stage == 0:
-        here = rescue(trace, run, start)
+        here = climb_to_walking(trace, run, start)
     if here is None:
         yield Climb(start, None, False, explain_failure(trace, begin))
         return
@@ -240,10 +245,10 @@ def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
     return walks(problem, row) and bool(np.isfinite(row.gradient).all())
 
 
-def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
+def climb_to_walking(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
     """Take long steps to more stable gaits, until an objective that was zero can be climbed."""
     problem = trace.problem
-    for _ in range(MAX_RESCUE_STEPS):
+    for _ in range(MAX_STEPS_TO_WALKING):
         gait = trace.gait(row.parameters)
         walker = problem.walker_at(row.parameters)
         wanted = ("spectral-radius",)

@@ -74,6 +74,8 @@ def disturbance_gradient(
         tolerance=tolerance,
     )
     found = search(walker, gait)
+    if not parameters:
+        return Measure(found.size, np.zeros(0), averaged=~every)
     checked_tolerance = default_tolerance(found.state.dtype, tolerance)
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])

@@ -163,7 +163,7 @@ def optimise(
     - `keep`: called with the trace after each measurement.
     - `seconds`: time of the climbs, compilation included, after which the best walker so far is
       the optimum. A measurement in progress is given up, and none begins that would not fit. The
-      budget cannot cut the measurement of the first start with its compilation (`first_seconds`).
+      budget cannot cut the first value of the objective with its compilation (`first_seconds`).
       A third of the time left after that comes on top, for the ends, on a grid half as fine, a
       scan and the basins shown; what does not fit is left out, and ends then have the values of
       the climb. The run can be continued by `known`.
@@ -183,7 +183,7 @@ def optimise(
     - `binding`: the measures whose limits bind at the optimum;
     - `converged`: whether it ended because no step of the last stage along the gradient improved
       the objective; `out_of_time`: whether anything was left out because the `seconds` were over;
-      with these, `first_seconds`: the time until the first start was measured;
+      with these, `first_seconds`: the time until the first value was known;
     - `note_start` and `note_optimum`: the gait of `find_gait`, if that is another one.
 
     Over all evaluations, the trace: `run`, `stage` (-1 for the scan, -2 for the ends, -3 for these

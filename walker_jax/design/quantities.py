@@ -210,7 +210,8 @@ def measure_arrays(
     check_found(gait)
     field = OF_GAITS[quantity]
     value = np.asarray(getattr(gait, field))
-    changes = GaitPull(walker, gait, numbers, tolerance).changes
+    pull = GaitPull(walker, gait, numbers, tolerance)
+    changes = pull.changes if field == "multipliers" else pull.motions
     gradient = np.zeros((*value.shape, len(numbers)), value.dtype)
     for i, change in enumerate(changes):
         gradient[..., i] = getattr(change, field)

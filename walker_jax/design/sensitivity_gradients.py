@@ -45,7 +45,7 @@ def sensitivity_gradient(
         return Measure(np.inf, np.full(len(parameters), np.nan))
     value, gradient = float(norm(checked, state)), []
     for name in parameters:
-        change = gait_derivatives(walker, gait, name, tolerance=tolerance)
+        change = gait_derivatives(walker, gait, name, multipliers=False, tolerance=tolerance)
         way = along_parameter(checked, name), jnp.asarray(change.states[0], state.dtype)
         gradient.append(float(jax.jvp(norm, (checked, state), way)[1]))
     return Measure(value, np.array(gradient))

@@ -106,7 +106,8 @@ class Trace:
         """Measure the walker at a place, or return the known measurement.
 
         With `value_only` the gradient may be missing. That of an area may take two areas more for
-        each parameter; other gradients are always measured.
+        each parameter, and any takes programs of its own before the first is measured; other
+        gradients are always measured.
         """
         (row,) = self.measure_each(run, stage, [place], value_only=value_only)
         return row
@@ -123,7 +124,7 @@ class Trace:
 
         Rows are added one by one as they are taken. Close it to stop the other measurements.
         """
-        value_only = value_only and bool(self.problem.size)
+        value_only = value_only and (bool(self.problem.size) or self.budget.first is None)
         with_gradient = stage >= 0 and not value_only
 
         def find_or_measure(values: Float[np.ndarray, " parameters"]) -> Evaluation:

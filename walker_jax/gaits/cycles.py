@@ -212,6 +212,8 @@ class Linearisation(NamedTuple):
     """Jacobian J of each stride: derivatives of its end by its start; NaN where it fails."""
     by_parameter: Float[np.ndarray, "n period section"]
     """Derivatives of the ends by the parameter; zero if none is given."""
+    of_time: Float[np.ndarray, "n period columns"]
+    """Derivatives of the durations by the coordinates of the start, then by the parameter."""
 
 
 def linearise(
@@ -237,22 +239,26 @@ def linearise(
 
     everything = np.arange(len(starts))
     by = np.full((len(starts), len(directions), size), np.nan, cycles.dtype)
+    of_time = np.full((len(starts), size + 1), np.nan, cycles.dtype)
     few = len(starts) <= FEW_STRIDES
     first = len(directions) if few else 1
-    (state, time), (changes, _) = differentiate(directions[:first], everything)
+    (state, time), (changes, longer) = differentiate(directions[:first], everything)
     state, time = state[::first], time[::first]
     by[:, :first] = changes.reshape(len(starts), first, size)
+    of_time[:, :first] = longer.reshape(len(starts), first)
     walks = np.isfinite(state).all(axis=1)
     if not few:
         walking = np.flatnonzero(walks)
-        _, (others, _) = differentiate(directions[1:], walking)
+        _, (others, longer) = differentiate(directions[1:], walking)
         by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
+        of_time[walking, 1 : len(directions)] = longer.reshape(len(walking), -1)
     shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])
     return Linearisation(
         state=shaped(state),
         time=shaped(time),
         jacobian=np.swapaxes(shaped(by[:, :size]), 2, 3),
         by_parameter=shaped(by[:, size]) if parameter else np.zeros_like(cycles),
+        of_time=shaped(of_time[:, : len(directions)]),
     )
 
 

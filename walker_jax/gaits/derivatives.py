@@ -45,19 +45,25 @@ class GaitDerivatives(NamedTuple):
     states: Float[np.ndarray, "period section"]
     """d(state)/dp."""
     multipliers: Complex[np.ndarray, " section"]
-    """d(multiplier)/dp."""
+    """d(multiplier)/dp; NaN if they are left out."""
     step_times: Float[np.ndarray, " period"]
     """d(step time)/dp."""
 
 
 def gait_derivatives(
-    walker: System, gait: Gait, parameter: str, *, tolerance: Real | None = None
+    walker: System,
+    gait: Gait,
+    parameter: str,
+    *,
+    multipliers: bool = True,
+    tolerance: Real | None = None,
 ) -> GaitDerivatives:
     """Differentiate a gait's states, multipliers and step times by a parameter of the walker.
 
     By the implicit function theorem, dx solves J_i dx_i - dx_{i+1} = -dS(x_i)/dp. The derivative
     of a multiplier is (w dM v) / (w v), where M = J_k ... J_1, v and w are the right and left
-    eigenvectors of M, and dM takes second derivatives of the stride function.
+    eigenvectors of M, and dM takes second derivatives of the stride function, which are most of the
+    work.
 
     At a bifurcation with a multiplier of 1 the system for dx is singular, and the derivatives do
     not exist: towards a fold they grow like the inverse square root of the distance in p. They
@@ -68,6 +74,7 @@ def gait_derivatives(
     - `walker`: a walker with its parameters.
     - `gait`: a gait of this walker.
     - `parameter`: name of the walker's parameter.
+    - `multipliers`: whether to differentiate the multipliers too.
     - `tolerance`: tolerance of the integration, as in `stride`.
 
     **Returns** `GaitDerivatives`.
@@ -78,6 +85,7 @@ def gait_derivatives(
     check_parameter(walker, parameter)
     check_found(gait)
     cycle = np.asarray(gait.states)[None]
+    period, size = cycle.shape[1:]
     walker, _, integrator = prepare(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, integrator, parameter)
     check_cycle(walker, cycle[0], local.state[0], MAX_RESIDUAL[cycle.dtype])
@@ -85,8 +93,14 @@ def gait_derivatives(
         cycle_matrices(local.jacobian), -local.by_parameter.reshape(1, -1)
     ).reshape(cycle.shape)
     along = np.concatenate([dx, np.ones_like(dx[..., :1])], axis=-1)
+    found = GaitDerivatives(
+        states=dx[0],
+        multipliers=np.full(size, np.nan, complex),
+        step_times=np.sum(local.of_time * along, axis=-1)[0],
+    )
+    if not multipliers:
+        return found
     second = differentiate_twice(walker, cycle, along, integrator, [parameter])
-    period, size = cycle.shape[1:]
     change = np.zeros((size, size))
     for i in range(period):
         factors = local.jacobian[0].copy()
@@ -95,7 +109,7 @@ def gait_derivatives(
     values, vectors = np.linalg.eig(multiply_jacobians(local.jacobian)[0])
     order = order_by_modulus(values.astype(complex))
     rates = np.diag(np.linalg.solve(vectors, change @ vectors))
-    return GaitDerivatives(dx[0], rates[order].astype(complex), second.time[0])
+    return found._replace(multipliers=rates[order].astype(complex))
 
 
 class GaitPull:
@@ -114,7 +128,16 @@ class GaitPull:
     @cached_property
     def changes(self) -> list[GaitDerivatives]:
         """Derivatives of the gait by each number."""
-        each = partial(gait_derivatives, self.walker, self.gait, tolerance=self.tolerance)
+        return self.differentiate()
+
+    @cached_property
+    def motions(self) -> list[GaitDerivatives]:
+        """The same without multipliers, which take second derivatives."""
+        return self.differentiate(multipliers=False)
+
+    def differentiate(self, **how: bool) -> list[GaitDerivatives]:
+        """Return derivatives of the gait by each number."""
+        each = partial(gait_derivatives, self.walker, self.gait, tolerance=self.tolerance, **how)
         return [each(name) for name in self.parameters]
 
     def pull(
@@ -133,7 +156,8 @@ class GaitPull:
             pairs = [*zip(given, ("states", "step_times", "multipliers"), strict=True)]
             used = [(by, name) for by, name in pairs if by.any()]
             along = lambda one: sum(np.sum(by * getattr(one, name)).real for by, name in used)
-            return np.array([along(one) for one in self.changes], by_states.dtype)
+            changes = self.changes if by_multipliers.any() else self.motions
+            return np.array([along(one) for one in changes], by_states.dtype)
         total = self.pull_states(by_states, by_times)
         if by_multipliers.any():
             cycle = jnp.asarray(self.gait.states)
@@ -186,8 +210,6 @@ class SecondDerivatives(NamedTuple):
     """Derivatives of the ends by each column."""
     along: Float[np.ndarray, "n period section"]
     """Derivatives of the ends along the direction."""
-    time: Float[np.ndarray, "n period"]
-    """Derivatives of the durations along it."""
     changes: Float[np.ndarray, "n period section columns"]
     """Derivatives of `along` by each column."""
 
@@ -215,20 +237,23 @@ def differentiate_twice(
     axes = parameter_directions(walker, parameters, cycles.dtype, MOST_PARAMETERS)
     shared = integrator.in_dtype(cycles.dtype), axes
     found = map_cells(second_jvp, (shared, cells))
-    ((state, _), (along, time)), ((by_columns, _), (changes, _)) = found
+    (state, along), (by_columns, changes) = found
     shape = n, period, columns
     each = lambda values: values.reshape(*shape, size)
     return SecondDerivatives(
         state=each(state)[:, :, 0],
         by_columns=np.swapaxes(each(by_columns), 2, 3),
         along=each(along)[:, :, 0],
-        time=time.reshape(shape)[:, :, 0],
         changes=np.swapaxes(each(changes), 2, 3),
     )
 
 
 def second_jvp(shared: tuple[Integrator, System], cell):
-    """Return ((stride, its derivative along first), (its derivatives along second, along both))."""
+    """Return ((end, its derivative along first), (its derivatives along second, along both))."""
     walker, x, first, second = cell
-    derivative = lambda walker, x: jvp(shared, (walker, x, first))
+
+    def derivative(walker, x):
+        (state, _), (along, _) = jvp(shared, (walker, x, first))
+        return state, along
+
     return jax.jvp(derivative, (walker, x), split(shared[1], walker, x, second))

@@ -56,7 +56,7 @@ class End(NamedTuple):
     time: Scalar
     """Time since the start of the mode."""
     guard: Int[Array, ""]
-    """Number of the guard that ended it. For a foregone end it is the number of all guards; without
+    """Number of the guard that ended it. For an early exit it is the number of all guards; without
     an end, `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
     """Conditions that were violated, at both ends of the mode too."""
@@ -149,10 +149,10 @@ def find_event(
     mode, begun = begin_following(mode, start, going, method, measured)
     if risen is not None:
         begun = begun._replace(guard=jnp.where(risen >= 0, risen, begun.guard))
-    return follow_on(mode, method, begun, measured=measured, writer=writer)
+    return integrate_mode(mode, method, begun, measured=measured, writer=writer)
 
 
-def follow_on(
+def integrate_mode(
     mode: Mode,
     method: Method,
     begun: Unfinished,
@@ -294,8 +294,8 @@ def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> 
         turns = ((before[1] < 0) & (rate > 0)) | dip_between(before, after, length).exists
         may |= ((value < 0) | turns) & ~violated[condition.leads_to]
         seen.append((before, after))
-    if mode.foregone is not None:
-        may |= value_at(mode.foregone.holds, end)
+    if mode.early_exit is not None:
+        may |= value_at(mode.early_exit.holds, end)
     return Step(begins, end, step.time + step.length, length, below, ends, seen, ~may, memory)
 
 
@@ -326,9 +326,9 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished
     arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
     seen = StepRecord(last.start, series, last.length, arrival, until, crossings, now.violated)
     misses = None if now.misses is None else add_misses(mode, now.misses, seen)
-    if mode.foregone is not None:
-        foregone = (number == NO_GUARD) & value_at(mode.foregone.holds, last.end)
-        number = jnp.where(foregone, len(mode.guards), number)
+    if mode.early_exit is not None:
+        exits = (number == NO_GUARD) & value_at(mode.early_exit.holds, last.end)
+        number = jnp.where(exits, len(mode.guards), number)
     if not method.is_series:  # without a time of the event the motion is undecided
         number = jnp.where(jnp.isnan(until), NO_GUARD, number)
         last = last._replace(length=jnp.where(jnp.isnan(until), jnp.nan, last.length))

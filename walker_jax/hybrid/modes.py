@@ -116,7 +116,7 @@ class Mode(NamedTuple):
     guards: tuple[Guard, ...]
     """The earliest rise ends the mode; of rises at the same time, the first guard's counts."""
     conditions: tuple[Condition, ...] = ()
-    foregone: EarlyExit | None = None
+    early_exit: EarlyExit | None = None
     rates_at: Callable[[Any], Any] | None = None
     """The time derivative of a single state, where `field` is no function."""
     as_smooth: bool = False

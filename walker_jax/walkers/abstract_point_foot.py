@@ -114,7 +114,7 @@ def pendulum_modes(
     *falls, strike = swing.guards
     pulls, *others = swing.conditions
     lasting = [one._replace(persists=True) for one in falls]
-    strike = strike._replace(persists=swing.foregone is not None)
+    strike = strike._replace(persists=swing.early_exit is not None)
     conditions = pulls._replace(least_at_ends=True), *others
     return modes | {"swing": swing._replace(guards=(*lasting, strike), conditions=conditions)}
 

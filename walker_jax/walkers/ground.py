@@ -53,7 +53,7 @@ def raise_ground(walker: Any, modes: Mapping[str, Mode], step: Scalar) -> dict[s
     lower = strike._replace(value=above, admits=ahead, persists=False)
     raised = {name: keep_above(modes[name], step) for name in phases}
     raised[last] = swing._replace(guards=(*falls, passes, onto))
-    return raised | {LOWER: swing._replace(guards=(*falls, lower), foregone=None)}
+    return raised | {LOWER: swing._replace(guards=(*falls, lower), early_exit=None)}
 
 
 def keep_above(mode: Mode, step: Scalar) -> Mode:

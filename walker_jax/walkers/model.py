@@ -171,12 +171,12 @@ class Walker(HybridSystem):
         )
         over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
         known = is_unchanged(self, home_of(type(self), "past_contact"), *SWING)
-        foregone = EarlyExit(over, Outcome.FORWARD.name) if known else None
+        exits = EarlyExit(over, Outcome.FORWARD.name) if known else None
         swing = Mode(
             self.equations(),
             (*fall_guards(self), strike),
             conditions_of(self),
-            foregone=foregone,
+            early_exit=exits,
             rates_at=self.vector_field,
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
             longest_step=self.longest_step,

@@ -20,7 +20,7 @@ from walker_jax.hybrid.following import (
     Unfinished,
     begin_following,
     follow_measured,
-    follow_on,
+    integrate_mode,
 )
 from walker_jax.hybrid.graphs import suit_state
 from walker_jax.hybrid.misses import turns_in_step
@@ -274,7 +274,7 @@ def record_mode(
 
     There is none if the mode ends in a failure, or by no guard.
     """
-    mode = suit_state(name, mode, state)._replace(foregone=None)
+    mode = suit_state(name, mode, state)._replace(early_exit=None)
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
     mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
     made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
@@ -354,7 +354,7 @@ def follow_steps(name: str, mode: Mode, method: Method, begun: Followed) -> Foll
         greatest = [max(known, float(value)) for known, value in zip(greatest, values, strict=True)]
         way.append((time + length, now.last.end))
     if int(now.guard) == NO_GUARD and int(now.count) < mode.most_steps:
-        now = kernel(lambda now: follow_on(mode, method, now, measured=False)[0])(now)
+        now = kernel(lambda now: integrate_mode(mode, method, now, measured=False)[0])(now)
         time = float(now.last.time)
         if not np.isfinite(time + float(now.last.length)):
             reason = why_it_stops(mode, method, now.last.start, time)

@@ -37,7 +37,7 @@ from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import as_floating, during_stride, on_section, prepare
 from walker_jax.walking.stride import (
     Course,
-    Part,
+    ModeResult,
     end_course,
     follow_graph,
     modes_from,
@@ -205,7 +205,7 @@ def lower(margins: dict[str, Scalar], of: str, value: Scalar) -> None:
     margins[of] = jnp.minimum(margins[of], value) if of in margins else value
 
 
-def add_part(known: Measured, part: Part, walker: HybridSystem, unit: Scalar) -> Measured:
+def add_part(known: Measured, part: ModeResult, walker: HybridSystem, unit: Scalar) -> Measured:
     """Add a measured mode to the margins of the modes before; `unit` is a typical time."""
     numbers, guards = failures_by_name(walker), guards_of(part)
     passed, held, lost = dict(known.passed), dict(known.held), dict(known.lost)
@@ -290,7 +290,7 @@ class GuardEnds(NamedTuple):
     """Least of the functions that admit the guard at the end; infinite if there are none."""
 
 
-def guards_of(part: Part) -> list[GuardEnds]:
+def guards_of(part: ModeResult) -> list[GuardEnds]:
     state, found = part.end.state, []
     for guard, nearest in zip(part.mode.guards, part.end.misses.nearest, strict=True):
 
@@ -318,7 +318,7 @@ def guard_margin(guard: Guard, greatest: Scalar, known: Bool[Array, ""]) -> Scal
 
 
 def fall_margin(
-    part: Part, known: list[GuardEnds], numbers: Numbers, unit: Scalar, margin: Scalar
+    part: ModeResult, known: list[GuardEnds], numbers: Numbers, unit: Scalar, margin: Scalar
 ) -> Scalar:
     """Return the margin of the fall that ended a part of a stride, or else the given margin.
 
@@ -342,7 +342,7 @@ def fall_margin(
     return margin
 
 
-def strike_margin(part: Part, known: GuardEnds, number: int) -> Scalar:
+def strike_margin(part: ModeResult, known: GuardEnds, number: int) -> Scalar:
     """Return the margin by which a guard has ended a mode; infinite if it has not.
 
     It would not have risen if the foot had not passed the contact before, or had not been ahead; or
@@ -354,7 +354,7 @@ def strike_margin(part: Part, known: GuardEnds, number: int) -> Scalar:
     return jnp.where(part.taken == number, margin, jnp.inf)
 
 
-def add_conditions(known: Leasts, part: Part, numbers: Numbers) -> Leasts:
+def add_conditions(known: Leasts, part: ModeResult, numbers: Numbers) -> Leasts:
     """Add the conditions of a measured mode to those of the modes before."""
     values, nearest_misses, violated = map(dict, known)
     misses, guards = part.end.misses, part.mode.guards

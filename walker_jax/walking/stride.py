@@ -142,7 +142,7 @@ class Entry(NamedTuple):
     state: Any
 
 
-class Part(NamedTuple):
+class ModeResult(NamedTuple):
     """A mode on a course."""
 
     name: str
@@ -176,7 +176,7 @@ class Course(NamedTuple):
     all did."""
     violated: Violated
     """Conditions that were violated, by the failure's name."""
-    parts: tuple[Part, ...] = ()
+    parts: tuple[ModeResult, ...] = ()
     """The modes that have been followed; none if modes can be entered again."""
 
 
@@ -196,7 +196,7 @@ def modes_from(
         check_whole("most_steps", mode.most_steps)
     launched = not on_section(walker, x)
     if launched or to_the_end:
-        modes = {name: one._replace(foregone=None) for name, one in modes.items()}
+        modes = {name: one._replace(early_exit=None) for name, one in modes.items()}
     if launched:
         anywhere = lambda one: one._replace(zero_at_start=False)
         first, *_ = modes
@@ -231,7 +231,7 @@ def follow_graph(
     modes: Mapping[str, Mode],
     begun: Course,
     integrator: Integrator,
-    fold: Callable[[Any, Part], Any] = lambda known, _: known,
+    fold: Callable[[Any, ModeResult], Any] = lambda known, _: known,
     known: Any = (),
     *,
     measured: bool = False,
@@ -332,9 +332,9 @@ def follow_one(
     end = follow_mode(mode, entry.state, followed, method, risen=risen, measured=measured)
     taken = end.guard if due is None else jnp.where(at_once, due, end.guard)
     verdict = jnp.where(fallen, begun, course.verdict)
-    if mode.foregone is not None:
-        foregone = end.guard == len(mode.guards)
-        verdict = jnp.where(foregone, numbers[mode.foregone.leads_to], verdict)
+    if mode.early_exit is not None:
+        exited = end.guard == len(mode.guards)
+        verdict = jnp.where(exited, numbers[mode.early_exit.leads_to], verdict)
     held, passed = course.held, jnp.asarray(False)
     entries = {of: one for of, one in course.entries.items() if of != name}
     for i, guard in enumerate(mode.guards):
@@ -354,7 +354,9 @@ def follow_one(
         known = entries.get(guard.leads_to)
         entries[guard.leads_to] = join(guard.leads_to, known, Entry(took, state))
     violated = either(course.violated, end.violated)
-    part = Part(name, mode, entry.state, course.time, going, begun, followed, taken, passed, end)
+    part = ModeResult(
+        name, mode, entry.state, course.time, going, begun, followed, taken, passed, end
+    )
     parts = *course.parts, part
     verdict = verdict.astype(jnp.int8)
     return Course(entries, course.time + end.time, verdict, held, violated, parts)

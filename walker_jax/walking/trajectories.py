@@ -27,7 +27,7 @@ from walker_jax.walking.integrals import with_integrals
 from walker_jax.walking.iteration import check_on_section, follow_walk
 from walker_jax.walking.starts import as_floating, during_stride, prepare
 from walker_jax.walking.stride import (
-    Part,
+    ModeResult,
     begin_course,
     end_course,
     follow_graph,
@@ -131,7 +131,7 @@ def to_time(walker: HybridSystem, name: str, mode: Mode, time: Scalar, kind: Any
 
     numbers = failures_by_name(walker)
     onward = tuple(one for one in mode.guards if leads_on(one, numbers))
-    alone = mode._replace(guards=onward, conditions=(), foregone=None)
+    alone = mode._replace(guards=onward, conditions=(), early_exit=None)
     clocked = with_integrals(alone._replace(integrals={CLOCK: lambda state: 1.0}), [CLOCK])
     end = Guard(lambda both: both[1][CLOCK] - time, SECTION, at_once=True, reset=show)
     return clocked._replace(guards=(*clocked.guards, end))
@@ -169,7 +169,7 @@ def follow_phase_times(
     begun = start_course(walker, modes, x)
     nan = jnp.full_like(begun.time, jnp.nan)
 
-    def add(known: PhaseEnds, part: Part) -> PhaseEnds:
+    def add(known: PhaseEnds, part: ModeResult) -> PhaseEnds:
         """Add a mode; one that is entered again ends later."""
         leads = [
             part.taken == i for i, one in enumerate(part.mode.guards) if one.leads_to == SECTION
