@@ -179,6 +179,29 @@ def test_basins_and_falls_equal_those_by_scalars():
     np.testing.assert_array_equal(falls[0], falls[1])
 
 
+def test_robustness_is_that_of_the_boundary():
+    """All starts nearer to the gait than the least disturbance walk on; some beyond it do not.
+
+    The area is that of random starts, to five standard errors.
+    """
+    found = wj.robustness(WALKER, GRID, levels=0, check=500, progress=False)
+    size, area = float(found["least_disturbance"]), float(found["total_area"])
+    angles = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def walk_on(x):
+        for _ in range(60):
+            x = wj.strides(WALKER, x).state
+        return np.isfinite(x[:, 0])
+
+    near = lambda part: walk_on(gait().states[0] + part * size * around)
+    assert near(0.98).all() and 0 < np.sum(~near(1.02)) < 360
+    drawn = walk_on(GRID.points_at(np.random.default_rng(2).uniform(size=(4000, 2))))
+    box, share = GRID.size * GRID.cell_area, drawn.mean()
+    error = np.hypot(box * np.sqrt(share * (1 - share) / len(drawn)), found["total_area_error"])
+    assert 0.05 < share < 0.95 and abs(area - box * share) < 5 * error
+
+
 @pytest.mark.slow
 def test_robustness_equals_that_by_scalars():
     settings = {"levels": 0, "check": 500, "progress": False}
