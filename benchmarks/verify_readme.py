@@ -1,14 +1,16 @@
-"""Is every number that the README quotes still what its command gives?
+"""Is every number that the README and the pages of docs/ claim still what its command gives?
 
-    python benchmarks/verify_readme.py            # all, half an hour
+    python benchmarks/verify_readme.py            # all, an hour and a quarter
+    python benchmarks/verify_readme.py --readme   # those of the README alone, half an hour
     python benchmarks/verify_readme.py --quick    # without the slow ones
     python benchmarks/verify_readme.py --only 75  # numbers whose quotation contains this
     python benchmarks/verify_readme.py --gpu      # and those of a GPU, on a machine that has one
-    python benchmarks/verify_readme.py --page     # writes docs/numbers.md anew, and ends
+    python benchmarks/verify_readme.py --page     # writes docs/numbers.md and the tables of
+                                                  # docs/claims.md anew, and ends
 
-Each command runs once, and its output is searched for the number. Numbers that differ or are
-missing are marked, and the exit code is then 1. Times are of another machine: they may be three
-times as long here.
+Claims of the README stand below, those of docs/ in claims.toml. Each command runs once, and its
+output is searched for the number. Numbers that differ or are missing are marked, and the exit code
+is then 1. Times are of another machine: they may be three times as long here.
 """
 
 import argparse
@@ -19,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +29,7 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
 PAGE = ROOT / "docs" / "numbers.md"
+CLAIMS_PAGE = ROOT / "docs" / "claims.md"
 SLOW_SECONDS = 180
 """Commands that take longer are left out by --quick."""
 TIMES = 3.0
@@ -44,10 +48,10 @@ class Run(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A number of the README, and where it comes from."""
+    """A number of a page, and where it comes from."""
 
     quotation: str
-    """The README's own words."""
+    """The page's own words."""
     command: str
     seconds: int
     """How long the command takes, about."""
@@ -56,6 +60,11 @@ class Claim(NamedTuple):
     low: float
     high: float
     """Between which the number must be."""
+    page: str = "README.md"
+    test: str = ""
+    """The test of it, where it is not that of its command in `TESTS`."""
+    proved: bool = False
+    """Whether the claim is a theorem."""
 
 
 def within(value: float, factor: float) -> tuple[float, float]:
@@ -71,6 +80,11 @@ def found(pattern: str, last: bool = False) -> Callable[[Run], float]:
         return float(str(hits[-1 if last else 0]).replace(",", "")) if hits else float("nan")
 
     return number
+
+
+def times_found(pattern: str) -> Callable[[Run], float]:
+    """How often a pattern is found in what a command prints."""
+    return lambda run: float(len(re.findall(pattern, run.out, re.M)))
 
 
 def area_ratio(run: Run) -> float:
@@ -202,6 +216,17 @@ CLAIMS = [
     ),
 ]
 """Every number that a change of the code could change."""
+TESTS = {
+    SPRING: "tests/project/test_claims.py::test_a_spring_makes_the_basin_75_times_as_large",
+    MULTIPLIERS: "tests/paper/test_paper.py::test_the_most_stable_gait_is_where_multipliers_meet",
+    SHOCKS: "tests/stability/test_robustness.py::test_no_point_of_a_fine_polar_grid_is_nearer",
+    REPRODUCE: "tests/paper/test_paper.py::test_the_numbers_that_differ_are_what_the_project_finds",
+    BIFURCATION: "tests/gaits/test_bifurcations.py::test_walking_is_lost_between_two_slopes",
+    ACCURACY: "tests/walking/test_stride.py::test_every_stride_of_the_reference_map",
+    REFINEMENT: "tests/basins/test_refinement.py"
+    "::test_the_area_is_that_of_a_finer_grid_within_its_error",
+}
+"""The tests of the README's claims, by command; times have none."""
 GIVEN = {
     "2001": "the year of the paper, here and below",
     "21363": "the number of the paper",
@@ -219,6 +244,17 @@ GIVEN = {
     "2.0": "of the licence",
 }
 """Numbers of the README that no command makes, and what they are."""
+
+
+def read_claims() -> list[Claim]:
+    """The claims of docs/, from claims.toml."""
+    claims = []
+    for one in tomllib.loads((ROOT / "benchmarks" / "claims.toml").read_text())["claim"]:
+        number = (times_found if one.get("count") else found)(one["pattern"])
+        place = f"docs/{one['page']}", one["test"], one.get("proved", False)
+        bounds = one["low"], one["high"]
+        claims.append(Claim(one["says"], one["command"], one["seconds"], number, *bounds, *place))
+    return claims
 
 
 def numbers_of(run: Run, quantity: str) -> list[float]:
@@ -243,14 +279,16 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help=f"commands below {SLOW_SECONDS} s")
     parser.add_argument("--only", default="", help="part of quotations")
     parser.add_argument("--gpu", action="store_true", help="those that take an NVIDIA GPU too")
-    parser.add_argument("--page", action="store_true", help=f"write {PAGE.name} and end")
+    parser.add_argument("--readme", action="store_true", help="those of the README alone")
+    parser.add_argument("--page", action="store_true", help="write the pages and end")
     arguments = parser.parse_args()
     if arguments.page:
         PAGE.write_text(page())
+        CLAIMS_PAGE.write_text(with_tables(CLAIMS_PAGE.read_text()))
         return
-    words, runs, wrong = plain(README.read_text()), {}, 0
+    runs, wrong = {}, 0
     with tempfile.TemporaryDirectory() as folder:
-        for claim in CLAIMS:
+        for claim in CLAIMS if arguments.readme else [*CLAIMS, *read_claims()]:
             left = arguments.quick and claim.seconds > SLOW_SECONDS
             left |= claim.command == GPU and not arguments.gpu
             if left or arguments.only not in claim.quotation:
@@ -259,7 +297,7 @@ def main() -> None:
                 runs[claim.command] = run_command(claim.command, Path(folder))
             run = runs[claim.command]
             number = measure(claim, run)
-            agrees = claim.low <= number <= claim.high and plain(claim.quotation) in words
+            agrees = claim.low <= number <= claim.high and is_said(claim)
             wrong += not agrees
             mark = "ok     " if agrees else "DIFFERS"
             print(f"{mark} {claim.quotation}: {number:.6g}, by {claim.command}", flush=True)
@@ -269,13 +307,16 @@ def main() -> None:
 def run_command(command: str, folder: Path) -> Run | None:
     """Run a command in a folder; None where it fails, with the reason on standard error."""
     program, *arguments = shlex.split(command)
+    place = folder
     if program == "python":
         arguments = [str(ROOT / arguments[0]), *arguments[1:]]
+    elif program == "pytest":
+        arguments, place = ["-m", "pytest", "-q", *arguments], ROOT
     else:
         arguments = ["-m", "walker_jax", *arguments]
     began = time.monotonic()
     done = subprocess.run(
-        [sys.executable, *arguments], cwd=folder, text=True, stdout=subprocess.PIPE, check=False
+        [sys.executable, *arguments], cwd=place, text=True, stdout=subprocess.PIPE, check=False
     )
     seconds = time.monotonic() - began
     print(f"        {command}: {seconds:.0f} s", file=sys.stderr, flush=True)
@@ -285,6 +326,43 @@ def run_command(command: str, folder: Path) -> Run | None:
 def plain(text: str) -> str:
     """Text without marks of emphasis, on one line."""
     return " ".join(text.replace("**", "").split())
+
+
+def is_said(claim: Claim) -> bool:
+    """Whether the page of a claim has its words."""
+    return plain(claim.quotation) in plain((ROOT / claim.page).read_text())
+
+
+def table(claims: list[Claim]) -> str:
+    """A table of claims, with the tests that hold them."""
+    rows = {}
+    for one in claims:
+        words = one.quotation.strip("| ").replace(" | ", "; ")
+        bounds = f"{one.low:.14g}" + (f" to {one.high:.14g}" if one.low < one.high else "")
+        test = one.test or TESTS.get(one.command, "")
+        cells = one.page.removeprefix("docs/"), words, f"`{one.command}`", test and f"`{test}`"
+        rows.setdefault(cells, []).append(bounds)
+    lines = ["| page | claim | figure | command | test |", "|---|---|---|---|---|"]
+    for (place, words, command, test), bounds in rows.items():
+        link = f"[{place}]({'../' if place == 'README.md' else ''}{place})"
+        test = test or "a time: none"
+        lines.append(f"| {link} | {words} | {'; '.join(bounds)} | {command} | {test} |")
+    return "\n".join(lines) + "\n"
+
+
+def with_tables(text: str) -> str:
+    """The page of claims with its tables of what is proved and of what is measured."""
+    claims = [*CLAIMS, *read_claims()]
+    for name, chosen in (
+        ("proved", [one for one in claims if one.proved]),
+        ("measured", [one for one in claims if not one.proved]),
+    ):
+        marks = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+        before, _, rest = text.partition(marks[0])
+        text = (
+            before + marks[0] + "\n" + table(chosen) + "\n" + marks[1] + rest.partition(marks[1])[2]
+        )
+    return text
 
 
 def page() -> str:

@@ -10,6 +10,7 @@ run; `pytest --hypothesis-profile=explore` draws others.
 import atexit
 import gc
 import os
+import signal
 import sys
 from collections.abc import Iterator
 
@@ -64,8 +65,10 @@ def run(monkeypatch, capsys, tmp_path, few_dots):
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
+        interrupt = signal.getsignal(signal.SIGINT)
         with pytest.raises(SystemExit) as stop:
             main.main()
+        signal.signal(signal.SIGINT, interrupt)
         return (stop.value.code, *capsys.readouterr())
 
     return run

@@ -150,8 +150,9 @@ def refuses_tracers(
 
 
 def short(value: Any) -> str:
-    """Return a value on one line, cut after 60 characters."""
-    return " ".join(repr(value).split())[:60]
+    """Return a value on one line, the beginning of one of more than 60 characters."""
+    line = " ".join(repr(value).split())
+    return line if len(line) <= 60 else f"{line[:57]}..."
 
 
 class PrecisionWarning(UserWarning):

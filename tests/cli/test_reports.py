@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.cli import app, basin_command, boundary_command
+from walker_jax.cli import (
+    answers,
+    app,
+    basin_command,
+    bifurcation_command,
+    boundary_command,
+    chart_command,
+    continuation_command,
+    robustness_command,
+)
 from walker_jax.stability.probable_falls import ProbableFall
 from walker_jax.systems.outcomes import Outcome
 
@@ -107,7 +116,7 @@ def test_maps_have_cycles_and_no_times(run):
     assert "gait" not in text and "time" not in text
     start = ("--start", "x=0.5", "--start", "y=0")
     code, text, err = run("walk", "--system", "henon", "--a", "0.3", *start, "--strides", "2")
-    assert code == 0 and text.splitlines()[0].split() == ["stride", "x", "y", "outcome"], err
+    assert code == 0 and text.splitlines()[0].split() == ["iterate", "x", "y", "outcome"], err
     assert text.splitlines()[1].endswith("  goes on") and "walks" not in text
     code, text, _ = run("explain", "--system", "henon", "--a", "0.3", *start)
     assert code == 0 and text.startswith("HenonMap from (0.5, 0): goes on\n")
@@ -123,3 +132,60 @@ def test_maps_have_cycles_and_no_times(run):
 )
 def test_helps_claim_no_more_than_is_so(command, said):
     assert said in " ".join(str(app.load(command).help).split())
+
+
+ROW = {"area": 1.0, "area_error": 0.1, "at_border": 0, "note": "", "step_down": math.inf}
+ROW |= {"gait": {"period": 2, "multiplier": 0.5, "return_strides": 1.0}, "least_fall": None}
+ROW |= {"least_disturbance": {"failure": "FORWARD", "strides": 3, "size": 0.1, "direction": [1.0]}}
+NUMBERS = ("value", "low", "high", "disturbances", "median_strides", "slowest_strides", "in_time")
+STABILITY = dict.fromkeys((*NUMBERS, "mean_strides", "largest_shock"), 1.0)
+ROW |= {"basin_stability": STABILITY, "boundary_dimension": STABILITY}
+BASIN_OF_CELLS = {"attractors": [], "method": "cell-map", "cells": 9, "fates": {}}
+BASIN_OF_CELLS |= {"seconds": {"compile": 0.0, "run": 0.0}}
+LOST = {"lost": {"below": 1.0, "above": 2.0}, "stable_beyond": [{"from": 1, "to": 2, "period": 2}]}
+LOST |= {title: [] for title in bifurcation_command.TITLES}
+CURVE = {"kind": "fold", "period": 1, "criticality": [], "special": []}
+CURVE |= {"ends": [{"values": [1.0], "reason": "the gait of period 1 that it doubles"}]}
+
+
+def said_of(terms):
+    """All that commands say of motions, for answers of every kind."""
+    artefact = {"artefact": True, "states": [(1.0, 2.0)] * 2}
+    yield from robustness_command.measures_in_words(ROW, "", terms)
+    yield from robustness_command.measures_in_words(ROW | {"gait": None}, "", terms)
+    yield basin_command.next_step({"attractors": [], "fates": {}}, {}, terms)
+    yield basin_command.next_step(BASIN, {"levels": 2}, terms)
+    yield basin_command.effort({}, BASIN_OF_CELLS, None, terms)
+    for falling in (0, 1):
+        yield basin_command.cycles_in_words(artefact | {"falling": falling}, terms)
+    for below, above in ((math.nan, 1.0), (1.0, math.nan), (1.0, 2.0)):
+        lost = LOST | {"lost": {"below": below, "above": above}}
+        yield from bifurcation_command.bifurcations_in_words(lost, "a", 9, terms)
+    chart = {"curves": [CURVE], "cells": {"no gait": 1.0}}
+    yield from chart_command.chart_in_words(chart, ["a"], terms)
+    nothing = {"attractors": [], "bifurcations": []}
+    yield from continuation_command.attractors_in_words(nothing, terms)
+
+
+WALKS = r"\bgaits?\b|\bstrides?\b|\bwalk|\bfalls? from\b"
+
+
+def test_only_walkers_walk():
+    """Of a map commands tell cycles and iterates; names of commands and options stay."""
+    told = {
+        kind: re.sub(r"walker-jax \w+|--\w+", "", "\n".join(said_of(answers.terms_of(system))))
+        for kind, system in {
+            "walker": wj.SimplestWalker(0.004),
+            "map": wj.systems.HenonMap(),
+        }.items()
+    }
+    assert not re.findall(WALKS, told["map"])
+    assert len(re.findall(r"\bcycle", told["map"])) == len(re.findall(r"\bgait", told["walker"]))
+    assert len(re.findall(r"\biterate", told["map"])) == len(re.findall("stride", told["walker"]))
+
+
+@pytest.mark.parametrize("line", ["walk --strides 2", "gait", "explain", "gait --period 3"])
+def test_what_is_told_of_a_map(run, line):
+    _, told, error = run(*line.split(), "--system", "henon")
+    said = re.sub(r"walker-jax( \w+)?|--\w+", "", told + error)
+    assert re.search(r"iterate|cycle", said) and not re.findall(WALKS + "|time", said)

@@ -51,6 +51,28 @@ def send(guard, path="/", query="", address="127.0.0.1", **headers: str):
     return got[0]["status"], dict(got[0]["headers"])
 
 
+def test_a_server_that_stops_says_so(monkeypatch):
+    """503, upon which the page asks again and finds nobody; no error of the server's, 500."""
+    asked, answers = threading.Event(), []
+
+    async def hang(*_):
+        asked.set()
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(service.Programs, "ready", hang)
+    monkeypatch.setattr(server, "CLOSING_SECONDS", 0)
+    with explorer_server.running() as found:
+        client = explorer_server.Client(found.port)
+        body = {"walker": "simplest", "start": [0.15, -0.16], "strides": 1}
+        thread = threading.Thread(target=lambda: answers.append(client.ask("/api/walk", body)))
+        thread.start()
+        assert asked.wait(60)
+    thread.join()
+    client.connection.close()
+    (answer,) = answers
+    assert answer.status == 503 and answer.json() == {"error": "the server stops"}
+
+
 def test_what_other_sites_send_takes_nothing_from_the_page():
     guard = guarded()
     guard.requests, guard.others = Bucket(0.0, 2.0), Bucket(0.0, 3.0)

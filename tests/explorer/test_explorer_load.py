@@ -64,6 +64,12 @@ def test_a_worker_is_interrupted_and_stays(monkeypatch):
             assert await crew.ask(math.sqrt, 9.0) == 3.0
             assert answers[2:] == [("interrupted", None), ("done", 3.0)]
             assert crew.all[0].process.pid == pid
+            begun.clear()
+            ended = asyncio.create_task(ask(3))
+            await begun.wait()
+            os.kill(pid, signal.SIGINT)  # as Ctrl-C in a terminal, which reaches all processes
+            await asyncio.wait([ended])
+            assert ended.cancelled()
             with pytest.raises(workers.Failure, match="math domain error"):
                 await crew.ask(math.sqrt, -1.0)
             told = []  # parts that come before the result, or before it fails

@@ -6,14 +6,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from made_up_recordings import Ball, record_ball
 from reference import ROOT
 
+import walker_jax as wj
 
-def run_program(page, title):
-    """Run the program of a page that follows a comment; return its names."""
+
+def run_program(page, title, **known):
+    """Run the program of a page that follows a comment; return its names, the known ones too."""
     text = (ROOT / "docs" / page).read_text()
     (source,) = re.findall(rf"<!-- {title} -->\n```python\n(.*?)```", text, re.S)
-    names: dict[str, Any] = {"__name__": page}
+    names: dict[str, Any] = {"__name__": page} | known
     with jax.numpy_dtype_promotion("standard"):
         exec(compile(source, page, "exec"), names)
     return names
@@ -22,6 +25,20 @@ def run_program(page, title):
 def test_the_page_fits_a_slope_and_carries_its_error_on():
     names = run_program("fit.md", "from a recording to an error of a gait")
     assert names["gait"].error.max() < 0.02
+
+
+def test_the_page_leaves_out_the_one_recording_that_is_not_like_the_others():
+    """A ball whose heights are a tenth larger has a tenth more gravity, and the same times."""
+    balls = [record_ball(noise=1e-3, seed=seed)[0] for seed in range(3)]
+    other = balls[1]._replace(values={"height": 1.1 * balls[1].values["height"]})
+    names = run_program("fit.md", "leave one recording out", wj=wj)
+    recordings, noise = [balls[0], other, balls[2]], {"height": 1e-3, "time": 1e-3}
+    off = [
+        float(np.sqrt((heights**2).mean()))
+        for heights, _ in names["left_out"](Ball(9.5, 0.0, 0.9), recordings, ["gravity"], noise)
+    ]
+    # the others agree on gravity; a fit to both kinds is off by half of their difference
+    assert off[1] > 1.5 * max(off[0], off[2]) > 15e-3
 
 
 def rates_after(walker, x, phi, psidot):

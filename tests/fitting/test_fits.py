@@ -5,14 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from made_up_recordings import GRAVITY, Ball, record_ball, record_walk
+from made_up_recordings import GRAVITY, Ball, bounces, record_ball, record_walk
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import walker_jax as wj
 from walker_jax.fitting import fits
 from walker_jax.fitting.bounds import Bounds, from_free, slopes, to_free
-from walker_jax.fitting.residuals import predicted, prior, standardise, strike_residuals
+from walker_jax.fitting.residuals import all_residuals, standardise
+from walker_jax.fitting.solving import Solved
 from walker_jax.fitting.uncertainty import covariance_and_directions, information
 
 NOISE = 1e-3
@@ -62,29 +63,16 @@ def test_free_starts_tell_nothing_of_the_impact():
 
 
 @pytest.mark.parametrize("shooting", ["multiple", "single"])
-def test_scipy_finds_the_same_by_differences(shooting, monkeypatch):
+def test_scipy_finds_the_same_by_differences(shooting):
     """`least_squares` on all residuals, one for each number, which are not compressed."""
-    known, search = {}, fits.search
-
-    def keep(layout, begun, data, *rest):
-        known.update(layout=layout, begun=begun, data=data)
-        return search(layout, begun, data, *rest)
-
-    monkeypatch.setattr(fits, "search", keep)
     recordings = record_walk(wj.SimplestWalker(0.009), noise=NOISE)
-    found = wj.fit(
-        wj.SimplestWalker(0.0095), recordings, "slope", noise=WALK_NOISE, shooting=shooting
-    )
-    flat, unflatten = ravel_pytree(known["begun"])
-
-    @jax.jit
-    def residuals(at, data):
-        motion, angles = predicted(known["layout"], unflatten(at), data)
-        off = jnp.where(data.known, (angles - data.values) / data.noise, 0)
-        others = strike_residuals(known["layout"], motion, data), prior(motion, data)
-        return jnp.concatenate([off.reshape(-1), *others])
-
-    of = lambda at: np.asarray(residuals(jnp.asarray(at), known["data"]))
+    asked = wj.SimplestWalker(0.0095), recordings, "slope"
+    found = wj.fit(*asked, noise=WALK_NOISE, shooting=shooting)
+    posed = fits.pose(*asked, noise=WALK_NOISE, shooting=shooting)
+    first = posed.steps.is_first if shooting == "single" else slice(None)
+    flat, unflatten = ravel_pytree(posed.begun._replace(starts=posed.begun.starts[first]))
+    residuals = jax.jit(lambda at, data: all_residuals(posed.layout, unflatten(at), data))
+    of = lambda at: np.asarray(residuals(jnp.asarray(at), posed.data))
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-13)
     other = least_squares(of, np.asarray(flat), "3-point", x_scale="jac", **tight)
     assert found.data.attrs["sum_of_squares"] == pytest.approx(2 * other.cost, rel=1e-9)
@@ -118,6 +106,44 @@ def test_noise_that_is_not_given_is_found(ball):
     count = int(np.isfinite(found.data.recorded).sum())
     assert float(found.data.noise[0]) == pytest.approx(NOISE, rel=4 / np.sqrt(2 * count))
     assert found.parameters["gravity"] == pytest.approx(fit().parameters["gravity"], rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def posed():
+    """A fit of a ball before its search, at the true gravity, and its bounces in closed form."""
+    asked = Ball(GRAVITY, 0.0, 0.9), record_ball(noise=NOISE), "gravity"
+    problem = fits.pose(*asked, noise=BALL_NOISE)
+    begins, speeds = bounces(len(problem.steps.run))
+    begun = problem.begun._replace(begins=begins[:1], starts=speeds[:, None])
+    return problem._replace(begun=begun), begins[:-1], speeds
+
+
+def test_a_step_apart_begins_where_it_was_recorded(posed):
+    """So a first one that is too long puts no later one off, as it does where steps are linked."""
+    problem, begins, speeds = posed
+    longer = problem.begun._replace(starts=problem.begun.starts * ([[1.1]] + [[1.0]] * 5))
+    follow = lambda apart: fits.follow_jit(
+        problem.layout, longer, problem.data._replace(apart=np.array(apart))
+    )
+    np.testing.assert_array_equal(follow(True).begins, problem.steps.begins)
+    np.testing.assert_allclose(
+        follow(True).ends - follow(True).begins, 2 * longer.starts[:, 0] / GRAVITY, rtol=1e-12
+    )
+    late = np.append(0, np.full(5, 0.2 * speeds[0] / GRAVITY))
+    np.testing.assert_allclose(follow(False).begins, begins + late, rtol=1e-12)
+
+
+def test_noise_is_that_of_steps_that_are_made(posed):
+    """The last one, which begins below the ground, has no residuals; the others keep theirs."""
+    problem, begins, speeds = posed
+    steps, starts = problem.steps, np.append(speeds[:-1], -1.0)[:, None]
+    found = Solved(problem.begun._replace(starts=starts), *[None] * 5)
+    after = steps.times - begins[:, None]
+    off = (speeds[:, None] * after - GRAVITY * after**2 / 2 - steps.values[..., 0])[:-1]
+    free = 1 - (1 + 1 + len(speeds)) / steps.count
+    expected = np.sqrt(np.mean(off[steps.known[:-1, :, 0]] ** 2) / free)
+    noise = fits.noise_left(problem.layout, found, problem.data, steps)
+    np.testing.assert_allclose(noise, expected, rtol=1e-9)
 
 
 def test_bootstrap_agrees_with_the_jacobian():
@@ -245,6 +271,10 @@ def test_covariance_is_that_of_linear_regression():
     scaled = expected / np.outer([2.0, 0.1], [2.0, 0.1])
     deviations = np.sqrt(np.linalg.eigvalsh(scaled))[::-1]
     np.testing.assert_allclose([one.deviation for one in directions], deviations, rtol=1e-12)
+    # a value that happens to be 1e-14 is as well known as before, but not relative to itself
+    near_zero, (worst, _) = covariance_and_directions(root, ["a", "b"], np.array([2.0, 1e-14]))
+    np.testing.assert_allclose(near_zero, expected, rtol=1e-12)
+    assert worst.weights["b"] == pytest.approx(1) and 1e10 < worst.deviation < np.inf
 
 
 def test_changes_of_variables_are_inverse_to_each_other():

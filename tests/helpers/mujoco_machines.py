@@ -69,6 +69,19 @@ class Constrained:
         force = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
         return self.solve(J, force, -drift)
 
+    def inverse(self, joints, forces, locked):
+        """Forces that MuJoCo's inverse dynamics miss, at the joints that are not locked.
+
+        Given are the joints' accelerations and the ground's force on the first foot. As that rests,
+        the acceleration of the base follows.
+        """
+        data, (J, drift) = self.data, self.foot(0)
+        data.qacc[2:] = joints[2:]
+        data.qacc[:2] = np.linalg.solve(J[:, :2], -drift - J[:, 2:] @ joints[2:])
+        mujoco.mj_inverse(self.model, data)
+        missed = data.qfrc_inverse - data.qfrc_actuator - J.T @ forces
+        return np.delete(missed, [self.reader.tree.dofs[i] for i in locked])
+
     def impact(self, sides, locked):
         """Rates after a plastic impact, and impulses."""
         J, _ = self.rows(sides, locked)

@@ -15,9 +15,9 @@ def colours(ax):
 
 
 def legend(ax):
-    """Texts of the legends."""
-    children = ax.get_children()
-    return [t.get_text() for c in children if isinstance(c, Legend) for t in c.get_texts()]
+    """Texts of the legends, each in one line."""
+    legends = [one for one in ax.get_children() if isinstance(one, Legend)]
+    return [text.get_text().replace("\n", " ") for one in legends for text in one.get_texts()]
 
 
 def labels(ax) -> dict[str, Annotation]:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import export
 from jax.extend.core import jaxprs_in_params
 
 from walker_jax.kernels import kernel
@@ -175,3 +176,13 @@ def test_shard_map():
     agree(found, expected)
     assert "sum_of_products" not in str(jax.make_jaxpr(loss(sum_of_products))(p, x))
     assert sum_of_products_p.name in str(jax.make_jaxpr(sum_of_products)(p, p))
+
+
+def test_a_batch_may_have_a_symbolic_size():
+    """A program of `jax.export` takes any number of cells, each with vectors and with numbers."""
+    xs, y, z = numbers(5, (4, 3)), jnp.arange(3.0), jnp.array(2.0)
+    cell = lambda x: jax.vmap(lambda a, b: sum_of_products(a, b, a, z, b))(x, y)
+    (n,) = export.symbolic_shape("n")
+    saved = export.export(jax.jit(jax.vmap(cell)))(jax.ShapeDtypeStruct((n, 3), y.dtype))
+    for x in (xs[0], xs[1][:2]):
+        agree(saved.call(x), plainly(x, y, x, z, jnp.broadcast_to(y, x.shape)))

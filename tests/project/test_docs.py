@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from jax import export
@@ -18,10 +17,7 @@ from walker_jax.cli import answers, main
 from walker_jax.storage.requests import canonical_json
 
 PAGE = ROOT / "docs" / "write-your-own.md"
-VIABILITY = ROOT / "docs" / "viability.md"
-OWN_MAP, OWN_MACHINE, COMING_FROM, KERNELS = (
-    ROOT / "docs" / f"{name}.md" for name in ("own-map", "own-machine", "coming-from", "kernels")
-)
+OWN_MAP, OWN_MACHINE = (ROOT / "docs" / f"{name}.md" for name in ("own-map", "own-machine"))
 
 
 def programs(page):
@@ -48,7 +44,7 @@ def test_the_quickstart_gives_a_basin_and_a_derivative():
     np.testing.assert_allclose(names["ends"].state, many.state, rtol=1e-13)
     high, low = map(names["angle_after_ten_strides"], (0.004 + 1e-8, 0.004 - 1e-8))
     assert float(names["rate"]) == pytest.approx(float(high - low) / 2e-8, rel=1e-5)
-    (printed,) = re.findall(r"^rate = .*# (\S+)$", derivative, re.M)
+    (printed,) = re.findall(r"^print\(.*rate.*\)  # (\S+)$", derivative, re.M)
     assert f"{names['rate']:.4f}" == printed
 
 
@@ -138,34 +134,6 @@ def test_links_within_the_pages_lead_somewhere():
                 assert (page.parent / target).exists(), (page.name, target)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "title",
-    [
-        "a torque at the hip",
-        "a push-off",
-        "uneven ground",
-        "a torso on a joint",
-    ],
-)
-def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):
-    source = program(title)
-    assert "\nassert " in source
-    exec(compile(source, PAGE.name, "exec"), {"__name__": "own"})
-
-
-@pytest.mark.slow
-def test_an_objective_of_ones_own_is_made_small_by_an_optimiser():
-    page = (ROOT / "docs" / "powered.md").read_text()
-    (found,) = re.findall(r"<!-- your own objective -->\n```python\n(.*?)```", page, re.S)
-    with jax.numpy_dtype_promotion("standard"):  # as optax's own arithmetic needs
-        exec(compile(found, "powered.md", "exec"), {"__name__": "own"})
-
-
-def test_every_program_of_the_page_is_tested():
-    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 8
-
-
 def test_the_pages_name_no_function_that_is_not_public():
     for page in (
         *(ROOT / "docs").glob("*.md"),
@@ -179,6 +147,22 @@ def test_the_pages_name_no_function_that_is_not_public():
         assert all(two in inner.get(one, {two}) for one, two in names), page.name
 
 
+SEARCHED = """
+URDF, MJCF, MuJoCo, animation, neural network, reinforcement learning, export, Simulink, MATLAB,
+limit cycle, domain of attraction, rough terrain, stairs, system identification, parameter
+estimation, calibration, tutorial, getting started, GUI, API, HPC, Monte Carlo, optimization,
+autodiff, event detection, hybrid automaton, PD control, license, cite, GPU, CSV, NetCDF, torque,
+push-off, knee, quadruped, Lyapunov, Floquet, viability
+"""
+
+
+def test_search_finds_the_words_that_people_type():
+    """The search of the site has the text of pages and the tags above it."""
+    text = " ".join(" ".join(page.read_text().split()) for page in (ROOT / "docs").glob("*.md"))
+    missing = [one for one in " ".join(SEARCHED.split()).split(", ") if one not in text]
+    assert not missing
+
+
 def test_every_public_function_is_in_a_table_or_the_glossary():
     text = "".join((ROOT / "docs" / name).read_text() for name in ("tasks.md", "glossary.md"))
     functions = {f"wj.{name}" for name in wj.__all__ if name[0].islower()}
@@ -188,38 +172,6 @@ def test_every_public_function_is_in_a_table_or_the_glossary():
 
 def test_functions_are_few_enough_to_choose_from():
     assert len(wj.__all__) <= 95
-
-
-SLOW = pytest.mark.slow
-
-
-@pytest.mark.parametrize(
-    ("page", "number"),
-    [
-        (OWN_MAP, 0),
-        (OWN_MAP, 1),
-        pytest.param(OWN_MACHINE, 0, marks=SLOW),
-        pytest.param(OWN_MACHINE, 1, marks=SLOW),
-        pytest.param(OWN_MACHINE, 2, marks=SLOW),
-        pytest.param(OWN_MACHINE, 3, marks=SLOW),
-        pytest.param(COMING_FROM, 0, marks=SLOW),
-        (COMING_FROM, 1),
-        (COMING_FROM, 2),
-        pytest.param(VIABILITY, 0, marks=SLOW),
-        *((KERNELS, number) for number in range(4)),
-    ],
-    ids=lambda one: one.stem if isinstance(one, Path) else str(one),
-)
-def test_programs_of_the_pages_give_the_numbers_they_assert(page, number):
-    source = programs(page)[number]
-    assert "\nassert " in source
-    with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
-        exec(compile(source, page.name, "exec"), {"__name__": "own"})
-
-
-def test_every_program_of_these_pages_is_tested():
-    pages = OWN_MAP, OWN_MACHINE, COMING_FROM, KERNELS
-    assert [len(programs(page)) for page in pages] == [2, 4, 3, 4]
 
 
 def test_a_map_takes_ten_lines_and_a_runner_forty():
@@ -236,10 +188,6 @@ def test_a_walker_of_your_own_takes_less_than_60_lines():
 
 def test_one_with_phases_takes_less_than_80_lines():
     assert len(program("phases of your own").splitlines()) < 80
-
-
-def test_modes_of_your_own_end_a_stride():
-    exec(compile(program("modes of your own"), PAGE.name, "exec"), {"__name__": "own"})
 
 
 @pytest.mark.slow

@@ -17,6 +17,14 @@ PATHS = sorted(NOTEBOOKS.glob("*.ipynb"))
 ROOM = 200_000
 """Bytes that a notebook may have."""
 
+QUICKEST = "3-the-basin"
+"""The notebook that is executed among the tests that are not slow."""
+
+
+def speed(path: Path) -> list[pytest.MarkDecorator]:
+    return [] if path.stem == QUICKEST else [pytest.mark.slow]
+
+
 each_notebook = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 
 
@@ -76,9 +84,9 @@ def kernel():
     client.execute(cleanup_kc=True)  # as it does not where the manager is given
 
 
-def test_there_are_ten_notebooks_each_in_the_table():
+def test_there_are_eleven_notebooks_each_in_the_table():
     table = (NOTEBOOKS / "README.md").read_text()
-    assert sorted(int(path.name.partition("-")[0]) for path in PATHS) == [*range(1, 11)]
+    assert sorted(int(path.name.partition("-")[0]) for path in PATHS) == [*range(1, 12)]
     assert all(f"({path.name})" in table for path in PATHS)
 
 
@@ -86,8 +94,9 @@ def test_the_kernel_is_of_this_interpreter():
     assert own_kernel().format_kernel_cmd()[0] == sys.executable
 
 
-@pytest.mark.slow  # seconds for the kernel alone
-@each_notebook
+@pytest.mark.parametrize(
+    "path", [pytest.param(path, id=path.stem, marks=speed(path)) for path in PATHS]
+)
 def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     notebook = read(path)
     held, drawn = printed(notebook), figures(notebook)

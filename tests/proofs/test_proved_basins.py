@@ -1,5 +1,6 @@
 """Proved basins: discs and cells, against plain strides."""
 
+import re
 import sys
 from fractions import Fraction
 from typing import Any
@@ -57,11 +58,25 @@ def test_at_the_steeper_slope_too():
     assert wj.prove_basin(wj.SimplestWalker(0.009), 0.99 * 0.0022556).attrs["all_walk"]
 
 
-def test_more_than_the_least_disturbance_is_not_proved():
-    found = wj.prove_basin(WALKER, 1.01 * RADIUS, levels=6)
+@pytest.mark.parametrize("factor", [1.0001, 1.01, 10])
+def test_a_disc_with_a_start_that_falls_is_refused(factor):
+    """The start that is named lies on the circle, and falls by plain strides, one by one."""
+    with pytest.raises(WrongUse, match="must be at most the least disturbance: the start") as said:
+        wj.prove_basin(WALKER, factor * RADIUS)
+    told = re.search(r"\((.*)\) on the circle .* in stride (\d+)$", str(said.value))
+    point, stride = told.groups() if told else ("", "")
+    start = np.array([float(one) for one in point.split(", ")])
+    apart = np.hypot(*(start - wj.find_gait(WALKER).states[0]))
+    assert apart == pytest.approx(factor * RADIUS, abs=2e-9)
+    outcomes = np.asarray(wj.walk(WALKER, start, int(stride)).outcomes)
+    assert np.all(outcomes[:-1] == wj.Outcome.STRIDE) and outcomes[-1] != wj.Outcome.STRIDE
+
+
+def test_a_disc_with_too_few_levels_is_bounded():
+    found = wj.prove_basin(WALKER, 0.99 * RADIUS, levels=2)
     assert not found.attrs["all_walk"] and np.any(found["proved"] == OPEN)
     low, high = found.attrs["area_lower"], found.attrs["area_upper"]
-    area = np.pi * (1.01 * RADIUS) ** 2
+    area = np.pi * (0.99 * RADIUS) ** 2
     assert 0.5 * area < low < area < high * (1 + 1e-9) and high < area * (1 + 1e-9)
 
 

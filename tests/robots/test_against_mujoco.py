@@ -58,6 +58,7 @@ def machine(request):
 
 
 def test_accelerations_and_forces_are_those_of_mujoco(machine):
+    """Of its forward and of its inverse dynamics."""
     robot, model, ctrl, locks = machine
     for locked in locks:
         stance = robot.with_locked(locked)
@@ -65,12 +66,16 @@ def test_accelerations_and_forces_are_those_of_mujoco(machine):
         qpos, qvel = mujoco_states(model.reader, stance, on_foot(values), on_foot(rates))
         solve = jax.jit(jax.vmap(partial(accelerations_and_forces, stance)))
         accelerations, forces = (np.stack(one, 1) for one in solve(as_states(values, rates)))
+        turned = np.pad(accelerations[:, 2:], ((0, 0), (2, 0)))
+        _, joint_accelerations = mujoco_states(model.reader, stance, on_foot(values), turned)
         for i in range(STATES):
             joints, held = model.at(qpos[i], qvel[i], ctrl).motion([0], locked)
             expected = model.turns(joints)[list(stance.free)]
             largest = 1 + np.abs(expected).max()
             assert np.abs(accelerations[i, 2:] - expected).max() < 1e-9 * largest
             assert np.abs(forces[i, :2] - held[:2]).max() < 1e-9 * (1 + np.abs(held).max())
+            missed = model.inverse(joint_accelerations[i], forces[i, :2], locked)
+            assert np.abs(missed).max() < 1e-9 * (largest + np.abs(held).max())
 
 
 def test_impacts_are_those_of_mujoco(machine):

@@ -1,8 +1,11 @@
 """Wrong uses of robots, each told in one line."""
 
+import os
+import subprocess
 import sys
 
 import pytest
+from reference import ROOT
 from robot_examples import FILES
 from unchecked import unchecked
 
@@ -54,6 +57,18 @@ def test_without_mujoco_one_line_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ValueError, match=r"pip install 'walker-jax\[robots\]'"):
         wj.robot(COMPASS)
+
+
+def test_a_mujoco_that_does_not_load_is_told_in_one_line():
+    """Without the OpenGL that the environment names, it cannot even be imported."""
+    load = "from walker_jax.robots.files import load_mujoco; load_mujoco()"
+    environment = os.environ | {"MUJOCO_GL": "nothing"}
+    run = [sys.executable, "-c", load]
+    said = subprocess.run(run, env=environment, cwd=ROOT, capture_output=True, text=True).stderr
+    reason = "invalid value for environment variable MUJOCO_GL: nothing"
+    assert said.splitlines()[-1].endswith(
+        f"robot needs the package mujoco, which does not load here ({reason}): check MUJOCO_GL"
+    )
 
 
 CHANGED = {

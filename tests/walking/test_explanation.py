@@ -97,7 +97,7 @@ class Shut(Lost):
         (Lost(), r"no stride begins at the next point, \(6.48"),
         pytest.param(
             Shut(),
-            "mode 'turn' is not ended .*guard 0 of mode 'turn' rose, but was never admitted",
+            "guard 0 of mode 'turn' rose, but was never admitted; mode 'turn' is not ended",
             marks=pytest.mark.slow,
         ),
         (Lost(blows_up=1.0), "the vector field at the start is not finite"),
@@ -107,7 +107,10 @@ class Shut(Lost):
 def test_what_does_not_fit_together_is_found(system, complaint):
     found = wj.explain(system, jnp.array([0.2]))
     assert re.search(complaint, "; ".join(found.complaints))
-    assert f"\n! {found.complaints[0]}" in str(found)
+    *_, first = [line for line in str(found).splitlines() if found.complaints[0] in line]
+    several = len(found.complaints) > 1
+    assert first == f"! {'first: ' * several}{found.complaints[0]}"
+    assert str(found).count("\n! then: ") == len(found.complaints) - 1
 
 
 def test_modes_are_told_where_lift_and_project_do_not_fit():

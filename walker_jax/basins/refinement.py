@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import seen
 from walker_jax.basins.attractor_search import mapper_of_scouts, scouts_among
-from walker_jax.basins.computation import check_grid
+from walker_jax.basins.computation import BYTES_PER_CELL, check_grid
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.refined_cells import REDRAWN, RefinedCells
 from walker_jax.basins.runs import Runs
@@ -28,7 +28,7 @@ from walker_jax.basins.schema import (
     to_dataset,
 )
 from walker_jax.basins.volumes import frame_of
-from walker_jax.checks import MAX_COUNT, check_precision, check_whole, refuses_tracers
+from walker_jax.checks import MAX_COUNT, check_memory, check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.system import System, warn_if_rounded
@@ -255,6 +255,9 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
     check_grid(walker, grid, "direct", kind=kind)
     for name, count in counts.items():
         check_whole(name, count, 0, FINEST if name == "levels" else MAX_COUNT)
+    check = counts["check"]
+    needed = check * BYTES_PER_CELL["direct"]
+    check_memory(needed, f"{check} starts need", "lower check", of="check")
     check_whole("strides", strides)
 
 

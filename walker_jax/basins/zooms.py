@@ -33,6 +33,9 @@ from walker_jax.integrators.integrator import integrator_of
 from walker_jax.segments import close_in
 from walker_jax.systems.system import System, check_single
 
+MOST_FRAMES = 100_000
+"""Most windows of a zoom: an hour of film."""
+
 
 @refuses_tracers()
 def boundary_point(
@@ -144,7 +147,7 @@ def zoom(
     check_number("factor", factor)
     if not 1 <= factor < np.inf:
         raise WrongUse(f"factor must be 1 or more, and finite, not {factor}")
-    check_whole("frames", frames, 2)
+    check_whole("frames", frames, 2, MOST_FRAMES)
     check_grid(walker, grid, "direct", kind="zoom")
     middle = None if centre is None else check_state(walker, "centre", centre)
     mapper = checked_mapper(walker, grid, strides, tolerance, "zoom, into the last digits,")

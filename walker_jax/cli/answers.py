@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Container, Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import walker_jax as wj
 from walker_jax.cli.options import Group, Place, option, place, whole
@@ -240,6 +240,29 @@ def is_walker(system: "wj.System") -> bool:
     from walker_jax.cli.section import is_robot
 
     return isinstance(system, wj.Walker) or is_robot(system)
+
+
+class Terms(NamedTuple):
+    """Words for motions: those of walkers; `terms_of` has those of a system."""
+
+    cycle: str = "gait"
+    step: str = "stride"
+    start: str = "walker"
+    goes: str = "walks"
+    fails: str = "falls"
+    motion: str = "walking"
+
+
+WALKING = Terms()
+
+
+def terms_of(system: "wj.System") -> Terms:
+    """Return the words for motions of a system, which only walks if it is a walker."""
+    return (
+        Terms()
+        if is_walker(system)
+        else Terms("cycle", "iterate", "start", "goes", "fails", "the motion")
+    )
 
 
 def is_map(system: "wj.System", times: Any) -> bool:

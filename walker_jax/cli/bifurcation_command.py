@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
-from walker_jax.cli.answers import Output, listed, request_for
+from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Ranged, hyphenated, number, option, underscored, whole
 from walker_jax.refusals import WrongUse
 from walker_jax.walkers.parameter_table import KNEED_SLOPE, SLOPE
 
 TITLES = {
-    "doublings": "doublings of the most stable gait",
-    "other_doublings": "doublings of other gaits",
+    "doublings": "doublings of the most stable {}",
+    "other_doublings": "doublings of other {}s",
     "folds": "folds",
     "neimark_sackers": "Neimark-Sacker points",
 }
@@ -79,32 +79,35 @@ def bifurcation(walker: "wj.System", asked: Branches, output: Output) -> None:
     answer = summarise_bifurcations(data)
     units = {one.name: f" {one.unit}".rstrip() for one in described_by(walker, Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
-    title = f"Gaits of {write_description(request['walker'], '')}, {span}"
-    output.tell(answer, [title, *bifurcations_in_words(answer, over, asked.strides)])
+    terms = terms_of(walker)
+    title = f"{terms.cycle.title()}s of {write_description(request['walker'], '')}, {span}"
+    output.tell(answer, [title, *bifurcations_in_words(answer, over, asked.strides, terms)])
 
 
-def bifurcations_in_words(answer: dict, over: str, strides: int) -> Iterator[str]:
+def bifurcations_in_words(answer: dict, over: str, strides: int, terms: Terms) -> Iterator[str]:
     """Write the answer of `bifurcation`."""
     from walker_jax.gaits.gait_summary import value_key
 
     for key, title in TITLES.items():
         if key == "neimark_sackers" and not answer[key]:
             continue
-        yield f"  {title}:{'' if answer[key] else ' none'}"
+        yield f"  {title.format(terms.cycle)}:{'' if answer[key] else ' none'}"
         for event in answer[key]:
             at = event[value_key(over)]
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
             told = f", {event['criticality']}" if "criticality" in event else ""
             yield f"    period {periods} at {at:.12f}, ({listed(event['state'])}){told}"
+    near = f"{terms.start} close to a {terms.cycle}"
     below, above = answer["lost"]["below"], answer["lost"]["above"]
     if math.isnan(below):
-        yield f"  no walker that starts close to a gait walks on, at any {hyphenated(over)}"
+        yield f"  no {near} {terms.goes} on, at any {hyphenated(over)}"
     elif math.isnan(above):
-        yield f"  walkers that start close to a gait walk on up to the highest {hyphenated(over)}"
+        yield f"  each {near} {terms.goes} on up to the highest {hyphenated(over)}"
     else:
-        yield f"  walking is lost between {below:.8f}, where a walker makes {strides} strides,"
+        until = f"where a {terms.start} makes {strides} {terms.step}s"
+        yield f"  {terms.motion} is lost between {below:.8f}, {until},"
         yield f"  and {above:.8f}, where none does"
     for interval in answer["stable_beyond"]:
         ends = f"from {interval['from']:.9f} to {interval['to']:.9f}"
-        yield f"  a gait of period {interval['period']} is stable beyond that, {ends}"
+        yield f"  a {terms.cycle} of period {interval['period']} is stable beyond that, {ends}"
     yield "  walker-jax chart follows such points over a second parameter."

@@ -22,13 +22,13 @@ class Measures(Group, theme="Measures"):
 def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, output: Output) -> None:
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
 
-    Regions are those that fall alike, and those that converge to one attractor. The measures are
-    the basin entropy, over all boxes of 5 x 5 cells and over those on the boundary, and by how much
-    its growth from boxes of 2 to 3 and to 5 cells shows a dimension above that of a line; the share
-    of a region's boundary that another region's lacks (none if it is Wada, but also if the
-    boundaries are merely close); and the edge states, such as a saddle, to
-    which the boundary leads. The picture has the stable manifolds of the saddles. The default
-    window is that of the command basin.
+    A region is a set of starts that fall alike, or that converge to one attractor. The basin
+    entropy is given for all boxes of 5 x 5 cells, and for those on the boundary. Its growth from
+    boxes of 2 to 3 and to 5 cells shows whether the dimension of the boundary exceeds that of a
+    line. For each region follows the share of its boundary that is not on the boundary of another
+    region: zero if the boundary is Wada, but also if boundaries are merely close. The edge states,
+    such as a saddle, are the states to which the boundary leads. The picture has the stable
+    manifolds of the saddles. The default window is that of the command basin.
     """
     from walker_jax.basins.windows import fill_around_gait, grid_along
     from walker_jax.stability.boundaries import summarise_boundary

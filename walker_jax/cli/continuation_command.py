@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
-from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.answers import Output, Terms, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Group, Named, hyphenated, option, whole
 from walker_jax.cli.section import Region, asked_of
@@ -56,11 +56,14 @@ def continuation(walker: "wj.System", asked: Continuation, region: Region, outpu
     )
     answer, about = summarise_fractions(data), request["walker"]
     ends = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
-    lines = [f"Attractors of {about['name']}, {ends}", *attractors_in_words(answer)]
+    lines = [
+        f"Attractors of {about['name']}, {ends}",
+        *attractors_in_words(answer, terms_of(walker)),
+    ]
     output.tell({"walker": about, "parameter": name} | answer, lines)
 
 
-def attractors_in_words(answer: dict) -> Iterator[str]:
+def attractors_in_words(answer: dict, terms: Terms) -> Iterator[str]:
     """Write the answer of `continuation`."""
     for one in answer["attractors"]:
         period = f"period {one['period']}" if one["period"] else "no period"
@@ -73,4 +76,4 @@ def attractors_in_words(answer: dict) -> Iterator[str]:
     if answer["attractors"]:
         yield "  More --samples make these fractions more precise."
     else:
-        yield "  No start converges: try another --over, or a region that holds a gait."
+        yield f"  No start converges: try another --over, or a region that holds a {terms.cycle}."

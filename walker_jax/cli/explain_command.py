@@ -3,7 +3,7 @@
 import re
 
 import walker_jax as wj
-from walker_jax.cli.answers import Json, in_words
+from walker_jax.cli.answers import Json, in_words, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.section import Start, begin_at
 
@@ -38,16 +38,18 @@ def explain(walker: "wj.System", start: Start, form: Json) -> None:
         "outcome": found.name,
         "modes": modes,
         "complaints": found.complaints,
+        "remarks": found.remarks,
         "state": found.state if known else None,
         "jacobian": found.jacobian if known else None,
     }
     advice = {
         "OUTSIDE": "walker-jax gait gives a start that is feasible",
-        "STRIDE": "walker-jax walk, from there, follows the next strides",
+        "STRIDE": f"walker-jax walk, from there, follows the next {terms_of(walker).step}s",
     }
     next_step = advice.get(found.name, "walker-jax basin shows which starts go on")
     if found.complaints and found.name != "OUTSIDE":
-        next_step = "mend what the lines with ! say, and explain again"
+        several = "first " * (len(found.complaints) > 1)
+        next_step = f"mend what the {several}line with ! says, and explain again"
     lines = [with_words(str(found), walker), f"Next: {next_step}."]
     form.tell(answer, lines)
 

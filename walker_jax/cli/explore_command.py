@@ -48,12 +48,11 @@ def explore(walker: "wj.System", page: Page) -> None:
     without a gait_region.
     """
     from walker_jax.basins.windows import grid_along
-    from walker_jax.explorer.offers import offer
+    from walker_jax.explorer.offers import flag_of, offer
     from walker_jax.explorer.server import run_server
     from walker_jax.systems.system import numbers_of
     from walker_jax.walkers.model import is_planar
     from walker_jax.walkers.parameters import chosen_options
-    from walker_jax.walkers.references import reference_of
 
     page.check_host()
     if page.axis and is_planar(type(walker)):
@@ -63,7 +62,7 @@ def explore(walker: "wj.System", page: Page) -> None:
         check_ranges(axes, len(axes))
         grid_along(axes)  # raises for wrong ends
     offered = offer(walker, axes)
-    reference_of(offered.kind)  # raises for code that worker processes cannot import
+    flag_of(offered.kind)  # raises for code that worker processes cannot import
     for name in chosen_options(walker):
         raise WrongUse(f"{option_of(name)} must be left out: the page knows parameters alone")
     own = numbers_of(walker)

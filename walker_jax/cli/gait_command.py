@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 import walker_jax as wj
-from walker_jax.cli.answers import Files, draw, is_map, is_walker, listed, request_for, slope_of
+from walker_jax.cli.answers import Files, draw, is_map, listed, request_for, slope_of, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, Number, number, option, place, refuse, whole
 from walker_jax.cli.section import (
@@ -83,7 +83,7 @@ def gait(walker: "wj.System", search: Search, picture: Picture, files: Files) ->
     guess = None if begin is None else begin.tolist()
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
     files.check_figure(figure, request)
-    with bar("search for gaits", True):
+    with bar(f"search for {terms_of(walker).cycle}s", True):
         how: Any = {"every": search.all, "instead": search.instead(walker)}
         found = selection.select_gaits(walker, search.period, begin, **how)
     if figure is not None:
@@ -105,7 +105,7 @@ def gait(walker: "wj.System", search: Search, picture: Picture, files: Files) ->
 
 def gait_in_words(walker: "wj.System", about: dict, gait: "wj.Gait") -> Iterator[str]:
     """Write the stability of a gait, and a line for each stride; a map's steps have no time."""
-    noun = "gait" if is_walker(walker) else "cycle"
+    noun = terms_of(walker).cycle
     kind, period = "stable" if gait.stable else "unstable", len(gait.states)
     where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
     multipliers = listed(gait.multipliers, ".8g")

@@ -68,6 +68,7 @@ def terminate(signal_number: int, frame: object) -> NoReturn:
 
 
 def stop(code: int, reason: str) -> NoReturn:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one would be a traceback
     logging.getLogger("asyncio").disabled = True  # it would list the writes that end here
     print(f"walker-jax: {on_one_line(reason)}", file=sys.stderr)
     sys.exit(code)

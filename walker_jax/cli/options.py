@@ -254,7 +254,13 @@ def refuse(reason: str, **options: Any) -> None:
             raise WrongUse(f"{option_of(name)} {reason}")
 
 
-REWORDED = {"parameter": "--over", "bounds": "--bound", "grid": "--axis"}
+REWORDED = {
+    "parameter": "--over",
+    "bounds": "--bound",
+    "grid": "--axis",
+    "region": "--radius",
+    "cells": "the N of --over",
+}
 """Arguments of the library with options of other names."""
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
-from walker_jax.cli.answers import Output, listed, request_for, slope_of
+from walker_jax.cli.answers import WALKING, Output, Terms, listed, request_for, slope_of, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import (
     Axis,
@@ -26,7 +26,7 @@ from walker_jax.refusals import WrongUse
 class Table(Ranged, theme="Slopes"):
     over: str = option("slope", "The parameter of a table, with --from and --to.")
     low: float | None = number(None, "Lowest slope, or value, of a table.", "--from")
-    count: int | None = whole(None, "Rows of the table (default: 20).", least=2)
+    count: int | None = whole(None, "Rows of the table (default: 20).", least=2, most=10_000)
 
     @property
     def ranged(self) -> tuple[str, float | None] | None:
@@ -137,7 +137,7 @@ def robustness(
         places = [f"{hyphenated(name)} {value:g}: " for value in values]
     lines = [f"Robustness, {write_description(about)}"]
     for row, place in zip(rows, places, strict=True):
-        lines += measures_in_words(row, place)
+        lines += measures_in_words(row, place, terms_of(walker))
     if values is None:
         lines.append("  --from and --to show how these depend on a parameter.")
     else:
@@ -145,7 +145,7 @@ def robustness(
     output.tell({"walker": request["walker"]} | answer, lines)
 
 
-def measures_in_words(row: dict, where: str) -> Iterator[str]:
+def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator[str]:
     """Write the answer of `robustness` at one value of the parameter."""
     yield f"  {where}area {row['area']:.7g} +- {row['area_error']:.1g}"
     if row["at_border"]:
@@ -153,21 +153,22 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
     if row["note"]:
         yield f"    {row['note']}"
     if row["gait"] is None:
-        yield "    no gait attracts"
+        yield f"    no {terms.cycle} attracts"
         return
     gait, smallest = row["gait"], row["least_disturbance"]
-    yield f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}"
-    yield f"    least disturbance {disturbance_in_words(smallest)}"
+    multiplier = f"largest multiplier {gait['multiplier']:.6f}"
+    yield f"    {terms.cycle} of period {gait['period']}, {multiplier}"
+    yield f"    least disturbance {disturbance_in_words(smallest, terms)}"
     if smallest["failure"] == "STRIDE" and row["least_fall"] is not None:
         fall = row["least_fall"]
-        words = "none found" if fall["failure"] is None else disturbance_in_words(fall)
+        words = "none found" if fall["failure"] is None else disturbance_in_words(fall, terms)
         yield f"    least one from which it falls {words}"
     if row["step_down"] < float("inf"):  # it is not computed for walkers in space
         down = f"{row['step_down']:.8f}"
         if row["step_down_failure"] == "STRIDE":
             down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
         yield f"    least step down {down}"
-    yield from returns_in_words(row["basin_stability"], gait)
+    yield from returns_in_words(row["basin_stability"], gait, terms)
     dimension = row["boundary_dimension"]
     interval = f"{dimension['low']:.3f} to {dimension['high']:.3f}"
     yield f"    dimension of the boundary {dimension['value']:.3f} ({interval})"
@@ -181,23 +182,23 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
         yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
 
 
-def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
+def returns_in_words(survived: dict, gait: dict, terms: Terms) -> Iterator[str]:
     """Describe which disturbances are survived, and how soon they decay."""
     yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
-        f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "
-        f"half of them are over in {survived['median_strides']:g} strides, "
+        f"disturbances up to {survived['disturbances']:g} of the {terms.cycle}'s state are "
+        f"survived; half of them are over in {survived['median_strides']:g} {terms.step}s, "
         f"95 of 100 in {survived['slowest_strides']:g}"
     )
     yield (
-        f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
+        f"    {survived['in_time']:.1%} are over in 10 {terms.step}s; on average they take "
         f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
         f"{gait['return_strides']:.3g}; the largest that is survived is "
         f"{survived['largest_shock']:.3g}"
     )
 
 
-def disturbance_in_words(disturbance: dict) -> str:
+def disturbance_in_words(disturbance: dict, terms: Terms) -> str:
     """Write a least disturbance."""
     from walker_jax.systems.outcomes import outcome_in_words
 
@@ -205,5 +206,6 @@ def disturbance_in_words(disturbance: dict) -> str:
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"
     if disturbance["failure"] != "STRIDE":
-        end = f"{outcome_in_words(disturbance['failure'])} after {disturbance['strides']} strides"
+        after = f"after {disturbance['strides']} {terms.step}s"
+        end = f"{outcome_in_words(disturbance['failure'])} {after}"
     return f"{disturbance['size']:.8f} along ({listed(disturbance['direction'], '.4f')}): {end}"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import walker_jax as wj
-from walker_jax.cli.answers import Output, Pieces, request_for
+from walker_jax.cli.answers import Output, Pieces, Terms, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, Group, named, option, whole
 from walker_jax.cli.section import Volume, asked_of
@@ -61,10 +61,10 @@ def sweep(
     data = output.produce(request, lambda: wj.sweep(walker, grid=grid, **how), "sweep", kept=True)
     rows = tabulate_sweep(data, [*values])
     answer = {"walker": request["walker"], "points": rows.to_dict(orient="records")}
-    output.tell(answer, rows_in_words(rows, [*values]))
+    output.tell(answer, rows_in_words(rows, [*values], terms_of(walker)))
 
 
-def rows_in_words(rows: "pandas.DataFrame", names: list[str]) -> Iterator[str]:
+def rows_in_words(rows: "pandas.DataFrame", names: list[str], terms: Terms) -> Iterator[str]:
     """Write the table of `sweep` over these parameters, and its notes."""
     shown = [name for name in (*names, *SHOWN) if name in rows]
     yield rows[shown].map("{:.6g}".format).to_string(index=False)
@@ -80,7 +80,7 @@ def rows_in_words(rows: "pandas.DataFrame", names: list[str]) -> Iterator[str]:
         at = where(best).replace("_", "-")
         yield f"  The basin is largest at {at}: walker-jax optimise searches around."
     else:
-        yield "  No basin has any area: try other values, or a region that holds a gait."
+        yield f"  No basin has any area: try other values, or a region that holds a {terms.cycle}."
 
 
 def values_of(over: Mapping[str, Axis]) -> dict[str, list[float]]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
-from walker_jax.cli.answers import Output, Pieces, request_for
+from walker_jax.cli.answers import Output, Pieces, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option, whole
 from walker_jax.cli.section import Window
@@ -97,8 +97,9 @@ def kernel_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
     for n, one in enumerate(levels):
         areas = f"between {one['inner_area']:.4g} and {one['outer_area']:.4g}"
         yield f"  level {n}: {areas}, {one['mapped']} cells mapped"
+    step = terms_of(walker).step
     for n, area in enumerate(answer["capturable"], 1):
-        yield f"  caught within {n} {'stride' if n == 1 else 'strides'}: {area:.6g}"
+        yield f"  caught within {n} {step}{'s' * (n > 1)}: {area:.6g}"
     yield (
         "  In this window, as far as the grid tells, no controller with these actions has a "
         "larger basin than the kernel."

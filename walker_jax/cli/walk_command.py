@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import walker_jax as wj
-from walker_jax.cli.answers import Files, in_words, is_map, request_for
+from walker_jax.cli.answers import Files, in_words, is_map, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, number, place, refuse, whole
 from walker_jax.cli.section import Start, begin_at, has_own_options, has_plane
@@ -113,18 +113,18 @@ def walk_in_words(walker: "wj.System", answer: dict, *, rough: bool) -> Iterator
     coordinates = State._fields if rough else walker.section
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
     heads = "  ".join(f"{name:>10}" for name in coordinates)
-    timeless = is_map(walker, answer["times"])
-    yield f"{'stride':>6}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
+    timeless, step = is_map(walker, answer["times"]), terms_of(walker).step
+    yield f"{step}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
     strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
     for i, (state, name, duration) in enumerate(strides, start=1):
         time = "" if timeless else f"{'-' if math.isnan(duration) else f'{duration:.4f}':>8}  "
-        yield f"{i:6}  {row(state)}  {time}{in_words(name, walker)}"
+        yield f"{i:{len(step)}}  {row(state)}  {time}{in_words(name, walker)}"
     if len(answer["states"]) > len(answer["outcomes"]):
-        yield f"{'next':>6}  {row(answer['states'][-1])}"
-        yield "It makes all its strides: a larger --strides shows whether it goes on."
+        yield f"{'next':>{len(step)}}  {row(answer['states'][-1])}"
+        yield f"It makes all its {step}s: a larger --strides shows whether it goes on."
     else:
         why = "another --seed gives other ground" if rough else "walker-jax explain says why"
-        yield f"It ends in stride {len(answer['outcomes'])}: {why}."
+        yield f"It ends in {step} {len(answer['outcomes'])}: {why}."
 
 
 def refuse_start(walker: "wj.System", start: Any) -> NoReturn:

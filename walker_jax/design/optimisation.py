@@ -74,6 +74,8 @@ ATTRACTED = -1
 """Stands for a fate, in `fate_start` and `fate_optimum`, where the walker converges."""
 USUAL_MEASUREMENTS = 10
 """Measurements of one climb, to estimate how long an optimisation takes."""
+MOST_MEASURED = 10_000
+"""Most starts, and values in the scan of a parameter: each takes a second or more."""
 VIEW_CELLS = 300
 """Cells along each axis of the basins shown for the start and the optimum."""
 VIEW_CELLS_IN_SPACE = HURRIED_VIEW_CELLS = 100
@@ -208,8 +210,8 @@ def optimise(
     goal, limits = parse_objective(goal, further), parse_limits(limits[0], limits[1], further)
     if known is not None:
         check_kind("known", known, xr.Dataset)
-    check_whole("starts", starts)
-    check_whole("scan", scan, 0)
+    check_whole("starts", starts, most=MOST_MEASURED)
+    check_whole("scan", scan, 0, MOST_MEASURED)
     levels = default_levels(goal[0]) if levels is None else levels
     budget = Budget(check_budget(seconds))
     training = read_training(steps, rate, batch)

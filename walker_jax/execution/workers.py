@@ -6,10 +6,12 @@ pieces again.
 """
 
 import logging
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from multiprocessing import resource_tracker
 from typing import Any
 
 import jax
@@ -115,18 +117,20 @@ def connect(cluster: Any) -> Iterator[Any]:
         cluster.register_worker_callbacks(partial(configure_worker, modes, None))
         yield cluster
         return
-    local, cores, address = None, None, cluster
+    local, workers, cores, address = None, None, None, cluster
     if not isinstance(cluster, str):
         workers = check_whole("cluster", cluster, most=MAX_LOCAL_WORKERS)
         cores = max(1, tiles.cores() // workers)
-        local = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            dashboard_address=":0",
-            silence_logs=logging.CRITICAL,  # of workers that are interrupted, or killed
-        )
-        address = local.scheduler_address
     try:
+        if workers is not None:
+            with interrupts_held():
+                local = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                    silence_logs=logging.CRITICAL,  # of workers that are killed
+                )
+            address = local.scheduler_address
         try:
             client = Client(address, timeout=CONNECT_SECONDS)
         except (OSError, ValueError) as error:
@@ -139,7 +143,28 @@ def connect(cluster: Any) -> Iterator[Any]:
             yield client
     finally:
         if local is not None:
-            local.close()
+            with interrupts_held():
+                local.close()
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Let interrupts wait; the threads and processes that start meanwhile never get any.
+
+    Ctrl-C in a terminal goes to all processes, and only the first one knows how to end.
+    """
+    hold_interrupts(True)
+    try:
+        yield
+    finally:
+        hold_interrupts(False)
+
+
+def hold_interrupts(held: bool) -> None:
+    """Block interrupts in this thread and the processes that it starts, or unblock them."""
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        resource_tracker.ensure_running()  # which unblocks them, when a process first needs it
+        signal.pthread_sigmask(signal.SIG_BLOCK if held else signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def configure_worker(modes: dict[str, Any], cores: int | None, dask_worker: Any) -> None:

@@ -7,8 +7,11 @@ from typing import Any
 
 from walker_jax.checks import is_number
 from walker_jax.explorer.lattice import Rectangle, home_of
+from walker_jax.explorer.offers import flag_of
 from walker_jax.explorer.pictures import plane_of
 from walker_jax.explorer.subjects import Subject
+from walker_jax.robots.robot_files import path_of
+from walker_jax.robots.robots import Robot
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System
 from walker_jax.walkers.references import place_of, reference_of
@@ -24,8 +27,8 @@ def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
 
 def command(subject: Subject, cells: Rectangle, method: str) -> str:
     """Write the command `walker-jax basin` with the options that give the picture's data."""
-    kind = "walker" if subject.offer.is_walker else "system"
-    words = ["walker-jax basin", f"--{kind} {shlex.quote(reference_of(subject.offer.kind))}"]
+    flag, reference = flag_of(subject.offer.kind)
+    words = ["walker-jax basin", f"--{flag} {shlex.quote(reference)}"]
     words += [f"--{option(name)} {value!r}" for name, value in subject.parameters.items()]
     for name, ends in axes_of(subject, cells).items():
         fixed = is_number(ends)
@@ -54,12 +57,15 @@ def begin(subject: Subject, noun: str) -> list[str]:
     """Write the beginning of the program, which makes the walker or the system."""
     setting = ["", 'jax.config.update("jax_enable_x64", True)']
     kind, values = subject.offer.kind, subject.parameters.items()
+    if isinstance(kind, Robot) and path_of(kind) is not None:
+        made = f"{noun} = wj.robot({str(path_of(kind))!r}, parameters={subject.parameters!r})"
+        return ["import jax", "import walker_jax as wj", *setting, made]
     if isinstance(kind, type) and ":" not in reference_of(kind):
         given = ", ".join(f"{name}={value!r}" for name, value in values)
         begin = ["import jax", "import walker_jax as wj", *setting]
         return [*begin, f"{noun} = wj.{kind.__name__}({given})"]
     begin = begin_with_own(kind, setting)
-    if isinstance(kind, Map):
+    if not isinstance(kind, type):
         given = ", ".join(f'"{name}": jnp.array({value!r})' for name, value in values)
         made = f"eqx.tree_at(lambda one: one.parameters, {place_of(kind)[1]}, {{{given}}})"
         return [*begin, f"{noun} = {made}"]
@@ -67,11 +73,11 @@ def begin(subject: Subject, noun: str) -> list[str]:
     return [*begin, f"{noun} = {kind.__name__}({given})"]
 
 
-def begin_with_own(kind: type[System] | Map, setting: list[str]) -> list[str]:
+def begin_with_own(kind: type[System] | Map | Robot, setting: list[str]) -> list[str]:
     """Write the beginning of a program that imports a user's own code, after the setting."""
     place, _, name = reference_of(kind).rpartition(":")
     imports = ["import jax", "import jax.numpy as jnp", "import walker_jax as wj", *setting]
-    if isinstance(kind, Map):
+    if not isinstance(kind, type):
         imports = ["import equinox as eqx", *imports]
     if not place.endswith(".py"):
         return [*imports, f"from {place} import {name}"]

@@ -99,7 +99,8 @@ def describe_coordinate(offered: Offer, name: str) -> dict:
     """Describe a coordinate: its symbol, unit and label, and the slider for a slice."""
     symbol, unit, label = name.replace("_", " "), "", name.replace("_", " ")
     if offered.is_walker:
-        symbol, unit, label = COORDINATES.get(name, (symbol, "rad", label))
+        unit = "rad" if isinstance(offered.kind, type) else ""  # a robot's may be a slide
+        symbol, unit, label = COORDINATES.get(name, (symbol, unit, label))
     low, high = (-SLICES, SLICES) if offered.has_film else window_of(offered)[name]
     step = slider_step(low, high)
     return {"symbol": symbol, "unit": unit, "label": label, "low": low, "high": high, "step": step}

@@ -10,6 +10,7 @@ for files with the token, and requests for files without it apart, so that stran
 the share of a page. A page that was opened with the token asks for its files with the token too.
 """
 
+import asyncio
 import secrets
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -76,8 +77,12 @@ class Guard:
         """Links that work once, by their paths."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        begun = False
+
         async def send_with_headers(message: MutableMapping[str, Any]) -> None:
+            nonlocal begun
             if message["type"] == "http.response.start":
+                begun = True
                 policy = (b"content-security-policy", self.policy(scope))
                 message["headers"] = [*message.get("headers", ()), *HEADERS, policy]
             await send(message)
@@ -88,7 +93,12 @@ class Guard:
             scope = self.without_token(scope)
             refusal = self.refusal(scope)
             answer = self.app if refusal is None else refusal
-            await answer(scope, limited(receive), send_with_headers)
+            try:
+                await answer(scope, limited(receive), send_with_headers)
+            except asyncio.CancelledError:  # the server ends: the page asks again, and sees so
+                if begun:
+                    raise
+                await refuse(503, "the server stops")(scope, receive, send_with_headers)
         else:  # a WebSocket, which the page does not use
             await send({"type": "websocket.close", "code": 1008})
 

@@ -17,6 +17,7 @@ from walker_jax.explorer.subjects import Subject, whole
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
+from walker_jax.robots.robots import Robot, ends_around
 from walker_jax.systems.system import has_gait_region
 from walker_jax.walkers.simplest import SimplestWalker
 
@@ -78,11 +79,14 @@ def home_of(offered: Offer, section: str) -> Home:
     """Return the home window of an offer on a section.
 
     For the simplest walker in the sheared plane it is the paper's window. For any other walker in
-    the plane it lies around the default gait. For other systems it is that of `window_of`.
+    the plane, and for a robot, it lies around the default gait. For other systems it is that of
+    `window_of`.
     """
     gait = first_state(offered)
     if not offered.has_film:
         window = window_of(offered)
+        if isinstance(offered.kind, Robot) and not offered.axes:
+            window = ends_around(offered.kind, gait)
         (x0, x1), (y0, y1) = (window[name] for name in offered.planes[section].axes)
         return Home((x0, y0), (x1, y1), gait)
     if section == "plain":

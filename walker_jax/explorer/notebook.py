@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from urllib.parse import urlencode
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_whole
-from walker_jax.explorer.offers import FAMILY, OTHERS, offer
+from walker_jax.explorer.offers import FAMILY, OTHERS, flag_of, offer
 from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.parameters import chosen_options
-from walker_jax.walkers.references import reference_of
 
 HEIGHT = 760
 """Pixels that the walker, the basin and the sliders need."""
@@ -114,14 +113,13 @@ def explore(walker: System, *, height: int = HEIGHT) -> Explorer:
     offered = offer(walker)
     own = numbers_of(walker)
     values = {one.name: float(own[one.name]) for one in offered.parameters}
-    noun = "walker" if offered.is_walker else "system"
     key, options = "", []
     if offered in OTHERS.values():
         key, options = "system", ["--system", next(iter(OTHERS))]
     elif offered not in FAMILY.values():
-        key = reference_of(offered.kind)
+        flag, key = flag_of(offered.kind)
         words = ((f"--{name.replace('_', '-')}", repr(value)) for name, value in values.items())
-        options = [f"--{noun}", key, *(word for pair in words for word in pair)]
+        options = [f"--{flag}", key, *(word for pair in words for word in pair)]
     server = started.get(key)
     if server is None or not server.serves or server.code != offered.code:
         if server is not None:

@@ -13,6 +13,8 @@ import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.identity import code_fingerprint
+from walker_jax.robots.robot_files import path_of
+from walker_jax.robots.robots import Robot
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
@@ -27,7 +29,7 @@ from walker_jax.walkers.parameters import (
     trees,
     with_values,
 )
-from walker_jax.walkers.references import place_of
+from walker_jax.walkers.references import place_of, reference_of
 
 ADDRESS_KEYS = ("walker", "section", "method", "tab", "over", "view", "start")
 """Keys of the page's address besides parameters; state.js writes and reads them."""
@@ -52,8 +54,8 @@ class Offer:
 
     name: str
     """Name in requests."""
-    kind: type[System] | Map = dataclasses.field(compare=False)
-    """Its class; for a `Map` the map itself, as all maps share one class."""
+    kind: type[System] | Map | Robot = dataclasses.field(compare=False)
+    """Its class; a `Map` or a `Robot` itself, as all of these share one class."""
     defaults: tuple[float, ...]
     """Initial values of its parameters, in the order of `parameters`."""
     code: str = ""
@@ -68,13 +70,14 @@ class Offer:
 
     @property
     def is_walker(self) -> bool:
-        """Whether the offer is a walker, in the plane or in space."""
-        return isinstance(self.kind, type) and issubclass(self.kind, Walker)
+        """Whether the offer is a walker, in the plane or in space, or a robot from a file."""
+        kind = self.kind if isinstance(self.kind, type) else type(self.kind)
+        return issubclass(kind, (Walker, Robot))
 
     @property
     def has_film(self) -> bool:
         """Whether the page draws its motion, as for walkers in the plane."""
-        return self.is_walker and is_planar(self.kind)
+        return isinstance(self.kind, type) and self.is_walker and is_planar(self.kind)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -91,6 +94,8 @@ class Offer:
             return {"sheared": Plane(("theta", "sum"), ("theta", "sum", *others)), "plain": plain}
         fixed = [name for name, axis in self.axes if is_number(axis)]
         first = ("theta", "thetadot") if self.is_walker else ()
+        if isinstance(self.kind, Robot):
+            first = self.section[0], f"{self.section[0]}_rate"
         order = lambda pair: (any(name in fixed for name in pair), pair != first)
         pairs = sorted(itertools.combinations(self.section, 2), key=order)
         return {"-".join(pair): Plane(pair, self.section) for pair in pairs}
@@ -99,7 +104,7 @@ class Offer:
     def spans(self) -> dict[str, tuple[float, float]]:
         """The parameters over which its gaits can be followed, each with its range.
 
-        It is empty for a walker in space, whose gaits take too long to follow for a page.
+        It is empty for a walker in space and for a robot, whose gaits take too long for a page.
         """
         if self.has_film and isinstance(self.kind, type):
             return {"slope": span_of(self.kind, "slope") or SLOPE.span}
@@ -123,21 +128,36 @@ class Offer:
     def __reduce__(self) -> tuple:
         """Pickle a map by its name in a file, as its functions may have no name."""
         kind = self.kind
-        if not isinstance(kind, type):
+        if isinstance(kind, Map) or (isinstance(kind, Robot) and path_of(kind) is None):
             module, name = place_of(kind)
             kind = module.__name__, name
         return loaded_offer, (self.name, kind, self.defaults, self.code, self.axes)
 
 
-def loaded_offer(name: str, kind: type[System] | tuple[str, str], *others: Any) -> Offer:
+def loaded_offer(name: str, kind: type[System] | Robot | tuple[str, str], *others: Any) -> Offer:
     """Restore an offer that comes from another process."""
     if isinstance(kind, tuple):
         return Offer(name, vars(importlib.import_module(kind[0]))[kind[1]], *others)
     return Offer(name, kind, *others)
 
 
-def fingerprint_of(kind: type[System] | Map) -> str:
-    """Return the fingerprint of the code of a class or a map; empty for a class of the package."""
+def flag_of(kind: type[System] | Map | Robot) -> tuple[str, str]:
+    """Return the option of a command for a kind, and its name there.
+
+    Raises `WrongUse` for a kind that other processes cannot import or read from a file.
+    """
+    path = path_of(kind) if isinstance(kind, Robot) else None
+    if path is not None:
+        return "walker", str(path)
+    is_walker = isinstance(kind, type) and issubclass(kind, Walker)
+    return "walker" if is_walker else "system", reference_of(kind)
+
+
+def fingerprint_of(kind: type[System] | Map | Robot) -> str:
+    """Return the fingerprint of the code of a class, a map or a robot.
+
+    It is empty for a class of the package.
+    """
     if isinstance(kind, type):
         return code_fingerprint(kind)
     return code_fingerprint(type(kind), code_of(kind))
@@ -177,7 +197,7 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
     check_single(walker)
     if len(walker.section) < 2:
         raise WrongUse(f"{walker.label()} has a section of one coordinate, and pictures have two")
-    kind = walker if isinstance(walker, Map) else type(walker)
+    kind = walker if isinstance(walker, (Map, Robot)) else type(walker)
     check_trees(walker)
     described = parameters_of(kind)
     for one in described:
@@ -201,7 +221,7 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
 
 def check_trees(walker: System) -> None:
     """Raise `WrongUse` for arrays or trees that are not the defaults of the class."""
-    if isinstance(walker, Map):
+    if isinstance(walker, (Map, Robot)):
         wrong = [name for name, one in walker.parameters.items() if is_tree(one) or np.ndim(one)]
     else:
         fields = [(one, getattr(walker, one.name)) for one in trees(type(walker))]

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+from asyncio import CancelledError
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +23,7 @@ from typing import Any
 import jax
 
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.execution.workers import hold_interrupts, interrupts_held
 
 WORKERS = 2
 """Number of processes: one for all jobs, and one more for short jobs."""
@@ -35,6 +37,7 @@ NICENESS = 10
 """Niceness of workers, so that pictures come first."""
 SAID = "said"
 """Kind of a failure whose message is shown to the user."""
+INTERRUPTED = "interrupted"
 SETTINGS = (
     "jax_enable_x64",
     "jax_compilation_cache_dir",
@@ -80,12 +83,6 @@ def serve(connection: Connection, settings: dict[str, Any]) -> None:
         connection.send(answer(function, arguments, connection))
 
 
-def hold_interrupts(held: bool) -> None:
-    """Block interrupts in this thread and the processes that it starts, or unblock them."""
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_BLOCK if held else signal.SIG_UNBLOCK, {signal.SIGINT})
-
-
 def quiet(unraisable: Any) -> None:
     """Ignore an interrupt that could not be caught, as the next one follows."""
     if not isinstance(unraisable.exc_value, Interrupted):
@@ -118,7 +115,7 @@ def answer(function: Callable, arguments: tuple, connection: Connection) -> tupl
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
     except Interrupted:
-        return "interrupted", None
+        return INTERRUPTED, None
     except (WrongUse, ComputationFailed) as error:
         return SAID, str(error)
     except Exception as error:
@@ -152,6 +149,8 @@ class Worker:
         except asyncio.CancelledError:
             await self.give_up(job)
             raise
+        if state == INTERRUPTED:  # by a terminal's Ctrl-C, which reaches all processes
+            raise CancelledError
         if state != "done":
             raise Failure(state, result)
         return result
@@ -193,11 +192,8 @@ class Worker:
         self.connection, other = context.Pipe()
         settings = {name: getattr(jax.config, name) for name in SETTINGS}
         self.process = context.Process(target=serve, args=(other, settings), daemon=True)
-        hold_interrupts(True)  # until the process can handle them, those of a terminal too
-        try:
+        with interrupts_held():  # until the process can handle them, those of a terminal too
             self.process.start()
-        finally:
-            hold_interrupts(False)
         other.close()
         self.connection.recv()  # the message that it is ready
 

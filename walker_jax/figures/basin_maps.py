@@ -11,103 +11,71 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import along_axis, large_basins
 from walker_jax.checks import WrongUse
-from walker_jax.figures.labels import draw_label, keep_clear
-from walker_jax.figures.layout import (
-    DrawnAxes,
-    Style,
-    axes_for,
-    figure_legend,
-    figure_title,
-    finish,
-    name_outer_axes,
-    new_figure,
-)
-from walker_jax.figures.regions import (
-    attractor_mark,
-    attractor_name,
-    counted_patch,
-    cycle_of,
-    extent_of,
-    paint,
-    patch_of,
-    place_states,
-    regions_of,
-    regions_of_one_basin,
-    show_image,
-)
+from walker_jax.figures import layout, regions, text
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, new_figure
 from walker_jax.figures.style import BASINS, INK, MARKERS, SMALL, TITLE
-from walker_jax.figures.text import (
-    SYMBOLS,
-    area_phrase,
-    axis_label,
-    basin_note,
-    coordinate_value,
-    walker_title,
-)
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import names_in
+from walker_jax.systems.outcomes import failures_of, names_in
 
 PANELS = 6
 """Most slices in a picture of a basin of three dimensions."""
 
 
 def basin(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
-    """Draw the basin of attraction and the ways to fall around it, over a grid of two dimensions.
+    """Draw what `walker_jax.basin` returns over two dimensions: basins, and the ways to fall.
 
-    Figures 2 (plain axes) and 4 (sheared axes) of Schwab and Wisse (2001). Each fate has a pale
-    colour and each basin a dark one. Basins of a few cells share a colour, and so do artefacts of
-    cell mapping. A region is labelled where it has room, and in the legend otherwise, with the
-    number of its cells. Dots are the attractors of the large basins.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.basin` returns. The first dimension is drawn along the x axis.
-    - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for a data set that is not of two dimensions, with two
-    cells or more along each.
+    Figures 2 (plain axes) and 4 (sheared axes) of Schwab and Wisse (2001). The first dimension is
+    drawn along the x axis. Each fate has a pale colour and each basin a dark one. Basins of a few
+    cells share a colour, and so do artefacts of cell mapping. A region is labelled where it has
+    room, and in the legend otherwise, with the number of its cells. Dots are the attractors of the
+    large basins.
     """
     check_dataset(data, "basin")
-    fate = data["fate"]
-    if fate.ndim != 2 or min(fate.shape) < 2:
-        raise WrongUse(
-            f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}"
-            f"{slicing_hint(fate)}"
-        )
-    ax = axes_for(ax, style, 7, 5.4)
+    check_plane(data["fate"])
+    ax = axes_for(ax, style)
     large = large_basins(data, len(BASINS))
-    regions = regions_of(data, large)
-    x, y = map(str, fate.dims)
-    extent = extent_of(data, x, y)
-    show_image(ax, paint(regions, fate.shape), extent)
-
-    free, share = np.ones(fate.shape, bool), share_drawn(data)
-    marks, patches = [], []
+    found = regions.regions_of(data, large)
+    x, y = axes = axes_of(data)
+    extent = regions.extent_of(data, x, y)
+    regions.show_image(ax, regions.paint(found, data["fate"].shape), extent)
+    free, share = np.ones(data["fate"].shape, bool), share_drawn(data)
+    handles: list[Any] = []
     for number, marker in zip(large, MARKERS, strict=False):
-        cycle = cycle_of(data, number)
-        dots = place_states(data, cycle, (x, y))
+        cycle = regions.cycle_of(data, number)
+        dots = regions.place_states(data, cycle, axes)
         inside = (dots >= extent[::2]) & (dots <= extent[1::2])
-        name = attractor_name(data, int(data["period"].sel(number=number)), cycle)
+        name = regions.attractor_name(data, int(data["period"].sel(number=number)), cycle)
         where = "" if inside.all(axis=1).any() else " (outside the picture)"
-        marks.append(attractor_mark(ax, dots, marker, name + where))
-        keep_clear(free, dots, extent)
+        handles.append(regions.attractor_mark(ax, dots, marker, name + where))
+        regions.keep_clear(free, dots, extent)
     ax.set(xlim=extent[:2], ylim=extent[2:])
-    for region in regions:
-        named = style.get("labels", True) and draw_label(ax, region, free, extent)
+    for region in found:
+        named = style.get("labels", True) and regions.draw_label(ax, region, free, extent)
         if not named or region.counted:
-            patches.append(counted_patch(region, share))
+            handles.append(regions.counted_patch(region, share))
     if "origin" in data.attrs:
         ax.yaxis.get_offset_text().set_x(-0.1)  # put the offset in its usual place
-    return finish(
-        ax,
-        style,
-        title=walker_title(data),
-        note=basin_note(data) + place_note(data, (x, y)),
-        x=offset_label(data, x),
-        y=offset_label(data, y),
-        legend=[*marks, *patches],
-    )
+    note = text.basin_note(data) + place_note(data, axes)
+    x, y = (offset_label(data, one) for one in axes)
+    return finish(ax, style, text.walker_title(data), note, x=x, y=y, legend=handles)
+
+
+def check_plane(fate: xr.DataArray) -> None:
+    """Raise `WrongUse` for fates that are not over two dimensions, with two cells along each."""
+    if fate.ndim != 2 or min(fate.shape) < 2:
+        others = [name for name in fate.dims if name not in ("theta", "thetadot", "sum")]
+        hint = ""
+        if fate.ndim == 3 and len(others) == 1:
+            hint = f": take a slice, data.isel({others[0]}=0), or draw several, basin_slices(data)"
+        raise WrongUse(
+            f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}{hint}"
+        )
+
+
+def axes_of(data: xr.Dataset) -> tuple[str, str]:
+    """Return the axes of a basin over two dimensions."""
+    x, y = map(str, data["fate"].dims)
+    return x, y
 
 
 def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
@@ -117,9 +85,6 @@ def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
 
     - `data`: what `walker_jax.basin` returns on `Grid.zoom`, over two dimensions.
     - `around`: the same on the whole grid.
-
-    **Returns** the figure, of 13 by 5.8 inches. Raises `ValueError` as `basin` does, and for `data`
-    of another grid.
     """
     check_dataset(data, "basin")
     if not len(data.attrs.get("origin", ())):
@@ -127,26 +92,20 @@ def zoomed_basin(data: xr.Dataset, around: xr.Dataset) -> Figure:
     figure = new_figure(13, 5.8)
     left, right = figure.subplots(1, 2)
     basin(around, left)
-    x, y = map(str, around["fate"].dims)
-    (place,) = place_states(around, np.asarray(data.attrs["origin"])[None], (x, y))
+    origin = np.asarray(data.attrs["origin"])[None]
+    (place,) = regions.place_states(around, origin, axes_of(around))
     arrow = {"arrowstyle": "->", "color": INK, "lw": 1.4}
-    look: dict[str, Any] = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8}
+    look: Any = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8}
     left.annotate("window", place, (24, 34), "data", "offset points", arrow, bbox=look)
     basin(data, right, title="Window")
     return figure
 
 
 def basin_slices(data: xr.Dataset) -> Figure:
-    """Draw the basin of attraction over a grid of three dimensions, in slices across the last.
+    """Draw what `walker_jax.basin` returns over three dimensions, in slices across the last.
 
-    Colours are as in `basin`. Each attractor is drawn in the slice nearest to it.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.basin` returns.
-
-    **Returns** a figure of up to six panels, evenly spaced. Raises `ValueError` for a data set that
-    is not of three dimensions, with two cells or more along the first two.
+    Colours are as in `basin`. Up to six slices are evenly spaced. Each attractor is drawn in the
+    slice nearest to it.
     """
     check_dataset(data, "basin")
     fate = data["fate"]
@@ -161,55 +120,48 @@ def basin_slices(data: xr.Dataset) -> Figure:
     rows = -(-len(chosen) // columns)
     figure = new_figure(3.1 * columns + 0.6, 2.7 * rows + 1.5)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-
     large = large_basins(data, len(BASINS))
-    regions = regions_of(data, large)
-    image, extent = paint(regions, fate.shape), extent_of(data, x, y)
+    found = regions.regions_of(data, large)
+    image, extent = regions.paint(found, fate.shape), regions.extent_of(data, x, y)
     for ax, index in zip(grid.flat, chosen, strict=False):
-        show_image(ax, image[:, :, index], extent)
-        ax.set_title(coordinate_value(z, float(depths[index])), fontsize="medium")
+        regions.show_image(ax, image[:, :, index], extent)
+        ax.set_title(text.coordinate_value(z, float(depths[index])), fontsize="medium")
     marks: dict[str, Line2D] = {}
     for number, marker in zip(large, MARKERS, strict=False):
-        cycle = cycle_of(data, number)
-        name = attractor_name(data, int(data["period"].sel(number=number)), cycle)
-        for place in place_states(data, cycle, (x, y, z)):
+        cycle = regions.cycle_of(data, number)
+        name = regions.attractor_name(data, int(data["period"].sel(number=number)), cycle)
+        for place in regions.place_states(data, cycle, (x, y, z)):
             ax = grid.flat[int(np.abs(depths[chosen] - place[2]).argmin())]
-            marks[name] = attractor_mark(ax, place[None, :2], marker, name)
+            marks[name] = regions.attractor_mark(ax, place[None, :2], marker, name)
     grid[0, 0].set(xlim=extent[:2], ylim=extent[2:])
-    name_outer_axes(grid, len(chosen), x, y)
-    patches = [counted_patch(region, share_drawn(data)) for region in regions]
-    figure_title(figure, walker_title(data))
-    figure_legend(figure, [*marks.values(), *patches], basin_note(data))
+    layout.name_outer_axes(grid, len(chosen), x, y)
+    patches = [regions.counted_patch(region, share_drawn(data)) for region in found]
+    layout.figure_title(figure, text.walker_title(data))
+    layout.figure_legend(figure, [*marks.values(), *patches], text.basin_note(data))
     return figure
 
 
 def basins_in_a_row(data: xr.Dataset) -> Figure:
     """Draw basins of attraction at several slopes, side by side, with colours as in `basin`.
 
-    Figure 7 of Schwab and Wisse (2001).
-
-    **Arguments:**
-
-    - `data`: of the kind "basins over slopes", over two axes of the section.
-
-    **Returns** the figure, of three panels in a row. Raises `ValueError` for another data set.
+    Figure 7 of Schwab and Wisse (2001). `data` is of the kind "basins over slopes", over two axes
+    of the section.
     """
     check_dataset(data, "basins over slopes")
     slopes, (x, y) = data["slope"].values.tolist(), map(str, data["fate"].dims[1:])
     rows = -(-len(slopes) // 3)
     figure = new_figure(10, 3 * rows + 0.9)
     panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
-    regions = regions_of_one_basin(data)
-    image, extent = paint(regions, data["fate"].shape), extent_of(data, x, y)
-    for ax, slope, cells, area in zip(
-        panels.flat, slopes, image, data["area"].values.tolist(), strict=False
-    ):
-        show_image(ax, cells, extent)
+    fate, extent = data["fate"].values, regions.extent_of(data, x, y)
+    found = regions.with_one_basin(fate, data["attractor"].values >= 0, failures_of(data))
+    images, areas = regions.paint(found, fate.shape), data["area"].values.tolist()
+    for ax, slope, cells, area in zip(panels.flat, slopes, images, areas, strict=False):
+        regions.show_image(ax, cells, extent)
         ax.set_title(f"slope {slope:g} rad", **TITLE, fontsize="medium", pad=16)
-        note = area_phrase(data, area) if area else "no basin of attraction"
+        note = text.area_phrase(data, area) if area else "no basin of attraction"
         ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
-    name_outer_axes(panels, len(slopes), x, y)
-    figure_legend(figure, [*map(patch_of, regions)])
+    layout.name_outer_axes(panels, len(slopes), x, y)
+    layout.figure_legend(figure, [*map(regions.patch_of, found)])
     return figure
 
 
@@ -222,7 +174,7 @@ def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
 
 def offset_label(data: xr.Dataset, axis: str) -> str:
     """Return the label of an axis, which may have offsets from the middle of the picture."""
-    return f"offset of {axis_label(axis)}" if middle_of(data, axis) else axis_label(axis)
+    return f"offset of {text.axis_label(axis)}" if middle_of(data, axis) else text.axis_label(axis)
 
 
 def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
@@ -230,7 +182,7 @@ def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:
     middle = {axis: middle_of(data, axis) for axis in axes}
     if not any(middle.values()):
         return ""
-    values = [f"{SYMBOLS.get(axis, axis)} = {value:.17g}" for axis, value in middle.items()]
+    values = [f"{text.SYMBOLS.get(axis, axis)} = {value:.17g}" for axis, value in middle.items()]
     return f"\naround {', '.join(values)}".replace("-", "−")
 
 
@@ -252,11 +204,3 @@ def evenly_spaced(count: int, most: int) -> np.ndarray:
     if count <= most:
         return np.arange(count)
     return np.unique(np.round(np.linspace(0, count - 1, most + 2)[1:-1]).astype(int))
-
-
-def slicing_hint(fate: xr.DataArray) -> str:
-    """Say how to draw a basin of three dimensions, where two are expected."""
-    others = [name for name in fate.dims if name not in ("theta", "thetadot", "sum")]
-    if fate.ndim != 3 or len(others) != 1:
-        return ""
-    return f": take a slice, data.isel({others[0]}=0), or draw several, basin_slices(data)"

@@ -7,16 +7,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from walker_jax.basins.cell_classes import large_basins
-from walker_jax.checks import WrongUse
+from walker_jax.figures import regions
+from walker_jax.figures.basin_maps import axes_of, check_plane
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
-from walker_jax.figures.regions import (
-    extent_of,
-    paint,
-    patch_of,
-    place_states,
-    regions_of,
-    show_image,
-)
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.figures.text import walker_title
 from walker_jax.stability.boundaries import region_name
@@ -41,71 +34,57 @@ ENDS = {
 
 
 def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
-    """Draw the basin, the saddles on its boundary, and their stable manifolds.
+    """Draw what `walker_jax.boundary` returns: the basin, and the saddles on its boundary.
 
-    **Arguments:**
-
-    - `data`: what `walker_jax.boundary` returns, over two dimensions.
-    - `ax`: where to draw; by default, on a new figure of 7 by 6.2 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for another data set.
+    Curves are the stable manifolds of the saddles.
     """
     check_dataset(data, "boundary")
-    fate = data["fate"]
-    if fate.ndim != 2 or min(fate.shape) < 2:
-        raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}")
+    check_plane(data["fate"])
     ax = axes_for(ax, style, 7, 6.2)
-    x, y = map(str, fate.dims)
-    extent = extent_of(data, x, y)
-    regions = regions_of(data, large_basins(data, len(BASINS)))
-    show_image(ax, paint(regions, fate.shape), extent)
-    marks = []
+    x, y = axes = axes_of(data)
+    extent = regions.extent_of(data, x, y)
+    found = regions.regions_of(data, large_basins(data, len(BASINS)))
+    regions.show_image(ax, regions.paint(found, data["fate"].shape), extent)
+    marks: list[Any] = []
     seen: dict[bytes, str] = {}
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)
         sides = zip(one["edge_fates"].values, one["edge_attractors"].values, strict=True)
         pair = " / ".join(outcome_in_words(region_name(data, *map(int, side))) for side in sides)
-        colour = CURVES[len(seen) % len(CURVES)]
-        states = one["edge_saddle"].values
-        states = states[np.isfinite(states).all(axis=1)]
+        states = finite_rows(one["edge_saddle"].values)
         known = np.sort(states.round(8), axis=0).tobytes()
+        colour, sign = CURVES[len(seen) % len(CURVES)], "o"
         if len(states) and known in seen:
-            marks += ax.plot([], [], "o", color=seen[known], mec=INK, label=f"{pair}: the same")
-            continue
-        look: dict[str, Any] = {"color": colour, "mec": INK, "mew": 0.8, "ls": "", "zorder": 4}
-        if len(states):
+            colour, states, words = seen[known], states[:0], "the same"
+        elif len(states):
             seen[known] = colour
             for curve in one["stable_manifold"].values:
-                points = place_states(data, curve, (x, y))
+                points = regions.place_states(data, curve, axes)
                 ax.plot(*points.T, "-", color=colour, lw=1.4, zorder=3)
-            label = f"{pair}: {saddle_phrase(one)}"
-            marks += ax.plot(*place_states(data, states, (x, y)).T, "o", label=label, **look)
+            words = saddle_phrase(one)
         else:
-            path = one["edge_path"].values
-            path = path[np.isfinite(path).all(axis=1)]
+            states = finite_rows(one["edge_path"].values)[-1:]
             kind = str(one["edge_kind"].values)
-            label = f"{pair}: {ENDS.get(kind, f'leads to {outcome_in_words(kind)}')}"
-            look |= {"color": "white"}
-            marks += ax.plot(*place_states(data, path[-1:], (x, y)).T, "D", label=label, **look)
+            words = ENDS.get(kind, f"leads to {outcome_in_words(kind)}")
+            colour, sign = "white", "D"
+        look: Any = {"color": colour, "mec": INK, "mew": 0.8, "ls": "", "zorder": 4}
+        places = regions.place_states(data, states, axes)
+        marks += ax.plot(*places.T, sign, label=f"{pair}: {words}", **look)
     ax.set(xlim=extent[:2], ylim=extent[2:])
-    return finish(
-        ax,
-        style,
-        title=walker_title(data),
-        note=entropy_phrase(data),
-        x=x,
-        y=y,
-        legend=[*marks, *map(patch_of, regions)],
-    )
+    handles = [*marks, *map(regions.patch_of, found)]
+    return finish(ax, style, walker_title(data), entropy_phrase(data), x=x, y=y, legend=handles)
+
+
+def finite_rows(states: np.ndarray) -> np.ndarray:
+    """Return the states that are known."""
+    return states[np.isfinite(states).all(axis=1)]
 
 
 def saddle_phrase(one: xr.Dataset) -> str:
     """Describe a saddle with its multipliers."""
     period = int(one["edge_period"])
-    values = one["edge_multipliers"].values
-    numbers = [complex(*value) for value in values[np.isfinite(values).all(axis=1)]]
-    words = ", ".join(f"{value.real:.3g}" for value in numbers)
+    values = finite_rows(one["edge_multipliers"].values)
+    words = ", ".join(f"{real:.3g}" for real, _ in values)
     return f"saddle of period {period}, multipliers {words}"
 
 

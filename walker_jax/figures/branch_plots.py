@@ -1,4 +1,4 @@
-"""Pictures of gaits over a parameter: branches, multipliers, bifurcation diagrams."""
+"""Pictures of gaits over a parameter: branches, multipliers, attractors and their exponents."""
 
 import math
 from itertools import pairwise
@@ -12,137 +12,108 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import has_known_units
-from walker_jax.figures.exponent_plots import lyapunov_exponents
-from walker_jax.figures.layout import (
-    DrawnAxes,
-    Style,
-    axes_for,
-    figure_of,
-    figure_title,
-    finish,
-    new_figure,
-)
-from walker_jax.figures.style import BASINS, DASHED, INK, SMALL, SOLID, period_style, points_of
-from walker_jax.figures.text import RADIUS, count_noun, walker_title
-from walker_jax.gaits.curves import (
-    Curve,
-    attractor_states,
-    cascade_curves,
-    cascade_interval,
-    final_gaits,
-    first_coordinate,
-    interpolate_multipliers,
-    loss_of_attractor,
-    read_curves,
-)
+from walker_jax.checks import WrongUse
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_title, finish, new_figure
+from walker_jax.figures.style import BASINS, DASHED, INK, SMALL, SOLID, period_style
+from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
+from walker_jax.gaits import curves
+from walker_jax.gaits.curves import Curve
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import names_in
 
-FOLD: dict[str, Any] = {"marker": "<", "ms": 6, "mfc": "white", "mew": 1, "ls": ""}
-TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mfc": "white", "mew": 1.2, "ls": ""}
-DOUBLING: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
-OPEN: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 1.2, "ls": ""}
-CLOSED_TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mec": "white", "mew": 0.5, "ls": ""}
-"""Signs of bifurcations: `OPEN` for subcritical doublings, `CLOSED_TORUS` for Neimark-Sacker points
-known to be supercritical."""
+BASE: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 1.2, "ls": ""}
+FILLED: dict[str, Any] = {"mec": "white", "mew": 0.5, "ls": ""}
+SIGNS: tuple[dict[str, Any], ...] = (
+    BASE | {"marker": "<", "ms": 6, "mew": 1},
+    FILLED | {"marker": "o", "ms": 4.5},
+    BASE,
+    BASE | {"marker": "s", "ms": 5},
+    FILLED | {"marker": "s", "ms": 5},
+)
+"""Signs of folds, of period doublings, of subcritical ones, and of Neimark-Sacker points, open, and
+filled where they are known to be supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 HIGHEST = 2
 """Largest modulus of a multiplier that is drawn against a parameter."""
 FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
 """Lines of unstable gaits of long periods, of which there are many."""
+DEEPEST = 4.0
+"""Depth below zero of the lowest exponent that is drawn, in units of the highest, or of a half if
+that is larger: at a superstable gait the lowest exponents have no bound."""
 
 
 def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
-    """Draw all gaits against a parameter: the first coordinate at the start of each stride.
+    """Draw all gaits of `walker_jax.bifurcation_diagram`: the first coordinate over the parameter.
 
-    Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours show periods. Lines are
-    solid where a gait is stable and dashed where it is not. Triangles are folds, where two gaits
-    are born. Dots are period doublings, and circles subcritical ones. Squares are Neimark-Sacker
-    points, filled where they are supercritical. At the right are the step times of the gaits of
-    period one at the end of the range.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.bifurcation_diagram` returns.
-    - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
+    Figure 3 of Schwab and Wisse (2001), for gaits of every period, at the start of each stride.
+    Colours show periods. Lines are solid where a gait is stable and dashed where it is not.
+    Triangles are folds, where two gaits are born. Dots are period doublings, and circles
+    subcritical ones. Squares are Neimark-Sacker points, filled where they are supercritical. At the
+    right are the step times of the gaits of period one at the end of the range.
     """
     check_dataset(data, "gait branches")
     ax = axes_for(ax, style, 7, 5.6)
-    drawn = read_curves(data)
+    drawn = curves.read_curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
-    folds, values = data["event_fold"].values, data["event_value"].values
-    periods, states = data["event_period"].values.tolist(), first_coordinate(data["event_states"])
+    folds = data["event_fold"].values
     subcritical = ~folds & (coefficients(data, "event") < 0)
-    for i, (period, cycle) in enumerate(zip(periods, states, strict=True)):
-        sign = FOLD if folds[i] else OPEN if subcritical[i] else DOUBLING
-        draw_event(ax, np.full(period, values[i]), cycle[:period], period, sign)
-    tori, closed = data["torus_value"].values, coefficients(data, "torus") < 0
-    for i, value in enumerate(tori):
-        period = int(data["torus_period"][i])
-        cycle = first_coordinate(data["torus_states"])[i]
-        sign = CLOSED_TORUS if closed[i] else TORUS
-        draw_event(ax, np.full(period, value), cycle[:period], period, sign)
+    closed = coefficients(data, "torus") < 0
+    draw_events(ax, data, "event", np.where(folds, 0, np.where(subcritical, 2, 1)))
+    draw_events(ax, data, "torus", np.where(closed, 4, 3))
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
-    counts["Neimark-Sacker point"] = len(tori)
+    counts["Neimark-Sacker point"] = len(closed)
     set_range(ax, data)
     if style.get("labels", True):
         write_step_times(ax, data)
-    kinds = []
-    for name, found, look in (
-        ("stable", data["stable"].values, SOLID),
-        ("unstable", ~data["stable"].values, DASHED),
-        ("fold", folds, FOLD),
-        ("period doubling", ~folds & ~subcritical, DOUBLING),
-        ("subcritical doubling", subcritical, OPEN),
-        ("Neimark-Sacker", ~closed, TORUS),
-        ("supercritical Neimark-Sacker", closed, CLOSED_TORUS),
-    ):
-        if found.any():
-            kinds.append(Line2D([], [], color=INK, label=name, **look))
-    return finish(
-        ax,
-        style,
-        title=f"{walker_title(data)}: gaits",
-        note=", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n),
-        x=str(data.attrs["parameter"]),
-        y=first_name(data),
-        legend=[*kinds, *period_lines(drawn)],
-    )
+    kinds = [
+        Line2D([], [], color=INK, label=name, **look)
+        for name, found, look in (
+            ("stable", data["stable"].values, SOLID),
+            ("unstable", ~data["stable"].values, DASHED),
+            ("fold", folds, SIGNS[0]),
+            ("period doubling", ~folds & ~subcritical, SIGNS[1]),
+            ("subcritical doubling", subcritical, SIGNS[2]),
+            ("Neimark-Sacker", ~closed, SIGNS[3]),
+            ("supercritical Neimark-Sacker", closed, SIGNS[4]),
+        )
+        if found.any()
+    ]
+    note = ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n)
+    handles = [*kinds, *period_lines(drawn)]
+    return over_parameter(ax, style, data, "gaits", note, y=first_name(data), legend=handles)
+
+
+def over_parameter(
+    ax: Axes, style: Style, data: xr.Dataset, subject: str, note: str, **words: Any
+) -> DrawnAxes:
+    """Finish a picture over the parameter of a data set, under the walker's name and a subject."""
+    title = f"{walker_title(data)}: {subject}"
+    ax.locator_params(axis="x", nbins=6)
+    return finish(ax, style, title, note, x=str(data.attrs["parameter"]), **words)
 
 
 def largest_multiplier(
     data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
-    """Draw the largest Floquet multiplier's modulus against a parameter, along the main cascade.
+    """Draw the largest Floquet multiplier of `walker_jax.bifurcation_diagram`, over its parameter.
 
     The left axis of Figure 8 of Schwab and Wisse (2001), for the most stable gait of period one,
     the gaits of period two that branch off it, and so on. A gait is stable, and its line solid,
     where the modulus is below one.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.bifurcation_diagram` returns.
-    - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
     check_dataset(data, "gait branches")
     ax = axes_for(ax, style, 7, 4.6)
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
-    family = cascade_curves(data)
+    family = curves.cascade_curves(data)
     handles = period_lines(family)
     for handle, period in zip(handles, sorted({c.period for c in family}), strict=True):
         own = [curve for curve in family if curve.period == period]
         for curve in own:
             draw_multiplier(ax, curve)
         values = np.concatenate([curve.doublings for curve in own])
-        draw_event(ax, values, np.ones(len(values)), period, DOUBLING)
+        draw_event(ax, values, np.ones(len(values)), period, SIGNS[1])
         if len(values):
             where = " and ".join(f"{value:.5f}" for value in values)
             handle.set_label(f"{handle.get_label()}, doubles at {where}")
@@ -152,73 +123,79 @@ def largest_multiplier(
     for words, rise, side in sides * style.get("labels", True):
         place = ax.get_yaxis_transform()
         ax.annotate(words, (0, 1), (5, rise), place, "offset points", va=side, fontsize=SMALL)
-    return finish(
-        ax,
-        style,
-        title=f"{walker_title(data)}: largest Floquet multiplier",
-        note="of the most stable gait of period one and the gaits that double from it",
-        x=str(data.attrs["parameter"]),
-        y=RADIUS,
-        legend=handles,
-    )
+    subject = "largest Floquet multiplier"
+    note = "of the most stable gait of period one and the gaits that double from it"
+    return over_parameter(ax, style, data, subject, note, y=RADIUS, legend=handles)
 
 
 def bifurcation_diagram(
     data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
-    """Draw the attractors against a parameter: the first coordinate at the start of each stride.
+    """Draw the attractors of `walker_jax.bifurcation_diagram`, over its parameter.
 
-    A dot is a recorded state of a walker that does not fall. Dashed lines are unstable parts of the
-    gait of period one from which the cascade of period doublings starts. A vertical line marks the
-    middle of the interval in which walking is lost.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.bifurcation_diagram` returns.
-    - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for a data set without gaits and attractors.
+    A dot is a recorded state of a walker that does not fall: the first coordinate at the start of a
+    stride. Dashed lines are unstable parts of the gait of period one from which the cascade of
+    period doublings starts. A vertical line marks the middle of the interval in which walking is
+    lost.
     """
     check_dataset(data, "bifurcation diagram")
     ax = axes_for(ax, style, 7, 5)
-    value, state = attractor_states(data)
+    value, state = curves.attractor_states(data)
     ax.plot(value, state, "o", color=BASINS[0], ms=1, mew=0, rasterized=True, zorder=4)
     handles = [Line2D([], [], color=BASINS[0], marker="o", ms=3, ls="", label="attractor")]
-    for curve in cascade_curves(data)[:1]:
+    for curve in curves.cascade_curves(data)[:1]:
         draw_curve(ax, curve, curve.states, stable=False)
         handles.append(Line2D([], [], color=INK, label="unstable gait", **DASHED))
     set_range(ax, data)
-    lost, note = loss_of_attractor(data), ""
+    lost, note = curves.loss_of_attractor(data), ""
     if np.isfinite(lost):
         handles.append(ax.axvline(lost, color=LOSS, lw=1, zorder=3, label="walking is lost"))
         low, high = data["lost"].values.tolist()
         digits = max(5, 1 - math.floor(math.log10(high - low)))  # enough to tell the two apart
         note = f"walking is lost between {low:.{digits}f} and {high:.{digits}f}"
-    return finish(
-        ax,
-        style,
-        title=f"{walker_title(data)}: attractors",
-        note=note,
-        legend=handles,
-        x=str(data.attrs["parameter"]),
-        y=first_name(data),
+    return over_parameter(ax, style, data, "attractors", note, y=first_name(data), legend=handles)
+
+
+def lyapunov_exponents(
+    data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
+) -> DrawnAxes:
+    """Draw Lyapunov exponents of `walker_jax.bifurcation_diagram`, with their error bands.
+
+    Bands are twice the standard error on each side. Walking is chaotic where the first exponent is
+    above zero. Nothing is drawn where no walker walks.
+    """
+    check_dataset(data, "bifurcation diagram")
+    if "exponents" not in data:
+        raise WrongUse("data must have exponents: give bifurcation_diagram a number of strides")
+    ax = axes_for(ax, style, 7, 4.6)
+    value = data["sample_value"].values
+    found, errors = data["exponents"].values, data["exponent_errors"].values
+    ax.axhline(0, color=INK, lw=0.8, zorder=1)
+    handles = []
+    for i, (middle, error) in enumerate(zip(found.T, 2 * errors.T, strict=True)):
+        colour = BASINS[i % len(BASINS)]
+        ax.fill_between(value, middle - error, middle + error, color=colour, alpha=0.3, lw=0)
+        place = ("first", "second", "third")[i] if i < 3 else f"{i + 1}th"
+        handles += ax.plot(value, middle, color=colour, lw=1, label=place, zorder=3)
+    known = found[np.isfinite(found)]
+    if len(known):
+        top = max(float(known.max()), 0.05)
+        ax.set_ylim(max(float(known.min()), -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
+        ax.set_xlim(value.min(), value.max())
+    positive = value[found[:, 0] > 2 * errors[:, 0]]
+    note = (
+        f"the first is above zero from {positive[0]:.5f}" if len(positive) else "none is above zero"
     )
+    y = "exponent (1/stride)"
+    return over_parameter(ax, style, data, "Lyapunov exponents", note, y=y, legend=handles)
 
 
 def bifurcations(data: xr.Dataset) -> Figure:
-    """Draw gaits, their largest multiplier and the attractors, over a range of a parameter.
+    """Draw all of `walker_jax.bifurcation_diagram`: gaits, their multiplier, and the attractors.
 
     The pictures are `gait_branches` above `largest_multiplier`, and `bifurcation_diagram` above
     `lyapunov_exponents`, if the data set has exponents. At the bottom is the part of these between
     the first period doubling of the cascade and the loss of walking, if any.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.bifurcation_diagram` returns.
-
-    **Returns** the figure, of 10.4 by 9 inches or, with exponents, by 13.5:
-    `figures.bifurcations(data).savefig("slope.png")`. Raises `ValueError` as these do.
     """
     check_dataset(data, "bifurcation diagram")
     rows = 3 if "exponents" in data else 2
@@ -227,25 +204,59 @@ def bifurcations(data: xr.Dataset) -> Figure:
     gait_branches(data, axes[0, 0], title="a  Gaits")
     bifurcation_diagram(data, axes[0, 1], title="b  Attractors")
     largest_multiplier(data, axes[1, 0], title="c  Largest Floquet multiplier")
-    close, letter = axes[1, 1], "d"
     if rows == 3:
         lyapunov_exponents(data, axes[1, 1], title="d  Lyapunov exponents")
-        (close, below), letter = axes[2], "e"
-    window = cascade_window(data)
+    window, close = cascade_window(data), axes.flat[3 if rows == 2 else 4]
     if window is None:
         for ax in axes[-1, 3 - rows :]:
             ax.remove()
     else:
-        zoom = bifurcation_diagram(data, close, title=f"{letter}  Attractors of the cascade")
-        zoom.lines[0].set(markersize=0.8, alpha=0.5)
-        zoom.set(xlim=window[:2], ylim=window[2:])
+        letter = "d" if rows == 2 else "e"
+        bifurcation_diagram(data, close, title=f"{letter}  Attractors of the cascade")
+        close.lines[0].set(markersize=0.8, alpha=0.5)
+        close.set(xlim=window[:2], ylim=window[2:])
         if rows == 3:
-            zoom = lyapunov_exponents(data, below, title="f  Exponents of the cascade")
-            zoom.set_xlim(window[:2])
-    for ax in figure.axes:
-        ax.locator_params(axis="x", nbins=6)
+            lyapunov_exponents(data, axes[2, 1], title="f  Exponents of the cascade")
+            axes[2, 1].set_xlim(window[:2])
     figure_title(figure, walker_title(data))
     return figure
+
+
+def stability_and_area(
+    gaits: xr.Dataset, areas: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
+) -> DrawnAxes:
+    """Draw the gait's largest multiplier and the area of the basin against the slope.
+
+    Figure 8 of Schwab and Wisse (2001).
+
+    **Arguments:**
+
+    - `gaits`: what `walker_jax.bifurcation_diagram` returns, over the slope.
+    - `areas`: of the kind "areas over slopes".
+
+    **Returns** the axes of the multiplier, which share their place with those of the area.
+    """
+    check_dataset(gaits, "gait branches")
+    check_dataset(areas, "areas over slopes")
+    ax = axes_for(ax, style, 8, 4.8)
+    ax.axhline(1, color=INK, lw=0.8, zorder=1)
+    slopes, known = areas["slope"].values, np.isfinite(areas["area"].values)
+    for curve in curves.cascade_curves(gaits)[:1]:
+        draw_multiplier(ax, curve)
+    ax.set(xlim=(0, 1.02 * slopes.max()), ylim=(0, HIGHEST))
+    other = ax.twinx()
+    look: Any = {"color": BASINS[1], "ms": 5, "mfc": "none", "label": "area, cell mapping"}
+    points = other.plot(slopes, areas["mapped_area"], "s", **look)
+    if known.any():
+        label = "area, refined (error below the width of the line)"
+        refined = slopes[known], areas["area"].values[known]
+        points += other.plot(*refined, "-o", color=BASINS[0], ms=3, label=label)
+    other.set_ylim(0)
+    other.set_ylabel(AREA_LABEL, color=BASINS[0])
+    line = Line2D([], [], color=INK, **SOLID, label=f"{RADIUS}; dashed: unstable")
+    title, handles = "Stability of the gait, and area of its basin", [line, *points]
+    words: Any = {"x": "slope", "y": RADIUS, "legend": handles, "beside": [other]}
+    return finish(ax, style, title, "SimplestWalker", **words)
 
 
 def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
@@ -272,7 +283,7 @@ def draw_curve(
 
 def draw_multiplier(ax: Axes, curve: Curve) -> None:
     """Draw the modulus of the largest multiplier along a curve."""
-    fine = interpolate_multipliers(curve)
+    fine = curves.interpolate_multipliers(curve)
     draw_curve(ax, fine, fine.spectral_radius[:, None])
 
 
@@ -289,14 +300,22 @@ def draw_event(
     ax.plot(values, heights, color=colour, zorder=7 - period / 100, **sign | smaller)
 
 
+def draw_events(ax: Axes, data: xr.Dataset, name: str, signs: np.ndarray) -> None:
+    """Draw the bifurcations of a name, at each phase of their gaits, with these signs."""
+    heights = curves.first_coordinate(data[f"{name}_states"])
+    periods = data[f"{name}_period"].values.tolist()
+    for i, (value, period) in enumerate(zip(data[f"{name}_value"].values, periods, strict=True)):
+        draw_event(ax, np.full(period, value), heights[i, :period], period, SIGNS[signs[i]])
+
+
 def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
     """Return limits of the picture around the states of the cascade; None without a cascade."""
-    interval = cascade_interval(data)
+    interval = curves.cascade_interval(data)
     if interval is None:
         return None
     low, high = interval
     low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
-    value, state = attractor_states(data)
+    value, state = curves.attractor_states(data)
     inside = state[(value >= low) & (value <= high)]
     if len(inside) == 0:
         return None
@@ -306,42 +325,28 @@ def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None
 
 def write_step_times(ax: Axes, data: xr.Dataset) -> None:
     """Write the step times of the gaits of period one at the end of the range beside the axes."""
-    heights, times = final_gaits(data)
-    high = 0.6 * ax.bbox.height * 72 / figure_of(ax).dpi  # between the title and the legend
-    line = 1.4 * points_of(SMALL) / high * np.ptp(ax.get_ylim())
-    at = ax.get_yaxis_transform()
-    order = np.argsort(heights)
-    places = spread_apart(heights[order], line, ax.get_ylim()[1] - line / 2)
-    for i, place in zip(order.tolist(), places.tolist(), strict=True):
-        arrow = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 0, "shrinkB": 0}
-        ax.annotate(
-            f"{times[i]:.2f}",
-            (1, heights[i]),
-            (1.03, place),
-            at,
-            at,
-            va="center",
-            fontsize=SMALL,
-            arrowprops=arrow,
-        )
+    heights, times = curves.final_gaits(data)
+    order, at = np.argsort(heights), ax.get_yaxis_transform()
+    for i, place in zip(order, evenly_around(heights[order], *ax.get_ylim()), strict=True):
+        look: Any = {
+            "va": "center",
+            "fontsize": SMALL,
+            "arrowprops": {"arrowstyle": "-", "lw": 0.5},
+        }
+        ax.annotate(f"{times[i]:.2f}", (1, heights[i]), (1.05, place), at, at, **look)
     if len(heights):
-        ax.annotate(
-            "step time\n(√(l/g))" if has_known_units(data) else "time",
-            (1.03, 1),
-            (0, 6),
-            "axes fraction",
-            "offset points",
-            fontsize=SMALL,
-        )
+        words = "step time\n(√(l/g))" if has_known_units(data) else "time"
+        ax.annotate(words, (1.03, 1), (0, 6), "axes fraction", "offset points", fontsize=SMALL)
 
 
-def spread_apart(
-    heights: Float[np.ndarray, " n"], gap: float, top: float
+def evenly_around(
+    heights: Float[np.ndarray, " n"], low: float, high: float
 ) -> Float[np.ndarray, " n"]:
-    """Move ascending heights apart by a gap: upwards, as far as they stay below a top."""
-    places, steps = heights.copy(), gap * np.arange(len(heights))
-    places = np.maximum.accumulate(places - steps) + steps
-    return np.minimum(places, top - steps[::-1])
+    """Return as many places, 0.09 of a range apart, around ascending heights in that range."""
+    gap = 0.09 * (high - low)
+    away = gap * (np.arange(len(heights)) - (len(heights) - 1) / 2)
+    middle, most = np.mean(heights) if len(heights) else low, away.max(initial=0) + gap / 2
+    return np.clip(middle, low + most, high - most) + away
 
 
 def set_range(ax: Axes, data: xr.Dataset) -> None:

@@ -11,6 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, cell_edges, finish
+from walker_jax.figures.regions import Extent, show_image
 from walker_jax.figures.style import INK, PERIODS, SIGNS, SMALL, period_style
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.gaits.charts import NO_GAIT, words_in
@@ -43,50 +44,28 @@ WORDS = {
 }
 CIRCLES: dict[str, Any] = {"marker": "o", "ms": 3, "mfc": "white", "mew": 0.9}
 """Circles along the subcritical part of a curve."""
-SPECIAL: dict[str, Any] = {
-    "marker": "D",
-    "ms": 5.5,
-    "mfc": "white",
-    "mec": INK,
-    "mew": 1.2,
-    "ls": "",
-}
+SPECIAL: dict[str, Any] = {"marker": "D", "ms": 5.5, "mfc": "white", "mec": INK, "mew": 1.2}
 """Markers of points of codimension two."""
 
 
 def chart(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
-    """Draw attractors and curves of bifurcations over two parameters.
+    """Draw what `walker_jax.chart` returns: attractors, and curves of bifurcations.
 
     The tint of a cell shows the period of its attractor. The colour of a curve shows the period of
     the gait that bifurcates, and its line style the kind of bifurcation. Circles mark subcritical
     parts. Diamonds are points of codimension two.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.chart` returns.
-    - `ax`: where to draw; by default, on a new figure of 7 by 5.8 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for another data set.
     """
     check_dataset(data, "chart")
     ax = axes_for(ax, style, 7, 5.8)
-    axes = data["first"].values, data["second"].values
-    periods = draw_cells(ax, data)
-    drawn = draw_lines(ax, data)
+    extent = (*cell_edges(data["first"].values), *cell_edges(data["second"].values))
+    handles: list[Any] = [*draw_cells(ax, data, extent), *draw_lines(ax, data)]
     draw_special(ax, data, style.get("labels", True))
-    ax.set(xlim=cell_edges(axes[0]), ylim=cell_edges(axes[1]))
-    first, second = data["parameter"].values.tolist()
+    ax.set(xlim=extent[:2], ylim=extent[2:])
+    x, y = data["parameter"].values.tolist()
     counts = {"curve": data.sizes["line"], "codimension-two point": data.sizes["special"]}
-    return finish(
-        ax,
-        style,
-        title=f"{walker_title(data)}: {first.replace('_', ' ')} and {second.replace('_', ' ')}",
-        note=", ".join(count_noun(n, noun) for noun, n in counts.items() if n),
-        x=first,
-        y=second,
-        legend=[*periods, *drawn],
-    )
+    title = f"{walker_title(data)}: {x.replace('_', ' ')} and {y.replace('_', ' ')}"
+    note = ", ".join(count_noun(n, noun) for noun, n in counts.items() if n)
+    return finish(ax, style, title, note, x=x, y=y, legend=handles)
 
 
 def tinted(period: int) -> tuple[float, ...]:
@@ -94,46 +73,34 @@ def tinted(period: int) -> tuple[float, ...]:
     return tuple(1 - TINTS[period - 1] * (1 - part) for part in to_rgb(period_style(period)[0]))
 
 
-def draw_cells(ax: Axes, data: xr.Dataset) -> list[Patch]:
+def draw_cells(ax: Axes, data: xr.Dataset, extent: Extent) -> list[Patch]:
     """Colour the cells; return their legend handles."""
     fate, period = data["cell_fate"].values, data["cell_period"].values
-    walks = fate == Outcome.STRIDE
-    image = np.full((*fate.shape, 3), to_rgb(FALLS))
-    undecided = fate == Outcome.UNDECIDED
-    image[undecided] = to_rgb(NOT_KNOWN)
-    handles = []
-    for number in range(1, len(PERIODS) + 1):
-        cells = walks & (period == number)
-        if cells.any():
-            image[cells] = tinted(number)
-            handles.append(Patch(fc=tinted(number), ec=INK, lw=0.3, label=f"period {number}"))
-    others = walks & ((period == 0) | (period > len(PERIODS)))
-    image[others] = to_rgb(NO_PERIOD)
+    walks, undecided, without = (fate == one for one in (0, Outcome.UNDECIDED, NO_GAIT))
     fails = "falls" if "theta" in names_in(data, "section") else "fails"
-    further = (
-        ("no or a longer period", others, NO_PERIOD),
-        (fails, ~walks & ~undecided & (fate != NO_GAIT), FALLS),
-        ("undecided", undecided, NOT_KNOWN),
-    )
-    for name, cells, colour in further:
+    kinds: dict[str, tuple[Any, Any]] = {
+        f"period {n}": (walks & (period == n), tinted(n)) for n in range(1, len(PERIODS) + 1)
+    } | {
+        "no or a longer period": (walks & ((period == 0) | (period > len(PERIODS))), NO_PERIOD),
+        fails: (~walks & ~undecided & ~without, FALLS),
+        "undecided": (undecided, NOT_KNOWN),
+    }
+    image = np.ones((*fate.shape, 3))
+    handles = []
+    for name, (cells, colour) in kinds.items():
         if cells.any():
+            image[cells] = to_rgb(colour)
             handles.append(Patch(fc=colour, ec=INK, lw=0.3, label=name))
-    without = fate == NO_GAIT
-    edges = [cell_edges(data[name].values) for name in ("first", "second")]
+    show_image(ax, image, extent, interpolation="nearest", zorder=1)
     if without.any():
-        corners = [np.linspace(*ends, n + 1) for ends, n in zip(edges, without.shape, strict=True)]
+        corners = [
+            np.linspace(low, high, n + 1)
+            for (low, high), n in zip(np.reshape(extent, (2, 2)), without.shape, strict=True)
+        ]
         shown = np.ma.masked_where(~without.T, np.ones(without.T.shape))
-        look = {"hatch": EMPTY["hatch"], "edgecolors": EMPTY["edgecolor"], "linewidth": 0}
+        look: Any = {"hatch": EMPTY["hatch"], "edgecolors": EMPTY["edgecolor"], "linewidth": 0}
         ax.pcolor(*corners, shown, cmap=ListedColormap([EMPTY["facecolor"]]), zorder=2, **look)
         handles.append(Patch(**EMPTY, lw=0.3, label="no gait"))
-    ax.imshow(
-        image.swapaxes(0, 1),
-        origin="lower",
-        extent=(*edges[0], *edges[1]),
-        aspect="auto",
-        interpolation="nearest",
-        zorder=1,
-    )
     return handles
 
 
@@ -153,33 +120,26 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
             ax.plot(*part, color=colour, ls="", zorder=5, markevery=3, **CIRCLES)
         seen |= {(kind, bool(some)) for some in subcritical.tolist()} | {(kind, False)}
     return [
-        Line2D([], [], color=INK, label=WORDS[kind] + ", subcritical" * some, **sign_of(kind, some))
+        Line2D(
+            [],
+            [],
+            color=INK,
+            label=WORDS[kind] + ", subcritical" * some,
+            **KINDS[kind] | (CIRCLES if some else {}),
+        )
         for kind in KINDS
         for some in (False, True)
         if (kind, some) in seen
     ]
 
 
-def sign_of(kind: str, subcritical: bool) -> dict[str, Any]:
-    """Return the line style of a curve, with circles if it is subcritical."""
-    return KINDS[kind] | (CIRCLES if subcritical else {})
-
-
 def draw_special(ax: Axes, data: xr.Dataset, labels: bool) -> None:
     """Draw the points of codimension two, with their names."""
-    values = data["special_value"].values
-    ax.plot(*values.T, zorder=7, **SPECIAL)
+    values, middle = data["special_value"].values, data["first"].values.mean()
+    ax.plot(*values.T, zorder=7, ls="", **SPECIAL)
+    look: Any = {"textcoords": "offset points", "fontsize": SMALL, "zorder": 8}
+    look["bbox"] = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8}
     names = words_in(data, "special_kind") if labels else []
-    middle = data["first"].values.mean()
     for name, (x, y) in zip(names, values.tolist(), strict=labels):
-        left = x > middle
-        ax.annotate(
-            name.removesuffix(" resonance"),
-            (x, y),
-            (-7 if left else 7, 4),
-            textcoords="offset points",
-            ha="right" if left else "left",
-            fontsize=SMALL,
-            zorder=8,
-            bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8},
-        )
+        shift, side = ((-7, 4), "right") if x > middle else ((7, 4), "left")
+        ax.annotate(name.removesuffix(" resonance"), (x, y), shift, ha=side, **look)

@@ -1,18 +1,33 @@
-"""Pictures of the most probable fall."""
+"""Pictures of falls: the most probable one, rough ground, and long transients before a fall."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
+from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from walker_jax.checks import check_kind
-from walker_jax.figures.layout import figure_title, finish, new_figure
+from walker_jax.checks import WrongUse, check_kind, numbers
+from walker_jax.figures.layout import (
+    DrawnAxes,
+    Style,
+    axes_for,
+    figure_of,
+    figure_title,
+    finish,
+    new_figure,
+)
 from walker_jax.figures.style import BASINS, INK, OTHERS, failure_words
 from walker_jax.figures.text import walker_title
+from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.escapes import CrisisLaw, Transients
 from walker_jax.stability.probable_falls import ProbableFall
+from walker_jax.storage.schema import check_dataset
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of
 
@@ -22,6 +37,16 @@ LONGEST = 1e12
 """Largest mean number of strides to a fall at which the law is drawn."""
 ROUGHEST = 2.0
 """action / deviation^2 at the other end: strides are few there, and the law does not hold."""
+ROUTES, STRIDES = 12, 6
+"""Most escapes that are drawn, and the number of last states drawn for each of them."""
+AROUND = 0.3
+"""Margin around the saddle, as a share of its width."""
+DASHES = ((0, (6, 2)), (0, (3, 2)), (0, (1, 1.5)))
+"""Line styles of predicted exponents."""
+PIXELS, PARTS = 120, 8
+"""Pixels of the picture along each side; parts of a cell along each edge, to avoid stripes."""
+FAINTEST = 1e-6
+"""Chance, relative to the largest one, below which a pixel is empty."""
 
 
 def probable_fall(
@@ -39,8 +64,6 @@ def probable_fall(
     - `fall`: what `walker_jax.most_probable_fall` returns.
     - `walker`: what falls, for the title.
     - `title`: whether to draw one; a string replaces it.
-
-    **Returns** the figure, of 9 by 7.6 inches. Raises `ValueError` for anything else.
     """
     check_kind("fall", fall, ProbableFall)
     figure = new_figure(9, 7.6)
@@ -63,51 +86,52 @@ def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
     """Draw the disturbances of each stride as bars."""
     number = np.arange(1, len(fall.disturbances) + 1)
     kinds = np.flatnonzero(fall.disturbances.any(axis=0))
-    width = 0.8 / len(kinds)
-    bars: list[Any] = []
+    width, bars = 0.8 / len(kinds), list[Any]()
     for i, kind in enumerate(kinds):
         at = number + (i - (len(kinds) - 1) / 2) * width
-        look: Any = {"color": BASINS[i], "label": KINDS[kind]}
-        bars.append(ax.bar(at, fall.disturbances[:, kind], width, **look)[0])
-        bars[-1].set_label(KINDS[kind])
+        heights = fall.disturbances[:, kind]
+        bars.append(ax.bar(at, heights, width, color=BASINS[i], label=KINDS[kind]))
     ax.axhline(0, color=INK, lw=0.8)
+    count_axis(ax)
+    single = len(kinds) == 1
+    y = KINDS[kinds[0]] if single else "disturbance"
+    finish(ax, {}, "Disturbances", x="stride", y=y, legend=[] if single else bars)
+
+
+def count_axis(ax: Axes) -> None:
+    """Number the x axis by whole numbers, and the y axis by short ones."""
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
-    y = KINDS[kinds[0]] if len(kinds) == 1 else "disturbance"
-    legend = bars if len(kinds) > 1 else []
-    finish(ax, {}, title="Disturbances", x="stride", y=y, legend=legend)
 
 
 def draw_actions(ax: Axes, fall: ProbableFall) -> None:
     """Draw the least action of each number of disturbed strides."""
     ax.plot(np.arange(1, len(fall.actions) + 1), fall.actions, "-o", color=BASINS[0], ms=4, lw=1)
     ax.axhline(fall.action, color=OTHERS, lw=0.8, ls=":")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    count_axis(ax)
     ax.set(ylim=(0, 1.1 * np.nanmax(fall.actions[np.isfinite(fall.actions)])))
-    ax.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
-    finish(ax, {}, title="Action", x="disturbed strides", y="least action")
+    finish(ax, {}, "Action", x="disturbed strides", y="least action")
 
 
 def draw_path(ax: Axes, fall: ProbableFall) -> None:
     """Draw states just after heel strike; open circles come after the last disturbance."""
-    places = fall.states[:, 0], fall.states[:, 0] + fall.states[:, 2]
-    disturbed = np.arange(len(fall.states)) <= len(fall.disturbances)
-    first, last = np.arange(len(disturbed)) == 0, np.arange(len(disturbed)) == len(disturbed) - 1
+    places = np.stack([fall.states[:, 0], fall.states[:, 0] + fall.states[:, 2]])
+    number = np.arange(len(fall.states))
+    first, last, disturbed = number == 0, number == number[-1], number <= len(fall.disturbances)
     blue: dict[str, Any] = {"marker": "o", "ms": 5, "color": BASINS[0]}
     signs: list[tuple[str, np.ndarray, dict[str, Any]]] = [
-        ("gait", first, {"marker": "o", "ms": 9, "color": INK}),
         ("disturbed", disturbed & ~first & ~last, blue),
         ("on even ground", ~disturbed & ~last, blue | {"mfc": "white"}),
+        ("gait", first, {"marker": "*", "ms": 14, "color": INK, "mec": "white"}),
         ("before the fall", last, {"marker": "X", "ms": 9, "color": BASINS[1]}),
     ]
     ax.plot(*places, color=BASINS[0], lw=0.8)
     marks = []
     for label, some, look in signs:
         if some.any():
-            shown = places[0][some], places[1][some]
-            marks += ax.plot(*shown, ls="", zorder=3, label=label, **look)
+            marks += ax.plot(*places[:, some], ls="", zorder=3, label=label, **look)
     ax.locator_params(axis="x", nbins=6)
-    finish(ax, {}, title="States just after heel strike", x="theta", y="sum", legend=marks)
+    finish(ax, {}, "States just after heel strike", x="theta", y="sum", legend=marks)
 
 
 def draw_law(ax: Axes, fall: ProbableFall) -> None:
@@ -123,4 +147,132 @@ def draw_law(ax: Axes, fall: ProbableFall) -> None:
     ticks = exponent[:: len(exponent) // 4]
     above.set_xticks(ticks, [f"{np.sqrt(fall.action / one):.2g}" for one in ticks])
     above.set_xlabel("scale of the deviations")
-    finish(ax, {}, title="Law", x="action / scale$^2$", y="mean strides to a fall", legend=lines)
+    finish(ax, {}, "Law", x="action / scale$^2$", y="mean strides to a fall", legend=lines)
+
+
+def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
+    """Draw the quasi-stationary distribution of `walker_jax.steps_to_fall` by cells.
+
+    That is where walks that still last are on the section. The axes are theta and theta + thetadot,
+    as for basins; on rough ground the third direction is summed over. Colours show chance on a
+    logarithmic scale.
+    """
+    check_dataset(data, "metastable walking")
+    ax = axes_for(ax, style, 6.4, 5.2)
+    edges, chance = data["edges"].values, data["chance"].values
+    seen = chance > FAINTEST * chance.max()
+    shares = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+    parts = np.stack(np.meshgrid(*[shares] * len(edges)), axis=-1).reshape(-1, len(edges)) @ edges
+    points = data["centre"].values[seen][:, None] + parts
+    theta, thetadot = points[..., 0].ravel(), points[..., 1].ravel()
+    weights = np.repeat(chance[seen] / len(parts), len(parts))
+    sums, *places = np.histogram2d(theta, theta + thetadot, PIXELS, weights=weights)
+    least = FAINTEST * sums.max()
+    look: Any = {"norm": LogNorm(least, sums.max()), "cmap": "viridis_r", "rasterized": True}
+    image = ax.pcolormesh(*places, np.ma.masked_less(sums.T, least), **look)
+    mean, error = float(data["mean_strides"]), 1.96 * float(data["mean_strides_error"])
+    bar = figure_of(ax).colorbar(image, ax=ax, label="chance of each pixel")
+    note = f"a fall after {mean:,.4g} ± {error:,.2g} strides on average"
+    return finish(ax, style, walker_title(data), note, x="theta", y="sum", beside=[bar.ax])
+
+
+def chaotic_saddle(
+    found: Transients,
+    attractor: Float[ArrayLike, "n section"] | None = None,
+    gait: Gait | None = None,
+    ax: Axes | None = None,
+    **style: Unpack[Style],
+) -> DrawnAxes:
+    """Draw a chaotic saddle, the attractor before the crisis, and the ways in which walks leave.
+
+    States are just after heel strike. The axes are the first two coordinates of the section; for
+    walkers they are theta and theta + thetadot, as otherwise all states lie close to a line. Each
+    way has the last six states before a failure. The last of them may be outside the picture.
+
+    **Arguments:**
+
+    - `found`: what `walker_jax.transients` returns.
+    - `attractor`: states of the attractor before the crisis.
+    - `gait`: a gait whose states are marked, such as the gait that the attractor meets at the
+      crisis.
+    """
+    check_kind("found", found, Transients)
+    if len(found.section) < 2:
+        raise WrongUse(f"found must have two coordinates, not {', '.join(found.section)}")
+    ax = axes_for(ax, style, 7, 5.6)
+    summed = found.section[:2] == ("theta", "thetadot")
+
+    def place(states: Any) -> tuple[np.ndarray, np.ndarray]:
+        first, second = np.moveaxis(np.asarray(states, float)[..., :2], -1, 0)
+        return first, first + second if summed else second
+
+    handles: list[Any] = []
+    ways = found.escapes[:ROUTES, -STRIDES:]
+    for way in ways:
+        line = ax.plot(*place(way), "-o", color=OTHERS, lw=0.6, ms=2.5, zorder=1)
+        line[0].set_label("on the way to a failure")
+        handles = line
+    shown = [("saddle", found.saddle, BASINS[1])]
+    shown += [] if attractor is None else [("attractor before the crisis", attractor, BASINS[2])]
+    for order, (label, states, colour) in enumerate(shown, start=2):
+        ax.plot(*place(states), ".", color=colour, zorder=order, ms=2.5, mew=0)
+        handles += ax.plot([], [], "o", color=colour, ms=5, label=label)
+    if gait is not None:
+        look: Any = {"mfc": "white", "mec": INK, "mew": 1.2, "ms": 6, "zorder": 5}
+        label = f"gait of period {len(gait.states)}"
+        handles += ax.plot(*place(gait.states), "o", label=label, **look)
+    for set_limits, values in zip((ax.set_xlim, ax.set_ylim), place(found.saddle), strict=True):
+        low, high = np.quantile(values, [0.001, 0.999])
+        set_limits(low - (high - low) * AROUND, high + (high - low) * AROUND)
+    exponents = ", ".join(f"{one:.3f}" for one in found.exponents)
+    note = f"mean life {found.mean_life:.1f}; exponents {exponents}; "
+    note += f"dimension {found.dimension:.2f}"
+    x, y = found.section[0], "sum" if summed else found.section[1]
+    return finish(ax, style, "Chaotic saddle", note, x=x, y=y, legend=handles)
+
+
+def crisis_law(
+    values: Float[ArrayLike, " k"],
+    lives: Float[ArrayLike, " k"],
+    errors: Float[ArrayLike, " k"],
+    law: CrisisLaw,
+    predicted: Mapping[str, float] | None = None,
+    openings: Mapping[str, float] | None = None,
+    ax: Axes | None = None,
+    **style: Unpack[Style],
+) -> DrawnAxes:
+    """Draw mean lives against the distance from a crisis, on logarithmic axes, and the fitted law.
+
+    **Arguments:**
+
+    - `values`, `lives`, `errors`: as for `walker_jax.crisis_law`; bars are two standard errors.
+    - `law`: what `walker_jax.crisis_law` returns.
+    - `predicted`: exponents by their labels, such as `law.predicted`. Lines with these
+      exponents go through the centre of the lives, as the fitted law does.
+    - `openings`: values of the parameter to mark, by their labels.
+    """
+    check_kind("law", law, CrisisLaw)
+    values, lives, errors = map(numbers, ("values", "lives", "errors"), (values, lives, errors))
+    distance = values - law.crisis
+    if not (values.ndim == 1 and len(values) and (distance > 0).all()):
+        raise WrongUse(f"values must be above the crisis, {law.crisis:g}")
+    ax = axes_for(ax, style, 7, 5)
+    weights = (lives / errors) ** 2
+    middle = [np.exp(np.average(np.log(one), weights=weights)) for one in (distance, lives)]
+    ends = np.array([distance.min(), distance.max()])
+    line = lambda exponent: middle[1] * (ends / middle[0]) ** -exponent
+    ax.loglog(distance, lives, ls="")  # sets the scales
+    bars = ax.errorbar(distance, lives, 2 * errors, fmt="o", ms=4, lw=1, color=BASINS[0])
+    bars[0].set_label("mean life")
+    fitted = f"fitted exponent {law.exponent:.2f} ({law.low:.2f} to {law.high:.2f})"
+    handles = [bars[0], *ax.plot(ends, line(law.exponent), color=BASINS[0], label=fitted)]
+    for i, (name, exponent) in enumerate((predicted or {}).items()):
+        look = {"color": BASINS[1], "lw": 1.1, "ls": DASHES[i % len(DASHES)]}
+        handles += ax.plot(ends, line(exponent), label=f"{name}: {exponent:.2f}", **look)
+    for name, value in (openings or {}).items():
+        ax.axvline(value - law.crisis, color=OTHERS, lw=0.9, ls=":", zorder=1)
+        words = f" {name} " * style.get("labels", True)
+        ax.text(value - law.crisis, ax.get_ylim()[1], words, rotation=90, va="top", ha="right")
+    note = f"crisis at {law.crisis:.8g}; chi² per degree of freedom {law.misfit:.1f}"
+    x, y = f"distance from {law.crisis:.8g}", "mean life (strides)"
+    return finish(ax, style, "Mean life beyond the crisis", note, x=x, y=y, legend=handles)

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,25 +14,28 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.text import Text
+from matplotlib.lines import Line2D
 from PIL import Image
 
 from walker_jax.checks import WrongPlace, WrongUse
 from walker_jax.execution.progress import track
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import cell_edges, figure_legend, figure_title, name_axes
+from walker_jax.figures.layout import cell_edges, figure_legend, figure_title, name_axes, new_figure
 from walker_jax.figures.poses import draw_ground, draw_pose, leg_size, to_level
 from walker_jax.figures.poses_in_space import draw_in_space
-from walker_jax.figures.regions import paint, patch_of, regions_of_one_basin
+from walker_jax.figures.regions import paint, patch_of, with_one_basin
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
 from walker_jax.storage import absolute
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import failures_of
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20
 """Browsers play GIFs hardly any faster."""
+SLOWED = 4
+"""Factor by which a stride is slowed."""
 DOTS, COLOURS, PALETTE = 80, 256, Image.Quantize.FASTOCTREE
 """Settings of a GIF: dots per inch, the most colours that it can have, and how Pillow chooses
 them."""
@@ -42,6 +46,7 @@ def film(
     path: Path,
     data: xr.Dataset | None = None,
     *,
+    slow: int | None = None,
     signature: str = "",
     progress: bool = True,
 ) -> None:
@@ -54,6 +59,7 @@ def film(
     - `path`: of the file, .gif, or .mp4, which needs the program ffmpeg.
     - `data`: what `walker_jax.basin` returns, over two dimensions; without it the film shows the
       walker alone.
+    - `slow`: number of a stride, from 0, that is shown four times as slowly.
     - `signature`: text that is kept in the file.
     - `progress`: whether to show progress on a terminal, after a second.
 
@@ -61,73 +67,64 @@ def film(
     interruption leaves the file as it was.
     """
     check_film(path)
-    if "axle" in walk:
-        if data is not None:
-            raise WrongUse("data must be left out for a walk in space")
-        film_in_space(walk, path, signature, progress)
-        return
-    check_dataset(walk, "walk")
-    figure = Figure(figsize=(10.4, 4.8) if data is not None else (5, 4.8), layout="constrained")
-    axes = figure.subplots(1, 1 if data is None else 2, squeeze=False)[0]
-    draw_ground(axes[0], walk)
-    path_in_basin, moving = None, [axes[0]]
+    in_space = "axle" in walk
+    if in_space and data is not None:
+        raise WrongUse("data must be left out for a walk in space")
+    check_dataset(walk, "walk in space" if in_space else "walk")
+    figure = new_figure(5.4 if data is None else 10.4, 4.8)
+    stage, *beside = figure.subplots(1, 1 if data is None else 2, squeeze=False)[0]
+    moving, path_in_basin = [stage], None
+    if not in_space:
+        draw_ground(stage, walk)
     if data is not None:
-        basin(data, axes[1]).set_title("", loc="left")
         path_in_basin = trajectory_in(data, walk)
-        (line,) = axes[1].plot(
-            [], [], "o-", color=TRAJECTORY, mec=INK, mew=0.8, ms=5, lw=1, zorder=6
-        )
-        (now,) = axes[1].plot([], [], "o", color=TRAJECTORY, mec=INK, mew=1.4, ms=10, zorder=7)
-        moving += [line, now]
-    figure_title(figure, walker_title(walk), "large" if data is not None else "medium")
-    heading = prepare_stage(axes[0])
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # otherwise panels shake
-
-    frames = track(range(walk.sizes["frame"]), "film", progress)
-    slope, stride = float(walk.attrs["walker_slope"]), walk["stride"].values
-    tall = 1.2 * leg_size(walk)
+        lines = trajectory_lines(basin(data, beside[0], title=False))
+        moving += lines
+    figure_title(figure, walker_title(walk), "medium" if data is None else "large")
+    stage.set_axis_off()
+    stage.set_aspect("equal")
+    heading = stage.set_title("stride 1, time 0.0", loc="left", size="medium", weight="bold")
+    fix_layout(figure)
     with film_writer(figure, path, signature, moving) as grab:
-        for k in frames:
-            pose, number = walk.isel(frame=k), int(stride[k])
-            lines = draw_pose(axes[0], pose)
-            x, y = to_level(pose["hip"].values[None] * [[1, 0]], slope)[0]
-            if "footholds" in walk:
-                y += float(walk["footholds"][min(number, walk.sizes["foothold"] - 1), 1])
-            axes[0].set(xlim=(x - 0.75 * tall, x + 0.75 * tall), ylim=(y - 0.25 * tall, y + tall))
-            heading.set_text(f"stride {number + 1}, time {float(pose['time']):.1f}")
-            if path_in_basin is not None:
-                line.set_data(*path_in_basin[: number + 1].T)
-                now.set_data(*path_in_basin[number : number + 1].T)
-            grab()
-            for one in lines:
-                one.remove()
-
-
-def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) -> None:
-    """Make a film of a walk in space, by parallel projection."""
-    check_dataset(walk, "walk in space")
-    figure = Figure(figsize=(6, 5.4), layout="constrained")
-    ax = figure.subplots()
-    figure_title(figure, walker_title(walk), "small")
-    heading = prepare_stage(ax)
-    tall = 1.25 * float(walk.attrs["walker_leg_length"])
-    with film_writer(figure, path, signature, [ax]) as grab:
         for k in track(range(walk.sizes["frame"]), "film", progress):
             pose = walk.isel(frame=k)
-            drawn, (x, y) = draw_in_space(ax, pose)
-            ax.set(xlim=(x - 0.75 * tall, x + 0.75 * tall), ylim=(y - 0.3 * tall, y + tall))
-            heading.set_text(f"stride {int(pose['stride']) + 1}, time {float(pose['time']):.1f}")
-            grab()
+            number = int(pose["stride"])
+            drawn, (x, y), tall = (
+                draw_in_space(stage, pose) if in_space else draw_on_slope(stage, pose)
+            )
+            stage.set(xlim=(x - 0.75 * tall, x + 0.75 * tall), ylim=(y - 0.3 * tall, y + tall))
+            words = f"stride {number + 1}, time {float(pose['time']):.1f}"
+            heading.set_text(words + ", slowed" * (number == slow))
+            if path_in_basin is not None:
+                lines[0].set_data(*path_in_basin[: number + 1].T)
+                lines[1].set_data(*path_in_basin[number : number + 1].T)
+            for _ in range(SLOWED if number == slow else 1):
+                grab()
             for one in drawn:
                 one.remove()
 
 
-def prepare_stage(ax: Axes) -> Text:
-    """Hide the axes on which a walker is shown, and return the heading above them."""
-    ax.set_axis_off()
-    ax.set_aspect("equal")
-    return ax.set_title("stride 1, time 0.0", loc="left", fontsize="medium", fontweight="bold")
+def trajectory_lines(ax: Axes) -> list[Line2D]:
+    """Return the lines of a trajectory and of its present start, without data yet."""
+    look: Any = {"color": TRAJECTORY, "mec": INK}
+    (line,) = ax.plot([], [], "o-", mew=0.8, ms=5, lw=1, zorder=6, **look)
+    (now,) = ax.plot([], [], "o", mew=1.4, ms=10, zorder=7, **look)
+    return [line, now]
+
+
+def draw_on_slope(ax: Axes, pose: xr.Dataset) -> tuple[list[Line2D], tuple[float, float], float]:
+    """Draw one frame; return its lines, the place below the hip, and the height shown."""
+    x, y = to_level(pose["hip"].values[None] * [[1, 0]], float(pose.attrs["walker_slope"]))[0]
+    if "footholds" in pose:
+        last = pose.sizes["foothold"] - 1
+        y += float(pose["footholds"][min(int(pose["stride"]), last), 1])
+    return draw_pose(ax, pose), (x, y), 1.2 * leg_size(pose)
+
+
+def fix_layout(figure: Figure) -> None:
+    """Lay a figure out, once for all frames, as panels would shake otherwise."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
 
 
 def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = True) -> None:
@@ -146,9 +143,10 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     check_dataset(data, "zoom")
     if data["fate"].ndim != 3:
         raise WrongUse(f"data must have a fate over two axes, not {dict(data['fate'].sizes)}")
-    regions = regions_of_one_basin(data)
+    walks = data["attractor"].values >= 0
+    regions = with_one_basin(data["fate"].values, walks, failures_of(data))
     images = paint(regions, data["fate"].shape).swapaxes(1, 2)
-    figure = Figure(figsize=(6.4, 6.6), layout="constrained")
+    figure = new_figure(6.4, 6.6)
     ax = figure.subplots()
     shown = ax.imshow(images[0], origin="lower", aspect="auto", interpolation="nearest")
     ax.set(xticks=[], yticks=[])
@@ -157,8 +155,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     figure_title(figure, walker_title(data), "large")
     figure_legend(figure, [*map(patch_of, regions)])
     heading = ax.set_title("window 0.000e+00 wide, 0.000e+00 high", loc="left", fontsize="medium")
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    fix_layout(figure)
     sizes = [float(cell_edges(data[name].values)[1]) * 2 for name in (x, y)]
     with film_writer(figure, path, signature, [shown, heading]) as grab:
         for k in track(range(data.sizes["frame"]), "film", progress):

@@ -11,48 +11,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.checks import WrongUse
+from walker_jax.design import results
 from walker_jax.design.optimisation import ATTRACTED
-from walker_jax.design.results import (
-    area_at,
-    binding_limits,
-    bounds,
-    free_parameters,
-    improvement,
-    is_optimum,
-    limits,
-    runs,
-    scan_of,
-    slice_coordinates,
-    weights,
-)
-from walker_jax.figures.layout import (
-    DrawnAxes,
-    Style,
-    axes_for,
-    figure_legend,
-    figure_of,
-    figure_title,
-    finish,
-    new_figure,
-)
-from walker_jax.figures.regions import (
-    extent_of,
-    paint,
-    patch_of,
-    show_image,
-    with_one_basin,
-)
+from walker_jax.figures import layout, regions, text
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import BASINS, INK
-from walker_jax.figures.text import (
-    RADIUS,
-    area_phrase,
-    join_phrases,
-    parameter_values,
-    slice_phrase,
-    walker_title,
-)
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome, failures_of
+from walker_jax.systems.outcomes import failures_of
 
 STAGES = (
     ("#a9bfe3", 8.5, "long steps"),
@@ -70,7 +35,7 @@ UNCLIPPED: dict[str, Any] = {"clip_on": False, "in_layout": False}
 MEASURE_WORDS = {
     "area": "area of the basin",
     "volume": "volume of the basin",
-    "spectral-radius": RADIUS,
+    "spectral-radius": text.RADIUS,
 }
 """Words of measures with an unclear name."""
 
@@ -78,65 +43,41 @@ MEASURE_WORDS = {
 def optimisation(
     data: xr.Dataset, parameter: str | None = None, ax: Axes | None = None, **style: Unpack[Style]
 ) -> DrawnAxes:
-    """Draw the values of a parameter that an optimisation tried, and the objective.
+    """Draw the values of a parameter that `walker_jax.optimise` tried, and the objective.
 
-    Dots are evaluations, joined in their order, from light and large to dark and small as the steps
-    become shorter. Runs that did not lead to the optimum are faint. The broad line is the scan
-    through the optimum, with the other parameters as there. Between points that the limits forbid
-    it is dashed, on a shaded background.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.optimise` returns.
-    - `parameter`: one of the free parameters; by default, the first.
-    - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for a data set without an optimum, and for a parameter
-    that was not free.
+    `parameter` is one of the free parameters; by default, the first. Dots are evaluations, joined
+    in their order, from light and large to dark and small as the steps become shorter. Runs that
+    did not lead to the optimum are faint. The broad line is the scan through the optimum, with the
+    other parameters as there. Between points that the limits forbid it is dashed, on a shaded
+    background.
     """
     check_optimum(data)
-    names = free_parameters(data)
+    names = results.free_parameters(data)
     parameter = names[0] if parameter is None else parameter
     if parameter not in names:
         raise WrongUse(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
-    ax = axes_for(ax, style, 7, 5.6)
-    return draw_optimisation(ax, data, parameter, headline(data), style)
+    return draw_optimisation(axes_for(ax, style, 7, 5.6), data, parameter, headline(data), style)
 
 
 def basins_before_and_after(data: xr.Dataset) -> Figure:
-    """Draw the basins before and after an optimisation, side by side, with colours as in `basin`.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.optimise` returns.
-
-    **Returns** the figure, of 11 by 5.2 inches. Raises `ValueError` for a data set without basins.
-    """
+    """Draw the basins before and after `walker_jax.optimise`, with colours as in `basin`."""
     check_optimum(data)
-    figure = new_figure(11, 5.2)
+    figure = layout.new_figure(11, 5.2)
     draw_basins([*figure.subplots(1, 2)], data)
-    figure_title(figure, walker_title(fixed_attributes(data)))
+    layout.figure_title(figure, text.walker_title(fixed_attributes(data)))
     return figure
 
 
 def optimum(data: xr.Dataset) -> Figure:
-    """Draw an optimisation: the steps to the optimum, and the basins before and after, if known.
+    """Draw what `walker_jax.optimise` returns: the steps to the optimum, and the basins, if known.
 
     The pictures are `optimisation` of each parameter, above `basins_before_and_after`.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.optimise` returns.
-
-    **Returns** the figure. Raises `ValueError` for a data set without an optimum.
     """
     check_optimum(data)
-    names, basins = free_parameters(data), "fate_start" in data
+    names, basins = results.free_parameters(data), "fate_start" in data
     columns = min(3, len(names))
     rows = -(-len(names) // columns)
-    size = max(5.6 * columns, 11 if basins else 7), 5.2 * (rows + basins) + 0.4
-    figure = new_figure(*size)
+    figure = layout.new_figure(max(5.6 * columns, 11 if basins else 7), 5.2 * (rows + basins) + 0.4)
     # Six columns can be shared by one panel, by two, and by three.
     grid, wide = figure.add_gridspec(rows + basins, 6), 6 // columns
     for k, name in enumerate(names):
@@ -148,56 +89,44 @@ def optimum(data: xr.Dataset) -> Figure:
     if basins:
         halves = [figure.add_subplot(grid[-1, half]) for half in (slice(3), slice(3, 6))]
         draw_basins(halves, data)
-    figure_title(figure, headline(data))
+    layout.figure_title(figure, headline(data))
     return figure
 
 
 def check_optimum(data: xr.Dataset) -> None:
     """Raise `WrongUse` where no optimum was found."""
     check_dataset(data, "optimisation")
-    if not is_optimum(data):
+    if not results.is_optimum(data):
         raise WrongUse("data must be of an optimisation that found an optimum")
     check_dataset(data, "optimum")
 
 
 def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
     """Return only the attributes of an optimisation, without the free parameters."""
-    changed = {f"walker_{name}" for name in free_parameters(data)}
+    changed = {f"walker_{name}" for name in results.free_parameters(data)}
     return xr.Dataset(attrs={key: data.attrs[key] for key in data.attrs if key not in changed})
 
 
 def draw_optimisation(
-    ax: Axes, data: xr.Dataset, parameter: str, subject: str, style: Style
+    ax: Axes, data: xr.Dataset, parameter: str, title: str, style: Style
 ) -> DrawnAxes:
     """Draw the picture `optimisation` under a title."""
     scan, ground = draw_scan(ax, data, parameter)
-    stages, others = draw_runs(ax, data, parameter)
-    marks = [*draw_ends(ax, data.sel(parameter=parameter)), *scan, *others]
-    ax.set_xlim(*bounds(data, parameter))
+    runs, own = draw_runs(ax, data, parameter), data.sel(parameter=parameter)
+    ends = draw_end(ax, own, "start", marker="o", mfc="none", mec=INK, mew=1.4, ms=12)
+    ends += draw_end(ax, own, "optimum", marker="*", mfc=BASINS[1], mec="white", ms=17)
+    ax.set_xlim(*results.bounds(data, parameter))
     ax.locator_params(axis="x", nbins=6)
-    return finish(
-        ax,
-        style,
-        title=subject,
-        note=join_phrases([gain(data), *ending(data, parameter)]),
-        x=parameter,
-        y=objective_words(data),
-        legend=[*marks, *stages, *ground],
-    )
+    note, handles = text.join_phrases([gain(data), *ending(data, parameter)]), [*ends, *scan, *runs]
+    y = objective_words(data)
+    return finish(ax, style, title, note, x=parameter, y=y, legend=[*handles, *ground])
 
 
-def draw_ends(ax: Axes, own: xr.Dataset) -> list[Line2D]:
-    """Draw start and optimum, uncut even at a bound. Returns them for the legend."""
-    marks = []
-    for side, style in (
-        ("start", {"marker": "o", "mfc": "none", "mec": INK, "mew": 1.4, "ms": 12}),
-        ("optimum", {"marker": "*", "mfc": BASINS[1], "mec": "white", "ms": 17}),
-    ):
-        at = float(own[side])
-        place = [at], [float(own[f"exact_{side}"])]
-        label = f"{side}, at {at:.4g}"
-        marks += ax.plot(*place, ls="", label=label, zorder=6, **UNCLIPPED, **style)
-    return marks
+def draw_end(ax: Axes, own: xr.Dataset, side: str, **look: Any) -> list[Line2D]:
+    """Draw start or optimum, uncut even at a bound. Returns it for the legend."""
+    at = float(own[side])
+    look |= {"label": f"{side}, at {at:.4g}", "ls": "", "zorder": 6} | UNCLIPPED
+    return ax.plot([at], [float(own[f"exact_{side}"])], **look)
 
 
 def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D], list[Patch]]:
@@ -205,7 +134,7 @@ def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D],
 
     Returns both for the legend.
     """
-    scan = scan_of(data, parameter)
+    scan = results.scan_of(data, parameter)
     if scan is None:
         return [], []
     words = "scan" + ", others as in the optimum" * (data.sizes["parameter"] > 1)
@@ -219,24 +148,23 @@ def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D],
     return lines, [Patch(fc=FORBIDDEN, ec=SCAN, lw=0.5, label=limit_words(data))]
 
 
-def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D], list[Line2D]]:
-    """Draw the steps of all runs. Returns stages and other runs for the legend."""
-    found = runs(data, parameter)
+def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> list[Line2D]:
+    """Draw the steps of all runs. Returns other runs and stages for the legend."""
+    found = results.runs(data, parameter)
     for run in found:
-        order, opacity = (4, 1) if run.best else (3, FAINT)
-        style: dict[str, Any] = {"zorder": order, "alpha": opacity, **UNCLIPPED}
+        style: dict[str, Any] = {"zorder": 3 + run.best, "alpha": 1 if run.best else FAINT}
+        style |= UNCLIPPED
         ax.plot(run.parameter, run.value, color=BASINS[0], lw=0.8, **style)
         for k, (colour, size, _) in enumerate(STAGES):
             dots = run.parameter[run.stage == k], run.value[run.stage == k]
             ax.plot(*dots, "o", color=colour, ms=size, mec="white", **style)
-    stages = [
+    faint: Any = {"marker": "o", "mec": "white", "ms": 7, "lw": 0.8, "color": STAGES[0][0]}
+    others = [Line2D([], [], alpha=FAINT, label="other runs", **faint)]
+    return others * (not all(run.best for run in found)) + [
         Line2D([], [], marker="o", ls="", color=colour, ms=size, label=words)
         for k, (colour, size, words) in enumerate(STAGES)
         if any(k in run.stage for run in found)
     ]
-    faint = {"marker": "o", "mec": "white", "ms": 7, "lw": 0.8, "color": STAGES[0][0]}
-    others = [Line2D([], [], alpha=FAINT, label="other runs", **faint)]
-    return stages, [] if all(run.best for run in found) else others
 
 
 def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
@@ -247,36 +175,35 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
         )
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
-    regions = with_one_basin(fate, fate == ATTRACTED, fate == Outcome.STRIDE, failures_of(data))
-    images, extent = paint(regions, fate.shape), extent_of(data, x, y)
+    found = regions.with_one_basin(fate, fate == ATTRACTED, failures_of(data))
+    images, extent = regions.paint(found, fate.shape), regions.extent_of(data, x, y)
+    names = results.free_parameters(data)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
-        show_image(ax, image, extent)
-        values = dict(zip(free_parameters(data), data[side].values.tolist(), strict=True))
-        words = f"{side.capitalize()}: {join_phrases(parameter_values(values))}"
-        note, own = optimum_basin_note(data, side), y if side == "start" else ""
-        finish(ax, {}, title=words, note=note, x=x, y=own)
+        regions.show_image(ax, image, extent)
+        values = text.parameter_values(dict(zip(names, data[side].values.tolist(), strict=True)))
+        title, note = f"{side.capitalize()}: {text.join_phrases(values)}", basin_note(data, side)
+        finish(ax, {}, title, note, x=x, y=y if side == "start" else "")
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
     panels[1].tick_params(labelleft=False)
-    figure_legend(figure_of(panels[0]), [*map(patch_of, regions)])
+    layout.figure_legend(layout.figure_of(panels[0]), [*map(regions.patch_of, found)])
 
 
-def optimum_basin_note(data: xr.Dataset, side: str) -> str:
+def basin_note(data: xr.Dataset, side: str) -> str:
     """Return the area of a basin, if it is known, and its slice, if it is in one."""
-    area = area_at(data, side)
-    fixed = slice_coordinates(data)
-    slices = [slice_phrase(fixed)] if fixed else []
-    return "; ".join([*([area_phrase(data, area)] if area else []), *slices])
+    area, fixed = results.area_at(data, side), results.slice_coordinates(data)
+    words = [text.area_phrase(data, area)] if area else []
+    return "; ".join([*words, *([text.slice_phrase(fixed)] if fixed else [])])
 
 
 def headline(data: xr.Dataset) -> str:
     """Return the walker, its fixed parameters, and the objective."""
-    return f"{walker_title(fixed_attributes(data))}: {objective_words(data)}"
+    return f"{text.walker_title(fixed_attributes(data))}: {objective_words(data)}"
 
 
 def objective_words(data: xr.Dataset) -> str:
     """Return the objective in words."""
-    given = weights(data)
+    given = results.weights(data)
     if [*given.values()] == [1]:
         return measure_words(*given)
     terms = (
@@ -295,7 +222,7 @@ def limit_words(data: xr.Dataset) -> str:
     """Describe what limits forbid; without limits, a scan has gaps only where there is no gait."""
     sides = [
         f"{measure_words(name)} {side} {limit:g}"
-        for name, pair in limits(data).items()
+        for name, pair in results.limits(data).items()
         for side, limit in zip(("below", "above"), pair, strict=True)
         if limit is not None
     ]
@@ -304,7 +231,7 @@ def limit_words(data: xr.Dataset) -> str:
 
 def gain(data: xr.Dataset) -> str:
     """Return the objective at the start and at the optimum, in words."""
-    factor = improvement(data)
+    factor = results.improvement(data)
     notes = [f"× {factor:.3g}"] if factor is not None else []
     notes += ["small is better"] if data.attrs["sign"] < 0 else []
     ends = f"{float(data['exact_start']):.4g} to {float(data['exact_optimum']):.4g}"
@@ -316,6 +243,6 @@ def ending(data: xr.Dataset, parameter: str) -> list[str]:
     side = int(data["at_bound"].sel(parameter=parameter))
     where = f"at the {'upper' if side > 0 else 'lower'} bound"
     if not side:
-        binding = " and ".join(map(measure_words, binding_limits(data)))
+        binding = " and ".join(map(measure_words, results.binding_limits(data)))
         where = f"held by a limit of {binding}" if binding else "inside the bounds"
     return [where] if data["converged"] else [where, "not converged"]

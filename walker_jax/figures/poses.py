@@ -37,11 +37,7 @@ def step(data: xr.Dataset) -> Figure:
 
     Figure 1 of Schwab and Wisse (2001), which names the parts of the model.
 
-    **Arguments:**
-
-    - `data`: what `walker_jax.motion` returns. Its first stride is drawn.
-
-    **Returns** a figure of 9 by 6.4 inches. Raises `ValueError` for another data set.
+    `data` is what `walker_jax.motion` returns. Its first stride is drawn.
     """
     check_dataset(data, "walk")
     own = data.isel(frame=data["stride"].values == 0)
@@ -68,8 +64,8 @@ def step(data: xr.Dataset) -> Figure:
         ax.set(xlim=(left, right), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
         ax.set_axis_off()
     legs = [
-        Line2D([], [], color=INK, lw=3, label="stance leg"),
-        Line2D([], [], color=SWING, lw=3, label="swing leg"),
+        Line2D([], [], color=colour, lw=3, label=f"{name} leg")
+        for name, colour in (("stance", INK), ("swing", SWING))
     ]
     figure_legend(figure, legs)
     figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
@@ -77,37 +73,26 @@ def step(data: xr.Dataset) -> Figure:
 
 
 def draw_ground(ax: Axes, data: xr.Dataset) -> None:
-    """Draw the visible part of the slope, with a mark at every half of a leg."""
+    """Draw the visible part of the slope, with a mark at every half of a leg.
+
+    Rough ground is drawn as steps, whose heights change half way between footholds, at marks.
+    """
     slope, size = float(data.attrs["walker_slope"]), leg_size(data)
-    far = np.ceil(2 + np.abs(data["hip"].values[:, 0]).max() / size)
+    far = size * np.ceil(2 + np.abs(data["hip"].values[:, 0]).max() / size)
     if "footholds" in data:
-        draw_steps(ax, data, far * size)
-        return
-    away = size * np.array([[-far, 0.0], [far, 0.0], [far, -far], [-far, -far]])
-    ax.add_patch(Polygon(to_level(away, slope), fc=SOIL, ec="none", zorder=0))
-    ax.plot(*to_level(away[:2], slope).T, color=GROUND, lw=1.2, zorder=1)
-    marks = [[[at, 0.0], [at, -0.05 * size]] for at in np.arange(-far, far, 0.5) * size]
-    marks = [to_level(np.array(mark), slope) for mark in marks]
-    ax.add_collection(LineCollection(marks, colors=GROUND, lw=1, zorder=1))
-
-
-def draw_steps(ax: Axes, data: xr.Dataset, far: float) -> None:
-    """Draw rough ground as steps, whose heights change half way between footholds, at marks."""
-    slope = float(data.attrs["walker_slope"])
-    along, height = data["footholds"].values.T
-    turns = (along[1:] + along[:-1]) / 2
-    x = np.concatenate([[-far], np.repeat(turns, 2), [far]])
-    line = np.stack([x, np.repeat(height, 2)], axis=1)
-    deep = [[far, height.min() - far], [-far, height.min() - far]]
+        along, height = data["footholds"].values.T
+        at, tops = (along[1:] + along[:-1]) / 2, np.maximum(height[1:], height[:-1])
+        x, y = np.concatenate([[-far], at.repeat(2), [far]]), height.repeat(2)
+    else:
+        at = np.arange(-far, far, 0.5 * size)
+        tops, x, y = 0 * at, np.array([-far, far]), np.zeros(2)
+    line = np.stack([x, y], axis=1)
+    deep = [[far, y.min() - far], [-far, y.min() - far]]
     ax.add_patch(Polygon(to_level(np.concatenate([line, deep]), slope), fc=SOIL, ec="none"))
     ax.plot(*to_level(line, slope).T, color=GROUND, lw=1.2, zorder=1)
-    deep = 0.05 * leg_size(data)
-    tops = np.maximum(height[1:], height[:-1])
-    marks = [
-        to_level(np.array([[at, top], [at, top - deep]]), slope)
-        for at, top in zip(turns, tops, strict=True)
-    ]
-    ax.add_collection(LineCollection(marks, colors=GROUND, lw=1, zorder=1))
+    ends = [np.stack([at, tops - drop], axis=1) for drop in (0, 0.05 * size)]
+    marks = np.stack([to_level(one, slope) for one in ends], axis=1)
+    ax.add_collection(LineCollection([*marks], colors=GROUND, lw=1, zorder=1))
 
 
 def leg_size(data: xr.Dataset) -> float:
@@ -119,9 +104,13 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
     """Draw hip, legs and feet of one frame. Returns the lines."""
     slope, radius = (float(pose.attrs[name]) for name in ("walker_slope", "foot_radius"))
     lines: list[Line2D] = []
+
+    def draw(places: Float[np.ndarray, "n 2"], *sign: str, **look: Any) -> None:
+        """Draw places along the slope and normal to it."""
+        lines.extend(ax.plot(*to_level(places, slope).T, *sign, **look))
+
     angles = {"stance": float(pose["theta"]), "swing": float(pose["theta"] - pose["phi"])}
-    bent = "swing_knee" in pose
-    if bent and "knee" in pose:
+    if "swing_knee" in pose and "knee" in pose:
         angles["swing"] -= float(pose["knee"])
     hip, floor = pose["hip"].values, ground_below(pose, pose["swing"].values[0])
     hip = np.array([hip[0], max(hip[1], floor + HIP_HEIGHT * leg_size(pose))])
@@ -130,23 +119,19 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
     angles["swing"] += turned
     legs = {"stance": np.stack([hip, pose["stance"].values]), "swing": swing}
     for name, colour, order in (("stance", INK, 3), ("swing", SWING, 4)):
-        end = legs[name][-1]
-        leg = to_level(legs[name], slope)
-        lines += ax.plot(*leg.T, color=colour, lw=3, solid_capstyle="round", zorder=order)
+        leg, end, bone = legs[name], legs[name][-1], {"color": colour, "lw": 3, "zorder": order}
+        joint = {"color": colour, "mec": "white", "zorder": order + 2}
+        draw(leg, solid_capstyle="round", **bone)
         if radius:
-            turn = angles[name] + np.linspace(-0.6, 0.6, 40)
-            arc = end + radius * np.stack([np.sin(turn), -np.cos(turn)], axis=1)
-            lines += ax.plot(*to_level(arc, slope).T, color=colour, lw=3, zorder=order)
-            sole = np.stack(
-                [end, end + radius * np.array([np.sin(angles[name]), -np.cos(angles[name])])]
-            )
-            lines += ax.plot(*to_level(sole, slope).T, color=colour, lw=3, zorder=order)
+            down = lambda turn: np.stack([np.sin(turn), -np.cos(turn)], axis=-1)
+            draw(end + radius * down(angles[name] + np.linspace(-0.6, 0.6, 40)), **bone)
+            draw(np.stack([end, end + radius * down(angles[name])]), **bone)
         else:
-            lines += ax.plot(*leg[-1:].T, "o", color=colour, mec="white", ms=6, zorder=order + 2)
+            draw(leg[-1:], "o", ms=6, **joint)
         if len(leg) > 2:
-            lines += ax.plot(*leg[1:-1].T, "o", color=colour, mec="white", ms=7, zorder=order + 2)
-    at = to_level(hip[None], slope)
-    return [*lines, *ax.plot(*at.T, "o", color=INK, mec="white", mew=1.2, ms=14, zorder=7)]
+            draw(leg[1:-1], "o", ms=7, **joint)
+    draw(hip[None], "o", color=INK, mec="white", mew=1.2, ms=14, zorder=7)
+    return lines
 
 
 def above_ground(
@@ -199,25 +184,17 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
         (foot, 0.72, upright, upright + np.degrees(theta), r"$\theta$", (13, -3)),
         (hip, 0.5, hanging, down + np.degrees(theta), r"$\phi$", (2, -10)),
     ):
-        wide = 2 * size * length
+        wide, half = 2 * size * length, np.radians((begin + end) / 2)
         ax.add_patch(Arc(middle, wide, wide, theta1=begin, theta2=end, lw=1, zorder=8))
-        half = np.radians((begin + end) / 2)
-        at = middle + size * length * np.array([np.cos(half), np.sin(half)])
-        centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "large"}
-        ax.annotate(text, at, away, textcoords="offset points", **centred)
+        at = middle + wide / 2 * np.array([np.cos(half), np.sin(half)])
+        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "large"}
+        ax.annotate(text, at, away, textcoords="offset points", **look)
     # The paper's model has legs without mass, and point feet.
     paper = radius == 0 and "swing_knee" not in pose
-    words = [
-        (hip, (13, 6), "hip" + ", mass $M$" * paper),
-        (foot - [0, radius], (9, -13), "foot" + ", mass $m$" * paper),
-        ((foot + hip) / 2, (10, 0), "leg" + ", length $l$" * paper),
-    ]
-    for place, shift, text in words:
-        ax.annotate(text, place, shift, textcoords="offset points", va="center", fontsize=SMALL)
+    look = {"textcoords": "offset points", "va": "center", "fontsize": SMALL}
+    ax.annotate("hip" + ", mass $M$" * paper, hip, (13, 6), **look)
+    ax.annotate("foot" + ", mass $m$" * paper, foot - [0, radius], (9, -13), **look)
+    ax.annotate("leg" + ", length $l$" * paper, (foot + hip) / 2, (10, 0), **look)
     ax.annotate(f"slope $\\gamma$ = {slope:g}", (-0.6 * leg, -0.13 * leg), fontsize=SMALL)
-    arrow: dict[str, Any] = {
-        "arrowprops": {"arrowstyle": "->"},
-        "ha": "center",
-        "fontsize": "large",
-    }
-    ax.annotate("$g$", (0.9, 0.45), (0.9, 0.67), "axes fraction", "axes fraction", **arrow)
+    look = {"arrowprops": {"arrowstyle": "->"}, "ha": "center", "fontsize": "large"}
+    ax.annotate("$g$", (0.9, 0.45), (0.9, 0.67), "axes fraction", "axes fraction", **look)

@@ -38,8 +38,10 @@ def project(places: Float[np.ndarray, "n 3"], slope: float) -> Float[np.ndarray,
     return level @ np.array(axes).T
 
 
-def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.ndarray, " 2"]]:
-    """Draw one frame of a motion; return the artists, and the page's place below the walker."""
+def draw_in_space(
+    ax: Axes, pose: xr.Dataset
+) -> tuple[list[Artist], Float[np.ndarray, " 2"], float]:
+    """Draw one frame; return the artists, the place below the walker, and the height shown."""
     slope, radius, length = (
         float(pose.attrs[f"walker_{name}"]) for name in ("slope", "disc_radius", "leg_length")
     )
@@ -81,7 +83,7 @@ def draw_in_space(ax: Axes, pose: xr.Dataset) -> tuple[list[Artist], Float[np.nd
     for order, (_, part) in enumerate(sorted(parts, key=lambda one: one[0])):
         part.set_zorder(3 + order)
         drawn.append(ax.add_artist(part))
-    return drawn, flat(below[None])[0]
+    return drawn, flat(below[None])[0], 1.25 * length
 
 
 def draw_slope(

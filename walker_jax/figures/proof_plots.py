@@ -1,6 +1,6 @@
 """Pictures of proved basins."""
 
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -24,58 +24,45 @@ EDGE = 64
 
 
 def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
-    """Draw the cells that are proved to walk for ever, or to fall, the trap, and the disc proved.
+    """Draw what `walker_jax.prove_basin` returns: cells, the gait, the trap, and the disc proved.
 
-    **Arguments:**
-
-    - `data`: what `walker_jax.prove_basin` returns. The first axis is drawn along the x axis.
-    - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for another data set.
+    Cells are proved to walk for ever, or to fall, or are open.
     """
     check_dataset(data, "proof")
-    ax = axes_for(ax, style, 7, 5.4)
+    ax = axes_for(ax, style)
     low, high = data["lower"].values, data["upper"].values
     width = (high - low) / data["count"].values / 2.0 ** data["level"].values[:, None]
     corner = low + data["place"].values * width
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    patches = []
+    handles: list[Any] = []
     for fate, (words, colour) in FATES.items():
         some = data["proved"].values == fate
         if some.any():
             corners = corner[some, None] + square * width[some, None]
             ax.add_collection(PolyCollection([*corners], facecolors=colour, linewidths=0))
-            patches.append(Patch(color=colour, label=words))
-    trap = round_trap(data, np.linalg.inv(data["trap_factor"].values.T) * float(data["trap_size"]))
-    curves = {"trap": (trap, "-")}
-    if data.attrs["radius"]:
-        around = round_trap(data, np.eye(len(low)) * data.attrs["radius"])
-        curves[f"starts within {data.attrs['radius']:.7g} of the gait"] = around, "--"
-    marks = []
+            handles.append(Patch(color=colour, label=words))
+    factor, size = data["trap_factor"].values, float(data["trap_size"])
+    curves = {"trap": (ellipse(data, size * np.linalg.inv(factor.T)), "-")}
+    if radius := data.attrs["radius"]:
+        around = ellipse(data, radius * np.eye(len(low)))
+        curves[f"starts within {radius:.7g} of the gait"] = around, "--"
     for words, (curve, dashes) in curves.items():
         ax.plot(*curve.T, color="white", lw=1.8)
-        marks += ax.plot(*curve.T, dashes, color=INK, lw=0.9, label=words)
-    gait = round_trap(data, np.zeros((len(low), len(low))))[:1]
-    marks += ax.plot(*gait.T, "o", ls="", ms=4, color=INK, mec="white", label="gait")
-    seen = np.concatenate([low[None], high[None], trap])
-    beyond = 0.03 * np.ptp(seen, axis=0)
-    (left, bottom), (right, top) = seen.min(axis=0) - beyond, seen.max(axis=0) + beyond
-    ax.set(xlim=(left, right), ylim=(bottom, top))
+        handles += ax.plot(*curve.T, dashes, color=INK, lw=0.9, label=words)
+    gait = ellipse(data, np.zeros((len(low), len(low))))[0]
+    handles += ax.plot(*gait, "o", ls="", ms=7, color=INK, mec="white", label="gait")
+    ends = np.concatenate([[low, high], *(curve for curve, _ in curves.values())])
+    beyond = 0.03 * np.ptp(ends, axis=0)
+    (left, bottom), (right, top) = ends.min(axis=0) - beyond, ends.max(axis=0) + beyond
     x, y = data["axis"].values.tolist()
-    return finish(
-        ax,
-        style,
-        title=walker_title(data),
-        note=proof_note(data),
-        x=x,
-        y=y,
-        legend=[*patches, *marks],
-    )
+    # Where distances are those of the section, a disc is round.
+    equal = radius and y != "sum"
+    ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal" if equal else "auto")
+    return finish(ax, style, walker_title(data), proof_note(data), x=x, y=y, legend=handles)
 
 
-def round_trap(data: xr.Dataset, shape: np.ndarray) -> np.ndarray:
-    """Return points along the axes of the ellipse `centre + shape · circle` of states."""
+def ellipse(data: xr.Dataset, shape: np.ndarray) -> np.ndarray:
+    """Return points along the axes of the ellipse `gait + shape · circle` of states."""
     turn = np.linspace(0, 2 * np.pi, EDGE)
     circle = np.stack([np.cos(turn), np.sin(turn)])
     states = data["trap_centre"].values[:, None] + shape @ circle

@@ -1,7 +1,7 @@
-"""Regions of a grid in their colours: basins, failures, and their names in the legend."""
+"""Regions of a grid in their colours: basins, failures, their letters, and their names."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -12,17 +12,20 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.basins.cell_classes import CellClass, along_axis, failing_cells, walking_cells
-from walker_jax.figures.layout import cell_edges
+from walker_jax.figures.layout import LETTER, cell_edges, figure_of
 from walker_jax.figures.style import (
     ARTEFACTS,
     BASINS,
     FAILURES,
     INK,
+    LARGE,
     OTHERS,
+    SMALL,
     UNMATCHED,
     failure_words,
+    points_of,
 )
-from walker_jax.figures.text import SYMBOLS
+from walker_jax.figures.text import NO_BREAK, SYMBOLS
 from walker_jax.systems.outcomes import Outcome, failures_of, names_in
 
 Extent = tuple[float, float, float, float]
@@ -63,23 +66,15 @@ def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
     return with_failures(found, data["fate"].values, failures_of(data))
 
 
-def regions_of_one_basin(data: xr.Dataset) -> list[Region]:
-    """Return the nonempty regions of a data set if all of its basins have one colour."""
-    fate = data["fate"].values
-    walks, known = fate == Outcome.STRIDE, data["attractor"].values >= 0
-    return with_one_basin(fate, walks & known, walks & ~known, failures_of(data))
-
-
 def with_one_basin(
     fate: Int[np.ndarray, "*shape"],
     basin: Bool[np.ndarray, "*shape"],
-    unmatched: Bool[np.ndarray, "*shape"],
     failures: Sequence[str],
 ) -> list[Region]:
-    """Return the nonempty regions: failures, the basin, and walkers that converge elsewhere."""
+    """Return the nonempty regions: the basin, walkers that converge elsewhere, and failures."""
     found = [
         Region(CellClass(basin), BASINS[0], "A", BASIN),
-        Region(CellClass(unmatched), UNMATCHED, "", UNMATCHED_WORDS),
+        Region(CellClass((fate == Outcome.STRIDE) & ~basin), UNMATCHED, "", UNMATCHED_WORDS),
     ]
     return with_failures(found, fate, failures)
 
@@ -110,16 +105,10 @@ def extent_of(data: xr.Dataset, x: str, y: str) -> Extent:
     return (*cell_edges(data[x].values), *cell_edges(data[y].values))
 
 
-def show_image(ax: Axes, image: UInt8[np.ndarray, "nx ny 3"], extent: Extent) -> None:
+def show_image(ax: Axes, image: np.ndarray, extent: Extent, **look: Any) -> None:
     """Draw an image of cells, the first axis along x."""
-    ax.imshow(
-        image.swapaxes(0, 1),
-        origin="lower",
-        extent=extent,
-        aspect="auto",
-        interpolation="auto",
-        rasterized=True,
-    )
+    look = {"interpolation": "auto", "rasterized": True} | look
+    ax.imshow(image.swapaxes(0, 1), origin="lower", extent=extent, aspect="auto", **look)
 
 
 def place_states(
@@ -142,16 +131,14 @@ WRITTEN_COORDINATES = 3
 
 def attractor_name(data: xr.Dataset, period: int, cycle: Float[np.ndarray, "n section"]) -> str:
     """Name an attractor in the legend: its period, and up to two of its states."""
+    kind = {0: "a state of the attractor", 1: "attractor"}
+    words = kind.get(period, f"attractor of period {period}")
     names = [SYMBOLS.get(name, name) for name in names_in(data, "section")]
-    states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.tolist()]
-    shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
-    more = ", …" if len(states) > 2 else ""
-    kind = {0: "a state of the attractor", 1: "attractor"}.get(
-        period, f"attractor of period {period}"
-    )
     if len(names) > WRITTEN_COORDINATES:
-        return kind
-    return f"{kind}: ({', '.join(names)}) = {shown}{more}"
+        return words
+    states = [f",{NO_BREAK}".join(f"{value:.4f}" for value in state) for state in cycle.tolist()]
+    shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
+    return f"{words}: ({', '.join(names)}) = {shown}{', …' * (len(states) > 2)}"
 
 
 def attractor_mark(
@@ -171,4 +158,47 @@ def counted_patch(region: Region, share: int) -> Patch:
     """Return the sign of a region with its number of cells, one in `share` of which is given."""
     count = region.of.count * share
     about = "about " * (share > 1)
-    return patch_of(region, f"{region.words} ({about}{count:,} cell{'s' * (count > 1)})")
+    return patch_of(region, f"{region.words} ({about}{count:,}{NO_BREAK}cell{'s' * (count > 1)})")
+
+
+def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent: Extent) -> bool:
+    """Write letter and words of a region where it is widest, or the letter alone, as there is room.
+
+    `free` marks where labels may stand. Returns whether there was room for the words.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    cells = region.cells & free
+    cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
+    size: Any = 0.8 * ax.bbox.size * 72 / figure_of(ax).dpi  # the rest is for title and legend
+    low, high = np.array(extent[::2]), np.array(extent[1::2])
+    red, green, blue = to_rgb(region.colour)
+    dark = 0.3 * red + 0.59 * green + 0.11 * blue < 0.5
+    look: Any = {"ha": "center", "color": "white" if dark else INK, "clip_on": True}
+    letter, words = (region.letter, LARGE, "bold"), (region.words, SMALL, "normal")
+    for lines in ([letter, words], [letter]) if region.letter else ([words],):
+        wide = max(LETTER * len(text) * points_of(font) for text, font, _ in lines)
+        tall = sum(1.2 * points_of(font) for _, font, _ in lines)
+        # The ellipse within the box of the words fits where its centre is deeper than 1.
+        steps: Any = 2 * size / np.array((wide, tall)) / cells.shape
+        depth: Any = distance_transform_edt(np.pad(cells, 1), sampling=steps)
+        depth = depth[1:-1, 1:-1]
+        if depth.max() < 1:
+            continue
+        deepest = np.argwhere(depth == depth.max())
+        place = low + (deepest[len(deepest) // 2] + 0.5) / cells.shape * (high - low)
+        for (text, font, weight), side in zip(lines, ("bottom", "top"), strict=False):
+            look |= {"va": side if len(lines) == 2 else "center", "size": font, "weight": weight}
+            ax.annotate(text, place.tolist(), **look)
+        return lines[-1] is words
+    return False
+
+
+def keep_clear(
+    free: Bool[np.ndarray, "nx ny"], dots: Float[np.ndarray, "n 2"], extent: Extent
+) -> None:
+    """Mark in `free` that no label may stand on these dots."""
+    shape, low = np.array(free.shape), np.array(extent[::2])
+    for dot in np.nan_to_num((dots - low) / (np.array(extent[1::2]) - low), nan=-1):
+        first, last = (np.clip(dot + side * 0.03, 0, 1) * shape for side in (-1, 1))
+        free[int(first[0]) : int(last[0]) + 1, int(first[1]) : int(last[1]) + 1] = False

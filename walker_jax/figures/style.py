@@ -69,7 +69,7 @@ LONGER = ("#9c9c9b", "*")
 SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
 DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}
 """Lines of stable and of unstable gaits."""
-LETTER, NOTE, SMALL = "x-large", "medium", "small"
+LARGE, NOTE, SMALL = "x-large", "medium", "small"
 """Sizes of text, relative to `rcParams`: letters of regions, second lines of titles, and the
 rest."""
 TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}

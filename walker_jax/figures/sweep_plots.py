@@ -1,67 +1,118 @@
-"""The area of the basin over parameters of a walker."""
+"""Pictures over parameters of a walker: sizes of basins, and the shares that attractors have."""
 
-from typing import Unpack
+from collections.abc import Sequence
+from typing import Any, Unpack
 
+import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from walker_jax.basins.cell_classes import has_known_units
-from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_of, finish, padded_limits
-from walker_jax.figures.style import BASINS
-from walker_jax.figures.text import (
-    AREA_LABEL,
-    VOLUME_LABEL,
-    join_phrases,
-    parameter_values,
-    walker_title,
-)
+from walker_jax.figures import layout, text
+from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
+from walker_jax.figures.style import BASINS, INK, LONGER, OTHERS, PERIODS, TITLE, period_style
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import names_in
+
+EVENT: dict[str, Any] = {"color": OTHERS, "lw": 0.8, "ls": ":"}
+"""Line style of a bifurcation."""
 
 
 def sweep(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
-    """Draw the area or volume of the basin over one or two parameters; over one, with its error.
+    """Draw what `walker_jax.sweep` returns: the basin's area or volume over one or two parameters.
 
-    **Arguments:**
-
-    - `data`: what `walker_jax.sweep` returns. Parameters after the second are at their first
-      values.
-    - `ax`: where to draw; by default, on a new figure of 7 by 4.8 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for another data set.
+    Over one, with its error. Parameters after the second are at their first values.
     """
     check_dataset(data, "sweep")
     ax = axes_for(ax, style, 7, 4.8)
-    area, error = data["total_area"], data["total_area_error"]
-    others = [str(name) for name in area.dims[2:]]
-    first = dict.fromkeys(others, 0)
-    area, error = area.isel(first), error.isel(first)
-    x = str(area.dims[0])
-    words = VOLUME_LABEL if data["fate"].ndim == data["total_area"].ndim + 3 else AREA_LABEL
+    others = [str(name) for name in data["total_area"].dims[2:]]
+    sizes = data[["total_area", "total_area_error"]].isel(dict.fromkeys(others, 0))
+    area, error = sizes["total_area"], sizes["total_area_error"]
+    solid = data["fate"].ndim == data["total_area"].ndim + 3
+    words = text.VOLUME_LABEL if solid else text.AREA_LABEL
     words = words if has_known_units(data) else words.partition(" (")[0]
+    x, y, bars = str(area.dims[0]), words, []
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", ms=5, color=BASINS[0], capsize=3)
-        y, bars = words, []
-        ax.set_xlim(padded_limits(data[x].values))
-        ax.set_ylim(0, 1.05 * float((area + error.fillna(0)).fillna(0).max()) or None)
+        layout.show_from_zero(ax, data[x].values.astype(float))
     else:
         y = str(area.dims[1])
         image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
-        bar = figure_of(ax).colorbar(image, ax=ax)
-        bar.set_label(words)
-        bars = [bar.ax]
+        bars = [layout.figure_of(ax).colorbar(image, ax=ax, label=words).ax]
         if min(area.shape) > 1:  # cells at the ends reach beyond the values
             ax.set(xlim=data[x].values[[0, -1]], ylim=data[y].values[[0, -1]])
-    fixed = parameter_values({name: float(data[name][0]) for name in others})
+    fixed = text.parameter_values({name: float(data[name][0]) for name in others})
     shape = " × ".join(map(str, data["total_area"].shape))
     failed = int(data["failed"].sum())
-    failures = [f"{failed} failed"] if failed else []
-    return finish(
-        ax,
-        style,
-        title=walker_title(data),
-        note=join_phrases([f"{shape} basins", *fixed, *failures]),
-        x=x,
-        y=y,
-        beside=bars,
-    )
+    note = text.join_phrases([f"{shape} basins", *fixed, *[f"{failed} failed"] * (failed > 0)])
+    return finish(ax, style, text.walker_title(data), note, x=x, y=y, beside=bars)
+
+
+def basin_fractions(data: xr.Dataset) -> Figure:
+    """Draw what `walker_jax.continue_basins` returns: fractions of the basins over a parameter.
+
+    Fractions are stacked, with 95 % intervals as bars; walkers fail from the rest of the region.
+    The upper panel has the first coordinate of the attractors at the start of each stride; dotted
+    lines are the bifurcations of their branches.
+    """
+    check_dataset(data, "basin fractions")
+    figure = layout.new_figure(7.4, 6.4)
+    above, below = figure.subplots(2, 1, sharex=True)
+    value, periods = data["value"].values, data["period"].values.tolist()
+    colours, states = colours_of(periods), data["states"].isel(coordinate=0).values
+    for i, colour in enumerate(colours):
+        above.plot(value, states[:, i], "o", ms=2.5, color=colour)
+    events = data["event_value"].values
+    inside = events[(events >= value[0]) & (events <= value[-1])]
+    for at in inside.tolist():
+        above.axvline(at, **EVENT)
+    layout.name_axes(above, y=names_in(data, "section")[0])
+    above.set_title("Attractors", **TITLE)
+    ends = np.stack([data[f"fraction_{end}"].values.T for end in ("low", "high")])
+    draw_stack(below, value, np.nan_to_num(data["fraction"].values), ends, colours)
+    layout.name_axes(below, str(data.attrs["parameter"]), "fraction of the region")
+    below.set(xlim=value[[0, -1]], ylim=(0, None))
+    below.set_title("Basins", **TITLE)
+    handles: list[Any] = [
+        Patch(color=colour, label=f"{i}: " + (f"period {n}" if n else "no period"))
+        for i, (colour, n) in enumerate(zip(colours, periods, strict=True))
+    ]
+    if len(inside):
+        handles.append(Line2D([], [], label="bifurcation", **EVENT))
+    layout.figure_legend(figure, handles)
+    count = text.count_noun(data.sizes["attractor"], "attractor")
+    layout.figure_title(figure, f"{text.walker_title(data)}, {count}", "large")
+    return figure
+
+
+def colours_of(periods: Sequence[int]) -> list[str]:
+    """Return a colour for each attractor: the colour of its period for the first one with it.
+
+    The others, and those without a period, take the remaining colours, and then share one.
+    """
+    first = {period: i for i, period in reversed([*enumerate(periods)]) if period}
+    own = {i: period_style(period)[0] for period, i in first.items()}
+    left = [colour for colour, _ in PERIODS[1:] if colour not in own.values()]
+    others = [i for i in range(len(periods)) if i not in own]
+    own |= dict(zip(others, left, strict=False))
+    return [own.get(i, LONGER[0]) for i in range(len(periods))]
+
+
+def draw_stack(
+    ax: Axes, value: np.ndarray, shares: np.ndarray, ends: np.ndarray, colours: list[str]
+) -> None:
+    """Draw stacked shares, constant around each value, halfway to its neighbours.
+
+    Bars at the top of each share are from the lower to the upper one of its `ends`.
+    """
+    edges = np.concatenate([value[:1], (value[:-1] + value[1:]) / 2, value[-1:]])
+    base = np.zeros(len(value))
+    for share, low, high, colour in zip(shares.T, *ends, colours, strict=True):
+        ax.stairs(base + share, edges, baseline=base, fill=True, color=colour)
+        base, own = base + share, share > 0
+        errors = np.maximum([share - low, high - share], 0)[:, own]
+        look: Any = {"fmt": "none", "ecolor": INK, "elinewidth": 0.8, "zorder": 3}
+        ax.errorbar(value[own], base[own], errors, **look)

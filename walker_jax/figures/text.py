@@ -24,13 +24,13 @@ SYMBOLS = {
 }
 AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
-    "thetadot": r"stance leg rate $\dot{\theta}$ (rad, time in √(l/g))",
+    "thetadot": r"stance leg rate $\dot{\theta}$ (rad / √(l/g))",
     "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
-    "phidot": r"rate between the legs $\dot{\varphi}$ (rad, time in √(l/g))",
+    "phidot": r"rate between the legs $\dot{\varphi}$ (rad / √(l/g))",
     "phi": r"angle between the legs $\varphi$ (rad)",
     "yaw": "yaw (rad)",
-    "yawdot": "rate of yaw (rad, time in √(l/g))",
-    "leandot": "rate of lean (rad, time in √(l/g))",
+    "yawdot": "rate of yaw (rad / √(l/g))",
+    "leandot": "rate of lean (rad / √(l/g))",
     "slope": "slope (rad)",
 }
 METHOD_NAMES = {
@@ -38,8 +38,6 @@ METHOD_NAMES = {
     "direct": "direct iteration",
     "direct, refined": "direct iteration, refined,",
 }
-
-
 NO_BREAK = "\u00a0"
 """Space at which no line ends."""
 MOST_PARAMETERS = 6
@@ -55,10 +53,14 @@ def walker_title(data: xr.Dataset) -> str:
     """Return the walker and its parameters, without those that have their default values."""
     name = str(data.attrs.get("walker", "Walker"))
     known = (kind for kind in (*WALKERS.values(), *SYSTEMS.values()) if kind.__name__ == name)
-    usual = {one.name: one.default for kind in known for one in fields(kind)}
-    own = {str(key): value for key, value in data.attrs.items()}
-    own = {key[len("walker_") :]: own[key] for key in own if key.startswith("walker_")}
-    values = parameter_values({key: own[key] for key in own if own[key] != usual.get(key)})
+    usual = {f"walker_{one.name}": one.default for kind in known for one in fields(kind)}
+    values = parameter_values(
+        {
+            key.removeprefix("walker_"): value
+            for key, value in data.attrs.items()
+            if key.startswith("walker_") and value != usual.get(key)
+        }
+    )
     shown = values[:MOST_PARAMETERS] + ["…"] * (len(values) > MOST_PARAMETERS)
     return join_phrases([name, *shown])
 
@@ -89,15 +91,6 @@ def basin_note(data: xr.Dataset) -> str:
     return note if data["fate"].ndim != 2 or area == 0 else f"{note}; {area_phrase(data, area)}"
 
 
-def volume_note(data: xr.Dataset) -> str:
-    """Return the method, the number of cells, and the volume of a basin with its error."""
-    shape = " × ".join(str(data.sizes[name]) for name in data["axis"].values.tolist())
-    size, error = float(data["total_area"]), float(data["total_area_error"])
-    note = f"{METHOD_NAMES['direct, refined'].rstrip(',')}, on {shape} cells"
-    unit = " rad³·g/l" if has_known_units(data) else ""
-    return f"{note}; basin volume {with_error(size, error)}{unit}"
-
-
 def with_error(value: float, error: float) -> str:
     """Format a number to the digits that its standard error leaves, with that error."""
     if not error > 0:
@@ -122,22 +115,11 @@ def area_phrase(data: xr.Dataset, area: float) -> str:
     if not has_known_units(data):
         return f"basin area {area:.4g}"
     mantissa, exponent = f"{area:.2e}".split("e")
-    return rf"basin area {mantissa} × 10$^{{{int(exponent)}}}$ rad² / √(l/g)"
+    size = rf"{mantissa} × 10$^{{{int(exponent)}}}$ rad² / √(l/g)"
+    return f"basin area {size.replace(' ', NO_BREAK)}"
 
 
 def count_noun(count: int, noun: str) -> str:
     """Format a count and its noun, in the plural where needed."""
     ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
     return f"{count} {noun}{ending}"
-
-
-def short_number(value: complex) -> str:
-    """Format a number with few digits."""
-    real, imaginary = (
-        f"{part:.2e}" if part >= 1e6 else f"{part:,.0f}" if part >= 100 else f"{part:.1f}"
-        for part in (abs(value.real), abs(value.imag))
-    )
-    minus = "−" * (value.real < 0)
-    if value.imag == 0:
-        return minus + real
-    return f"{minus}{real} {'−' if value.imag < 0 else '+'} {imaginary}i"

@@ -1,5 +1,6 @@
-"""Pictures of the viability kernel."""
+"""Pictures of the viability kernel, and of the nested sets within it."""
 
+from collections.abc import Mapping
 from typing import Any, Unpack
 
 import numpy as np
@@ -8,83 +9,144 @@ from jaxtyping import Bool
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import ListedColormap, Normalize, to_hex
 from matplotlib.lines import Line2D
 
-from walker_jax.checks import WrongUse
+from walker_jax.basins.cell_classes import CellClass
+from walker_jax.basins.volumes import grid_of
+from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.figures import regions
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, figure_of, finish
-from walker_jax.figures.regions import (
-    Extent,
-    extent_of,
-    paint,
-    patch_of,
-    show_image,
-    with_failures,
-)
 from walker_jax.figures.style import INK
-from walker_jax.figures.text import coordinate_value, walker_title
+from walker_jax.figures.text import coordinate_value, count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import failures_of, names_in
 
-SHADES = ListedColormap(colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
+SHARES = ListedColormap(colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
 """Colours of shares of safe actions, darker for more; also readable in grey."""
-LINES = {
+BOUNDS = {
     "target": ("target", "white", 2.2, "-"),
     "inner": ("inner bound", INK, 0.9, "-"),
     "outer": ("outer bound", INK, 0.9, ":"),
 }
 """Boundaries: words, colour, width and kind of their lines."""
+MOST_STRIDES = 3
+"""Fewest strides with one colour for them and all higher numbers."""
+COLOURS = [to_hex(one) for one in colormaps["cividis"]([0.0, 0.45, 0.7, 0.88, 1.0])] + ["#f4f4f4"]
+"""Colours, dark to light: the target, cells 1, 2 and more strides from it, viable cells that do not
+lead there, and all others."""
+LINES = [("#d55e00", 1.3, "-"), (INK, 1.0, (0, (4, 1.5))), ("#56b4e9", 1.2, (0, (1, 1.2)))]
+"""Colours, widths and kinds of the lines around basins, in turn."""
 
 
 def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
-    """Draw the viability kernel over a grid and the failures around it; of three axes, a slice.
+    """Draw what `walker_jax.viable` returns: the viability kernel, and the failures around it.
 
+    The first dimension is drawn along the x axis; of three, the slice in the middle is drawn.
     Viable cells are shaded by the share of actions that keep them viable. Other cells have the
     colour of the failure that no choice of actions prevents. Lines are the target's boundary and
     the bounds of the kernel.
-
-    **Arguments:**
-
-    - `data`: what `walker_jax.viable` returns. The first dimension is drawn along the x axis; of
-      three dimensions, the slice in the middle is drawn.
-    - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for a data set that is not of two or three dimensions,
-    with two cells or more along the first two.
     """
     check_dataset(data, "viability")
     data, place = middle_plane(data)
-    viable = data["viable"]
-    ax = axes_for(ax, style, 7, 5.4)
-    x, y = map(str, viable.dims)
-    extent = extent_of(data, x, y)
-    regions = with_failures([], data["failure"].values, failures_of(data))
-    image = paint(regions, viable.shape)
-    share = data["safe_actions"].values / data.sizes["action_number"]
-    scale = ScalarMappable(Normalize(0, max(share.max(), 1 / data.sizes["action_number"])), SHADES)
-    kernel = viable.values
+    kernel, actions = data["viable"].values, data.sizes["action_number"]
+    ax = axes_for(ax, style)
+    x, y = map(str, data["viable"].dims)
+    extent = regions.extent_of(data, x, y)
+    failing = regions.with_failures([], data["failure"].values, failures_of(data))
+    image = regions.paint(failing, kernel.shape)
+    share = data["safe_actions"].values / actions
+    scale = ScalarMappable(Normalize(0, max(share.max(), 1 / actions)), SHARES)
     image[kernel] = scale.to_rgba(share[kernel], bytes=True)[:, :3]
-    show_image(ax, image, extent)
+    regions.show_image(ax, image, extent)
     drawn = {"target": data["capture"].values == 0}
     drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
-    marks = [
-        mark
-        for name, cells in drawn.items()
-        for mark in draw_boundary(ax, LINES[name], cells, extent)
+    marks: list[Any] = []
+    for name, cells in drawn.items():
+        marks += draw_boundary(ax, BOUNDS[name], cells, extent)
+    bar = figure_of(ax).colorbar(scale, ax=ax, label="share of safe actions")
+    handles, note = [*marks, *map(regions.patch_of, failing)], viability_note(data) + place
+    words: Any = {"x": x, "y": y, "legend": handles, "beside": [bar.ax]}
+    return finish(ax, style, walker_title(data), note, **words)
+
+
+def capturability(
+    data: xr.Dataset,
+    basins: Mapping[str, xr.Dataset] | None = None,
+    ax: Axes | None = None,
+    **style: Unpack[Style],
+) -> DrawnAxes:
+    """Draw how large the basin could be: n-step capturable states within the viability kernel.
+
+    Cells are coloured by the fewest strides into the target, darker for fewer. Then come viable
+    cells from which no actions lead there; the lightest cells are bound to fail under these
+    actions. Lines surround basins. The legend has areas: each of all cells up to that colour.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.viable` returns, drawn as by `viability`.
+    - `basins`: up to three data sets of `walker_jax.basin` on the same grid, by name, such as those
+      of walkers with feedback or with a `Policy`.
+    """
+    check_dataset(data, "viability")
+    plane, place = middle_plane(data)
+    around = checked_basins(data, {} if basins is None else basins)
+    ax = axes_for(ax, style)
+    x, y = map(str, plane["viable"].dims)
+    extent = regions.extent_of(plane, x, y)
+    capture, viable = plane["capture"].values, plane["viable"].values
+    sets = [capture == n for n in range(MOST_STRIDES)]
+    sets += [capture >= MOST_STRIDES, viable & (capture < 0), ~viable & (capture < 0)]
+    found = [
+        regions.Region(CellClass(cells), colour, "", words)
+        for cells, colour, words in zip(sets, COLOURS, areas_of_capture(data), strict=True)
+        if words
     ]
-    bar = figure_of(ax).colorbar(scale, ax=ax)
-    bar.set_label("share of safe actions")
-    return finish(
-        ax,
-        style,
-        title=walker_title(data),
-        note=f"{viability_note(data)}{place}",
-        x=x,
-        y=y,
-        legend=[*marks, *map(patch_of, regions)],
-        beside=[bar.ax],
-    )
+    regions.show_image(ax, regions.paint(found, viable.shape), extent)
+    lines: list[Any] = []
+    for (words, basin), look in zip(around.items(), LINES, strict=False):
+        cells, _ = middle_plane(basin, "attractor")
+        named = f"{words}: {sum(basin.attrs['area']):.3g}", *look
+        lines += draw_boundary(ax, named, cells["attractor"].values >= 0, extent)
+    handles, note = [*map(regions.patch_of, found), *lines], actions_in_words(data) + place
+    return finish(ax, style, walker_title(data), note, x=x, y=y, legend=handles)
+
+
+def areas_of_capture(data: xr.Dataset) -> list[str]:
+    """Label each set with its area, those before included; empty for a set without cells."""
+    capture, viable = data["capture"].values, data["viable"].values
+    most, cell = int(capture.max()), grid_of(data).cell_area
+    within = lambda n: f"{((capture >= 0) & (capture <= n)).sum() * cell:.3g}"
+    words = {
+        f"target: {within(0)}": (capture == 0).any(),
+        **{
+            f"{count_noun(n, 'stride')}: {within(n)}": (capture == n).any()
+            for n in range(1, MOST_STRIDES)
+        },
+        f"up to {count_noun(most, 'stride')}: {within(most)}": most >= MOST_STRIDES,
+        f"viable: {viable.sum() * cell:.3g}": (viable & (capture < 0)).any(),
+    }
+    return [*(name if known else "" for name, known in words.items()), "bound to fail"]
+
+
+def checked_basins(data: xr.Dataset, basins: Mapping[str, xr.Dataset]) -> Mapping[str, xr.Dataset]:
+    """Return basins on the grid of a kernel, checked."""
+    check_kind("basins", basins, Mapping)
+    if len(basins) > len(LINES):
+        raise WrongUse(f"basins must be {len(LINES)} at most, not {len(basins)}")
+    shape = data["viable"].sizes
+    for words, basin in basins.items():
+        check_kind("basins", basin, xr.Dataset)
+        check_dataset(basin, "basin")
+        if basin["attractor"].sizes != shape:
+            found = dict(basin["attractor"].sizes)
+            raise WrongUse(
+                f"basins must be on the grid of data, {dict(shape)}, not {short(words)} on {found}"
+            )
+        for name in shape:
+            if not np.allclose(basin[name].values, data[name].values, rtol=1e-9, atol=1e-12):
+                raise WrongUse(f"basins must be on the grid of data, unlike {short(words)}")
+    return basins
 
 
 def middle_plane(data: xr.Dataset, name: str = "viable") -> tuple[xr.Dataset, str]:
@@ -105,18 +167,17 @@ def draw_boundary(
     ax: Axes,
     line: tuple[str, str, float, Any],
     cells: Bool[np.ndarray, "nx ny"],
-    extent: Extent,
+    extent: regions.Extent,
 ) -> list[Line2D]:
     """Draw the line around a set of cells; return its sign in the legend, none without cells."""
     words, colour, width, kind = line
     if not cells.any():
         return []
-    left, right, low, high = extent
     around = np.pad(cells, 1).repeat(2, 0).repeat(2, 1)[1:-1, 1:-1]
-    xs = np.linspace(left, right, cells.shape[0] + 1).repeat(2)
-    ys = np.linspace(low, high, cells.shape[1] + 1).repeat(2)
+    ends = zip(np.reshape(extent, (2, 2)), cells.shape, strict=True)
+    places = [np.linspace(first, last, n + 1).repeat(2) for (first, last), n in ends]
     style: Any = {"colors": [colour], "linewidths": [width], "linestyles": [kind]}
-    ax.contour(xs, ys, around.T.astype(float), levels=[0.5], **style)
+    ax.contour(*places, around.T.astype(float), levels=[0.5], **style)
     on_white = "0.6" if colour == "white" else colour
     return [Line2D([], [], label=words, color=on_white, lw=width, ls=kind)]
 
@@ -128,7 +189,7 @@ def viability_note(data: xr.Dataset) -> str:
     if "inner_area" in data.attrs:
         cut = data.sizes.get("level", 1) - 1
         words += f" ({data.attrs['inner_area']:.4g} to {data.attrs['outer_area']:.4g}"
-        words += f", {cut} level{'s' * (cut > 1)} of finer cells)" if cut else ")"
+        words += f", {count_noun(cut, 'level')} of finer cells)" if cut else ")"
     return f"{words}, target {target:.4g}"
 
 

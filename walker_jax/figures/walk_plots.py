@@ -10,18 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import large_basins
-from walker_jax.figures.basin_maps import basin
+from walker_jax.figures import regions
+from walker_jax.figures.basin_maps import axes_of, basin
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish, new_figure
 from walker_jax.figures.poses import GROUND, SWING
-from walker_jax.figures.regions import (
-    attractor_mark,
-    cycle_of,
-    extent_of,
-    paint,
-    place_states,
-    regions_of,
-    show_image,
-)
 from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
@@ -37,13 +29,7 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style])
     Figure 6 of Schwab and Wisse (2001). Thin lines are heel strikes, at which the legs exchange
     roles.
 
-    **Arguments:**
-
-    - `data`: what `walker_jax.motion` returns.
-    - `ax`: where to draw; by default, on a new figure of 9 by 4.2 inches.
-    - `style`: which words to draw, as in `Style`.
-
-    **Returns** the axes. Raises `ValueError` for another data set.
+    `data` is what `walker_jax.motion` returns.
     """
     check_dataset(data, "walk")
     ax = axes_for(ax, style, 9, 4.2)
@@ -61,22 +47,16 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style])
             ax.plot(time[own], shank, color=SWING, lw=0.9)
     if time[-1] > time[0]:
         ax.set_xlim(time[0], time[-1])
-    legs = [
-        Line2D([], [], color=INK, lw=1.8, label="stance leg"),
-        Line2D([], [], color=SWING, lw=1.8, ls=(0, (1, 1.2)), label="swing leg"),
-    ]
+    signs = {"stance leg": (INK, 1.8, "-"), "swing leg": (SWING, 1.8, (0, (1, 1.2)))}
     if "knee" in data:
-        legs[1].set_label("swing thigh")
-        legs.append(Line2D([], [], color=SWING, lw=0.9, label="swing shank"))
-    return finish(
-        ax,
-        style,
-        title=f"{walker_title(data)}: leg angles",
-        note=course(data),
-        x="time (√(l/g))",
-        y="angle from the normal of the slope (rad)",
-        legend=legs,
-    )
+        signs["swing thigh"] = signs.pop("swing leg")
+        signs["swing shank"] = SWING, 0.9, "-"
+    legs = [
+        Line2D([], [], color=colour, lw=width, ls=dashes, label=name)
+        for name, (colour, width, dashes) in signs.items()
+    ]
+    title, y = f"{walker_title(data)}: leg angles", "angle from the normal of the slope (rad)"
+    return finish(ax, style, title, course(data), x="time (√(l/g))", y=y, legend=legs)
 
 
 def course(data: xr.Dataset) -> str:
@@ -94,12 +74,8 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
 
     Figure 5 of Schwab and Wisse (2001), with an enlargement around the last half of the starts.
 
-    **Arguments:**
-
-    - `data`: what `walker_jax.basin` returns, over two dimensions.
-    - `walk`: what `walker_jax.motion` returns, for the same walker.
-
-    **Returns** a figure of 12 by 5.4 inches. Raises `ValueError` as `figures.basin` does.
+    `data` is what `walker_jax.basin` returns, over two dimensions, and `walk` what
+    `walker_jax.motion` returns for the same walker.
     """
     check_dataset(walk, "walk")
     figure = new_figure(12, 5.4)
@@ -107,39 +83,28 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
     basin(data, whole)
     x, y = trajectory_in(data, walk).T
     half = len(x) // 2
-    window = [(values.min(), values.max()) for values in (x[half:], y[half:])]
-    window = [(low - 0.3 * (high - low), high + 0.3 * (high - low)) for low, high in window]
     large, axes = large_basins(data, len(BASINS)), axes_of(data)
-    image = paint(regions_of(data, large), data["fate"].shape)
-    show_image(close, image, extent_of(data, *axes))
+    image = regions.paint(regions.regions_of(data, large), data["fate"].shape)
+    regions.show_image(close, image, regions.extent_of(data, *axes))
     for number in large:
-        attractor_mark(close, place_states(data, cycle_of(data, number), axes), "o")
+        dots = regions.place_states(data, regions.cycle_of(data, number), axes)
+        regions.attractor_mark(close, dots, "o")
     for ax, first, last in ((whole, 0, half), (close, half, len(x))):
         ax.plot(x, y, "-", color=TRAJECTORY, lw=1.2, zorder=5)
         ax.plot(x, y, "o", color=TRAJECTORY, mec=INK, mew=0.8, ms=6, zorder=6)
         for k in range(first, last):
             write_number(ax, k + 1, (x[k], y[k]))
-    close.set(xlim=window[0], ylim=window[1])
-    finish(
-        close,
-        {},
-        title="Enlarged",
-        note=f"starts {half + 1} to {len(x)}, and the attractor",
-        x=axes[0],
-        y="",
-    )
+    ends = [np.array([values.min(), values.max()]) for values in (x[half:], y[half:])]
+    left, low = (both + 0.3 * np.ptp(both) * np.array([-1, 1]) for both in ends)
+    close.set(xlim=left, ylim=low)
+    note = f"starts {half + 1} to {len(x)}, and the attractor"
+    finish(close, {}, "Enlarged", note, x=axes[0], y="")
     return figure
-
-
-def axes_of(data: xr.Dataset) -> tuple[str, str]:
-    """Return the axes of a basin over two dimensions."""
-    x, y = map(str, data["fate"].dims)
-    return x, y
 
 
 def trajectory_in(data: xr.Dataset, walk: xr.Dataset) -> Float[np.ndarray, "n 2"]:
     """Return the starts of the strides of a walk, along the axes of a basin."""
-    return place_states(data, walk["states"].values, axes_of(data))
+    return regions.place_states(data, walk["states"].values, axes_of(data))
 
 
 def write_number(ax: Axes, number: int, place: tuple[float, float]) -> None:

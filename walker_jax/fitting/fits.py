@@ -1,7 +1,7 @@
 """Fits of a system's parameters to recordings of its steps, by maximum likelihood."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,8 @@ from walker_jax.walkers.parameters import parameters_of, value_of, with_values
 
 FIRST_NOISE = 0.01
 """Noise where none is given, as a share of a column's standard deviation, in the first search."""
+MOST_RESAMPLED = 1_000_000
+"""Most fits to resampled steps: each is a fit, and all are kept."""
 NOISE_ROUNDS = 3
 """Searches in which noise that is not given is found from the residuals of the one before."""
 MARGIN = 4
@@ -104,13 +106,67 @@ def fit(
     that does not make all steps. Raises `ValueError` for recordings that are not of steps of the
     system.
     """
+    check_whole("bootstrap", bootstrap, least=0, most=MOST_RESAMPLED)
+    systems, layout, columns, steps, data, given, begun = pose(
+        system,
+        recordings,
+        parameters,
+        bounds=bounds,
+        noise=noise,
+        priors=priors,
+        shooting=shooting,
+        loss=loss,
+        inputs=inputs,
+        skip=skip,
+        starts=starts,
+        tolerance=tolerance,
+    )
+    free, apart = layout._replace(single=False), data._replace(apart=np.array(True))
+    solved, apart = search(free, begun, apart, steps, given)
+    data = data._replace(noise=apart.noise)
+    solved, data = search(free, solved.unknowns, data, steps, given)
+    if layout.single:
+        begun = solved.unknowns._replace(starts=solved.unknowns.starts[steps.is_first])
+        solved, data = search(layout, begun, data, steps, given)
+    return fit_of(systems, layout, columns, steps, data, solved, bootstrap, seed)
+
+
+class Problem(NamedTuple):
+    """A fit before its search."""
+
+    systems: tuple[HybridSystem, ...]
+    layout: Layout
+    columns: tuple[str, ...]
+    steps: Steps
+    data: Data
+    given: Float[np.ndarray, " columns"]
+    """Noise of columns, NaN where it is to be found."""
+    begun: Unknowns
+    """First guesses, with a start for each step."""
+
+
+def pose(
+    system: HybridSystem | tuple[HybridSystem, HybridSystem],
+    recordings: Recording | Sequence[Recording],
+    parameters: Choice,
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    noise: Mapping[str, float] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    shooting: str = "multiple",
+    loss: str = "linear",
+    inputs: Mapping[str, tuple[str, float]] | None = None,
+    skip: float = 0.0,
+    starts: Float[Any, "*steps section"] | None = None,
+    tolerance: float | None = None,
+) -> Problem:
+    """Check the arguments of `fit`, and return its unknowns and the data of its residuals."""
     systems = check_systems(system)
     names = numbers_chosen(systems[0], parameters)
     if not names:
         raise WrongUse("parameters must name one parameter or more, not none")
     check_choice("shooting", shooting, SHOOTING)
     check_choice("loss", loss, LOSSES)
-    check_whole("bootstrap", bootstrap, least=0)
     recordings, of_state = as_recordings(recordings), names_of_state(systems[0])
     columns = tuple(recordings[0].values)
     if unknown := [name for name in columns if name not in of_state]:
@@ -126,11 +182,7 @@ def fit(
         systems[0], each, steps, names, (first, strike_noise), bounds, priors, tolerance
     )
     begun = first_unknowns(systems[0], layout, columns, steps, data, starts)
-    solved, data = search(layout._replace(single=False), begun, data, steps, given)
-    if layout.single:
-        linked = solved.unknowns._replace(starts=solved.unknowns.starts[steps.is_first])
-        solved, data = search(layout, linked, data, steps, given)
-    return fit_of(systems, layout, columns, steps, data, solved, bootstrap, seed)
+    return Problem(systems, layout, columns, steps, data, given, begun)
 
 
 def check_systems(system: Any) -> tuple[HybridSystem, ...]:
@@ -144,7 +196,8 @@ def check_systems(system: Any) -> tuple[HybridSystem, ...]:
     check_precision(jax.dtypes.canonicalize_dtype(float), "fit")
     shapes = {str(jax.tree.structure(one)) for one in systems}
     if len(systems) > 2 or len(shapes) > 1:
-        raise WrongUse(f"system must be one, or two of one kind, not {short(system)}")
+        kinds = " and ".join(type(one).__name__ for one in systems)
+        raise WrongUse(f"system must be one, or two of one kind, not {kinds}")
     return tuple(in_dtype(one, np.float64, jnp.asarray) for one in systems)
 
 
@@ -201,17 +254,22 @@ def noise_of(
 def noise_left(
     layout: Layout, found: Solved, data: Data, steps: Steps
 ) -> Float[np.ndarray, " columns"]:
-    """Return the standard deviation of the residuals of each column.
+    """Return the standard deviation of the residuals of each column, of steps that walk.
 
     With the sum of squares, the unknowns take their share of the degrees of freedom; with a robust
     loss it is that of a normal distribution with the same median.
     """
-    off = np.abs(predicted_jit(layout, found.unknowns, data)[1] - steps.values)
-    each = [off[..., k][steps.known[..., k]] for k in range(off.shape[-1])]
+    motion, values = predicted_jit(layout, found.unknowns, data)
+    off = np.abs(values - steps.values)
+    used = steps.known & np.asarray(motion.walks)[:, None, None] & np.isfinite(off)
+    each = [off[..., k][used[..., k]] for k in range(off.shape[-1])]
     if layout.loss != "linear":
-        return np.array([np.median(one) / NORMAL_QUARTILE for one in each])
-    free = 1 - ravel_pytree(found.unknowns)[0].size / steps.count
-    return np.array([np.sqrt(np.mean(one**2) / max(free, 1 / steps.count)) for one in each])
+        spread = [np.median(one) / NORMAL_QUARTILE if one.size else np.nan for one in each]
+    else:
+        free = 1 - ravel_pytree(found.unknowns)[0].size / steps.count
+        free = max(free, 1 / steps.count)
+        spread = [np.sqrt(np.mean(one**2) / free) if one.size else np.nan for one in each]
+    return np.where(np.isnan(spread), data.noise, spread)
 
 
 NORMAL_QUARTILE = 0.6744897501960817
@@ -244,6 +302,7 @@ def make_data(
         *(*noise, prior, bounds_of(system, names, bounds or {}, middle)),
         np.ones(len(steps.run)),
         integrator_of(np.dtype(float), tolerance, None).in_dtype(np.dtype(float)),
+        np.array(False),
     )
 
 

@@ -75,6 +75,8 @@ class Data(NamedTuple):
     weights: Float[Any, " steps"]
     """How often each step counts; 1 but for a bootstrap."""
     integrator: Integrator
+    apart: Bool[Any, ""]
+    """Whether each step begins at its recorded heel strike, so that steps are fitted one by one."""
 
 
 class Motion(NamedTuple):
@@ -89,7 +91,10 @@ class Motion(NamedTuple):
 
 
 def follow_steps(layout: Layout, unknowns: Unknowns, data: Data) -> Motion:
-    """Follow all steps: from their own starts at once, or one after another."""
+    """Follow all steps: from their own starts at once, or one after another.
+
+    A step begins when the one before it ends, or, while steps are `apart`, when it was recorded to.
+    """
     values = from_free(unknowns.free, data.bounds)
     size = unknowns.starts.shape[1]
     join = lambda x: jnp.concatenate([x, values])
@@ -114,8 +119,8 @@ def follow_steps(layout: Layout, unknowns: Unknowns, data: Data) -> Motion:
     total = jnp.cumsum(durations)
     before = jnp.where(data.is_first, total - durations, 0)
     offset = unknowns.begins - jax.ops.segment_sum(before, data.run, len(unknowns.begins))
-    ends = total + offset[data.run]
-    return Motion(values, starts, ends - durations, ends, walks)
+    begins = jnp.where(data.apart, data.begins, total - durations + offset[data.run])
+    return Motion(values, starts, begins, begins + durations, walks)
 
 
 def steps_made(
@@ -175,8 +180,13 @@ def compress(found: Predicted) -> Predicted:
     return Predicted(triangle[:, -1], triangle[:, :-1])
 
 
-def residuals(layout: Layout, unknowns: Unknowns, data: Data) -> Float[Array, " residuals"]:
-    """Return residuals whose sum of squares is to be least; those of samples are compressed."""
+def residuals(
+    layout: Layout, unknowns: Unknowns, data: Data
+) -> tuple[Float[Array, " residuals"], Motion]:
+    """Return residuals whose sum of squares is to be least, and the steps that they are of.
+
+    Those of samples are compressed.
+    """
     motion = follow_steps(layout, unknowns, data)
     size = unknowns.starts.shape[1]
     variables = jax.vmap(lambda x, begin: jnp.concatenate([x, begin[None], motion.values]))(
@@ -190,7 +200,7 @@ def residuals(layout: Layout, unknowns: Unknowns, data: Data) -> Float[Array, " 
     steps = data.systems, data.times, data.values, data.known, data.weights
     samples = linearised(of_samples, variables, steps, (data.noise, data.integrator))
     others = strike_residuals(layout, motion, data), prior(motion, data)
-    return jnp.concatenate([samples.reshape(-1), *others])
+    return jnp.concatenate([samples.reshape(-1), *others]), motion
 
 
 def strike_residuals(layout: Layout, motion: Motion, data: Data) -> Float[Array, " strikes"]:
@@ -220,3 +230,11 @@ def predicted(
         return jax.vmap(state)(times)[:, jnp.asarray(layout.places)]
 
     return motion, jax.vmap(of_step)(motion.starts, motion.begins, data.systems, data.times)
+
+
+def all_residuals(layout: Layout, unknowns: Unknowns, data: Data) -> Float[Array, " numbers"]:
+    """Return a residual for each number, as other programs search with; none is compressed."""
+    motion, values = predicted(layout, unknowns, data)
+    off = jnp.where(data.known, (values - data.values) / data.noise, 0)
+    others = strike_residuals(layout, motion, data), prior(motion, data)
+    return jnp.concatenate([standardise(layout.loss, off).reshape(-1), *others])

@@ -29,8 +29,7 @@ swapped by a quarter of that."""
 
 def names_of_state(system: HybridSystem) -> tuple[str, ...]:
     """Return the names of the coordinates of the state in which steps begin."""
-    state = jax.eval_shape(system.launch, jnp.zeros(len(system.section)))
-    names = getattr(state, "_fields", None)
+    names = system.names_of_state()
     if names is None:
         raise WrongUse(f"system must have states with names, NamedTuples, unlike {system.label()}")
     return names

@@ -53,17 +53,21 @@ def covariance_and_directions(
 ) -> tuple[Float[np.ndarray, "parameters parameters"], tuple[Direction, ...]]:
     """Return the covariance (R^T R)^-1, and its directions relative to `sizes`, the worst first.
 
-    Entries of parameters without information are infinite.
+    Entries of parameters without information are infinite: neither units nor values near zero, on
+    which `sizes` depend, decide which these are.
     """
-    _, singular, rows = np.linalg.svd(root * sizes)
-    with np.errstate(divide="ignore"):
-        lost = singular <= SINGULAR * singular[0]
-        deviations = np.where(lost, np.inf, 1 / np.where(lost, 1, singular))
-    known = rows * np.where(lost, 0, deviations)[:, None] * sizes
+    norms = np.linalg.norm(root, axis=0)
+    units = 1 / np.where(norms > 0, norms, 1)
+    _, singular, rows = np.linalg.svd(root * units)
+    lost = singular <= SINGULAR * singular[0]
+    known = rows * np.where(lost, 0, 1 / np.where(lost, 1, singular))[:, None] * units
     covariance = known.T @ known
     unknown = (np.abs(rows[lost]) > 1e-6).any(axis=0)
     covariance[unknown, :], covariance[:, unknown] = np.nan, np.nan
     covariance[unknown, unknown] = np.inf
+    _, singular, rows = np.linalg.svd(root * sizes)
+    with np.errstate(divide="ignore"):
+        deviations = np.where(lost, np.inf, 1 / singular)  # sorted: the last
     directions = []
     for row, deviation in zip(rows[::-1], deviations[::-1], strict=True):
         sign = np.sign(row[np.argmax(np.abs(row))])

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from walker_jax.checks import WrongUse, check_whole, refuses_tracers, short
+from walker_jax.checks import WrongUse, check_memory, check_whole, refuses_tracers, short
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.branches import Branch, continue_gaits, float64_tolerance
 from walker_jax.gaits.codimension_two import SPECIAL
@@ -36,6 +36,8 @@ from walker_jax.walkers.parameters import describe_source, value_of
 from walker_jax.walking.iteration import select_walkers, with_parameters
 from walker_jax.walking.stride import stride
 
+BYTES_PER_CELL = 100
+"""Peak memory in bytes for each cell, from which a walker is followed."""
 SAME_GAIT = 1e-6
 """Largest error of a gait after one stride, in each coordinate."""
 NO_GAIT = -1
@@ -118,6 +120,8 @@ def chart(
         raise WrongUse(f"cells must be two numbers, not {short(cells)}")
     for number in cells:
         check_whole("cells", number, 2)
+    count = cells[0] * cells[1]
+    check_memory(count * BYTES_PER_CELL, f"{count} cells need", "lower cells", of="cells")
     own = np.array([float(value_of(system, name)) for name in names])
     if not ranges.hold(own):
         told = " and ".join(f"{name} {value:g}" for name, value in zip(names, own, strict=True))

@@ -34,7 +34,6 @@ SAME_STATE_DISTANCE = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
 in float64, ten times in float32."""
 MAX_SEARCH_STEPS = 40
 """Newton steps of a search: a few do near a gait, where it converges quadratically."""
-
 FEW_STRIDES = 128
 """Most strides for which all columns are computed at once: a second call would cost more."""
 
@@ -235,30 +234,25 @@ def linearise(
     def differentiate(columns, which):
         each = lambda leaf: np.repeat(leaf[which], len(columns), axis=0)
         cells = *jax.tree.map(each, (walkers, starts)), np.tile(columns, (len(which), 1))
-        return map_cells(jvp, (shared, cells))
+        (state, time), changes = map_cells(jvp, (shared, cells))
+        return state, time, np.column_stack(changes)
 
-    everything = np.arange(len(starts))
-    by = np.full((len(starts), len(directions), size), np.nan, cycles.dtype)
-    of_time = np.full((len(starts), size + 1), np.nan, cycles.dtype)
-    few = len(starts) <= FEW_STRIDES
-    first = len(directions) if few else 1
-    (state, time), (changes, longer) = differentiate(directions[:first], everything)
+    by = np.full((len(starts), len(directions), size + 1), np.nan, cycles.dtype)
+    first = len(directions) if len(starts) <= FEW_STRIDES else 1
+    state, time, changes = differentiate(directions[:first], np.arange(len(starts)))
     state, time = state[::first], time[::first]
-    by[:, :first] = changes.reshape(len(starts), first, size)
-    of_time[:, :first] = longer.reshape(len(starts), first)
-    walks = np.isfinite(state).all(axis=1)
-    if not few:
-        walking = np.flatnonzero(walks)
-        _, (others, longer) = differentiate(directions[1:], walking)
-        by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
-        of_time[walking, 1 : len(directions)] = longer.reshape(len(walking), -1)
+    by[:, :first] = changes.reshape(len(starts), first, size + 1)
+    if first < len(directions):
+        walking = np.flatnonzero(np.isfinite(state).all(axis=1))
+        *_, others = differentiate(directions[1:], walking)
+        by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size + 1)
     shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])
     return Linearisation(
         state=shaped(state),
         time=shaped(time),
-        jacobian=np.swapaxes(shaped(by[:, :size]), 2, 3),
-        by_parameter=shaped(by[:, size]) if parameter else np.zeros_like(cycles),
-        of_time=shaped(of_time[:, : len(directions)]),
+        jacobian=np.swapaxes(shaped(by[:, :size, :size]), 2, 3),
+        by_parameter=shaped(by[:, size, :size]) if parameter else np.zeros_like(cycles),
+        of_time=shaped(by[..., size]),
     )
 
 

@@ -54,6 +54,9 @@ from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits
 from walker_jax.walking.starts import as_floating, prepare
 
+MATRICES, MATRICES_OF_SEARCHES = 4, 40
+"""Matrices as large as the Jacobian of a cycle that Newton's iteration holds at a time, from one
+guess and from many, as measured at periods of 1600."""
 FEW_STARTS = 2000
 """Most starts, about, of the first search: a stable gait attracts many of them."""
 
@@ -143,10 +146,10 @@ def search_gait(
     return gait._replace(states=states, multipliers=multipliers, step_times=times)
 
 
-def check_period(walker: System, period: int) -> None:
+def check_period(walker: System, period: int, matrices: int = MATRICES) -> None:
     """Refuse a period whose equations, one for each coordinate in a cycle, exceed the memory."""
     check_whole("period", period)
-    needed = 8 * (period * len(walker.section)) ** 2
+    needed = matrices * 8 * (period * len(walker.section)) ** 2
     check_memory(needed, f"a gait of period {period} needs", "lower period", of="period")
 
 
@@ -234,7 +237,7 @@ def find_gaits(
     smallest first coordinate, in ascending order of that coordinate.
     """
     check_kind("walker", walker, System)
-    check_period(walker, period)
+    check_period(walker, period, MATRICES_OF_SEARCHES)
     check_whole("descent", descent, 0)
     check_kind("progress", progress, bool)
     grid = walker.gait_region() if region is None else region

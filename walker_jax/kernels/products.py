@@ -96,7 +96,7 @@ def batch(operands, axes):
         moved = [
             x if axis is None else lead_by(jnp.moveaxis(x, axis, 0), rank) for x, axis in pairs
         ]
-        shape = np.broadcast_shapes(*map(np.shape, moved))
+        shape = jnp.broadcast_shapes(*map(np.shape, moved))  # of jax.export's symbols, too
         operands = [jnp.broadcast_to(x, shape) for x in moved]
     return sum_of_products_p.bind(*operands), 0
 

@@ -21,11 +21,15 @@ from walker_jax.proofs.stores import prove_in_batches
 from walker_jax.proofs.subdivision import BATCH, KeepFates, LevelCells, prove_cells
 from walker_jax.proofs.traps import find_trap
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import join_names
+from walker_jax.systems.outcomes import Outcome, join_names, outcome_in_words
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of
+from walker_jax.walking.iteration import iterate
 
 LEAST_TRAP = 1e-7
+STARTS_OF_CIRCLE = 1024
+"""Number of starts on a disc's circle that are tried before a proof. If the radius exceeds the
+least disturbance by 1e-5 of it, an arc of some 1e-2 rad falls, longer than their spacing."""
 CELLS_OF_DISC = 16
 """Number of cells along a diameter, before they are split."""
 ROUNDING_OF_AREA = 1e-12
@@ -83,7 +87,8 @@ def prove_basin(
     `area_upper` bound the area of the starts in the disc or window that walk for ever.
 
     **Raises** `ComputationFailed` if no trap is proved, as about an unstable gait; `WrongUse` for
-    another walker, for float32, and for arguments out of range.
+    another walker, for float32, for arguments out of range, and for a disc with a start on its
+    circle that falls, as plain strides show.
     """
     walker = check_provable(walker)
     check_whole("levels", levels, 0, 24)
@@ -101,6 +106,7 @@ def prove_basin(
                 f"region must be a Grid, or a radius above 0 and below 1, not {short(region)}"
             )
         radius = float(region)
+        check_disc(walker, centre, radius, strides)
         window = window_about_disc(centre, radius)
         wanted = partial(may_meet_disc, window, centre, radius)
     find = lambda: find_trap(walker, centre, jacobian_of(walker, gait), period, LEAST_TRAP)
@@ -118,6 +124,25 @@ def prove_basin(
     asked |= {"command": "prove", "walker": type(walker).__name__, **attributes_of(walker)}
     asked |= {"version": version("walker-jax")}
     return prove_in_batches(Path(out), request or asked, levels, find, prove, overwrite=overwrite)
+
+
+def check_disc(
+    walker: System, centre: Float[np.ndarray, " 2"], radius: float, strides: int
+) -> None:
+    """Refuse a disc with a start on its circle that falls, by plain strides: no proof is left."""
+    angle = np.linspace(0, 2 * np.pi, STARTS_OF_CIRCLE, endpoint=False)
+    starts = centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    end = iterate(walker, starts, strides, integrator_of(starts.dtype, None))
+    falls = np.flatnonzero((end.outcome != Outcome.STRIDE) & (end.outcome != Outcome.UNDECIDED))
+    if len(falls):
+        first = falls[np.argmin(end.strides[falls])]
+        fall = outcome_in_words(Outcome(int(end.outcome[first])).name)
+        where = ", ".join(f"{value:.9g}" for value in starts[first])
+        raise WrongUse(
+            f"region {radius:g} must be at most the least disturbance: the start ({where}) on the "
+            f"circle {fall} in stride {end.strides[first] + 1}",
+            of="region",
+        )
 
 
 def dataset_of(

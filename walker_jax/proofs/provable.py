@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from walker_jax.checks import WrongUse, check_precision, short
+from walker_jax.checks import WrongUse, check_precision
 from walker_jax.kernels.jaxprs import equations_in
 from walker_jax.proofs.enclosures import ROUNDING, Space, exactly
 from walker_jax.systems.system import System, arrays_of
@@ -39,7 +39,7 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
     if not (known and fixed and any(same("modes", kind) for kind in SWINGS)):
         raise WrongUse(
             "walker must be a SimplestWalker, SpringWalker or PoweredWalker, or of a derived class "
-            f"that changes only equations, not {short(walker)}",
+            f"that changes only equations, not {type(walker).__name__}",
             of="walker",
         )
     if arrays := arrays_of(walker):

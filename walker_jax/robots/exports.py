@@ -134,7 +134,9 @@ def write_film(
 
     mujoco, model, plane = load_mujoco(), reader.model, reader.plane
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
-    camera.distance, camera.elevation = 3 * size, -10
+    camera.distance, camera.elevation = 2.4 * size, -10
+    for light, least in ((model.vis.headlight.ambient, 0.4), (model.vis.headlight.diffuse, 0.6)):
+        light[:] = np.maximum(light, least)  # most files have a dim one
     camera.azimuth = float(np.degrees(np.arctan2(plane.across[1], plane.across[0])))
     frames = []
     try:

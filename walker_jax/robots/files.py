@@ -28,6 +28,11 @@ def load_mujoco() -> Any:
             "robot needs the package mujoco, which reads such files: "
             "pip install 'walker-jax[robots]'"
         ) from error
+    except Exception as error:  # such as an OpenGL that MUJOCO_GL names and is not there
+        reason = " ".join(str(error).split())
+        raise WrongUse(
+            f"robot needs the package mujoco, which does not load here ({reason}): check MUJOCO_GL"
+        ) from error
     return mujoco
 
 

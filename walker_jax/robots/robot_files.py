@@ -18,9 +18,13 @@ from walker_jax.robots.machine import Machine
 from walker_jax.robots.planes import plane_of
 from walker_jax.robots.reading import Reader, keyframe_of
 from walker_jax.robots.robots import Robot
+from walker_jax.robots.soft_contacts import soft_contact
+from walker_jax.systems.system import code_of
 
 UNNAMED = "MuJoCo Model"
 """The name that MuJoCo gives to a model without one."""
+PATHS: dict[tuple, Path] = {}
+"""Files of the robots that were made of a path alone, by their code."""
 
 
 def robot(
@@ -65,12 +69,20 @@ def robot(
     numbers, key = dict(reader.ledger.numbers), keyframe_of(reader, machine)
     numbers |= {} if key is None else key.ctrl
     numbers |= dict(parameters or {})
-    made = Robot(machine, numbers, controller, check_scuffing=check_scuffing)
-    if key is None:
-        return made
-    free = [machine.order.index(i) for i in made.landing().free]
-    near = [key.coordinates[i] for i in free[:-1]] + [key.rates[i] for i in free]
-    return Robot(machine, numbers, controller, near=tuple(near), check_scuffing=check_scuffing)
+    how: Any = {"contact": soft_contact(reader), "check_scuffing": check_scuffing}
+    made = Robot(machine, numbers, controller, **how)
+    if key is not None:
+        free = [machine.order.index(i) for i in made.landing().free]
+        near = [key.coordinates[i] for i in free[:-1]] + [key.rates[i] for i in free]
+        made = Robot(machine, numbers, controller, near=tuple(near), **how)
+    if feet is None and controller is None and not check_scuffing:
+        PATHS[code_of(made)] = Path(path).resolve()
+    return made
+
+
+def path_of(robot: Robot) -> Path | None:
+    """Return the file of which this process made a robot by `robot(path)`; None if by none."""
+    return PATHS.get(code_of(robot))
 
 
 def read_machine(path: str | os.PathLike, feet: Sequence[str] | None) -> tuple[Reader, Machine]:

@@ -19,6 +19,7 @@ from walker_jax.multibody.single_support import (
 from walker_jax.robots.forces import Controller
 from walker_jax.robots.machine import Machine
 from walker_jax.robots.sections import can_reach, foot_arm, point_of, state_on_section
+from walker_jax.robots.soft_contacts import SoftContact, remarks_on
 from walker_jax.robots.stances import RobotState, Stance
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import code_field
@@ -52,6 +53,8 @@ class Robot(HybridSystem):
     section: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride] (of each robot)
     near: tuple[float, ...] | None = code_field()
     """A point of the section near a gait, from the file's first keyframe."""
+    contact: SoftContact | None = code_field()
+    """Of the file, as MuJoCo takes it."""
     check_scuffing: bool = eqx.field(static=True, default=False)
     parameters: dict[str, Any]  # pyright: ignore[reportGeneralTypeIssues] (no default; __init__ is our own)
 
@@ -62,9 +65,11 @@ class Robot(HybridSystem):
         controller: Controller | None = None,
         *,
         near: tuple[float, ...] | None = None,
+        contact: SoftContact | None = None,
         check_scuffing: bool = False,
     ):
         self.machine, self.controller, self.near = machine, controller, near
+        self.contact = contact
         self.check_scuffing = check_scuffing
         self.parameters = {name: jnp.asarray(value) for name, value in parameters.items()}
         names = [machine.links[i].name for i in self.landing().free]
@@ -72,6 +77,10 @@ class Robot(HybridSystem):
 
     def label(self):
         return self.machine.name
+
+    def remarks(self):
+        """How MuJoCo's motion of the same file differs."""
+        return remarks_on(self.contact)
 
     def with_locked(self, knees: tuple[int, ...]) -> Stance:
         """Return the robot on its stance foot, with some knees locked."""
@@ -211,6 +220,10 @@ class Robot(HybridSystem):
             tuple(coordinates[i] for i in first.free), tuple(speeds[i] for i in first.free)
         )
 
+    def names_of_state(self):
+        names = [self.machine.links[i].name for i in self.first().free]
+        return *names, *(f"{name}_rate" for name in names)
+
     def shown(self, state):
         of_first = len(state.rates) == len(self.first().free)
         return state if of_first else self.begin(state)
@@ -249,12 +262,18 @@ class Robot(HybridSystem):
 def window_around(robot: Robot, x: Any) -> Grid:
     """Return a slice through a point, along the stance leg's first coordinate and its rate."""
     point = dict(zip(robot.section, np.asarray(x, float).tolist(), strict=True))
-    first = robot.section[0]
-    axes = {}
-    for name, least in ((first, 0.1), (f"{first}_rate", 0.5)):
-        width = max(abs(point[name]), least) / 2
-        axes[name] = point[name] - width, point[name] + width, WINDOW_CELLS
-    return Grid.through(point, **axes)
+    ends, first = ends_around(robot, x), robot.section[0]
+    names = first, f"{first}_rate"
+    return Grid.through(point, **{name: (*ends[name], WINDOW_CELLS) for name in names})
+
+
+def ends_around(robot: Robot, x: Any) -> dict[str, tuple[float, float]]:
+    """Return the ends of a window around a point along each coordinate."""
+    found = {}
+    for name, value in zip(robot.section, np.asarray(x, float).tolist(), strict=True):
+        width = max(abs(value), 0.5 if name.endswith("_rate") else 0.1) / 2
+        found[name] = value - width, value + width
+    return found
 
 
 def pendulum_region(robot: Robot, count: int) -> Grid:

@@ -20,11 +20,18 @@ from jaxtyping import Float
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import label_and_find
-from walker_jax.basins.computation import check_grid
+from walker_jax.basins.computation import BYTES_PER_CELL, check_grid
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.matching import NONE, match_clouds, match_cycles
-from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_memory,
+    check_whole,
+    numbers,
+    refuses_tracers,
+)
 from walker_jax.execution.progress import track
 from walker_jax.gaits.branches import (
     Branch,
@@ -123,6 +130,8 @@ def continue_basins(
     tolerance = float(float64_tolerance(tolerance))
     samples, strides = check_whole("samples", samples), check_whole("strides", strides)
     seed = check_whole("seed", seed, 0)
+    needed = samples * BYTES_PER_CELL["direct"]
+    check_memory(needed, f"{samples} starts need", "lower samples", of="samples")
     first = with_parameter(walker, parameter, float(values[0]))
     region = default_region(first) if region is None else region
     if region is None:

@@ -66,6 +66,14 @@ class HybridSystem(System):
         is_truth = lambda y: jnp.issubdtype(jnp.result_type(y), jnp.bool_)  # which is no number
         return jax.tree.map(lambda y: y if is_truth(y) else jnp.asarray(y, x.dtype), start)
 
+    def names_of_state(self) -> tuple[str, ...] | None:
+        """Return the names of a state's numbers as a stride begins; None if it has none.
+
+        By default they are those of the fields of a `NamedTuple`.
+        """
+        state = jax.eval_shape(self.launch, jnp.zeros(len(self.section)))
+        return getattr(state, "_fields", None)
+
     def may_launch(self, x: Float[Array, " coordinates"], start: Any) -> Bool[Array, ""]:
         """Return whether a stride can begin at x, in the state `start` of the first mode."""
         return self.feasible(x)

@@ -189,6 +189,10 @@ class System(eqx.Module):
         """
         return None
 
+    def remarks(self) -> tuple[str, ...]:
+        """Return lines that `wj.explain` adds to its report, such as limits of the model."""
+        return ()
+
     def basin_region(self, gait: Callable[[], Float[Any, " section"] | None]) -> Grid | None:
         """Return the region in which the basin around a gait is measured, by default all.
 

@@ -112,10 +112,13 @@ class Explanation(NamedTuple):
     start: Float[np.ndarray, " coordinates"]
     modes: list[ModeRecord]
     complaints: list[str]
-    """Inconsistencies of the model, and why a stride is `UNDECIDED`; none for a sound one."""
+    """Inconsistencies of the model, and why a stride is `UNDECIDED`, in the order in which the
+    stride comes to them; none for a sound one."""
     state: Float[np.ndarray, " section"]
     jacobian: Float[np.ndarray, "section coordinates"]
     """Derivative of the next point by the start; NaN where there is none."""
+    remarks: tuple[str, ...]
+    """The system's own `remarks`."""
 
     def __str__(self) -> str:
         lines = [f"{self.system} from {format_point(self.start)}: {self.name}"]
@@ -146,8 +149,11 @@ class Explanation(NamedTuple):
             if rows == columns and np.isfinite(self.jacobian).all():
                 largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
                 lines[-1] += f", greatest multiplier {largest:.6g}"
+        lines += self.remarks
         lines += [f"? {one}" for mode in self.modes for one in mode.doubts]
-        lines += [f"! {one}" for one in self.complaints]
+        first = ["! first: "] if len(self.complaints) > 1 else ["! "]
+        marks = [*first, *["! then: "] * len(self.complaints)]
+        lines += map("".join, zip(marks, self.complaints, strict=False))
         return "\n".join(lines)
 
 
@@ -191,9 +197,7 @@ def explain(
     if isinstance(walker, HybridSystem) and not complaints:
         complaints += check_projection(walker, x)
         records, landed = record_modes(during_stride(walker, x), x, integrator)
-        complaints += check_records(records)
-        if walker.driven_by_gravity():
-            complaints += check_energy(records)
+        complaints += check_records(records, driven_by_gravity=walker.driven_by_gravity())
         if outcome == Outcome.STRIDE and landed is not None:
             complaints += check_landing(walker, landed)
         if len(records) == MOST_MODES:
@@ -211,35 +215,44 @@ def explain(
             )
     state = np.asarray(made.state)
     name = name_of_outcome(outcome, walker.failures)
-    return Explanation(
-        outcome, name, walker.label(), np.asarray(x), records, complaints, state, jacobian
-    )
+    about = walker.label(), np.asarray(x), records, complaints, state, jacobian
+    return Explanation(outcome, name, *about, walker.remarks())
 
 
-def check_records(records: list[ModeRecord]) -> list[str]:
-    """Return complaints about guards."""
+def check_records(records: list[ModeRecord], *, driven_by_gravity: bool) -> list[str]:
+    """Return complaints about the modes, in their order: about energy, and guards if none ends."""
+    unending = bool(records) and not records[-1].led_to
     found = []
     for mode in records:
-        if not mode.led_to:
-            found.append(f"mode {mode.name!r} is not ended by any of its guards: {mode.reason}")
-        refused = {rise.guard for rise in mode.rises if not rise.admitted}
-        admitted = {rise.guard for rise in mode.rises if rise.admitted}
-        for guard in sorted(refused - admitted):
-            found.append(f"guard {guard} of mode {mode.name!r} rose, but was never admitted")
-    return found if records and not records[-1].led_to else []
-
-
-def check_energy(records: list[ModeRecord]) -> list[str]:
-    """Return complaints about a walker whose energy should stay constant in each mode."""
-    found = []
-    for mode in records:
-        start, end = mode.energy
-        if abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
-            found.append(
-                f"in mode {mode.name!r} the energy changes by {end - start:.3g}, but gravity alone "
-                "drives the walker: vector_field and energy do not belong together"
-            )
+        if driven_by_gravity:
+            found += check_energy(mode)
+        if unending:
+            found += check_guards(mode)
     return found
+
+
+def check_guards(mode: ModeRecord) -> list[str]:
+    """Return complaints about a mode's guards."""
+    refused = {rise.guard for rise in mode.rises if not rise.admitted}
+    admitted = {rise.guard for rise in mode.rises if rise.admitted}
+    found = [
+        f"guard {guard} of mode {mode.name!r} rose, but was never admitted"
+        for guard in sorted(refused - admitted)
+    ]
+    if not mode.led_to:
+        found.append(f"mode {mode.name!r} is not ended by any of its guards: {mode.reason}")
+    return found
+
+
+def check_energy(mode: ModeRecord) -> list[str]:
+    """Return a complaint about a mode in which the energy should stay constant, and does not."""
+    start, end = mode.energy
+    if not abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
+        return []
+    return [
+        f"in mode {mode.name!r} the energy changes by {end - start:.3g}, but gravity alone "
+        "drives the walker: vector_field and energy do not belong together"
+    ]
 
 
 def record_modes(

@@ -18,13 +18,19 @@ export class Compiling {
     this.note.textContent = "";
     const found = await ask("/api/compiling", subject).catch(() => null); // home fails too, and says why
     if (this.shown !== shown || !found || found.seconds === 0) return;
-    const text = `Compiling ${name}`;
-    this.note.textContent = found.seconds === null ? text : `${text}, about ${Math.ceil(found.seconds)} s the first time`;
-    this.note.style.setProperty("--seconds", `${found.seconds ?? 30}s`);
+    const text = `Compiling ${name}`, { seconds } = found, began = performance.now();
+    this.note.textContent = seconds === null ? text : `${text}, about ${Math.ceil(seconds)} s the first time`;
+    this.note.style.setProperty("--seconds", `${seconds ?? 30}s`);
+    clearInterval(this.timer);
+    this.timer = setInterval(() => { // a machine may be slower, or busy
+      const taken = (performance.now() - began) / 1000;
+      if (taken > seconds) this.note.textContent = `${text}: ${Math.floor(taken)} s until now, longer than most times`;
+    }, 1000);
   }
 
   hide() {
     this.shown = null;
+    clearInterval(this.timer);
     this.plot.classList.remove("covered");
     this.note.textContent = "";
   }

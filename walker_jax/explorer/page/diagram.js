@@ -70,13 +70,18 @@ export class Diagram extends EventTarget {
   }
 
   draw() {
-    const { canvas, context: c, data } = this;
-    const { clientWidth: width, clientHeight: height } = canvas;
+    const { canvas } = this, { clientWidth: width, clientHeight: height } = canvas;
     if (!width || !height || !this.over) return;
     const ratio = devicePixelRatio || 1;
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
-    c.setTransform(ratio, 0, 0, ratio, 0, 0);
+    this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    this.drawOn(this.context);
+  }
+
+  /** Draw all on a context of CSS pixels. */
+  drawOn(c) {
+    const { canvas, data } = this, { clientWidth: width, clientHeight: height } = canvas;
     const style = getComputedStyle(canvas);
     const colour = (name) => style.getPropertyValue(name).trim();
     this.width = width - MARGIN.left - MARGIN.right;

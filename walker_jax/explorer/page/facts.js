@@ -6,7 +6,8 @@ import { Refused, ask } from "./api.js";
 import { area, count, multipliers, number, withError } from "./words.js";
 
 const REST = 450; // ms without a change, after which the exact values are asked for
-const KINDS = ["gaits", "area", "disturbance"];
+const NAMES = { gaits: ["gait", "multipliers"], area: ["area"], disturbance: ["disturbance"] };
+const KINDS = Object.keys(NAMES);
 
 export class Facts extends EventTarget {
   constructor(root, state) {
@@ -37,12 +38,26 @@ export class Facts extends EventTarget {
     for (const event of ["gaits", "disturbance"]) this.dispatchEvent(new Event(event));
   }
 
-  /** Ask for what has changed, once nothing changes any more. */
-  want(cells, cellArea) {
+  /** The requests for what is chosen. */
+  chosen() {
     const subject = structuredClone(this.state.subject());
     const { section: _, ...walker } = { ...subject, at: {} }; // in any plane the same
+    return { gaits: walker, area: { ...subject, cells: this.cells }, disturbance: walker };
+  }
+
+  /** Grey what is not the exact value of what is chosen. */
+  mark() {
+    for (const [kind, body] of Object.entries(this.chosen())) {
+      const stands = this.exact[kind] && this.keys[kind] === JSON.stringify(body);
+      for (const name of NAMES[kind]) this.shown[name].classList.toggle("pending", !stands);
+    }
+  }
+
+  /** Ask for what has changed, once nothing changes any more. */
+  want(cells, cellArea) {
     this.viewArea = cells[3] * cells[4] * cellArea;
-    this.bodies = { gaits: walker, area: { ...subject, cells }, disturbance: walker };
+    this.cells = cells;
+    this.bodies = this.chosen();
     for (const kind of KINDS) {
       const key = JSON.stringify(this.bodies[kind]);
       if (this.keys[kind] === key) continue;
@@ -56,6 +71,7 @@ export class Facts extends EventTarget {
         this.dispatchEvent(new Event("gaits"));
       }
     }
+    this.mark();
     clearTimeout(this.timer);
     this.timer = setTimeout(() => KINDS.forEach((kind) => this.measure(kind)), REST);
   }

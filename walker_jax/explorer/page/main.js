@@ -6,14 +6,15 @@ import { Controls } from "./controls.js";
 import { Diagram } from "./diagram.js";
 import { Facts } from "./facts.js";
 import { Lattice } from "./lattice.js";
+import { Legend } from "./legend.js";
 import { BasinMap } from "./map.js";
-import { Palette, css } from "./palette.js";
+import { Palette } from "./palette.js";
 import { Picture } from "./picture.js";
 import { Stage } from "./stage.js";
-import { OUTSIDE, State } from "./state.js";
+import { State } from "./state.js";
 import { TakeAway } from "./takeaway.js";
 import { Walk } from "./walk.js";
-import { count, decimals, multipliers, number, spaced } from "./words.js";
+import { count, decimals, multipliers, spaced } from "./words.js";
 
 const $ = (selector) => document.querySelector(selector);
 const PUSHES = { "[": -0.01, "]": 0.01 }; // along the slope, by keys
@@ -33,10 +34,12 @@ async function begin() {
   const diagram = new Diagram($("#diagram"), state, palette);
   const facts = new Facts(document, state);
   const controls = new Controls($(".controls"), state);
+  const legend = new Legend($("#legend"), state, palette);
   const compiling = new Compiling($("#view-basin .plot"));
   let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
   const loading = new Set(); // the keys of the homes that are awaited
   let prepared = ""; // the walker that picture and facts belong to
+  let pointed = null; // the place that the readout tells of
 
   // ---------------------------------------------------------------- the picture
 
@@ -77,10 +80,11 @@ async function begin() {
   /** Nothing of the former walker stands under the name of the one that is being prepared. */
   function clearFormer() {
     prepared = "";
+    pointed = null;
+    map.clear();
     picture.clear();
     facts.clear("");
-    $("#legend").replaceChildren();
-    $("#hover").textContent = "\u00a0";
+    legend.clear();
   }
 
   const showPicture = () => {
@@ -141,6 +145,7 @@ async function begin() {
     clearTimeout(walking);
     if (state.restore()) {
       controls.update();
+      facts.mark();
       showArrow();
       stage.draw();
       queueMicrotask(showPicture);
@@ -168,6 +173,7 @@ async function begin() {
     facts.showAttractors(attractors);
     showLegend();
   });
+  picture.addEventListener("changed", tellPlace);
   picture.addEventListener("changed", () => {
     $("#progress").setAttribute("aria-valuenow", Math.round(100 * picture.progress));
     $("#progress i").style.width = `${100 * picture.progress}%`;
@@ -223,47 +229,48 @@ async function begin() {
     return label in state.fates ? state.failure(label, strides, many) : "";
   }
 
+  /** The readout: where the hand points, and what happens from there; grey while the picture is another's. */
+  function tellPlace() {
+    const found = pointed && lattice && picture.at(pointed);
+    let text = "\u00a0";
+    if (pointed && lattice) {
+      const gait = map.gaitAt(pointed), places = Math.max(4, 4 + Math.ceil(map.view.zoom / 3.3));
+      const where = map.values(pointed).map((v, k) => `${state.axes[k].symbol} ${decimals(v, places)}`).join("   ");
+      const words = gait ? `${gait.stable ? "stable" : "unstable"} ${state.words.gait} of period ${gait.period}, multipliers ${multipliers(gait)}` : "";
+      text = `${where}   ${words || (found ? happens(found) : "")}`;
+    }
+    if ($("#hover").textContent !== text) $("#hover").textContent = text;
+    $("#hover").classList.toggle("pending", Boolean(found) && !picture.isOf(found.layer, state));
+  }
   map.addEventListener("hover", ({ detail: place }) => {
-    if (!place || !lattice) return ($("#hover").textContent = "\u00a0");
+    pointed = place;
     $("#hover").setAttribute("aria-live", map.cross ? "polite" : "off"); // of keys, not of a mouse
-    const gait = map.gaitAt(place);
-    const found = picture.at(place), places = Math.max(4, 4 + Math.ceil(map.view.zoom / 3.3));
-    const where = map.values(place).map((v, k) => `${state.axes[k].symbol} ${decimals(v, places)}`).join("   ");
-    const words = gait ? `${gait.stable ? "stable" : "unstable"} ${state.words.gait} of period ${gait.period}, multipliers ${multipliers(gait)}` : "";
-    $("#hover").textContent = `${where}   ${words || (found ? happens(found) : "")}`;
+    tellPlace();
   });
 
   function showLegend() {
-    const layer = picture.layer, found = lattice && picture.cells(map.view);
-    if (!layer || !found) return;
-    const counts = new Map();
-    for (const [, , label] of found.all) counts.set(label, (counts.get(label) ?? 0) + 1);
-    const name = (label) => {
-      const { gait, on } = state.words;
-      if (label === about.labels.unmatched) return `${on}, to no known ${gait}`;
-      if (label < about.labels.first) return state.fates[label].words;
-      const one = layer.attractors[label - about.labels.first];
-      if (one?.artefact) return "artefacts of cell mapping";
-      if (!one?.period) return "basin without a period";
-      const alike = layer.attractors.filter(({ period, artefact }) => period === one.period && !artefact);
-      const where = alike.length > 1 ? ` at ${state.axes[0].symbol} ${number(state.shown(one.states[0])[0], 3)}` : "";
-      return `basin of the ${gait} of period ${one.period}${where}`;
+    const found = lattice && picture.cells(map.view);
+    if (picture.layer && found) legend.show(picture.layer, found.all);
+  }
+
+  /** The picture as it is saved: what draws it, its parameters and its legend. */
+  function drawing() {
+    const basin = state.tab === "basin";
+    if (basin && !lattice) throw new Error("The picture is not there yet");
+    const canvas = basin ? map.canvas : $("#diagram"), style = getComputedStyle(canvas);
+    const told = (value) => String(Number((value ?? 0).toPrecision(8))).replace("-", "\u2212");
+    const value = ({ name, unit }) => `${spaced(name)} ${told(state.parameters[name])} ${unit.replace("^2", "²")}`.trim();
+    const fixed = basin ? state.plane.others.map((name, k) => `at ${state.kind.coordinates[name].symbol} ${told(picture.layer?.at[k])}`) : [];
+    const parameters = state.kind.parameters.filter(({ name }) => basin || name !== state.over).map(value);
+    const title = walkerName().replace(/^the /, ""), { gait } = state.words;
+    return {
+      draw: (c) => (basin ? map : diagram).drawOn(c),
+      width: canvas.clientWidth, height: canvas.clientHeight,
+      title: `${title[0].toUpperCase()}${title.slice(1)}: ${basin ? "basin of attraction" : `${gait}s over the ${spaced(state.over)}`}`,
+      about: [...parameters, ...fixed, ...(basin && state.method === "cell-map" ? ["by cell mapping"] : []), ...(basin ? [] : diagram.note().split("; "))],
+      legend: basin ? legend.entries : [],
+      ground: style.getPropertyValue("--page").trim(), ink: style.getPropertyValue("--ink").trim(),
     };
-    const rows = new Map();
-    const order = (label) => (label >= about.labels.first ? label - 1000 : label === OUTSIDE ? 1000 : label);
-    for (const label of [...counts.keys()].sort((a, b) => order(a) - order(b))) {
-      const colour = css(palette.colour(label, layer.attractors));
-      const key = label >= about.labels.first + palette.basins.length ? "other attractors" : name(label);
-      const unknown = label === about.labels.unmatched || state.fates[label]?.name === "UNDECIDED";
-      rows.set(unknown ? `${key}: ${count(counts.get(label), "cell")}` : key, colour);
-    }
-    $("#legend").replaceChildren(...[...rows].map(([words, colour]) => {
-      const item = document.createElement("li");
-      item.innerHTML = "<i></i><span></span>";
-      item.firstChild.style.background = colour;
-      item.lastChild.textContent = words;
-      return item;
-    }));
   }
 
   // ---------------------------------------------------------------- the walk
@@ -419,11 +426,7 @@ async function begin() {
       if (!lattice) throw new Error("The picture is not there yet");
       return { ...state.subject(), method: state.method, cells: viewCells() };
     },
-    canvas: () => {
-      if (state.tab !== "basin") return $("#diagram");
-      if (!lattice) throw new Error("The picture is not there yet");
-      return $("#map");
-    },
+    drawing,
     say,
     title: () => `${state.tab}-${state.walker}-${Number((Object.values(state.parameters)[0] ?? 0).toPrecision(6))}`,
   });
@@ -470,6 +473,8 @@ async function begin() {
       map.arrow = null;
       facts.rough = null;
     }
+    facts.mark();
+    tellPlace();
     controls.update();
     update();
     if (kind === "everything" && state.start) startWalk(state.start);

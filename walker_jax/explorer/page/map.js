@@ -88,6 +88,12 @@ export class BasinMap extends EventTarget {
     return this.gaits.find((gait) => gait.shown.some(near));
   }
 
+  /** Nothing is there: another system is being compiled. */
+  clear() {
+    Object.assign(this, { lattice: null, view: null, gaits: [], path: [], arrow: null, cross: null });
+    this.redraw();
+  }
+
   redraw() {
     this.frame ??= requestAnimationFrame(() => {
       this.frame = null;
@@ -99,24 +105,49 @@ export class BasinMap extends EventTarget {
     const { context: c, box, ratio } = this;
     if (!box) return;
     this.drawn = (this.drawn ?? 0) + 1;
-    const style = getComputedStyle(this.canvas);
-    const [ink, soft, ground] = ["--ink", "--soft", "--page"].map((name) => style.getPropertyValue(name).trim());
     c.setTransform(1, 0, 0, 1, 0, 0);
-    c.fillStyle = ground;
+    c.fillStyle = this.colour("--page");
     c.fillRect(0, 0, this.canvas.width, this.canvas.height);
     c.save();
     c.beginPath();
     c.rect(box.left * ratio, box.top * ratio, box.width * ratio, box.height * ratio);
     c.clip();
-    c.fillStyle = style.getPropertyValue("--empty").trim();
-    c.fillRect(0, 0, this.canvas.width, this.canvas.height);
-    if (!this.lattice) return c.restore(); // of the first walker, which is being compiled
-    const to = (x, y) => this.toScreen(x, y).map((p) => p * ratio);
-    this.picture.draw(c, to, this.view);
-    c.setTransform(ratio, 0, 0, ratio, 0, 0);
-    this.drawMarks(c, ink, ground);
+    this.drawCells(c, [0, 0]);
     c.restore();
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
+    if (this.lattice) this.drawOver(c);
+  }
+
+  /** Draw all on another context, of CSS pixels: the cells as an image. */
+  drawOn(c) {
+    const { box } = this, cells = document.createElement("canvas");
+    [cells.width, cells.height] = this.pixels.map(Math.round);
+    this.drawCells(cells.getContext("2d"), [box.left, box.top]);
+    c.drawImage(cells, box.left, box.top, box.width, box.height);
+    this.drawOver(c);
+  }
+
+  colour(name) {
+    return getComputedStyle(this.canvas).getPropertyValue(name).trim();
+  }
+
+  /** Draw the cells in device pixels, from a corner on. */
+  drawCells(c, corner) {
+    c.fillStyle = this.colour("--empty");
+    c.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    const to = (x, y) => this.toScreen(x, y).map((p, k) => (p - corner[k]) * this.ratio);
+    if (this.lattice) this.picture.draw(c, to, this.view);
+  }
+
+  /** Draw marks and axes. */
+  drawOver(c) {
+    const { box } = this, [ink, soft, ground] = ["--ink", "--soft", "--page"].map((name) => this.colour(name));
+    c.save();
+    c.beginPath();
+    c.rect(box.left, box.top, box.width, box.height);
+    c.clip();
+    this.drawMarks(c, ink, ground);
+    c.restore();
     this.drawAxes(c, ink, soft);
   }
 
@@ -259,7 +290,7 @@ export class BasinMap extends EventTarget {
       return [event.clientX - left, event.clientY - top];
     };
     canvas.addEventListener("pointerdown", (event) => {
-      if (event.button) return;
+      if (event.button || !this.lattice) return;
       canvas.setPointerCapture(event.pointerId);
       this.pointers.set(event.pointerId, point(event));
       this.travelled = this.pointers.size > 1 ? Infinity : 0;
@@ -273,11 +304,11 @@ export class BasinMap extends EventTarget {
       const at = this.pointers.get(event.pointerId);
       this.pointers.delete(event.pointerId);
       canvas.classList.remove("dragging");
-      if (at && event.type === "pointerup" && this.travelled <= CLICK && this.inside(at)) this.click(this.toPlace(...at));
+      if (at && this.lattice && event.type === "pointerup" && this.travelled <= CLICK && this.inside(at)) this.click(this.toPlace(...at));
     };
     canvas.addEventListener("pointerup", end);
     canvas.addEventListener("pointercancel", end);
-    canvas.addEventListener("pointerleave", () => this.dispatchEvent(new CustomEvent("hover", { detail: null })));
+    canvas.addEventListener("pointerleave", () => this.hover(null));
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       const step = event.deltaMode === 1 ? 16 * event.deltaY : event.deltaY;
@@ -294,6 +325,7 @@ export class BasinMap extends EventTarget {
   }
 
   drag(id, before, now) {
+    if (!this.lattice) return;
     const others = [...this.pointers].filter(([other]) => other !== id).map(([, at]) => at);
     this.pointers.set(id, now);
     if (others.length) { // two fingers: pan by their middle, zoom by their distance
@@ -320,6 +352,7 @@ export class BasinMap extends EventTarget {
   }
 
   zoomAt(at, by) {
+    if (!this.lattice) return;
     const { view, lattice } = this;
     const { zoom } = clampView(lattice.about, { ...view, zoom: view.zoom + by });
     const place = this.toPlace(...at), scale = 2 ** (view.zoom - zoom);
@@ -334,6 +367,7 @@ export class BasinMap extends EventTarget {
     this.view = clampView(this.lattice.about, view);
     this.picture.progress = 0; // until it is known what is missing
     this.redraw();
+    if (this.pointer) this.hover(this.pointer); // another place is below it
     this.moved();
   }
 
@@ -342,7 +376,8 @@ export class BasinMap extends EventTarget {
   }
 
   hover(at) {
-    const detail = this.lattice && this.inside(at) ? this.toPlace(...at) : null;
+    this.pointer = at;
+    const detail = at && this.lattice && this.inside(at) ? this.toPlace(...at) : null;
     this.dispatchEvent(new CustomEvent("hover", { detail }));
   }
 
@@ -351,6 +386,7 @@ export class BasinMap extends EventTarget {
   }
 
   key(event) {
+    if (!this.lattice) return;
     const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
     const zooms = { "+": 0.5, "=": 0.5, "-": -0.5 };
     const { view, lattice } = this;

@@ -52,7 +52,14 @@ export class Palette {
     return this.pixels;
   }
 
-  /** Fewer strides, a fuller colour: in basins from about 8 to 160, of falls from none on. */
+  /** Colours of a label from the fullest on, for numbers of strides from one of its `FADES` to the other. */
+  scale(label, count = 8) {
+    const [low, high] = label >= this.none ? FADES.walks : FADES.falls;
+    const strides = (k) => Math.round((low + 1) * ((high + 1) / (low + 1)) ** (k / (count - 1)) - 1);
+    return Array.from({ length: count }, (_, k) => css(this.shaded(this.colour(label), label, strides(k))));
+  }
+
+  /** Fewer strides, a fuller colour: between `FADES`. */
   shaded(colour, label, strides) {
     const walks = label >= this.none;
     const slow = walks ? Math.log2(Math.max(strides, 8) / 8) / 4.3 : Math.log2(1 + strides) / 6;
@@ -61,6 +68,9 @@ export class Palette {
     return colour.map((value, i) => Math.round(value + share * (towards[i] - value)));
   }
 }
+
+/** The strides between which colours fade: of basins, and of falls. */
+export const FADES = { walks: [8, 160], falls: [0, 63] };
 
 export const css = ([r, g, b], alpha = 1) => `rgba(${r}, ${g}, ${b}, ${alpha})`;
 

@@ -68,6 +68,11 @@ export class Picture extends EventTarget {
     this.request(mapped);
   }
 
+  /** Whether a layer is the picture of what is chosen. */
+  isOf(layer, state) {
+    return JSON.stringify(layer.body) === JSON.stringify({ ...state.subject(), method: state.method });
+  }
+
   /** Give up what is asked for; what there is stays. */
   stop() {
     this.next = null;

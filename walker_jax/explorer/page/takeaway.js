@@ -1,10 +1,11 @@
 // What one takes away: the command, the Python, the picture and the data.
 
 import { ask, fetchBytes } from "./api.js";
+import { png, svg } from "./saved.js";
 
 export class TakeAway {
-  /** `wanted` gives the body of a request for what is shown. */
-  constructor(root, { wanted, canvas, say, title }) {
+  /** `wanted` gives the body of a request for what is shown, `drawing` what is saved of it (`saved.js`). */
+  constructor(root, { wanted, drawing, say, title }) {
     const on = (id, act) => root.querySelector(id).addEventListener("click", async (event) => {
       const button = event.currentTarget;
       button.disabled = true;
@@ -23,10 +24,8 @@ export class TakeAway {
     };
     on("#copy-command", copyWords("command", "Command"));
     on("#copy-python", copyWords("python", "Python"));
-    on("#save-picture", async () => {
-      const blob = await new Promise((done) => canvas().toBlob(done, "image/png"));
-      save(blob, `${title()}.png`);
-    });
+    on("#save-png", async () => save(await png(drawing()), `${title()}.png`));
+    on("#save-svg", async () => save(svg(drawing()), `${title()}.svg`));
     on("#save-data", async () => {
       say("The data are being computed");
       save(new Blob([await fetchBytes("/api/data", wanted())]), `${title()}.zarr.zip`);

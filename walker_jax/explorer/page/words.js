@@ -4,12 +4,12 @@
 export const WALKER = {
   kind: "walker", gait: "gait", stride: "stride", on: "walks on", to: "walks: at", else: "walks to another gait",
   none: "no walk goes on", aperiodic: "walks without a period", lost: "walking is lost",
-  followed: "The gaits are followed over the slope", traced: "stance leg angle θ at heel strike (rad)",
+  followed: "The gaits are followed over the slope", traced: "stance leg angle θ at heel strike (rad)", lose: "the fall",
 };
 export const SYSTEM = {
   kind: "system", gait: "cycle", stride: "iterate", on: "goes on", to: "comes to", else: "comes to another attractor",
   none: "no attractor is seen", aperiodic: "an attractor without a period", lost: "the attractors end",
-  followed: "The cycles are followed over this parameter",
+  followed: "The cycles are followed over this parameter", lose: "it is lost",
 };
 
 /** A number with some significant digits, and a minus sign that is one. */
