@@ -21,8 +21,8 @@ networks of 2 x 16, all at once and one after the other.
 On a machine of two cores, which many others used too, walker_jax made 2.8 times the strides of
 diffrax at 369 weights, and three times the gradients; its gradient costs 5.3 strides, and at 4,545
 weights, in another run of three strides, 6.4. From 256 starts 0.004 from the gait diffrax missed
-heel strikes within three strides, and its gradient was off by 40. A population of 32 networks made 59,760 strides
-a second, and one after the other 58,131.
+heel strikes within three strides, and its gradient was off by 40. A population of 32 networks made
+59,760 strides a second, and one after the other 58,131.
 
                                              walker_jax                               diffrax
     2 x 16  within   2.6 s   60290/s   15.8 s  11456/s |   3.7 s   21815/s   16.0 s   3777/s | 4e-09
