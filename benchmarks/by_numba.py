@@ -41,7 +41,8 @@ def write_loop(field: dict[str, str], solver: diffrax.AbstractERK) -> Any:
     With a relative tolerance of zero all steps have the `length`. States are written to `states`.
     Steps end at the times. The method is one whose last stage begins the next step.
     """
-    tableau, names, lines = solver.tableau, list(field), {}
+    tableau: Any = solver.tableau
+    names, lines = list(field), {}
     last = len(tableau.b_sol) - 1
 
     def rates(stage: int, values: dict[str, str]) -> list[str]:

@@ -1,6 +1,7 @@
 """How fast are kernels of functions that have nothing to do with walking, beside JAX and Numba?
 
-The three functions of docs/kernels.md: an ensemble of oscillators with adaptive steps, Kepler's
+The functions of docs/kernels.md: three that call diffrax, for oscillators, projectiles and balls
+(events, and a loop of them); an ensemble of oscillators with adaptive steps by hand, Kepler's
 equation by Newton's iteration, and a fractal of Newton's iteration. `vmap` is
 `jax.jit(jax.vmap(f))` of the same function, and `batches` is `jax.lax.map` with batches of a
 thousand cells, so that fewer wait for the slowest. Numba's loops are written by hand, number by
@@ -15,6 +16,24 @@ seventh of the time of `vmap`, half of that of batches, and a fifth of Numba's, 
 one cell at a time. If sines and cosines take most of the time, as for Kepler's equation, the four
 are alike: kernels call the C library for one cell after the other, and XLA's sines are faster.
 LAPACK's calls for 2 x 2 matrices make `vmap` of the fractal 170 times as slow as a kernel.
+
+The solves by diffrax take a kernel a 10th to a 37th of the processor time of `vmap`, and a sixth
+or less of that of batches. They are of another day, when others used the machine: trust
+`processor`.
+
+    2 cores; jax 0.10.2, Numba 0.68.1; 3 repeats
+                               cells       ms       times as long  processor   first    error
+    oscillators, kernel       10,000    855.3             1 (1-1)          1   11.65    0e+00
+    oscillators, vmap         10,000  11203.3    15.9 (6.71-16.6)       37.1   26.93    2e+01
+    oscillators, batches      10,000   6300.9    7.97 (3.52-8.94)       6.63   24.49    2e+01
+    projectiles, kernel       10,000     57.6             1 (1-1)          1   10.32    0e+00
+    projectiles, vmap         10,000   1821.6     31.6 (30.5-278)       10.5   38.13    7e-14
+    projectiles, batches      10,000   1003.0     16.6 (11.9-201)       5.85   76.49    7e-14
+    balls, kernel              2,000    266.8             1 (1-1)          1   24.33    0e+00
+    balls, vmap                2,000   4314.8    10.4 (4.77-47.8)       34.9   60.84    2e-11
+    balls, batches             2,000    787.3     5.03 (1.9-68.8)       37.9   46.57    2e-11
+
+(The numbers of steps of an oscillator, up to 3228, differ by 17.)
 
     2 cores; jax 0.10.2, Numba 0.68.1; 7 repeats
                                cells       ms       times as long  processor   first    error
@@ -128,13 +147,18 @@ def fractal(starts):
 
 
 def functions() -> dict[str, Callable]:
-    """The kernels of the page, of which none has been called."""
-    names: dict[str, Any] = {"__name__": "page"}
-    for source in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)[:3]:
-        kinds = ast.Import, ast.ImportFrom, ast.FunctionDef
-        body: list[ast.stmt] = [node for node in ast.parse(source).body if isinstance(node, kinds)]
-        exec(compile(ast.Module(body, []), PAGE.name, "exec"), names)
-    return {"ensemble": names["oscillate"], "root": names["anomaly"], "fractal": names["newton"]}
+    """The kernels of the page, of which none has been called, by the titles of their programs."""
+    found = {}
+    for title, source in re.findall(r"<!-- (.*?) -->\n```python\n(.*?)```", PAGE.read_text(), re.S):
+        kinds = ast.Import, ast.ImportFrom, ast.FunctionDef, ast.Assign
+        body: list[ast.stmt] = [one for one in ast.parse(source).body if isinstance(one, kinds)]
+        (*_, function) = [one for one in body if isinstance(one, ast.FunctionDef)]
+        names: dict[str, Any] = {"__name__": "page"}
+        before = body[: body.index(function) + 1]
+        exec(compile(ast.Module(before, []), PAGE.name, "exec"), names)
+        found[title.removeprefix("an ").removeprefix("a ")] = names[function.name]
+    del found["reason"]
+    return found
 
 
 def newton_by_cramer(start):
@@ -161,6 +185,12 @@ def newton_by_cramer(start):
 
 def cells(name: str) -> tuple[np.ndarray, ...]:
     """The arguments of all cells."""
+    if name == "oscillators":
+        return (np.geomspace(0.01, 300.0, 10_000),)
+    if name == "projectiles":
+        return np.linspace(0.1, 1.5, 10_000), np.full(10_000, 0.5)
+    if name == "balls":
+        return np.linspace(0.1, 2.0, 2000), np.tile(np.linspace(0.3, 0.9, 10), 200)
     if name == "ensemble":
         return (np.linspace(0.0, 20.0, 10_000),)
     if name == "root":

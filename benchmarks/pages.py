@@ -38,7 +38,7 @@ NOISE = 1e-9
 HEAVY = "quickstart walkers README gallery results networks viability cli".split()
 """Pages that take longest, which come last."""
 NEVER = (
-    *("pip install", "pytest", "jupyter", "python notebooks/run.py", "walker-jax --install"),
+    *("pip install", "pytest", "jupyter", "python ", "walker-jax --install"),
     "walker-jax fit walk.csv",  # a recording that a reader has
 )
 """Commands that change the reader's environment, or are tested elsewhere."""
@@ -170,9 +170,10 @@ class Run:
 
     def make(self, block: Block) -> Made:
         """Run a block, with the files that it names."""
-        for name in re.findall(r"[\w-]+\.(?:py|xml|urdf)\b", block.source):
-            if name in FILES and not (self.folder / name).exists():
-                (self.folder / name).write_text(FILES[name])
+        for name, text in FILES.items():
+            named = name in block.source or f"from {Path(name).stem} import" in block.source
+            if named and not (self.folder / name).exists():
+                (self.folder / name).write_text(text)
         return (self.run_python if block.kind == "python" else self.run_command)(block.source)
 
     def run_python(self, source: str) -> Made:
@@ -260,7 +261,7 @@ def find_files() -> dict[str, str]:
 def find_pages(names: list[str]) -> list[Path]:
     """Return the pages of these names, or all, the heavy ones last."""
     docs = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "notebooks" / "README.md"]
-    docs = [page for page in docs if page.name != "numbers.md"]  # verify_readme.py has it
+    docs = [page for page in docs if page.stem not in ("claims", "numbers")]  # verify_readme.py's
     pages = sorted([ROOT / "README.md", *docs], key=lambda page: page.stem in HEAVY)
     return [page for page in pages if not names or page.stem in names]
 

@@ -88,6 +88,7 @@ from walker_jax.walkers.simplest import SimplestWalker as SimplestWalker
 from walker_jax.walkers.spatial import SpatialState as SpatialState
 from walker_jax.walkers.spatial import SpatialWalker as SpatialWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
+from walker_jax.walkers.units import Units as Units
 from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walking.disturbed import Disturbance as Disturbance
 from walker_jax.walking.explanation import explain as explain

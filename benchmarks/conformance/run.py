@@ -21,7 +21,7 @@ def digits(pairs: Iterable[tuple[float, float]]) -> float:
     """Return the least number of right digits among pairs of found and right numbers."""
     errors = [abs(found - right) / max(1.0, abs(right)) for found, right in pairs]
     worst = max((1.0 if math.isnan(one) else one for one in errors), default=0.0)
-    return min(16.0, -math.log10(max(worst, 1e-17)))
+    return min(16.0, max(0.0, -math.log10(max(worst, 1e-17))))
 
 
 def compare(answer: Any, run: dict[str, Any]) -> tuple[int, float, float, float]:

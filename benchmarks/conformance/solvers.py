@@ -190,9 +190,9 @@ def by_diffrax(system: dict[str, Any], run: dict[str, Any]) -> Answer:
             y, mask = pieces[mode](y, p)
             which = way[len(events)][1] if way else int(jnp.argmax(mask)) if mask.any() else -1
             guards = formulas.guards(mode, run)
-            rises = formulas.evaluate(mode, [guards[which]["rises"]], state(y), p)[0]
-            if way is None and which >= 0 and abs(rises) > 1e-6:  # admitted later
-                which = len(guards)
+            if way is None and which >= 0:
+                rises = formulas.evaluate(mode, [guards[which]["rises"]], state(y), p)[0]
+                which = len(guards) if abs(rises) > 1e-6 else which  # it was admitted later
             events.append((mode, which, y[0]))
             if which == len(guards):
                 y = y + SKIP * stacked(formulas.field(mode, state(y), p))

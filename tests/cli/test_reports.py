@@ -2,10 +2,12 @@
 
 import math
 import re
+from typing import Any
 
 import click
 import numpy as np
 import pytest
+import xarray as xr
 
 import walker_jax as wj
 from walker_jax.cli import (
@@ -142,6 +144,7 @@ STABILITY = dict.fromkeys((*NUMBERS, "mean_strides", "largest_shock"), 1.0)
 ROW |= {"basin_stability": STABILITY, "boundary_dimension": STABILITY}
 BASIN_OF_CELLS = {"attractors": [], "method": "cell-map", "cells": 9, "fates": {}}
 BASIN_OF_CELLS |= {"seconds": {"compile": 0.0, "run": 0.0}}
+NO_TALLY: Any = None
 LOST = {"lost": {"below": 1.0, "above": 2.0}, "stable_beyond": [{"from": 1, "to": 2, "period": 2}]}
 LOST |= {title: [] for title in bifurcation_command.TITLES}
 CURVE = {"kind": "fold", "period": 1, "criticality": [], "special": []}
@@ -155,7 +158,7 @@ def said_of(terms):
     yield from robustness_command.measures_in_words(ROW | {"gait": None}, "", terms)
     yield basin_command.next_step({"attractors": [], "fates": {}}, {}, terms)
     yield basin_command.next_step(BASIN, {"levels": 2}, terms)
-    yield basin_command.effort({}, BASIN_OF_CELLS, None, terms)
+    yield basin_command.effort(xr.Dataset(), BASIN_OF_CELLS, NO_TALLY, terms)
     for falling in (0, 1):
         yield basin_command.cycles_in_words(artefact | {"falling": falling}, terms)
     for below, above in ((math.nan, 1.0), (1.0, math.nan), (1.0, 2.0)):
@@ -189,3 +192,9 @@ def test_what_is_told_of_a_map(run, line):
     _, told, error = run(*line.split(), "--system", "henon")
     said = re.sub(r"walker-jax( \w+)?|--\w+", "", told + error)
     assert re.search(r"iterate|cycle", said) and not re.findall(WALKS + "|time", said)
+
+
+def test_a_radius_beyond_the_least_disturbance_is_named(run):
+    code, out, err = run("prove", "--radius", "0.01")
+    start = "walker-jax: --radius 0.01 must be at most the least disturbance: the start ("
+    assert (code, out) == (2, "") and err.startswith(start) and err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""The explorer's page in a browser: maps, links, frames and the bifurcation tab."""
+"""The explorer's page in a browser: maps, links, frames, saved pictures and words of others."""
 
 import json
 import re
@@ -7,6 +7,7 @@ from contextlib import suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from threading import Thread
+from xml.etree import ElementTree
 
 import explorer_server
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from explorer_page import SECONDS, WIDE, Held, Page, area_of, fulfil, fulfil_as
 from explorer_subjects import few, parts_and_result
+from PIL import Image
 from playwright.sync_api import Error
 
 import walker_jax as wj
@@ -263,3 +265,82 @@ def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
     key = "JSON.parse(explorer.picture.layer?.key ?? '{}')"
     page.wait(f"{key}.parameters?.slope === {slope}")
     page.finished()
+
+
+GREY = """[...document.querySelectorAll('.facts dd, #hover')]
+  .map((one) => one.classList.contains('pending'))"""
+
+
+def test_words_of_another_picture_are_grey_and_its_axes_go(opened):
+    page = opened("walker=simplest&slope=0.004")
+    page.page.mouse.move(*page.screen(0.16, -0.004))
+    page.wait("document.querySelector('#fact-area').textContent.includes('±')")
+    page.wait("document.querySelector('#hover').textContent.includes('walks')")
+    page.wait(f"!{GREY}.includes(true)")
+    held = Held(page, "**/api/picture")
+    page.page.fill("#parameters .typed", "0.03")
+    assert page.value(GREY) == [True] * 5
+    page.page.fill("#parameters .typed", "0.004")  # back before anything came
+    assert page.value(GREY) == [False] * 5
+    page.page.fill("#parameters .typed", "0.03")
+    held.let_go()
+    page.page.unroute("**/api/picture")
+    page.finished()
+    page.wait(f"!{GREY}.includes(true)")
+    assert "falls" in page.shown("#hover") and "walks" not in page.shown("#hover")
+    # another walker: no numbers beside the axes, and a time that says when it is over
+    colours = """(() => {
+      const {canvas} = explorer.map, copy = new OffscreenCanvas(70, canvas.height).getContext("2d");
+      copy.drawImage(canvas, 0, 0);
+      return new Set(new Uint32Array(copy.getImageData(0, 0, 70, canvas.height).data.buffer)).size;
+    })()"""
+    assert page.value(colours) > 1
+    held = Held(page, "**/api/home")
+    page.page.route("**/api/compiling", partial(fulfil, {"seconds": 0.5}))
+    page.page.select_option("#walker", "Own")
+    held.wait(1)
+    page.wait(f"{colours} === 1")
+    page.page.mouse.wheel(0, -400)  # and no view of it to change
+    page.page.focus("#map")
+    page.page.keyboard.press("+")
+    note = "document.querySelector('#compiling').textContent"
+    page.wait(f"{note}.endsWith('s, longer than usual')")
+    held.let_go()
+    page.finished()
+    assert page.value(f"{colours} > 1 && {note} === ''")
+
+
+def test_saved_pictures_have_parameters_and_legend(opened, tmp_path):
+    """Once as pixels, once as vectors, which look alike."""
+    page = opened("walker=simplest&slope=0.006")
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
+    legend = "[...document.querySelectorAll('#legend li')].map((one) => one.textContent)"
+    for tab, words in (("basin", "basin of attraction"), ("bifurcation", "gaits over the slope")):
+        page.page.click(f"#tab-{tab}")
+        if tab == "bifurcation":
+            page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
+        pictures = []
+        for kind in ("png", "svg"):
+            with page.page.expect_download() as download:
+                page.page.click(f"#save-{kind}")
+            assert download.value.suggested_filename == f"{tab}-simplest-0.006.{kind}"
+            download.value.save_as(tmp_path / f"{tab}.{kind}")
+        svg = (tmp_path / f"{tab}.svg").read_text()
+        root = ElementTree.fromstring(svg)
+        told = [one.text for one in root.iter("{http://www.w3.org/2000/svg}text")]
+        assert told[0] == f"Simplest walker: {words}"
+        if tab == "basin":
+            assert told[1] == "slope 0.006 rad" and "0.2" in told
+            assert told[-len(page.value(legend)) :] == page.value(legend)
+            assert "8 to 160 strides to the gait" in told and "falls forward" in told
+        viewer = page.context.new_page()
+        width, height = (int(root.attrib[name]) for name in ("width", "height"))
+        viewer.set_viewport_size({"width": width, "height": height})
+        viewer.set_content(f"<style>body {{ margin: 0 }} svg {{ display: block }}</style>{svg}")
+        viewer.screenshot(path=tmp_path / "vectors.png")
+        viewer.close()
+        pixels = Image.open(tmp_path / f"{tab}.png").convert("RGB")
+        vectors = Image.open(tmp_path / "vectors.png").convert("RGB")
+        assert pixels.size == (2 * vectors.width, 2 * vectors.height)
+        pictures = [np.asarray(one.resize((200, 150), 4), float) for one in (pixels, vectors)]
+        assert np.abs(pictures[0] - pictures[1]).mean() < 2 and pictures[0].std() > 10

@@ -178,7 +178,7 @@ def test_an_optimisation_is_one_picture_without_overlaps(tmp_path):
         assert one is not None and other is not None and not one.overlaps(other)
     keys = [key for key in slope.get_children() if isinstance(key, Legend)]
     extents = [slope.bbox, *(key.get_window_extent() for key in keys)]
-    assert len(extents) == 3
+    assert len(extents) == 2
     for one, other in combinations(extents, 2):
         assert not one.overlaps(other)
     assert len(figures.optimum(optimum().isel(parameter=[0])).axes) == 3

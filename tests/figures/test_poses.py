@@ -150,6 +150,15 @@ def test_a_film_of_the_walker_alone(walk, tmp_path):
         assert sum(1 for _ in ImageSequence.Iterator(film)) == 3
 
 
+def test_a_film_dwells_on_a_stride(walk, tmp_path):
+    path = tmp_path / "walk.gif"
+    some = walk.isel(frame=np.flatnonzero(walk["stride"].values < 3)[::3])
+    figures.film(some, path, slow=1)
+    with Image.open(path) as film:
+        times = [one.info["duration"] for one in ImageSequence.Iterator(film)]
+    assert times == [200 if number == 1 else 50 for number in some["stride"].values.tolist()]
+
+
 def test_an_interrupted_film_leaves_what_was_there(walk, tmp_path, monkeypatch):
     path = tmp_path / "walk.gif"
     path.write_bytes(b"before")

@@ -1,18 +1,18 @@
-"""The pictures of the gallery are drawn by the lines beside them.
+"""The pictures of the gallery are drawn by the lines beside them; all stored ones are of today."""
 
-Run as a program it draws the page's pictures anew, all or those that are named.
-"""
-
-import os
+import json
 import re
-import sys
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from walker_jax import figures
+from walker_jax.figures import style
 
-PAGE = Path(__file__).parents[2] / "docs" / "gallery.md"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "gallery.md"
 PLACES = PAGE.parent / "gallery"
 
 
@@ -43,13 +43,24 @@ def test_the_lines_draw_the_pictures(tmp_path, monkeypatch):
     assert len([*tmp_path.glob("*.png")]) == 4
 
 
-if __name__ == "__main__":
-    PLACES.mkdir(exist_ok=True)
-    os.chdir(PLACES)
-    first, *others = programs()
-    names: dict = {}
-    exec(first, names)
-    for program in others:
-        exec(program, names)
-        print(program.splitlines()[-1], flush=True)
-    sys.exit()
+@pytest.fixture(scope="module")
+def pictures() -> Any:
+    """The program that draws stored pictures."""
+    spec: Any = spec_from_file_location("pictures", ROOT / "benchmarks" / "pictures.py")
+    program = module_from_spec(spec)
+    spec.loader.exec_module(program)
+    return program
+
+
+def test_every_stored_picture_is_up_to_date(pictures):
+    """`python benchmarks/pictures.py NAME` draws one anew and keeps its digests."""
+    assert pictures.out_of_date() == {}
+    assert {*json.loads(pictures.KEPT.read_text())} == {*pictures.every_picture()}
+
+
+def test_another_palette_or_other_lines_make_pictures_out_of_date(pictures, monkeypatch):
+    monkeypatch.setattr(style, "BASINS", ("#000000", *style.BASINS[1:]))
+    monkeypatch.setitem(pictures.COMMANDS, "basin.png", "walker-jax basin --slope 0.01")
+    found = pictures.out_of_date()
+    assert {*found} == {*pictures.every_picture()}
+    assert found["basin.png"] == ["look", "lines"] and found["walk.gif"] == ["look"]

@@ -46,7 +46,7 @@ def dropped(contacts, gravity, speed, steps, step=2e-5):
 
 
 @pytest.mark.parametrize("contacts", [DEFAULTS, SPRINGY, SLOW], ids=["default", "springy", "slow"])
-def test_feet_stop_and_stand_as_deep_as_a_ball_that_mujoco_drops(contacts, tmp_path):
+def test_feet_stop_and_stand_as_deep_as_balls_in_mujoco(contacts, tmp_path):
     found = contact_of(tmp_path, contacts)
     depths, speeds = dropped(contacts, 0.0, SPEED, 10_000)
     stopped = int(np.argmax(speeds >= 0))
@@ -58,7 +58,7 @@ def test_feet_stop_and_stand_as_deep_as_a_ball_that_mujoco_drops(contacts, tmp_p
     assert found.rest == pytest.approx(-depths[-1], rel=1e-6)
 
 
-def test_time_constants_below_two_steps_are_what_mujoco_makes_of_them(tmp_path):
+def test_a_time_constant_below_two_steps_is_two_steps(tmp_path):
     short = contact_of(tmp_path, 'solref="0.001 1"', timestep=0.002)
     assert (short.step, short.solref) == (0.002, (0.001, 1.0))
     assert short.stop == pytest.approx(2 * 0.002, rel=0.1)

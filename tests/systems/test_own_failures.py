@@ -184,7 +184,7 @@ def test_the_basin_names_them(tmp_path):
     BASIN.assign_attrs(failures="sticks").to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
     with xr.open_dataset(tmp_path / "b.nc", engine="h5netcdf") as kept:
         assert failures_of(kept) == ("sticks",)
-    mapped = wj.basin(Juggler(), GRID)
+    mapped = wj.basin(Juggler(), GRID, "cell-map")
     assert set(np.unique(mapped["fate"].values)) <= {0, 12, 13}
 
 

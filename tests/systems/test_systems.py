@@ -55,8 +55,16 @@ def test_basins_of_henon_are_the_points_that_stay():
         assert data.period.values.tolist() == [4]
         np.testing.assert_array_equal(data.attractor.values == 0, stays)
         assert set(np.unique(data.fate)) == {wj.Outcome.STRIDE, wj.Outcome.OUTSIDE}
-    cells = wj.basin(wj.systems.HenonMap(1.02), grid)
+    cells = wj.basin(wj.systems.HenonMap(1.02), grid, "cell-map")
     assert abs(int((cells.attractor >= 0).sum()) / stays.sum() - 1) < 0.05
+
+
+def test_the_default_method_is_cell_mapping_for_walkers_alone():
+    """On a fractal basin a map of cells leads many of them elsewhere."""
+    grid = wj.Grid.plain(x=(-2, 2, 8), y=(-2, 2, 8))
+    assert wj.basin(wj.systems.HenonMap(1.02), grid).attrs["method"] == "direct"
+    section = wj.Grid.sheared(theta=(0.1, 0.3, 4), sum=(-0.02, 0.01, 4))
+    assert wj.basin(wj.SimplestWalker(0.004), section).attrs["method"] == "cell-map"
 
 
 @pytest.mark.slow

@@ -34,6 +34,7 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, integrator_of
 from walker_jax.storage.schema import names_in_use
 from walker_jax.systems.system import System, warn_if_rounded
+from walker_jax.walkers.model import Walker
 
 BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
 """Peak memory in bytes, for each cell of a grid."""
@@ -45,7 +46,7 @@ BYTES_STORED = {"cell-map": 16, "direct": 0}
 def basin(
     walker: System,
     grid: Grid,
-    method: str = "cell-map",
+    method: str | None = None,
     *,
     strides: int = 200,
     tolerance: float | None = None,
@@ -71,7 +72,9 @@ def basin(
     - `grid`: its state coordinates are those of the section. It may be a slice. A window of a width
       from 1e-15 to 1e-9 keeps its digits by direct iteration: its centre is followed, with the
       Jacobian, until the window is wide enough (`Grid.zoom` makes one).
-    - `method`: "cell-map" or "direct"; for a slice, "direct" only.
+    - `method`: "cell-map" or "direct"; for a slice, "direct" only. By default, cell mapping for
+      walkers, and direct iteration for other systems: on their fractal basins, a cell map of the
+      same grid leads many cells to another attractor.
     - `strides`: number of strides for which direct iteration follows a walker. Undecided walks
       continue for some 16,000 more, if a cycle is known, only to identify their attractor.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
@@ -117,6 +120,8 @@ def basin(
     memory of this machine, and for a place that holds something else, cannot be written to, or is
     in use by another run.
     """
+    if method is None:
+        method = "cell-map" if isinstance(walker, Walker) else "direct"
     if not isinstance(method, str) or method not in METHODS:
         raise WrongUse(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
     strides = check_whole("strides", strides)

@@ -255,10 +255,14 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
     check_grid(walker, grid, "direct", kind=kind)
     for name, count in counts.items():
         check_whole(name, count, 0, FINEST if name == "levels" else MAX_COUNT)
-    check = counts["check"]
+    check_memory_of_starts(counts["check"])
+    check_whole("strides", strides)
+
+
+def check_memory_of_starts(check: int) -> None:
+    """Raise `TooLarge` for more starts to check than this machine's memory holds."""
     needed = check * BYTES_PER_CELL["direct"]
     check_memory(needed, f"{check} starts need", "lower check", of="check")
-    check_whole("strides", strides)
 
 
 def correct_and_estimate(

@@ -83,7 +83,7 @@ class BasinWindow(SlicedWindow):
 class Method(Group, theme="Method"):
     method: str | None = option(
         None,
-        "How (default: cell-map; a slice is always direct).",
+        "How (default: cell-map for walkers, direct for other systems and for slices).",
         type=Choice("cell-map", "direct"),
     )
     strides: int | None = whole(None, "Strides at most, direct only (default: 200).")
@@ -117,7 +117,9 @@ class Method(Group, theme="Method"):
                 "--near and --animate are for a window of two dimensions: leave out --phidot"
             )
 
-    def settings(self, window: BasinWindow, axes: dict[str, Any]) -> dict[str, Any]:
+    def settings(
+        self, walker: "wj.System", window: BasinWindow, axes: dict[str, Any]
+    ) -> dict[str, Any]:
         """Return the method and its settings on these axes."""
         direct = ""  # the reason why the method must be direct
         if self.levels is not None:
@@ -127,7 +129,9 @@ class Method(Group, theme="Method"):
         elif is_slice(axes):
             whole = "a range for each --axis" if window.axis else "--phidot"
             direct = f"for a slice, as walkers leave it: leave out --method, or give {whole}"
-        method = self.method or ("direct" if direct else "cell-map")
+        method = self.method or (
+            "direct" if direct or not isinstance(walker, wj.Walker) else "cell-map"
+        )
         if direct and method == "cell-map":
             raise WrongUse(f"--method must be direct {direct}")
         if method == "cell-map":
@@ -174,7 +178,7 @@ def basin(
                 "--workers and --scheduler are for pieces, not for --levels: leave them out"
             )
         axes = window.whole(walker, axes)
-    request = request_for("basin", walker, axes=axes, **asked.settings(window, axes))
+    request = request_for("basin", walker, axes=axes, **asked.settings(walker, window, axes))
     shots, film = request | {"frames": asked.frames}, asked.animate
     output.check_film(film, shots)
     data = output.find(request)

@@ -4,27 +4,50 @@ from pathlib import Path
 
 from walker_jax.cli.answers import Files
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, argument
-from walker_jax.refusals import WrongPlace
+from walker_jax.cli.options import Group, argument, option
+from walker_jax.cli.unit_options import InUnits
+
+PROGRAMS = {
+    ".nc": "xarray.open_dataset and other programs read it",
+    ".mat": "load of MATLAB and Octave reads it",
+    ".csv": "a table, with units in brackets",
+    ".tex": r"a table for \input, with the package booktabs",
+}
 
 
 class Places(Group, theme="Places"):
     data: Path = argument("DATA", "A data set that a command left.")
-    file: Path = argument("FILE.nc", "Where it goes.")
+    file: Path = argument("FILE", "Where it goes: .nc, NetCDF; .csv; .tex, LaTeX; .mat, MATLAB.")
+    rows: str | None = option(
+        None, "Of a table: a variable, by whose dimensions its rows are.", metavar="VARIABLE"
+    )
 
 
 @command(
-    *(Places, Files), examples=("export basin.zarr basin.nc",), time="A second.", walkers=False
+    *(Places, InUnits, Files),
+    examples=(
+        "export basin.zarr basin.nc",
+        "export sweep.zarr sweep.csv --units length=0.8 --units mass=10",
+        "export basin.zarr cells.csv --rows fate",
+    ),
+    time="A second.",
+    walkers=False,
 )
-def export(places: Places, files: Files) -> None:
-    """Copy a data set that another command has left to a NetCDF file."""
-    from walker_jax import storage
+def export(places: Places, units: InUnits, files: Files) -> None:
+    """Copy a data set that another command has left to a file for other programs.
 
-    data, file = places.data, places.file
-    if file.suffix != ".nc":
-        raise WrongPlace(f"FILE.nc must end in .nc, not {file}")
-    copied = storage.export(data, file, overwrite=files.overwrite)
+    The ending of the file says which: NetCDF, CSV, LaTeX or MATLAB. A table has a row for each
+    point of the dimensions that most variables have, or that the variable of --rows has. Variables
+    say their units, with --units those of SI.
+    """
+    from walker_jax import storage
+    from walker_jax.walkers.units import with_units
+
+    data, file, chosen = places.data, places.file, units.chosen
+    convert = with_units if chosen is None else chosen.convert
+    how = {"overwrite": files.overwrite, "rows": places.rows, "convert": convert}
+    copied = storage.export(data, file, **how)
     answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
     lines = [f"{data}: {', '.join(answer['variables'])}"]
-    lines.append(f"  NetCDF file {file}: xarray.open_dataset and other programs read it")
+    lines.append(f"  {file}: {PROGRAMS[file.suffix]}")
     files.tell(answer, lines)

@@ -96,7 +96,7 @@ def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Fi
 
 
 def draw_film(walker: "wj.Walker", found: "ProbableFall", place: Path, request: dict) -> None:
-    """Save the film of this fall, on steps just above the least ones."""
+    """Save the film of this fall, on steps just above the least ones; the highest one is slowed."""
     import numpy as np
 
     from walker_jax import figures, storage
@@ -107,7 +107,9 @@ def draw_film(walker: "wj.Walker", found: "ProbableFall", place: Path, request: 
     heights[: len(disturbed)] = disturbed
     begin = wj.find_gait(walker).states[0]
     motion = wj.motion(walker, begin, len(heights), step=FRAME_INTERVAL, ground=heights)
-    figures.film(motion, place, signature=storage.signature(request), progress=True)
+    decisive = int(np.abs(heights).argmax())
+    signature = storage.signature(request)
+    figures.film(motion, place, slow=decisive, signature=signature, progress=True)
 
 
 def fall_in_words(

@@ -11,6 +11,7 @@ from walker_jax.cli.options import (
     Choice,
     Group,
     argument,
+    named,
     number,
     option,
     underscored,
@@ -23,34 +24,18 @@ class Recorded(Group, theme="Recordings"):
     """The file, and the meaning of its columns."""
 
     file: Path = argument("FILE", "Recordings: .csv, .parquet, .nc or .mat.")
-    column: tuple[str, ...] = option(
-        (),
-        "A coordinate and its column (default: all, by their own names).",
-        metavar="NAME=COLUMN",
-        multiple=True,
+    column: dict[str, str] = named(
+        "A coordinate and its column (default: all, by their own names).", "COLUMN"
     )
-    unit: tuple[str, ...] = option(
-        (),
-        "Unit of a coordinate or of time: deg, ms, or a size.",
-        metavar="NAME=UNIT",
-        multiple=True,
-    )
+    unit: dict[str, Any] = named("Unit of a coordinate or of time: deg, ms, or a size.", "UNIT")
     time: str = option("time", "Column of times.", "--time")
     strikes: str | None = option(None, "Column that changes at each heel strike (default: found).")
     experiment: str | None = option(None, "Column that numbers experiments.")
 
     def read(self) -> Any:
         """Read the recordings."""
-        columns = dict(pair("--column", one) for one in self.column)
-        units = dict(pair("--unit", one) for one in self.unit)
-        return wj.read_recordings(
-            self.file,
-            columns or None,
-            time=self.time,
-            units={name: size_of(unit) for name, unit in units.items()},
-            strikes=self.strikes,
-            experiment=self.experiment,
-        )
+        how: Any = {"time": self.time, "units": self.unit, "strikes": self.strikes}
+        return wj.read_recordings(self.file, self.column or None, experiment=self.experiment, **how)
 
 
 class How(Group, theme="Fit"):
@@ -59,11 +44,8 @@ class How(Group, theme="Fit"):
     parameters: tuple[str, ...] = option(
         (), "A parameter to fit; may be given again.", "--parameters", metavar="NAME", multiple=True
     )
-    noise: tuple[str, ...] = option(
-        (),
-        "Standard deviation of a column, or of time (default: found).",
-        metavar="NAME=VALUE",
-        multiple=True,
+    noise: dict[str, float] = named(
+        "Standard deviation of a column, or of time (default: found).", "VALUE"
     )
     shooting: str = option(
         "multiple",
@@ -81,28 +63,9 @@ class How(Group, theme="Fit"):
         """Return the arguments of the library's `fit`."""
         if not self.parameters:
             raise WrongUse("--parameters must name one parameter or more, not none")
-        noise = {
-            name: size_of(value) for name, value in (pair("--noise", one) for one in self.noise)
-        }
-        names = {"parameters": [*map(underscored, self.parameters)], "noise": noise}
+        names = {"parameters": [*map(underscored, self.parameters)], "noise": self.noise}
         others = ("shooting", "loss", "skip", "bootstrap", "seed")
         return names | {name: getattr(self, name) for name in others}
-
-
-def pair(flag: str, text: str) -> tuple[str, str]:
-    """Split NAME=VALUE."""
-    name, equals, value = text.partition("=")
-    if not (name and equals and value):
-        raise WrongUse(f"{flag} must be NAME=VALUE, not {text!r}")
-    return name, value
-
-
-def size_of(unit: str) -> str | float:
-    """Return the size of a unit, if it is a number."""
-    try:
-        return float(unit)
-    except ValueError:
-        return unit
 
 
 @command(

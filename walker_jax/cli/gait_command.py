@@ -18,6 +18,7 @@ from walker_jax.cli.section import (
     start_option,
     state_from,
 )
+from walker_jax.cli.unit_options import InUnits, Sizes
 
 
 class Search(Group, theme="Search"):
@@ -60,25 +61,28 @@ class Picture(Group, theme="Picture"):
 
 
 @command(
-    *(Search, Picture, Files),
+    *(Search, Picture, InUnits, Files),
     examples=(
         "gait --slope 0.009",
         "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",
         "gait --walker kneed",
         "gait --walker powered --slope 0 --push-off 0.05",
         "gait --slope 0.0125 --period 3 --all",
+        "gait --slope 0.009 --units length=0.8 --units mass=10",
         "gait --system duffing --start x=-1.3 --start v=-0.2 --period 3",
     ),
     time="A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
 )
-def gait(walker: "wj.System", search: Search, picture: Picture, files: Files) -> None:
+def gait(
+    walker: "wj.System", search: Search, picture: Picture, units: InUnits, files: Files
+) -> None:
     """Find the gaits of a walker: cycles of strides, and their stability."""
     from walker_jax.execution.progress import bar
     from walker_jax.gaits import selection
     from walker_jax.gaits.gait_summary import summarise_gait
     from walker_jax.walkers.parameters import describe_briefly
 
-    given, figure = search.coordinates(walker), picture.figure
+    given, figure, sizes = search.coordinates(walker), picture.figure, units.of(walker)
     begin = state_from(walker, given) if given else None
     guess = None if begin is None else begin.tolist()
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
@@ -92,8 +96,14 @@ def gait(walker: "wj.System", search: Search, picture: Picture, files: Files) ->
         title = f"{describe_briefly(walker)}: Floquet multipliers"
         draw(figures.multipliers(found, title=title), figure, request)
     about, stable = request["walker"], sum(bool(one.stable) for one in found)
-    answer = {"gaits": [summarise_gait(one) for one in found], "walker": about}
-    lines = [line for one in found for line in gait_in_words(walker, about, one)]
+    found = [
+        one._replace(
+            states=sizes.states(one.states, walker.section), step_times=sizes.times(one.step_times)
+        )
+        for one in found
+    ]
+    answer = {"gaits": [summarise_gait(one) for one in found], "walker": about, **sizes.named}
+    lines = [line for one in found for line in gait_in_words(walker, about, one, sizes)]
     if stable:
         which = "it" if len(found) == 1 else f"{stable} of these {len(found)}"
         lines.append(f"Nearby starts converge to {which}: walker-jax basin shows from where.")
@@ -103,7 +113,7 @@ def gait(walker: "wj.System", search: Search, picture: Picture, files: Files) ->
     files.tell(slope_of(about) | answer, lines)
 
 
-def gait_in_words(walker: "wj.System", about: dict, gait: "wj.Gait") -> Iterator[str]:
+def gait_in_words(walker: "wj.System", about: dict, gait: "wj.Gait", sizes: Sizes) -> Iterator[str]:
     """Write the stability of a gait, and a line for each stride; a map's steps have no time."""
     noun = terms_of(walker).cycle
     kind, period = "stable" if gait.stable else "unstable", len(gait.states)
@@ -113,5 +123,6 @@ def gait_in_words(walker: "wj.System", about: dict, gait: "wj.Gait") -> Iterator
     timeless = is_map(walker, gait.step_times)
     for state, duration in zip(gait.states, gait.step_times, strict=True):
         pairs = zip(walker.section, state, strict=True)
-        coordinates = "  ".join(f"{name} {value:.13f}" for name, value in pairs)
-        yield f"  {coordinates}" + ("" if timeless else f"  step time {duration:.10f}")
+        coordinates = "  ".join(f"{name} {value:.13f}{sizes.unit(name)}" for name, value in pairs)
+        time = f"  step time {duration:.10f}{sizes.unit('time')}"
+        yield f"  {coordinates}" + ("" if timeless else time)

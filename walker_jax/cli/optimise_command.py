@@ -13,10 +13,8 @@ import walker_jax as wj
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import (
-    Axis,
     Group,
     Number,
-    axis_option,
     hyphenated,
     named,
     number,
@@ -83,13 +81,6 @@ class Problem(Group, theme="Problem"):
         return {name: self.bound[name] for name in names}
 
 
-class OptimumRegion(Volume):
-    theta: Axis | None = axis_option("Where the area is measured, as for robustness.")
-    phidot: Axis | None = axis_option(
-        "The rate between the legs, for a volume (default: all).", excludes=("at_phidot",)
-    )
-
-
 class Search(Group, theme="Search"):
     starts: int = whole(3, "Walkers to start from: the one given, and others.")
     levels: int | None = whole(
@@ -107,7 +98,7 @@ class Budget(Group, theme="Search"):
 
 
 @command(
-    *(Problem, OptimumRegion, Search, Budget, Output(Path("optimum.zarr"))),
+    *(Problem, Volume, Search, Budget, Output(Path("optimum.zarr"))),
     examples=(
         "optimise --over slope --bound slope=0.001:0.02",
         "optimise --walker spring --over hip-stiffness --bound hip-stiffness=0:20",
@@ -118,7 +109,7 @@ class Budget(Group, theme="Search"):
 def optimise(
     walker: "wj.System",
     problem: Problem,
-    region: OptimumRegion,
+    region: Volume,
     search: Search,
     budget: Budget,
     output: Output,

@@ -110,10 +110,26 @@ class Place(click.ParamType):
         return [CompletionItem(incomplete, type="file")]
 
 
+def text(value: str) -> str:
+    """Return a text; refuse an empty one."""
+    if not value:
+        raise ValueError
+    return value
+
+
+def unit(value: str) -> str | float:
+    """Return the name of a unit, or its size."""
+    try:
+        return float(value)
+    except ValueError:
+        return text(value)
+
+
 class Named(click.ParamType):
-    """The name of a parameter or coordinate, and numbers in one of some forms."""
+    """The name of a parameter or coordinate, and numbers in one of some forms, or a text."""
 
     kinds: ClassVar = {"LO": float, "HI": float, "VALUE": float, "N": int}
+    kinds |= {"COLUMN": text, "UNIT": unit}
 
     def __init__(self, *forms: str):
         self.forms = {form.count(":"): form.split(":") for form in forms}
@@ -129,7 +145,7 @@ class Named(click.ParamType):
             raise WrongUse(f"{option} must be {self.name}, not {value}") from None
         match numbers:
             case (number,):
-                if not isfinite(number):
+                if isinstance(number, float) and not isfinite(number):
                     raise WrongUse(f"{option} must be finite, not {number}")
                 return underscored(name), number
             case (low, high, count) if not (low < high and isfinite(high - low) and count >= 2):
@@ -260,6 +276,7 @@ REWORDED = {
     "grid": "--axis",
     "region": "--radius",
     "cells": "the N of --over",
+    "file": "FILE",
 }
 """Arguments of the library with options of other names."""
 

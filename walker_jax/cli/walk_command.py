@@ -1,7 +1,7 @@
 """`walker-jax walk`."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -10,6 +10,7 @@ from walker_jax.cli.answers import Files, in_words, is_map, request_for, terms_o
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, number, place, refuse, whole
 from walker_jax.cli.section import Start, begin_at, has_own_options, has_plane
+from walker_jax.cli.unit_options import InUnits, Sizes
 from walker_jax.refusals import WrongUse
 
 PAPER_START = {"theta": 0.2, "thetadot": -0.21645}
@@ -36,7 +37,7 @@ class Walk(Group, theme="Walk"):
 
 
 @command(
-    *(Start, Walk, Files),
+    *(Start, Walk, InUnits, Files),
     examples=(
         "walk",
         "walk --theta 0.16 --thetadot -0.17 --strides 20",
@@ -45,7 +46,7 @@ class Walk(Group, theme="Walk"):
     ),
     time="A few seconds; a film half a minute.",
 )
-def walk(walker: "wj.System", start: Start, asked: Walk, files: Files) -> None:
+def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: Files) -> None:
     """Walk from one start, stride by stride, until a failure.
 
     With --ground each foothold is higher or lower than the one before, at random. States are full
@@ -60,14 +61,14 @@ def walk(walker: "wj.System", start: Start, asked: Walk, files: Files) -> None:
     from walker_jax import storage
     from walker_jax.execution.progress import bar
     from walker_jax.systems.outcomes import name_of_outcome
-    from walker_jax.walkers.model import is_planar, moves_like
+    from walker_jax.walkers.model import State, is_planar, moves_like
 
     if not is_planar(walker):
         other = f"not for {walker.label()}: leave it out"
         refuse(f"is for walkers in the plane, {other}", ground=asked.ground)
         if walker.picture() is None:
             refuse(f"is for walkers, {other}", animate=asked.animate)
-    given = start.coordinates(walker)
+    given, sizes = start.coordinates(walker), units.of(walker)
     if moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
     rough = asked.ground is not None
@@ -82,14 +83,16 @@ def walk(walker: "wj.System", start: Start, asked: Walk, files: Files) -> None:
         refuse_start(walker, begin)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, asked.strides)
+    names = State._fields if rough else walker.section
     answer: dict[str, Any] = {
-        "states": np.asarray(made.states)[: completed + 1],
+        "states": sizes.states(np.asarray(made.states)[: completed + 1], names),
         "outcomes": [name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()],
-        "times": np.asarray(made.times)[:count],
+        "times": sizes.times(np.asarray(made.times)[:count]),
+        **sizes.named,
     }
     if asked.animate is not None:
         draw_film(walker, begin, asked, asked.animate, storage.signature(request))
-    lines = [*walk_in_words(walker, answer, rough=rough)]
+    lines = [*walk_in_words(walker, answer, names, sizes, rough=rough)]
     lines += [f"film {asked.animate}"] * (asked.animate is not None)
     files.tell(answer, lines)
 
@@ -106,14 +109,14 @@ def draw_film(walker: "wj.System", begin: Any, asked: Walk, place: Path, signatu
     figures.film(motion, place, data, signature=signature, progress=True)
 
 
-def walk_in_words(walker: "wj.System", answer: dict, *, rough: bool) -> Iterator[str]:
+def walk_in_words(
+    walker: "wj.System", answer: dict, names: Sequence[str], sizes: Sizes, *, rough: bool
+) -> Iterator[str]:
     """Write a line for each stride; the steps of a map have no time."""
-    from walker_jax.walkers.model import State
-
-    coordinates = State._fields if rough else walker.section
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
-    heads = "  ".join(f"{name:>10}" for name in coordinates)
+    heads = "  ".join(f"{name:>10}" for name in names)
     timeless, step = is_map(walker, answer["times"]), terms_of(walker).step
+    yield from sizes.said
     yield f"{step}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
     strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
     for i, (state, name, duration) in enumerate(strides, start=1):

@@ -21,7 +21,7 @@ from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basi
 from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.labels import LONGEST_PERIOD
 from walker_jax.basins.matching import number_alike
-from walker_jax.basins.refinement import FINEST, refine
+from walker_jax.basins.refinement import FINEST, check_memory_of_starts, refine
 from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.design.measures import differentiate_measures
@@ -128,6 +128,7 @@ def sweep(
     check_values(walker, values)
     levels = check_whole("levels", levels, 0, FINEST)
     check = check_whole("check", check, 0)
+    check_memory_of_starts(check)
     check_kind("robust", robust, bool)
     strides = check_whole("strides", strides)
     seed = check_whole("seed", seed, 0)

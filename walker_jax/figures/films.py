@@ -82,7 +82,7 @@ def film(
         moving += lines
     figure_title(figure, walker_title(walk), "medium" if data is None else "large")
     stage.set_axis_off()
-    stage.set_aspect("equal")
+    stage.set(xlim=(0, 1.5), ylim=(0, 1.3), aspect="equal")  # for the layout
     heading = stage.set_title("stride 1, time 0.0", loc="left", size="medium", weight="bold")
     fix_layout(figure)
     with film_writer(figure, path, signature, moving) as grab:

@@ -147,7 +147,7 @@ def name_axes(ax: Axes, x: str | None = None, y: str | None = None, **look: Any)
     if x is not None:
         ax.set_xlabel(axis_label(x), **look)
     if y is not None:
-        ax.set_ylabel(in_lines(axis_label(y), 0.85 * height_of(ax), "axes.labelsize"), **look)
+        ax.set_ylabel(in_lines(axis_label(y), height_of(ax), "axes.labelsize"), **look)
 
 
 def name_outer_axes(panels: np.ndarray, used: int, x: str, y: str) -> None:

@@ -35,14 +35,16 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None, **style: Unpack[S
         parts = np.real(values), np.imag(values)
         farthest = max(farthest, np.abs(parts).max())
         ax.plot(*parts, zorder=3, **gait_marker(len(gait.states), bool(gait.stable)))
+    limit = 1.1 * LINEAR
     if farthest > LINEAR:
-        ax.set_xscale("symlog", linthresh=LINEAR, linscale=2)
-        ax.set_yscale("symlog", linthresh=LINEAR, linscale=2)
-        ticks = [-2, -1, 0, 1, 2, *(10.0**k for k in range(1, 20) if 10**k < 2 * farthest)]
-        ticks = sorted({*ticks, *(-one for one in ticks)})
+        limit = 2 * farthest
+        half = max(1, np.log10(limit / LINEAR))  # the linear part has half of the width
+        decades = [10.0**k for k in range(1, 20, max(1, round(half / 3))) if 10**k < limit]
+        ticks = [*(-one for one in decades[::-1]), -2, -1, 0, 1, 2, *decades]
+        ax.set_xscale("symlog", linthresh=LINEAR, linscale=half)
+        ax.set_yscale("symlog", linthresh=LINEAR, linscale=half)
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_ticks(ticks, [f"{one:g}".replace("-", "−") for one in ticks])
-    limit = 2 * farthest if farthest > LINEAR else 1.1 * LINEAR
     ax.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal", anchor="W")
     stable = sum(bool(gait.stable) for gait in gaits)
     handles = [

@@ -170,7 +170,9 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
 
     cells = region.cells & free
     cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
-    size: Any = 0.8 * ax.bbox.size * 72 / figure_of(ax).dpi  # the rest is for title and legend
+    size = np.multiply(
+        ax.bbox.size, 0.8 * 72 / figure_of(ax).dpi
+    )  # the rest is for title and legend
     low, high = np.array(extent[::2]), np.array(extent[1::2])
     red, green, blue = to_rgb(region.colour)
     dark = 0.3 * red + 0.59 * green + 0.11 * blue < 0.5

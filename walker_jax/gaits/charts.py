@@ -118,9 +118,7 @@ def chart(
     check_whole("strides", strides)
     if not isinstance(cells, tuple | list) or len(cells) != 2:
         raise WrongUse(f"cells must be two numbers, not {short(cells)}")
-    for number in cells:
-        check_whole("cells", number, 2)
-    count = cells[0] * cells[1]
+    count = check_whole("cells", cells[0], 2) * check_whole("cells", cells[1], 2)
     check_memory(count * BYTES_PER_CELL, f"{count} cells need", "lower cells", of="cells")
     own = np.array([float(value_of(system, name)) for name in names])
     if not ranges.hold(own):

@@ -42,11 +42,14 @@ from walker_jax.storage.places import (
     writing,
 )
 from walker_jax.storage.requests import canonical_json, check_request
+from walker_jax.storage.tables import as_csv, as_tex, table_of, write_mat
 
 if TYPE_CHECKING:
     import xarray  # takes half a second to load, which commands without a data set avoid
 
 
+FORMATS = ".nc", ".csv", ".tex", ".mat"
+"""Endings of files to which data sets are copied."""
 LAZY_FROM_BYTES = 2**28
 """Size (bytes) from which a data set is read when it is used, rather than at once."""
 
@@ -173,13 +176,28 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     return data
 
 
-def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Dataset":
-    """Copy the data set at `path` to a NetCDF file, and return it.
+def export(
+    path: Path,
+    file: Path,
+    *,
+    overwrite: bool = False,
+    convert: "Callable[[xarray.Dataset], xarray.Dataset]" = lambda data: data,
+    rows: str | None = None,
+) -> "xarray.Dataset":
+    """Copy the data set at `path` to a file, as its ending says, and return it.
+
+    **Arguments:**
+
+    - `file`: .nc, NetCDF; .mat, MATLAB; .csv or .tex, a table.
+    - `convert`: is given the data set, and returns the one that is written, as in other units.
+    - `rows`: the variable whose dimensions are the rows of a table, as in `table_of`.
 
     Raises `StoreConflict` if there is another file, or if `path` is not a data set, or a damaged or
     unfinished one; `ValueError` if nothing can be written, or h5netcdf is not installed.
     """
-    if None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
+    if file.suffix not in FORMATS:
+        raise WrongUse(f"file must end in one of {', '.join(FORMATS)}, not {file}", of="file")
+    if file.suffix == ".nc" and None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
         raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
     check_writable(file)
     if file.exists() and not (overwrite and file.is_file()):
@@ -194,7 +212,15 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Datase
         raise StoreConflict(f"{path} is not a data set", "give the place of one")
     if data.attrs.get("unfinished"):
         raise StoreConflict(f"{path} is unfinished: the command that began it resumes it")
-    small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}
+    data = convert(data)
     with atomic_file(file) as draft:
-        data.to_netcdf(draft, engine="h5netcdf", encoding=small)
+        if file.suffix == ".nc":
+            small = [name for name in data.variables if data[name].dtype.kind in "iuf"]
+            encoding = {name: {"zlib": True} for name in small}
+            data.to_netcdf(draft, engine="h5netcdf", encoding=encoding)
+        elif file.suffix == ".mat":
+            write_mat(data, draft)
+        else:
+            table = table_of(data, rows)
+            draft.write_text(as_csv(table) if file.suffix == ".csv" else as_tex(table))
     return data

@@ -4,6 +4,7 @@ The tables are in `kinds.toml`, which says what they mean.
 """
 
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -103,6 +104,18 @@ def attributes_of_kind(kind: str) -> dict[str, str]:
     """Return the attributes of a kind, including those of its base."""
     base = KINDS[kind].base
     return (attributes_of_kind(base) if base else {}) | KINDS[kind].attributes
+
+
+def kind_of(data: "xarray.Dataset") -> str:
+    """Return the kind of a data set: of those that it fits, the one that knows most of it."""
+    known: dict[str, int] = {}
+    for kind in KINDS:
+        with suppress(WrongUse):
+            check_dataset(data, kind)
+            known[kind] = sum(name in data for name in variables_of_kind(kind))
+    if not known:
+        raise WrongUse("data must be of a kind of data sets, as docs/data.md lists them")
+    return max(known, key=lambda kind: known[kind])
 
 
 def check_dataset(data: "xarray.Dataset", kind: str) -> None:

@@ -59,7 +59,6 @@ MOST_RECORDED = 10_000
 """Most steps of a mode that are recorded one by one; then only its end is found. To record a step
 takes a thousand times as long as to make it."""
 
-
 ROUNDING = 1e-9
 """Part of a step within which two guards rise at once."""
 
@@ -151,9 +150,8 @@ class Explanation(NamedTuple):
                 lines[-1] += f", greatest multiplier {largest:.6g}"
         lines += self.remarks
         lines += [f"? {one}" for mode in self.modes for one in mode.doubts]
-        first = ["! first: "] if len(self.complaints) > 1 else ["! "]
-        marks = [*first, *["! then: "] * len(self.complaints)]
-        lines += map("".join, zip(marks, self.complaints, strict=False))
+        order = ["first: ", *["then: "] * len(self.complaints)] if self.complaints[1:] else [""]
+        lines += [f"! {n}{one}" for n, one in zip(order, self.complaints, strict=False)]
         return "\n".join(lines)
 
 
@@ -224,10 +222,8 @@ def check_records(records: list[ModeRecord], *, driven_by_gravity: bool) -> list
     unending = bool(records) and not records[-1].led_to
     found = []
     for mode in records:
-        if driven_by_gravity:
-            found += check_energy(mode)
-        if unending:
-            found += check_guards(mode)
+        found += check_energy(mode) if driven_by_gravity else []
+        found += check_guards(mode) if unending else []
     return found
 
 

@@ -24,7 +24,7 @@ export class Compiling {
     clearInterval(this.timer);
     this.timer = setInterval(() => { // a machine may be slower, or busy
       const taken = (performance.now() - began) / 1000;
-      if (taken > seconds) this.note.textContent = `${text}: ${Math.floor(taken)} s until now, longer than most times`;
+      if (taken > seconds) this.note.textContent = `${text}: ${Math.floor(taken)} s, longer than usual`;
     }, 1000);
   }
 
