@@ -53,7 +53,7 @@ def multipliers_by_scipy(nu: float, x: float, z: float, period: float) -> np.nda
 
 
 @pytest.mark.parametrize("name", EVENTS)
-def test_cycles_of_a_circuit_are_critical_where_matcont_has_them(systems, name):
+def test_cycles_of_a_circuit_are_critical_as_by_matcont(systems, name):
     """To its digits, and to more by the multipliers of another integrator.
 
     JaxCont's validation misses the doubling, and the multipliers of the Neimark-Sacker point.
