@@ -2,7 +2,7 @@
 
 The simplest walker's swing leg is turned by a multilayer perceptron of tanh, within the stride, of
 angles and rates, or from stride to stride, of the section's coordinates. Its weights are
-parameters. Gradients are those of the end of three strides with respect to all weights, summed over
+parameters. Gradients are those of the end of ten strides with respect to all weights, summed over
 the starts. Each row has, for each way, the seconds of a processor (not of a clock) from nothing to
 the first strides, and strides per such second once compiled; then the same of gradients. Ways are
 
@@ -12,20 +12,20 @@ the first strides, and strides per such second once compiled; then the same of g
   to 6e-11;
 - walker_jax with `WALKER_JAX_KERNELS=off`, so by XLA alone.
 
-Every way runs in a process of its own with an empty cache, and with all starts at once. Starts are
-near the gait. The last column is the largest difference of diffrax's gradient from walker_jax's,
-relative to the largest derivative.
+Every way runs in a process of its own with an empty cache, and with all starts at once: 50,000 for
+strides, and 1,000 for gradients. Slower ways have fewer (`SMALLER`); rates hardly depend on that.
+Starts are near the gait. The last column is the largest difference of diffrax's gradient from
+walker_jax's, by the same walks, relative to the largest derivative. Last comes a population of
+networks of 2 x 16, all at once and one after the other.
 
-On a machine of two cores, which others used too, walker_jax made five times the strides of diffrax
-at 49 weights, 2.3 times at 369, and 1.5 times at 4,545, and five, four and 1.9 times the gradients.
-The gradient costs 2.5 to 5 strides. In one run of 64 walks of the widest network diffrax missed the
-heel strike of the third stride in four: states were off by 0.9, and gradients by factors of 88 to
-2,354, which the last column shows. Other gradients were off by 2e-8 at the median and 4e-6 at most,
-where forward and reverse derivatives of walker_jax agreed to 1.4e-12.
+On a machine of two cores, which many others used too, walker_jax made 2.8 times the strides of
+diffrax at 369 weights, and three times the gradients; its gradient costs 5.3 strides, and at 4,545
+weights, in another run of three strides, 6.4. From 256 starts 0.004 from the gait diffrax missed
+heel strikes within three strides, and its gradient was off by 40. A population of 32 networks made
+59,760 strides a second, and one after the other 58,131.
 
                                              walker_jax                               diffrax
-    2 x 64  within   2.3 s   10572/s   10.8 s   1750/s |   4.0 s    7154/s   16.8 s    926/s | 1e+02
-    2 x 16  within   2.4 s   49060/s   10.6 s  10086/s |   3.8 s   21571/s   16.4 s   2515/s | 2e+02
+    2 x 16  within   2.6 s   60290/s   15.8 s  11456/s |   3.7 s   21815/s   16.0 s   3777/s | 4e-09
 
     python benchmarks/networks.py [WIDTHS [LAYERS [STARTS [WAYS]]]]
 """

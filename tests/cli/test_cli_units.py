@@ -20,7 +20,7 @@ def test_a_gait_and_a_walk_in_si(run):
     assert (code, err) == (0, "")
     (found,), said = json.loads(out)["gaits"], json.loads(out)["units"]
     assert found["step_times"] == pytest.approx(gait.step_times * TIME, rel=1e-14)
-    assert found["states"][0] == pytest.approx(gait.states[0] / [1, TIME], rel=1e-14)
+    assert found["states"][0] == pytest.approx(np.asarray(gait.states[0]) / [1, TIME], rel=1e-14)
     assert said == {"angle": "rad", "rate": "rad/s", "time": "s"} | {
         "length": 0.8,
         "mass": 10.0,

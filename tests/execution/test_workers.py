@@ -8,7 +8,7 @@ import pytest
 from walker_jax.execution.workers import open_workers
 
 
-def test_only_the_first_process_gets_the_interrupts_of_a_terminal():
+def test_only_the_first_process_gets_interrupts():
     """Ctrl-C goes to all processes of a terminal; each worker's traceback would fill a screen."""
     if not hasattr(signal, "pthread_sigmask"):
         pytest.skip("Windows has no such masks")

@@ -58,7 +58,7 @@ def test_every_stored_picture_is_up_to_date(pictures):
     assert {*json.loads(pictures.KEPT.read_text())} == {*pictures.every_picture()}
 
 
-def test_another_palette_or_other_lines_make_pictures_out_of_date(pictures, monkeypatch):
+def test_another_palette_makes_pictures_out_of_date(pictures, monkeypatch):
     monkeypatch.setattr(style, "BASINS", ("#000000", *style.BASINS[1:]))
     monkeypatch.setitem(pictures.COMMANDS, "basin.png", "walker-jax basin --slope 0.01")
     found = pictures.out_of_date()

@@ -179,6 +179,7 @@ def test_basins_and_falls_equal_those_by_scalars():
     np.testing.assert_array_equal(falls[0], falls[1])
 
 
+@pytest.mark.slow
 def test_robustness_is_that_of_the_boundary():
     """All starts nearer to the gait than the least disturbance walk on; some beyond it do not.
 

@@ -260,7 +260,7 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
 
 def batch_one_by_one(operands, batched, program: Program, mapped: tuple[int, ...]):
     """Add an axis of calls, one after the other: the cells of each share some operands."""
-    along = list(np.flatnonzero(batched))
+    along = [i for i, one in enumerate(batched) if one]
 
     def call(some):
         values = replace_some(operands, along, some)
