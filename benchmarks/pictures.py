@@ -147,10 +147,10 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="pictures, pages or notebooks; by default, all")
     parser.add_argument("--look", action="store_true", help="keep them as they are")
     asked = parser.parse_args()
-    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
     for name in asked.names or [*COMMANDS, *PAGES, *every_picture()]:
         if not asked.look:
             draw(name)
+        kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
         for one in PAGES.get(name, [name]):
             kept[one] = digests_of(one)
         KEPT.write_text(json.dumps(dict(sorted(kept.items())), indent=1) + "\n")
