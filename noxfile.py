@@ -69,7 +69,7 @@ def readme(session: nox.Session) -> None:
 
 @nox.session
 def claims(session: nox.Session) -> None:
-    """Compute every number that docs/claims.md lists: an hour and a quarter."""
+    """Compute every number that docs/claims.md lists: an hour and a half."""
     session.install(".[bench,dev]")
     session.run("python", "benchmarks/verify_readme.py", *session.posargs)
 

@@ -5,8 +5,11 @@ Made-up recordings of twelve steps by encoders: angles with normal noise of 1e-3
 by a tenth. Then one long recording is fitted by SciPy as well: `least_squares` on the same
 residuals, compiled by the package, with derivatives by differences.
 
-The answer: of 400 intervals for the slope of the simplest walker, 94.2 % hold the truth. Errors
-over their standard deviations have one of 1.07. A fit takes 0.2 s, at most 1 s on a busy machine.
+The answer: of 400 intervals for the slope of the simplest walker, 94.2 % hold the truth; for the
+slope and the foot mass of the walker with point feet 95.8 % and 96.0 %; of 140 for the slope and
+the shank mass of the walker with knees 95.0 % and 95.0 %. A fit takes 0.2 s, 0.3 s and 1 s of a
+processor, and at most 5 s and 16 s on one of which it had a tenth.
+SciPy takes 9 times as long for 120 steps: 92 s to 10 s.
 
 Usage: python benchmarks/fits.py [simplest compass kneed scipy ...] [fits]
 """

@@ -83,9 +83,9 @@ def print_overestimation() -> None:
         print(f"r {radius:g}: {sizes}, overestimation {np.median(one.radius / off):.1f}")
 
 
-def print_theorems(boxes: int) -> None:
+def print_theorems(boxes: int, parts: list[float]) -> None:
     for slope, least in RADII.items():
-        for part in (0.99, 0.999):
+        for part in parts:
             start = time.perf_counter()
             data = wj.prove_basin(wj.SimplestWalker(slope), part * least, levels=20)
             took = time.perf_counter() - start
@@ -106,7 +106,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--boxes", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--parts", nargs="*", type=float, default=[0.99, 0.999])
     options = parser.parse_args()
     print_cost(options.repeats)
     print_overestimation()
-    print_theorems(options.boxes)
+    print_theorems(options.boxes, options.parts)

@@ -1,6 +1,6 @@
 """Is every number that the README and the pages of docs/ claim still what its command gives?
 
-    python benchmarks/verify_readme.py            # all, an hour and a quarter
+    python benchmarks/verify_readme.py            # all, an hour and a half
     python benchmarks/verify_readme.py --readme   # those of the README alone, half an hour
     python benchmarks/verify_readme.py --quick    # without the slow ones
     python benchmarks/verify_readme.py --only 75  # numbers whose quotation contains this

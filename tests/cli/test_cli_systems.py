@@ -153,7 +153,7 @@ def test_walks_of_a_system(run):
     np.testing.assert_allclose(made["states"], expected.states, rtol=1e-15)
     assert made["outcomes"] == ["STRIDE"] * 3 and made["times"] == [1.0] * 3
     code, out, err = run(*command)
-    assert code == 0 and out.split()[:4] == ["stride", "x", "y", "outcome"], err
+    assert code == 0 and out.split()[:4] == ["iterate", "x", "y", "outcome"], err
     code, out, err = run("walk", "--system", "bouncing-ball", "--strides", "2")
     assert code == 0 and "3.141593" in out, err
     for option in ("--ground", "0.1"), ("--animate", "film.gif"), ("--theta", "0.2"):

@@ -27,7 +27,7 @@ def test_the_page_fits_a_slope_and_carries_its_error_on():
     assert names["gait"].error.max() < 0.02
 
 
-def test_the_page_leaves_out_the_one_recording_that_is_not_like_the_others():
+def test_the_page_tells_the_one_recording_unlike_the_others():
     """A ball whose heights are a tenth larger has a tenth more gravity, and the same times."""
     balls = [record_ball(noise=1e-3, seed=seed)[0] for seed in range(3)]
     other = balls[1]._replace(values={"height": 1.1 * balls[1].values["height"]})

@@ -1,5 +1,7 @@
 """Fits find the parameters of made-up recordings, with errors that say how far off they are."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -137,7 +139,8 @@ def test_noise_is_that_of_steps_that_are_made(posed):
     """The last one, which begins below the ground, has no residuals; the others keep theirs."""
     problem, begins, speeds = posed
     steps, starts = problem.steps, np.append(speeds[:-1], -1.0)[:, None]
-    found = Solved(problem.begun._replace(starts=starts), *[None] * 5)
+    nothing: Any = None
+    found = Solved(problem.begun._replace(starts=starts), *[nothing] * 5)
     after = steps.times - begins[:, None]
     off = (speeds[:, None] * after - GRAVITY * after**2 / 2 - steps.values[..., 0])[:-1]
     free = 1 - (1 + 1 + len(speeds)) / steps.count

@@ -63,7 +63,7 @@ def test_cycles_of_a_circuit_are_critical_where_matcont_has_them(systems, name):
     cycle = wj.find_gait(systems["Circuit"](nu), guess)
     assert abs(cycle.step_times[0] - period) < 5e-6
     x, z = cycle.states[0]
-    theirs = multipliers_by_scipy(nu, x, z, cycle.step_times[0])
+    theirs = multipliers_by_scipy(nu, x, z, float(cycle.step_times[0]))
     for one in (*cycle.multipliers, 1):  # 1 along the flow
         assert np.min(np.abs(theirs - one)) < 1e-9
     assert np.min(np.abs(CRITICAL[name](theirs))) < 1e-9

@@ -45,11 +45,11 @@ print(x / 7, "of", 10**6 / 3)  # 0.43 of 333,333.3
 Two commands, and `walker-jax-of-another-name`:
 
 ```console
-$ python -c "import three, {module}; print(three.x)"  # a comment
+$ grep {word} three.py  # a comment
 ```
 
 ```text
-3
+x = 3
 ```
 
 ```python
@@ -59,22 +59,18 @@ print({last})  # 4
 
 
 @pytest.mark.parametrize(
-    ("module", "last", "wrong"),
+    ("word", "last", "wrong"),
     [
-        ("sys", "x + 1", []),
-        ("sys", "x", ["page.md:25 3 for 4"]),
-        ("sys", "'four'", ["page.md:25 printed 'four'"]),
-        ("sys", "y", ["page.md:25 NameError: name 'y' is not defined"]),
-        (
-            "nothing_here",
-            "4",
-            ["page.md:17 exit code 1: ModuleNotFoundError: No module named 'nothing_here'"],
-        ),
+        ("x", "x + 1", []),
+        ("x", "x", ["page.md:25 3 for 4"]),
+        ("x", "'four'", ["page.md:25 printed 'four'"]),
+        ("x", "y", ["page.md:25 NameError: name 'y' is not defined"]),
+        ("nothing", "4", ["page.md:17 exit code 1: "]),
     ],
 )
-def test_a_page_that_prints_something_else_is_found(module, last, wrong, tmp_path, monkeypatch):
+def test_a_page_that_prints_something_else_is_found(word, last, wrong, tmp_path, monkeypatch):
     page = tmp_path / "page.md"
-    page.write_text(MADE_UP.replace("{module}", module).replace("{last}", last))
+    page.write_text(MADE_UP.replace("{word}", word).replace("{last}", last))
     monkeypatch.setitem(pages.FILES, "three.py", "x = 3\n")
     monkeypatch.setattr(pages, "LONG", 100.0)
     assert pages.run_page(page) == wrong
