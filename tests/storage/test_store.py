@@ -553,14 +553,17 @@ def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
             storage.export(place, file)
     storage.save(data, tmp_path / "b.zarr", REQUEST)
     path = tmp_path / "b.zarr"
-    with pytest.raises(storage.StoreConflict, match=r"a\.zarr exists"):
+    (tmp_path / "c.nc").mkdir()
+    with pytest.raises(storage.StoreConflict, match=r"c\.nc exists"):
+        storage.export(path, tmp_path / "c.nc", overwrite=True)
+    with pytest.raises(ValueError, match="file must end in one of"):
         storage.export(path, tmp_path / "a.zarr", overwrite=True)
     with pytest.raises(ValueError, match="there is no folder"):
         storage.export(path, tmp_path / "none" / "a.nc")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="NetCDF takes h5netcdf"):
         storage.export(path, file)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "b.zarr"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "b.zarr", "c.nc"]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])

@@ -221,7 +221,7 @@ def compare_methods(
     ```
     """
     settings: Any = {"strides": strides, "tolerance": tolerance, "progress": False}
-    mapped = basin(walker, grid, **settings)
+    mapped = basin(walker, grid, "cell-map", **settings)
     direct = basin(walker, grid, "direct", **settings)
     walks = {"mapped": mapped["attractor"] >= 0, "direct": direct["attractor"] >= 0}
     found = mapped[["cells", "period", "cycles", "artefact", "falling"]].assign(walks)
