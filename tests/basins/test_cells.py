@@ -216,7 +216,8 @@ def test_a_wrong_axis_is_refused_by_name(make, axis):
     with pytest.raises(ValueError) as error:
         make(theta=axis, sum=(0, 1, 2))
     message = str(error.value)
-    assert message.startswith(f"theta={repr(axis)[:60]}: ") and "\n" not in message
+    given = repr(axis) if len(repr(axis)) <= 60 else f"{repr(axis)[:57]}..."
+    assert message.startswith(f"theta={given}: ") and "\n" not in message
 
 
 def test_wrong_grids_are_refused():

@@ -202,7 +202,7 @@ def test_crossings_are_where_a_line_of_points_has_the_value():
 
 
 def test_a_branch_that_passes_by_its_start_does_not_close():
-    none = Linearisation(*4 * [np.zeros(0)])
+    none = Linearisation(*5 * [np.zeros(0)])
     point = lambda value, x: arclength.Point(value, np.array([[x]]), none)
     one, other = point(0.0, 0.1), point(0.04, 0.1)
     step = lambda end: arclength.scaled_step(one, end, 1.0)

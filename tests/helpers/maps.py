@@ -30,7 +30,8 @@ def first_derivatives(stride: Callable, request: Request) -> Linearisation:
     found = compiled_derivatives(stride)(request.cycle, float(request.value), zeros)
     state, by_columns = (np.asarray(x)[None] for x in found[:2])
     times = np.ones((1, len(request.cycle)))
-    return Linearisation(state, times, by_columns[..., :-1], by_columns[..., -1])
+    of_times = np.zeros(by_columns.shape[:2] + by_columns.shape[3:])
+    return Linearisation(state, times, by_columns[..., :-1], by_columns[..., -1], of_times)
 
 
 def second_derivatives(stride: Callable, request: SecondOrderRequest) -> SecondDerivatives:
@@ -41,7 +42,7 @@ def second_derivatives(stride: Callable, request: SecondOrderRequest) -> SecondD
     state, by_columns, along, changes = (
         np.stack([np.asarray(one) for one in values]) for values in zip(*found, strict=True)
     )
-    return SecondDerivatives(state, by_columns, along, np.zeros(along.shape[:2]), changes)
+    return SecondDerivatives(state, by_columns, along, changes)
 
 
 def derivatives_along(stride: Callable, request: Curves) -> Jet:

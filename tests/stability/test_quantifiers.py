@@ -303,8 +303,11 @@ def test_the_data_set_of_a_boundary_its_picture_and_its_answer(monkeypatch):
     shares = [one["share"] for one in answer["wada"]]
     np.testing.assert_allclose(shares, wj.fractals.merge_regions(labels).share)
     axes = figures.boundary(data)
-    legends = [one for one in axes.get_children() if isinstance(one, Legend)]
-    words = [text.get_text() for one in legends for text in one.get_texts()]
+    legends = [
+        *axes.figure.legends,
+        *(one for one in axes.get_children() if isinstance(one, Legend)),
+    ]
+    words = [" ".join(text.get_text().split()) for one in legends for text in one.get_texts()]
     assert any("saddle of period 1, multipliers 3.21, 0.592" in one for one in words)
     with pytest.raises(ValueError, match="boundary"):
         figures.boundary(wj.basin(WALKER, grid))

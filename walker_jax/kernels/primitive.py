@@ -240,7 +240,8 @@ def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
     each = zip(operands, mapped, batched, strict=True)
     cells = next((x.shape[over : over + own] for x, own, over in each if own), ())
     alike = [x.size for x, own, over in zip(operands, mapped, batched, strict=True) if over > own]
-    if math.prod(cells) * sum(alike) > MOST_COPIED and cells:
+    copied = math.prod(cells) * sum(alike)
+    if cells and isinstance(copied, int) and copied > MOST_COPIED:  # not symbolic, for an export
         return batch_one_by_one(operands, batched, program, mapped)
 
     def spread(x, own, over):
