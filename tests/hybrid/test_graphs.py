@@ -73,6 +73,14 @@ HELD = wj.Guard(RISES, wj.SECTION, must_hold=(wj.Condition(RISES, "b"),))
         ({"a": wj.Mode(FIELD, (wj.Guard(RISES),))}, NO_END + "nothing"),
         ({"a": mode(wj.SECTION)._replace(guards=(RISES,))}, NO_END + "<function"),
         (
+            {"a": mode(wj.SECTION)._replace(guards=wj.Guard(RISES, wj.SECTION))},
+            "guards of mode 'a' of Made must be a tuple, not Guard(",
+        ),
+        (
+            {"a": mode(wj.SECTION)._replace(guards=(HELD._replace(admits=RISES),))},
+            "admits of mode 'a' of Made must be a tuple, not <function",
+        ),
+        (
             {"a": mode("b", conditions=(wj.Condition(RISES, "b"),)), "b": mode(wj.SECTION)},
             "conditions of mode 'a' of Made must lead to a failure, not to 'b'",
         ),

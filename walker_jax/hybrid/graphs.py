@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from walker_jax.checks import WrongUse, short
-from walker_jax.hybrid.modes import SECTION, Mode
+from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.integrators.integrals import WithIntegrals
 from walker_jax.integrators.taylor import VectorField, is_list
 
@@ -64,6 +64,7 @@ def check_graph(label: str, modes: Any, failures: set[str]) -> None:
             raise WrongUse(f"modes of {label} must be modes by name, not {name!r}: {short(mode)}")
         if name in ("", SECTION) or name in failures:
             raise WrongUse(f"modes of {label} must have names that name no failure, not {name!r}")
+        check_tuples(label, name, mode)
         known = {*modes, SECTION} | failures
         held = [one for guard in mode.guards for one in getattr(guard, "must_hold", ())]
         for part, ends, allowed in (
@@ -84,6 +85,20 @@ def check_graph(label: str, modes: Any, failures: set[str]) -> None:
         raise WrongUse(f"modes of {label} must be reached from the first, unlike {lost[0]!r}")
     if not any(guard.leads_to == SECTION for mode in modes.values() for guard in mode.guards):
         raise WrongUse(f"modes of {label} must lead to SECTION, but no guard does")
+
+
+def check_tuples(label: str, name: str, mode: Mode) -> None:
+    """Raise `WrongUse` for one guard, condition or function where a tuple of them is meant."""
+    parts: list[tuple[Any, str]] = [(mode, "guards"), (mode, "conditions")]
+    for owner, part in parts:
+        given = getattr(owner, part)
+        if type(given) not in (tuple, list):
+            raise WrongUse(
+                f"{part} of mode {name!r} of {label} must be a tuple, not {short(given)}", of=part
+            )
+        if part == "guards":
+            guards = [one for one in given if isinstance(one, Guard)]
+            parts += [(guard, one) for guard in guards for one in ("admits", "must_hold")]
 
 
 def kinds_of_states(modes: Modes, start: Any) -> dict[str, Any]:
