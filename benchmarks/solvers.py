@@ -103,6 +103,9 @@ whose small steps take long, makes 50 000 strides by these methods, and 2000 by 
     spring-biped        Tsit5    100000      0    0    0      0    0    0      0    0    0
     spring-biped        Dopri5   100000      0    0    0      0    0    0      0    0    0
     quadruped           series   100000      0    0    0      0    0    0      0    0    0
+    quadruped           Dopri8   100000      0    0    0      0    0    0      0    0    0
+    quadruped           Tsit5    100000      0    0    0      0    0    0      0    0    0
+    quadruped           Dopri5   100000      0    0    0      0    0    0      0    0    0
     hopper              series   100000      0    0    0      0    0    0      0    0    0
     hopper              Dopri8   100000      0    0    0      0    0    0      0    0    0
     hopper              Tsit5    100000      0    0    0      0    0    0      0    0    0

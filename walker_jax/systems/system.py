@@ -203,7 +203,7 @@ class System(eqx.Module):
     def gait_region(self) -> Grid:
         """Return the part of the section to search for gaits, with one search from each cell."""
         raise WrongUse(
-            f"guess or region must be given for {self.label()}, which has no gait_region"
+            f"guess or region must be given for {self.label()}, which defines no gait_region"
         )
 
     def further_gait_region(self) -> Grid | None:
