@@ -29,8 +29,8 @@ def data():
 
 def test_a_table_has_rows_of_a_variable(data):
     table = table_of(data)
-    columns = ["slope", "speed (m/s)", "state_theta (rad)", "state_thetadot (rad/s)", "note"]
-    assert sorted(table.columns) == sorted(columns) and table.columns[0] == "slope"
+    columns = ["slope", "note", "speed (m/s)", "state_theta (rad)", "state_thetadot (rad/s)"]
+    assert [*table.columns] == columns
     np.testing.assert_array_equal(table["state_thetadot (rad/s)"], [1, 3, 5])
     cells = table_of(data, "cells")
     assert cells.to_dict("list") == {
@@ -63,6 +63,6 @@ def test_files_for_other_programs(tmp_path, data):
 
 def test_latex_reads_each_row(data):
     lines = as_tex(table_of(data[["speed", "note"]])).splitlines()
-    assert lines[:3] == [r"\begin{tabular}{rrr}", r"\toprule", r"slope & speed (m/s) & note \\"]
-    rows = [r"0.1 & 0.1 & a\_b \\", r"0.2 & -- &  \\", r"0.3 & 0.333333 & 5 \% \\"]
+    assert lines[:3] == [r"\begin{tabular}{rrr}", r"\toprule", r"slope & note & speed (m/s) \\"]
+    rows = [r"0.1 & a\_b & 0.1 \\", r"0.2 &  & -- \\", r"0.3 & 5 \% & 0.333333 \\"]
     assert lines[4:7] == rows and lines[-1] == r"\end{tabular}"

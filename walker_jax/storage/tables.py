@@ -20,7 +20,8 @@ def table_of(data: "xarray.Dataset", rows: str | None = None) -> "pandas.DataFra
     """Return a table with a row for each point of some dimensions: those of a variable.
 
     By default they are the dimensions of most variables. Its columns are all variables over these;
-    of those over one more dimension, `coordinate`, each part is a column. Names have their units.
+    of those over one more dimension, `coordinate`, each part is a column. They are in the order of
+    their names, after the dimensions, and have their units.
     """
     import pandas as pd
 
@@ -32,7 +33,8 @@ def table_of(data: "xarray.Dataset", rows: str | None = None) -> "pandas.DataFra
         raise WrongUse("data has no variable with dimensions, and so no rows")
     dims = data[rows].dims if rows is not None else counted.most_common(1)[0][0]
     parts: dict[str, Any] = {}
-    for name in (*dims, *(name for name in data.variables if name not in dims)):
+    others = sorted(str(name) for name in data.variables if name not in dims)
+    for name in (*dims, *others):  # a folder of variables has no order
         one = data[name]
         if one.dims == dims or name in dims:
             parts[with_unit(str(name), one.attrs)] = one
