@@ -110,7 +110,8 @@ def scipy(system: dict[str, Any], run: dict[str, Any]) -> Answer:
                 admitted = all(value(one, y) > 0 for one in guard.get("admits", []))
                 return value(guard["rises"], y) if admitted else -1.0
 
-            counts.terminal, counts.direction = True, 1  # pyright: ignore
+            counts.terminal = True  # pyright: ignore[reportFunctionMemberAccess] (where SciPy reads it)
+            counts.direction = 1  # pyright: ignore[reportFunctionMemberAccess] (as above)
             return counts
 
         events: Any = [*map(event, guards)]

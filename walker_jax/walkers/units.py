@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from walker_jax.checks import WrongUse, is_number, short
 from walker_jax.storage.schema import attributes_of_kind, kind_of, variables_of_kind
+from walker_jax.systems.outcomes import names_in
 
 if TYPE_CHECKING:
     import xarray  # takes half a second to load
@@ -76,10 +77,12 @@ class Units(NamedTuple):
         """
         kind, units = kind_of(data), units_of(data)
         if not units:
-            raise WrongUse(f"data must be of a walker, for units, not of {names_in(data)}")
+            raise WrongUse(
+                f"data must be of a walker, for units, not of {names_in(data, 'section')}"
+            )
         data = data.copy()
         for name, unit in units.items():
-            data[name] = self.converted(data[name], unit, names_in(data))
+            data[name] = self.converted(data[name], unit, names_in(data, "section"))
         for name, meaning in attributes_of_kind(kind).items():
             unit = meaning.rpartition("; ")[2]
             if name in data.attrs and is_unit(unit):
@@ -87,7 +90,7 @@ class Units(NamedTuple):
         sizes = f"length {self.length:g} m, mass {self.mass:g} kg, gravity {self.gravity:g} m/s²"
         return data.assign_attrs(units=f"SI, from {sizes}")
 
-    def converted(self, array: Any, unit: str, section: list[str]) -> Any:
+    def converted(self, array: Any, unit: str, section: Iterable[str]) -> Any:
         """Return an array in SI, with its unit."""
         if unit == OF_STATES and array.dims[-1:] == ("coordinate",):
             each = units_of_section(section)
@@ -105,12 +108,6 @@ def with_units(data: "xarray.Dataset") -> "xarray.Dataset":
     return data.assign({name: data[name].assign_attrs(units=one) for name, one in units.items()})
 
 
-def names_in(data: "xarray.Dataset") -> list[str]:
-    """Return the coordinates of the section that a data set names."""
-    names = data.attrs.get("section", "")
-    return names.replace(",", " ").split() if isinstance(names, str) else [*map(str, names)]
-
-
 def units_of_section(section: Iterable[str]) -> list[str]:
     """Return the units of the coordinates of a walker's section: angles, and their rates."""
     return [RATE if name.endswith("dot") else ANGLE for name in section]
@@ -118,8 +115,8 @@ def units_of_section(section: Iterable[str]) -> list[str]:
 
 def units_of(data: "xarray.Dataset") -> dict[str, str]:
     """Return the unit of each variable that has one, also of axes; none for other systems."""
-    section = names_in(data)
-    if section[:1] != ["theta"]:
+    section = names_in(data, "section")
+    if section[:1] != ("theta",):
         return {}
     known = {name: one.unit for name, one in variables_of_kind(kind_of(data)).items()}
     known |= dict(zip(section, units_of_section(section), strict=True))
