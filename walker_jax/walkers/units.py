@@ -78,7 +78,7 @@ class Units(NamedTuple):
         kind, units = kind_of(data), units_of(data)
         if not units:
             raise WrongUse(
-                f"data must be of a walker, for units, not of {names_in(data, 'section')}"
+                f"data must be of a walker, for units, not of {[*names_in(data, 'section')]}"
             )
         data = data.copy()
         for name, unit in units.items():
