@@ -1,5 +1,6 @@
-"""Checks of a model: its starts, its section, and the state in which its strides end."""
+"""Checks of a model: its starts, its section, where its strides end, and its energy."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -7,12 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.systems.angles import unnamed_angles
-from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.hybrid_system import HybridSystem, has_ground
 from walker_jax.systems.system import System
 from walker_jax.walking.starts import on_section
 from walker_jax.walking.stride import modes_from
 from walker_jax.walking.undecided import not_finite
+
+ENERGY_DRIFT = 1e-6
+"""Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
 
 
 def format_point(values: Float[np.ndarray, " n"]) -> str:
@@ -67,3 +72,39 @@ def check_landing(system: HybridSystem, landed: Any) -> list[str]:
     if miss > 1e-6 * max(1.0, largest(found)):
         return [f"the last reset leads off the section: rates differ by {miss:.3g} there"]
     return []
+
+
+def check_energy(name: str, energy: tuple[float, float]) -> list[str]:
+    """Return a complaint about a mode in which the energy should stay constant, and does not."""
+    start, end = energy
+    if not abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
+        return []
+    return [
+        f"in mode {name!r} the energy changes by {end - start:.3g}, but gravity alone "
+        "drives the walker: vector_field and energy do not belong together"
+    ]
+
+
+def added_energy(
+    system: HybridSystem, modes: Mapping[str, Mode], way: tuple[str, str], before: float, state: Any
+) -> list[str]:
+    """Return a doubt about a reset that adds energy, where no motors are known (`motor_work`).
+
+    It leads the `way` from a mode to another one, or to the section, where the first mode begins;
+    there the energy of a walker counts from another foot.
+    """
+    name, onto = way
+    if type(system).motor_work is not System.motor_work:
+        return []
+    if onto == SECTION:
+        if system.driven_by_gravity() or has_ground(system):
+            return []
+        (onto, *_), state = modes, system.begin(state)
+    energy = modes[onto].energy
+    gain = float(energy(state)) - before if energy else np.nan
+    if not gain > ENERGY_DRIFT * max(1.0, abs(before)):
+        return []
+    return [
+        f"the reset from mode {name!r} to {way[1]!r} adds {gain:.3g} to an energy of {before:.6g}: "
+        "wrong, unless motors do that work (define motor_work) or energies count from two places"
+    ]
