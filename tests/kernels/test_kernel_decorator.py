@@ -157,7 +157,7 @@ def test_why_not_of_functions_that_cannot_be_traced():
         (lambda x: x / len(x), 1.0, "TypeError: ", "object"),
         (lambda x: x if x > 0 else -x, 1.0, "TracerBoolConversionError: ", ""),
     ):
-        said = why_not(function, given)
+        said = str(why_not(function, given))
         assert said.startswith(f"a kernel cannot trace the function, {error}")
         assert said.endswith(ends) and "\n" not in said
     np.testing.assert_allclose(jax.jacfwd(walk)(x), jax.jacrev(walk)(x), rtol=1e-9)
