@@ -34,7 +34,7 @@ from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
 from walker_jax.integrators.integrator import Memory, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.step_loop import make_steps, write_steps
+from walker_jax.integrators.step_loop import make_steps
 from walker_jax.integrators.taylor import function_series, is_list
 from walker_jax.integrators.transposed_steps import transpose_steps
 from walker_jax.kernels.reverse import Writer, reversing, zero_where_unused
@@ -175,15 +175,19 @@ def integrate_mode(
                 known = carried_of(now), decided_of(found, seen)
                 tapes = writer.put(tapes, now.count, *known)
             return found, tapes
-        step = partial(next_step, mode, method, violated=now.violated)
-        quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
+
+        def step(carry):
+            last, number, tapes = carry
+            made = next_step(mode, method, last, violated=now.violated)
+            if writer is not None:
+                row = (made.start, made.time), made.memory.control
+                number, tapes = number + 1, writer.put(tapes, number, *row)
+            return made, number, tapes
+
         # In a batch, lanes that have ended wait here for the others.
-        about = now.last, quiet, going, now.count, mode.most_steps
-        if writer is None:
-            last, count = make_steps(step, *about)
-        else:
-            row = lambda made: ((made.start, made.time), made.memory.control)
-            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), row)
+        quiet, going = lambda carry: carry[0].quiet, now.guard == NO_GUARD
+        first = now.last, writer and now.count, tapes
+        (last, _, tapes), count = make_steps(step, first, quiet, going, now.count, mode.most_steps)
         return search_step(mode, method, now._replace(last=last, count=count))[0], tapes
 
     return lax.while_loop(unfinished, follow, (begun, writer and writer.tapes))

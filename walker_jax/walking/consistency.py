@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.systems.angles import unnamed_angles
-from walker_jax.systems.hybrid_system import HybridSystem, has_ground
+from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import System
 from walker_jax.walking.starts import on_section
 from walker_jax.walking.stride import modes_from
@@ -88,23 +88,19 @@ def check_energy(name: str, energy: tuple[float, float]) -> list[str]:
 def added_energy(
     system: HybridSystem, modes: Mapping[str, Mode], way: tuple[str, str], before: float, state: Any
 ) -> list[str]:
-    """Return a doubt about a reset that adds energy, where no motors are known (`motor_work`).
+    """Return a doubt about a reset from one mode to another that adds energy.
 
-    It leads the `way` from a mode to another one, or to the section, where the first mode begins;
-    there the energy of a walker counts from another foot.
+    None about a system with motors (`motor_work`), nor about resets to the section, where the
+    energy of a walker counts from its other foot.
     """
     name, onto = way
-    if type(system).motor_work is not System.motor_work:
+    energy = None if onto == SECTION else modes[onto].energy
+    if energy is None or type(system).motor_work is not System.motor_work:
         return []
-    if onto == SECTION:
-        if system.driven_by_gravity() or has_ground(system):
-            return []
-        (onto, *_), state = modes, system.begin(state)
-    energy = modes[onto].energy
-    gain = float(energy(state)) - before if energy else np.nan
+    gain = float(energy(state)) - before
     if not gain > ENERGY_DRIFT * max(1.0, abs(before)):
         return []
     return [
-        f"the reset from mode {name!r} to {way[1]!r} adds {gain:.3g} to an energy of {before:.6g}: "
+        f"the reset from mode {name!r} to {onto!r} adds {gain:.3g} to an energy of {before:.6g}: "
         "wrong, unless motors do that work (define motor_work) or energies count from two places"
     ]
