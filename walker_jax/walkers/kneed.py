@@ -6,11 +6,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax import multibody
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, is_traced
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.systems.system import fields_of
@@ -89,7 +88,7 @@ class KneedWalker(HeavyLegWalker):
     def __check_init__(self):
         values = (self.foot_radius, self.thigh_length, self.shank_length)
         values += (self.shank_inertia, self.shank_com)
-        if any(isinstance(value, Tracer) for value in values):
+        if is_traced(values):
             return
         radius, thigh, shank, inertia, down = map(float, values)
         if radius >= thigh + shank:
@@ -172,7 +171,7 @@ class KneedWalker(HeavyLegWalker):
         return masses_struck((*self.phases(), self)[0], state, impulse, arm)
 
     def in_swing(self):
-        return lock_knees(self)
+        return LockedWalker(**fields_of(self))
 
     def bent_leg(self, state):
         hip, _, *leg_below = self.places(stance_coordinates(list(state[:3])))
@@ -202,11 +201,6 @@ class LockedWalker(KneedWalker):
     @shown_by(*DRIVE)
     def driven_by_gravity(self):
         return True
-
-
-def lock_knees(walker: KneedWalker) -> LockedWalker:
-    """Return the same walker after knee strike."""
-    return LockedWalker(**fields_of(walker))
 
 
 def begin_bent(state: State) -> BentState:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.walkers import parameter_table as table
-from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker, pendulum_modes
+from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import DRIVE, WORK, Scalar, State, shown_by
 
 
@@ -47,9 +47,6 @@ class PoweredWalker(AbstractMasslessFootWalker):
     hip_damping: Scalar = table.HIP_DAMPING.field()
     hip_angle: Scalar = table.HIP_ANGLE.field()
     push_off: Scalar = table.PUSH_OFF.field()
-
-    def modes(self):
-        return pendulum_modes(self, PoweredWalker, super().modes())
 
     @shown_by(*DRIVE)
     def driven_by_gravity(self):

@@ -9,7 +9,6 @@ from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_point_foot import (
     AbstractMasslessFootWalker,
     gait_strip,
-    pendulum_modes,
     rises_past_contact,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, moves_like, shown_by
@@ -26,9 +25,6 @@ class SimplestWalker(AbstractMasslessFootWalker):
     """
 
     slope: Scalar = eqx.field(converter=table.SLOPE.convert)
-
-    def modes(self):
-        return pendulum_modes(self, SimplestWalker, super().modes())
 
     @shown_by(*DRIVE)
     def driven_by_gravity(self):

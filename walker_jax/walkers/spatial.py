@@ -251,7 +251,7 @@ class SpatialWalker(Walker):
         """(17): the new foot's disc sticks to the slope, and the old one is free."""
         rates = rates_after_impact(self, state)
         forward, up, *angles = rates
-        after = state._replace(**dict(zip(RATES, angles, strict=True)))
+        after = state._replace(**dict(zip(SpatialState._fields[6:], angles, strict=True)))
         return (forward, up), after
 
     def contact(self, state: Any):
@@ -305,9 +305,6 @@ class SpatialWalker(Walker):
         zero = jnp.zeros_like(yaw)
         angles = -yaw, -lean, theta - phi, -phi
         return SpatialState(zero, zero, *angles, -yawdot, -leandot, thetadot - phidot, -phidot)
-
-
-RATES = SpatialState._fields[6:]
 
 
 def on_ground(q: Float[Array, " 6"]) -> Float[Array, " 7"]:

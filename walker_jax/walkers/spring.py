@@ -7,7 +7,6 @@ from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_point_foot import (
     AbstractMasslessFootWalker,
     gait_strip,
-    pendulum_modes,
     rises_past_contact,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, shown_by
@@ -34,9 +33,6 @@ class SpringWalker(AbstractMasslessFootWalker):
 
     slope: Scalar = eqx.field(converter=table.SLOPE.convert)
     hip_stiffness: Scalar = table.HIP_STIFFNESS.field()
-
-    def modes(self):
-        return pendulum_modes(self, SpringWalker, super().modes())
 
     @shown_by(*DRIVE)
     def driven_by_gravity(self):
