@@ -1,8 +1,8 @@
-"""The nearest failure to a state: rays outwards, then descents along the boundary of failures.
+"""Descents along the boundary of failures, in more dimensions than can be searched ray by ray.
 
-In up to three dimensions all directions are tried; in more, random ones find some failures. The
-nearest point of a flat boundary lies along its normal, so each step of a descent turns a ray
-towards that. Descents end at local minima of the distance, and the least of these is the answer.
+Rays in random directions find some failures. From the nearest of these, descents follow the
+boundary: the nearest point of a flat boundary lies along its normal, to which each step turns a
+ray. Each descent ends at a local minimum of the distance, and the least minimum is the answer.
 """
 
 import math
@@ -18,18 +18,13 @@ from walker_jax.stability.rays import (
     bisect_nearest,
     first_failures,
     first_on_ray,
-    nearest_rays,
     scan,
     spread_directions,
     turned_rays,
 )
 
-LARGEST_SPAN = 3
-"""Most dimensions in which all directions are tried, spread evenly."""
-FINALISTS = 32
-"""Number of descents from the nearest of these directions."""
 SHARE = 1 / 16
-"""Number of random directions in more dimensions, as a share of the number in a plane."""
+"""Number of random directions, as a share of the number in a plane."""
 RADII = 32
 """Distances along each random ray."""
 DESCENTS = 12
@@ -42,36 +37,27 @@ NEARER = 16
 """Distances that a step tries on each ray, up to the present one: there may be nearer failures."""
 SETTLED = 1e-10
 """Relative change of the length in a step below which a descent ends."""
-ROUGH = 1, 1.01
-"""Multiples of a distance, tried in turn, up to which the failure lies that a rough test found."""
 
 
-def nearest_failure(
+def descend_to_failure(
     fails: Fails,
     basis: Float[np.ndarray, "rank size"],
     gradient: Gradient,
     count: int = DENSE,
     roughly_fails: Fails | None = None,
 ) -> Float[np.ndarray, " size"]:
-    """Find the shortest failing vector in the span of an orthonormal basis.
+    """Find a short failing vector in the span of an orthonormal basis, by descents.
 
-    The origin must not fail. `gradient`, at failing points just beyond the boundary, is normal to
-    it, or NaN. Rays are chosen by a scan of `count` directions in a plane; the scan uses
-    `roughly_fails`, if given, which may be faster than `fails`. Raises `ComputationFailed` where
-    nothing fails.
+    Arguments and errors are those of `rays.nearest_failure`.
     """
-    roughly, rank = roughly_fails or fails, len(basis)
-    if rank <= LARGEST_SPAN:
-        rays, lengths = (one[:FINALISTS] for one in nearest_rays(roughly, basis, count))
-    else:
-        random = spread_directions(rank, math.ceil(SHARE * count))
-        rays = np.concatenate([np.eye(rank), -np.eye(rank), random])
-        first = scan(roughly, rays @ basis, RADII)
-        nearest = first.argsort()[: min(DESCENTS, np.isfinite(first).sum())]
-        rays, lengths = rays[nearest], first[nearest]
-    tried = (shorten(fails, rays[:, None] @ basis, beyond * lengths)[:, 0] for beyond in ROUGH)
-    exact, farther = tried
-    lengths = np.where(np.isfinite(exact), exact, farther)
+    rank = len(basis)
+    random = spread_directions(rank, math.ceil(SHARE * count))
+    rays = np.concatenate([np.eye(rank), -np.eye(rank), random])
+    first = scan(roughly_fails or fails, rays @ basis, RADII)
+    nearest = first.argsort()[: min(DESCENTS, np.isfinite(first).sum())]
+    rays = rays[nearest]
+    beyond = 1.01 * first[nearest]  # `roughly_fails` may err
+    lengths = shorten(fails, rays[:, None] @ basis, beyond)[:, 0]
     rays, lengths = descend(fails, basis, gradient, rays, lengths, SETTLED)
     return first_on_ray(fails, rays[0] @ basis, lengths[0])
 
