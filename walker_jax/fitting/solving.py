@@ -121,20 +121,10 @@ def polish_starts(
 
     def turn(carry):
         known, _, turns = carry
-        known, changes = jax.vmap(turn_one)(known, data.begins, steps)
+        known, changes = jax.vmap(turn_one)(known, data.steps.begins, steps)
         return known, changes.any(), turns + 1
 
-    steps = data.systems, data.times, data.values, data.known, data.weights
+    steps = data.systems, *data.steps[:3], data.weights  # times, values, known
     nowhere = starts, jnp.full(len(starts), jnp.inf), jnp.zeros_like(starts)
     going = lambda carry: carry[1] & (carry[2] < POLISHING_TURNS)
     return lax.while_loop(going, turn, (nowhere, jnp.array(True), jnp.array(0)))[0][0]
-
-
-@partial(jax.jit, static_argnums=0)
-def solve_weighted(
-    layout: Layout, begun: Unknowns, data: Data, weights: Float[Array, "draws steps"]
-) -> tuple[Float[Array, "draws parameters"], Bool[Array, " draws"]]:
-    """Solve again with other weights of steps, all draws in one call; return the parameters."""
-    again = lambda one: solve(layout, begun, data._replace(weights=one))
-    found = jax.vmap(again)(weights)
-    return found.motion.values, found.converged
