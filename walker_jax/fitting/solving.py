@@ -26,7 +26,7 @@ TOLERANCE = 1e-3
 which is not made, would be a hundredth or so; rounding errors leave some 1e-5."""
 FIRST_TOLERANCE = 3.0
 """The same for steps that are fitted apart, whose result is a first guess."""
-FIRST_DAMPING = 1e-6
+FIRST_DAMPING = 1e-8
 """Damping that a search begins with, over the squared length of each column of the Jacobian: next
 to none, as each step is fitted already."""
 ROUNDING = 1e-11
