@@ -74,17 +74,6 @@ def check_landing(system: HybridSystem, landed: Any) -> list[str]:
     return []
 
 
-def check_energy(name: str, energy: tuple[float, float]) -> list[str]:
-    """Return a complaint about a mode in which the energy should stay constant, and does not."""
-    start, end = energy
-    if not abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
-        return []
-    return [
-        f"in mode {name!r} the energy changes by {end - start:.3g}, but gravity alone "
-        "drives the walker: vector_field and energy do not belong together"
-    ]
-
-
 def added_energy(
     system: HybridSystem, modes: Mapping[str, Mode], way: tuple[str, str], before: float, state: Any
 ) -> list[str]:
