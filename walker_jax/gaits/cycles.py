@@ -181,9 +181,8 @@ def iterate_newton(
         best.residual[improved] = residual[better]
         best.step_times[improved] = local.time[better]
         jacobians[improved] = local.jacobian[better]
-        ended = (residual <= rounding) | (
-            ~better & (best.residual[active] < MAX_RESIDUAL[cycles.dtype])
-        )
+        close = best.residual[active] < MAX_RESIDUAL[cycles.dtype]
+        ended = (residual <= rounding) | (~better & close)
         going = np.isfinite(residual) & ~ended
         active, mismatch, jacobian = active[going], mismatch[going], local.jacobian[going]
         if len(active) == 0:
