@@ -246,7 +246,9 @@ def in_columns(handles: Sequence[Artist], inches: float) -> dict[str, Any]:
     fitting = [columns for columns in range(least, most + 1) if wide(columns) <= inches]
     room = math.inf if fitting else inches / least - sign
     broken = [in_lines(one, room, size) for one in labels]
-    return {"handles": handles, "labels": broken, "ncols": max(fitting, default=least)}
+    rows = lambda columns: -(-len(handles) // columns)
+    columns = min(fitting, key=lambda columns: (rows(columns), columns), default=least)
+    return {"handles": handles, "labels": broken, "ncols": columns}
 
 
 def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:
