@@ -25,7 +25,8 @@ from walker_jax.figures.layout import (
 from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
 from walker_jax.stability import nearest_starts
-from walker_jax.stability.nearest_starts import NearestStart, has_plane_disturbance
+from walker_jax.stability.disturbances import LeastDisturbance
+from walker_jax.stability.nearest_starts import has_plane_disturbance
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, failures_of
 
@@ -51,7 +52,9 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
         raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
     ax = axes_for(ax, style, 5.4, 5.4)
     axes, starts = axes_of(data), nearest_starts.nearest_starts(data)
-    around = [nearest_starts.circle(one.gait_state, one.distance) for one in starts]
+    gait = data["gait_state"].values
+    centres = [gait, *(one.state - one.size * one.direction for one in starts[1:])]
+    around = map(nearest_starts.circle, centres, [one.size for one in starts])
     curves = [regions.place_states(data, one, axes) for one in around]
     low, high = np.min(curves, axis=(0, 1)), np.max(curves, axis=(0, 1))
     middle, reach = (low + high) / 2, WINDOW * (high - low)
@@ -63,7 +66,6 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
     found, _ = regions.draw_regions(ax, near, large_basins(data, len(BASINS)))
     for curve, line in zip(curves, ("-", "--"), strict=False):
         ax.plot(*curve.T, line, color="white", lw=1.6)
-    gait = data["gait_state"].values
     name = regions.attractor_name(data, int(data["gait_period"]), gait[None])
     mark(ax, data, gait, name, "o", 7.5)
     for one, sign in zip(starts, "XP", strict=False):
@@ -81,22 +83,22 @@ def mark(ax: Axes, data: xr.Dataset, state: Any, words: str, sign: str, size: fl
     ax.plot(*place, sign, **look)
 
 
-def distance_phrase(starts: list[NearestStart]) -> str:
+def distance_phrase(starts: list[LeastDisturbance]) -> str:
     """Return the distances of the nearest starts from the gait, in words."""
     nearest, *fall = starts
     if fall:
-        farther = f"{fall[0].distance:.4g} to a failure"
-        return f"from the gait {nearest.distance:.4g} to another attractor, {farther}"
-    elsewhere = nearest.outcome == Outcome.STRIDE
+        farther = f"{fall[0].size:.4g} to a failure"
+        return f"from the gait {nearest.size:.4g} to another attractor, {farther}"
+    elsewhere = nearest.failure == Outcome.STRIDE
     end = "start that does not return" if elsewhere else "failure"
-    return f"{nearest.distance:.4g}, from the gait to the nearest {end}"
+    return f"{nearest.size:.4g}, from the gait to the nearest {end}"
 
 
-def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
+def start_phrase(start: LeastDisturbance, data: xr.Dataset) -> str:
     """Return the legend of the nearest start that does not return."""
-    if start.outcome == Outcome.STRIDE:
+    if start.failure == Outcome.STRIDE:
         return "nearest start that converges to another attractor"
-    fails = failure_words(start.outcome, failures_of(data))
+    fails = failure_words(start.failure, failures_of(data))
     strides = count_noun(start.strides, "stride")
     return f"nearest start that {fails} after {strides}"
 
