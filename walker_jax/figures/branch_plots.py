@@ -83,8 +83,8 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
         if found.any()
     ]
     note = ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n)
-    handles = [*kinds, *period_lines(drawn)]
-    return over_parameter(ax, style, data, "gaits", note, y=first_name(data), legend=handles)
+    y, handles = names_in(data, "section")[0], [*kinds, *period_lines(drawn)]
+    return over_parameter(ax, style, data, "gaits", note, y=y, legend=handles)
 
 
 def over_parameter(
@@ -155,7 +155,7 @@ def bifurcation_diagram(
         low, high = data["lost"].values.tolist()
         digits = max(5, 1 - math.floor(math.log10(high - low)))  # enough to tell the two apart
         note = f"walking is lost between {low:.{digits}f} and {high:.{digits}f}"
-    return over_parameter(ax, style, data, "attractors", note, y=first_name(data))
+    return over_parameter(ax, style, data, "attractors", note, y=names_in(data, "section")[0])
 
 
 def lyapunov_exponents(
@@ -367,11 +367,6 @@ def set_range(ax: Axes, data: xr.Dataset) -> None:
     values = np.concatenate([data["value"].values, samples])
     if len(values) and np.ptp(values) > 0:
         ax.set_xlim(values.min(), values.max())
-
-
-def first_name(data: xr.Dataset) -> str:
-    """Return the name of the first coordinate of the section."""
-    return names_in(data, "section")[0]
 
 
 def period_lines(drawn: list[Curve]) -> list[Line2D]:
