@@ -456,7 +456,7 @@ def stays(figure, right):
     assert figure.bbox.x0 <= box.x0 and box.x1 <= right and box.y1 <= figure.bbox.y1
 
 
-def test_lines_of_text_end_between_phrases_and_never_in_a_formula():
+def test_lines_of_text_end_between_phrases_not_in_a_formula():
     text = f"one{NO_BREAK}phrase, $a + b$ and  two"
     whole = width_of(text, "medium")
     assert in_lines(text, 1.01 * whole, "medium") == "one phrase, $a + b$ and  two"
