@@ -109,8 +109,8 @@ def test_every_state_of_what_walks_on_is_a_dot():
 def test_few_dots_are_large_enough_to_be_seen():
     size = lambda data: figures.bifurcation_diagram(data).lines[0].get_markersize()
     few = diagram()
-    many = few.isel(recent=np.arange(4000) % few.sizes["recent"])
-    assert size(few) == 3 and size(many) == 1
+    times = lambda count: few.isel(sample=np.arange(count) % few.sizes["sample"])
+    assert size(few) == 3 and size(times(60)) == 2 and size(times(200)) == 1
 
 
 def test_lines_meet_at_a_neimark_sacker_point():

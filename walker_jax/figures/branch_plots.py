@@ -34,8 +34,9 @@ SIGNS: tuple[dict[str, Any], ...] = (
 filled where they are known to be supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
-DOTS = 60
-"""Size of the dots of attractors (points) times the square root of their number, in its limits."""
+DOTS = 120
+"""Size of the dots of attractors (points) times the number of values of the parameter, in its
+limits: a third of the distance between neighbours."""
 HIGHEST = 2
 """Largest modulus of a multiplier that is drawn against a parameter."""
 FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
@@ -143,7 +144,7 @@ def bifurcation_diagram(
     check_dataset(data, "bifurcation diagram")
     ax = axes_for(ax, style, 7, 5)
     value, state = curves.attractor_states(data)
-    size = np.clip(DOTS / math.sqrt(max(len(value), 1)), 1, 3)  # few dots are larger
+    size = np.clip(DOTS / max(data.sizes["sample"], 1), 1, 3)
     ax.plot(value, state, "o", color=BASINS[0], ms=size, mew=0, rasterized=True, zorder=4)
     ax.plot([], [], "o", color=BASINS[0], ms=3, label="attractor")
     for curve in curves.cascade_curves(data)[:1]:
