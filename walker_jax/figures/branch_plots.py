@@ -34,9 +34,9 @@ SIGNS: tuple[dict[str, Any], ...] = (
 filled where they are known to be supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
-DOTS = 120
-"""Size of the dots of attractors (points) times the number of values of the parameter, in its
-limits: a third of the distance between neighbours."""
+DOTS = 90
+"""Size of the dots of attractors (points), in its limits, over the largest distance between values
+of the parameter as a share of their range: a quarter of that distance on the picture."""
 HIGHEST = 2
 """Largest modulus of a multiplier that is drawn against a parameter."""
 FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
@@ -144,7 +144,8 @@ def bifurcation_diagram(
     check_dataset(data, "bifurcation diagram")
     ax = axes_for(ax, style, 7, 5)
     value, state = curves.attractor_states(data)
-    size = np.clip(DOTS / max(data.sizes["sample"], 1), 1, 3)
+    gaps = np.diff(np.unique(data["sample_value"].values))
+    size = np.clip(DOTS * gaps.max() / gaps.sum(), 1, 3) if len(gaps) else 3
     ax.plot(value, state, "o", color=BASINS[0], ms=size, mew=0, rasterized=True, zorder=4)
     ax.plot([], [], "o", color=BASINS[0], ms=3, label="attractor")
     for curve in curves.cascade_curves(data)[:1]:
