@@ -46,7 +46,7 @@ class Fit:
     """Recorded and fitted samples, residuals, starts, and durations of steps."""
     bounds: Bounds = field(repr=False)
     problem: Problem | None = field(default=None, repr=False)
-    """Residuals, and the first guesses of the search."""
+    """Constants of the residuals, and first guesses; None of a fit that `fit` did not make."""
 
     @property
     def unknown(self) -> tuple[str, ...]:
