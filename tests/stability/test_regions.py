@@ -106,7 +106,7 @@ def test_a_start_on_the_boundary_itself_is_in_no_region():
 
 
 @pytest.mark.slow
-def test_the_boundary_of_two_fixed_points_is_a_straight_manifold(monkeypatch):
+def test_the_boundary_of_two_points_is_a_straight_manifold(monkeypatch):
     begin = partial(wj.stable_manifold, points=20)
     monkeypatch.setattr("walker_jax.stability.boundaries.stable_manifold", begin)
     even = wj.boundary(CUBIC, wj.Grid.plain(x=(-1.4, 1.4, 24), y=(-1, 1, 8)))
