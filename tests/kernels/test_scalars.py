@@ -463,7 +463,7 @@ def test_long_arrays_stay_whole():
 
         given = jnp.array([0.3, 0.2, 0.1]), jnp.asarray(rng.normal(size=width))
         for way in (lambda f: f, lambda f: jax.jacfwd(f, (0, 1))):
-            both = (jax.tree.leaves(way(f)(*given)) for f in (unroll(function), function))
+            both = (jax.tree.leaves(jax.jit(way(f))(*given)) for f in (unroll(function), function))
             for found, expected in zip(*both, strict=True):
                 np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
         return len(jax.make_jaxpr(unroll(function))(*given).eqns)

@@ -195,10 +195,9 @@ def test_derivatives(where):
 
     if where == "constants":
         made, plain = kernel(lambda x: network(weights, x)), lambda x: network(weights, x)
-        both = [jax.vmap(jax.jacfwd(f))(POINTS) for f in (made, plain)]
-        both += [jax.vmap(jax.hessian(f))(POINTS) for f in (made, plain)]
-        both += [jax.vmap(jax.grad(f))(POINTS) for f in (made, plain)]
-        for one, other in zip(both[::2], both[1::2], strict=True):
+        derivatives = lambda f: [jax.jacfwd(f), jax.hessian(f), jax.grad(f)]
+        both = [jax.jit(jax.vmap(one))(POINTS) for f in (made, plain) for one in derivatives(f)]
+        for one, other in zip(both[:3], both[3:], strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
         ahead = (made(POINTS[0] + [1e-6, 0, 0]) - made(POINTS[0] - [1e-6, 0, 0])) / 2e-6
         np.testing.assert_allclose(both[0][0, 0], ahead, rtol=1e-8)
