@@ -18,7 +18,7 @@ CUBIC = wj.Map(
 """Odd, so what is on one side of x = 0 is on the other too. The side is kept for ever as long as
 the largest value, at x = sqrt(a / 3), is below sqrt(a): for a < 2.598. At 2.5 both are chaotic, at
 1.5 there are the fixed points sqrt(a - 1) = +-0.7071, and 0 has the multiplier a."""
-GRID = wj.Grid.plain(x=(-1.6, 1.6, 40), y=(-1, 1, 3))
+GRID = wj.Grid.plain(x=(-1.6, 1.6, 16), y=(-1, 1, 2))
 
 
 def kept_side(x, a, strides=3000):
@@ -44,23 +44,21 @@ def test_two_chaotic_attractors_in_disjoint_cells_are_two(method):
     np.testing.assert_allclose(data.area, 3.2, rtol=1e-14)  # half of the grid each, by symmetry
 
 
-@pytest.mark.slow
 def test_they_are_two_in_pieces_refined_and_after_a_jump(tmp_path):
     stored = wj.basin(CUBIC, GRID, "direct", out=tmp_path / "two.zarr")
     np.testing.assert_array_equal(stored.attractor, wj.basin(CUBIC, GRID, "direct").attractor)
     refined = wj.refine(CUBIC, GRID, 1, check=200)
     assert refined.period.values.tolist() == [0, 0]
     np.testing.assert_allclose(refined.area, 3.2, rtol=0.05)
-    jump = wj.tipping_probability(CUBIC, "a", 2.4, GRID, samples=200)
+    jump = wj.tipping_probability(CUBIC, "a", 2.4, GRID, samples=50)
     assert jump.before == jump.after == ("attractor 0", "attractor 1")
     np.testing.assert_array_equal(np.diag(jump.on_attractor), 1)  # both sides are kept
 
 
-@pytest.mark.slow
 def test_they_keep_their_numbers_over_a_parameter():
     """From two fixed points through two chaotic attractors to one, beyond the merging at 2.598."""
     values = [1.5, 2.4, 2.5, 2.65]
-    data = wj.continue_basins(CUBIC, "a", values, GRID, samples=400)
+    data = wj.continue_basins(CUBIC, "a", values, GRID, samples=60)
     found = np.isfinite(data.fraction.values)
     assert found.sum(axis=1).tolist() == [2, 2, 2, 1]
     assert data.period.values.tolist() == [1, 1, 0, 0]
@@ -100,9 +98,9 @@ def test_motions_of_a_conservative_system_are_one():
         p = jnp.mod(x[1] + 0.5 * jnp.sin(x[0]), 2 * jnp.pi)
         return jnp.stack([jnp.mod(x[0] + p, 2 * jnp.pi), p])
 
-    grid = wj.Grid.plain(q=(0, 2 * np.pi, 7), p=(0, 2 * np.pi, 7))
+    grid = wj.Grid.plain(q=(0, 2 * np.pi, 5), p=(0, 2 * np.pi, 5))
     data = wj.basin(wj.Map(rule, ("q", "p")), grid, "direct")
-    assert (data.period.values == 0).sum() == 1 and data.cells.values[-1] > 40
+    assert (data.period.values == 0).sum() == 1 and data.cells.values[-1] > 20
 
 
 def orbit(x, n=2001):

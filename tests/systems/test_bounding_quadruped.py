@@ -21,6 +21,8 @@ STARTS = {
     (1.163, -0.106, 0.09): "flight, on front, on both, on front after rear, last flight",
 }
 """Starts, and the modes of their strides: all orders that there are."""
+BOUND = np.array([1.0434854760262262, 0.6946417222600052, 0.0])
+"""The apex of the gait, which `find_gait` finds from (1.04, 0.7, 0)."""
 RUNS_AT = {"stiffness": 25.4841997961264, "angle": 1.1868238913561442, "energy": 2.27420998980632}
 
 
@@ -95,9 +97,19 @@ def test_modes_follow_the_order_of_footfalls():
         assert np.nanmax(times) == wj.stride(BOUNDER, start).time
 
 
+def test_the_bound_returns_and_is_stable():
+    """Its multipliers are those of differences of strides."""
+    stride = lambda many: wj.strides(BOUNDER, many).state
+    np.testing.assert_allclose(stride(BOUND[None])[0], BOUND, atol=1e-11)
+    np.testing.assert_allclose(stride_by_scipy(BOUND)[0], BOUND, atol=1e-10)
+    multipliers = np.linalg.eigvals(differences(stride, BOUND, np.full(3, 1e-3)))
+    assert np.abs(multipliers).max() < 0.9
+
+
 @pytest.mark.slow
 def test_bounding_is_stable_and_symmetric_in_time(gait):
     """Backward in time the rear becomes the front: both stand as long, and the body is level."""
+    np.testing.assert_allclose(gait.states[0], BOUND, atol=1e-11)
     assert gait.stable and abs(gait.states[0, 2]) < 1e-12
     assert_gait(gait, lambda x: stride_by_scipy(x)[0], 1e-3, 1e-7)
     times = np.sort(wj.phase_times(BOUNDER, gait.states[0]))[:5]
@@ -122,9 +134,25 @@ def test_a_bound_is_the_same_from_the_apex_of_either_flight(gait):
     np.testing.assert_allclose(other.step_times, gait.step_times, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
     """All feet land at once and leave at once, and the pitch stays zero."""
+    k, angle, energy = RUNS_AT.values()
+    pronker = wj.systems.BoundingQuadruped(
+        stiffness=k / 2, rear_angle=angle, front_angle=angle, energy=energy
+    )
+    stride = lambda many: np.column_stack([(made := wj.strides(pronker, many)).state, made.time])
+    for run in wj.find_gaits(wj.systems.SpringMassRunner(**RUNS_AT)):
+        apex, *_ = run.states[0]
+        x = np.array([float(apex), 0.0, 0.0])
+        np.testing.assert_allclose(stride(x[None])[0], [*x, run.step_times[0]], atol=1e-12)
+        jacobian = differences(stride, x, np.full(3, 1e-4))
+        assert jacobian[0, 0] == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-7)
+        # A pitch that turns the other way exchanges the pairs, which differ in nothing then.
+        np.testing.assert_allclose(jacobian[[0, 3], 1:], 0, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_derivatives_of_pronking_are_those_of_differences():
     k, angle, energy = RUNS_AT.values()
     pronker = wj.systems.BoundingQuadruped(
         stiffness=k / 2, rear_angle=angle, front_angle=angle, energy=energy
@@ -132,14 +160,9 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
     stride = lambda x: jnp.append((made := wj.stride(pronker, x)).state, made.time)
     jacobian, stride = jax.jit(jax.jacfwd(stride)), jax.jit(stride)
     for run in wj.find_gaits(wj.systems.SpringMassRunner(**RUNS_AT)):
-        apex, *_ = run.states[0]
-        made = wj.stride(pronker, (apex, 0.0, 0.0))
-        np.testing.assert_allclose(made.state, np.array([float(apex), 0, 0]), atol=1e-12)
-        np.testing.assert_allclose(made.time, run.step_times[0], atol=1e-12)
-        x = np.array([apex, 0.0, 0.0])
+        x = np.array([float(run.states[0, 0]), 0.0, 0.0])
         found = np.asarray(jacobian(x))
         assert found[0, 0] == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-10)
-        # A pitch that turns the other way exchanges the pairs, which differ in nothing then.
         np.testing.assert_allclose(found[[0, 3], 1:], 0, atol=1e-10)
         expected = differences(lambda many: np.stack([*map(stride, many)]), x, np.full(3, 1e-4))
         np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)

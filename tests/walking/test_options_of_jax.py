@@ -102,13 +102,20 @@ def test_no_tracer_is_left_behind_by_derivatives(name):
     assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-6)
 
 
-def test_jet_of_a_stride_is_the_series_along_a_curve():
+@pytest.mark.parametrize(
+    ("system", "start"),
+    [
+        (wj.systems.BouncingBall(0.4, 0.8), jnp.array([0.7, 2.3])),
+        pytest.param(WALKER, START, marks=pytest.mark.slow),
+    ],
+)
+def test_jet_of_a_stride_is_the_series_along_a_curve(system, start):
     """Its terms are derivatives along the curve, by JAX's convention; an outcome has none."""
     along, bend = jnp.array([0.3, 0.1]), jnp.array([-0.2, 0.4])
-    stride = lambda x: wj.stride(WALKER, x)
+    stride = lambda x: wj.stride(system, x)
     with jax.numpy_dtype_promotion("standard"):  # JAX multiplies the outcome's zeros by a number
-        found, terms = jet(stride, (START,), ((along, bend),))
-    curve = lambda t: stride(START + t * along + t**2 / 2 * bend).state
+        found, terms = jet(stride, (start,), ((along, bend),))
+    curve = lambda t: stride(start + t * along + t**2 / 2 * bend).state
     assert found.outcome == wj.Outcome.STRIDE and not np.any(terms.outcome)
     np.testing.assert_array_equal(found.state, curve(0.0))
     np.testing.assert_allclose(terms.state[0], jax.jacfwd(curve)(0.0), rtol=1e-12)

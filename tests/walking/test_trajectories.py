@@ -304,7 +304,7 @@ def test_no_outcome_depends_on_when_a_fall_is_given_up():
 
 
 def test_a_trajectory_over_many_strides_is_that_of_each_stride():
-    """With derivatives by the start and the slope, and on after the last stride."""
+    """And on after the last stride."""
     walker, x = SimplestWalker(0.004), jnp.array([0.2, -0.2])
     made = wj.walk(walker, x, 3)
     ends = np.cumsum(made.times)
@@ -316,19 +316,30 @@ def test_a_trajectory_over_many_strides_is_that_of_each_stride():
         expected = wj.trajectory(walker, made.states[k], times[i : i + 1] - begin)
         for one, other in zip(found, expected, strict=True):
             assert one[i] == pytest.approx(float(other[0]), abs=1e-15)
-    angle = lambda slope, x: wj.trajectory(SimplestWalker(slope), x, times[[1, 3]], strides=3).phi
-    by_slope, by_start = jax.jacfwd(angle, (0, 1))(0.004, x)
-    back = jax.jacrev(angle, (0, 1))(0.004, x)
-    np.testing.assert_allclose(back[0], by_slope, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "start", "times", "name"),
+    [
+        (wj.systems.BouncingBall, (0.4, 0.8), [0.7, 2.3], [5.5, 9.5], "height"),
+        pytest.param(
+            SimplestWalker, (0.004,), [0.2, -0.2], [4.6, 8.9], "phi", marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_a_trajectory_over_many_strides_has_derivatives(kind, values, start, times, name):
+    """By the first parameter and the start, in both modes, against differences."""
+    x, step, (first, *rest) = jnp.array(start), 1e-6, values
+    path = lambda p, x: getattr(wj.trajectory(kind(p, *rest), x, times, strides=3), name)
+    by_parameter, by_start = jax.jacfwd(path, (0, 1))(first, x)
+    back = jax.jacrev(path, (0, 1))(first, x)
+    np.testing.assert_allclose(back[0], by_parameter, rtol=1e-10)
     np.testing.assert_allclose(back[1], by_start, rtol=1e-10)
-    step = 1e-6
-    by = (angle(0.004 + step, x) - angle(0.004 - step, x)) / (2 * step)
-    np.testing.assert_allclose(by_slope, by, rtol=1e-7)
-    by = (
-        angle(0.004, x + step * jnp.array([1.0, 0.0]))
-        - angle(0.004, x - step * jnp.array([1.0, 0.0]))
-    ) / 2
-    np.testing.assert_allclose(by_start[:, 0], by / step, rtol=1e-7)
+    by = (path(first + step, x) - path(first - step, x)) / (2 * step)
+    np.testing.assert_allclose(by_parameter, by, rtol=1e-7)
+    aside = step * jnp.array([1.0, 0.0])
+    by = (path(first, x + aside) - path(first, x - aside)) / (2 * step)
+    np.testing.assert_allclose(by_start[:, 0], by, rtol=1e-7)
 
 
 def test_a_trajectory_ends_with_the_stride_that_fails():

@@ -34,7 +34,6 @@ from walker_jax.hybrid.modes_in_reverse import (
 from walker_jax.integrators.integrator import Memory, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.step_loop import make_steps
 from walker_jax.integrators.taylor import function_series, is_list
 from walker_jax.kernels.reverse import Writer, reversing, zero_where_unused
 
@@ -163,6 +162,7 @@ def integrate_mode(
     writer: Writer | None = None,
 ) -> tuple[Unfinished, list | None]:
     """Make steps from some instant of a mode to its first event, and find it."""
+    from walker_jax.integrators.step_loop import make_steps  # which loads diffrax
 
     def unfinished(carry):
         now, _ = carry

@@ -7,14 +7,12 @@ is in `hybrid.following`.
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jax import lax
 from jax.core import Tracer
 from jaxtyping import PyTree
@@ -53,8 +51,13 @@ from walker_jax.integrators.taylor_steps import (
     usable_series,
 )
 
-AnySolver = diffrax.AbstractSolver | Taylor
-Solver = diffrax.AbstractAdaptiveSolver | Taylor
+if TYPE_CHECKING:
+    import diffrax
+
+    AnySolver = diffrax.AbstractSolver | Taylor
+    Solver = diffrax.AbstractAdaptiveSolver | Taylor
+else:  # what other processes have traced needs no diffrax, which takes a quarter second to load
+    AnySolver = Solver = Any
 
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
@@ -136,6 +139,8 @@ def integrator_of(
     tolerance = tolerance if isinstance(tolerance, Tracer) else float(tolerance)
     if solver is None:
         return Integrator(tolerance)
+    import diffrax
+
     runge_kutta = isinstance(solver, (diffrax.AbstractERK, diffrax.AbstractESDIRK))
     estimates_errors = isinstance(solver, diffrax.AbstractAdaptiveSolver)
     if not isinstance(solver, Taylor) and not (runge_kutta and estimates_errors):
@@ -189,6 +194,8 @@ class Method(eqx.Module):
 
     @property
     def terms(self):
+        import diffrax
+
         field = with_fast_sincos(self.field)
         return diffrax.ODETerm(lambda t, y, args: field(y))
 
@@ -204,6 +211,8 @@ class Method(eqx.Module):
         finder: Any = getattr(solver, "root_finder", None)
         if finder is None or isinstance(finder.rtol, float):
             return solver
+        import optimistix
+
         # Implicit stages are solved to the tolerance; diffrax sets it in `diffeqsolve` only.
         where = lambda s: (s.root_finder.rtol, s.root_finder.atol, s.root_finder.norm)
         return eqx.tree_at(where, solver, (self.tolerance, self.tolerance, optimistix.max_norm))

@@ -7,14 +7,12 @@ of the interpolation p, and the error of the polynomials of functions, such as g
 
 from collections.abc import Callable
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jaxtyping import Array, Float, PyTree
 
 from walker_jax.integrators.expansion import without_derivatives
@@ -30,6 +28,9 @@ from walker_jax.integrators.taylor import (
     with_zeros,
 )
 
+if TYPE_CHECKING:
+    import diffrax
+
 INTERPOLATION_ORDER = 6
 """Order of the polynomial that represents an interpolation; diffrax has none higher."""
 NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
@@ -44,8 +45,11 @@ UNRESOLVED = 0.15
 is 0.19 for a cubic whose two extrema are the ends of the step, and larger if they are within."""
 
 
-def controller_of(tolerance: Real, longest: Real | None) -> diffrax.PIDController:
+def controller_of(tolerance: Real, longest: Real | None) -> "diffrax.PIDController":
     """Return the control of steps: the largest of all errors is within the tolerance."""
+    import diffrax
+    import optimistix
+
     return diffrax.PIDController(
         rtol=tolerance, atol=tolerance, norm=optimistix.max_norm, dtmax=longest
     )
