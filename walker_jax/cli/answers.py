@@ -76,11 +76,8 @@ class Output(Group, theme="Output"):
         """The place of the picture."""
         return self.figure or self.out.with_suffix(".png")
 
-    def find(self, request: dict) -> "lib.xarray.Dataset | None":
-        """Find the data set that the same command has completed; refuse places that are taken.
-
-        Refuses also places without a name or with a wrong ending, and one place for both.
-        """
+    def check(self) -> None:
+        """Refuse places without a name or with a wrong ending, and one place for both."""
         if not self.out.name:
             raise WrongPlace(
                 f"--out {self.out} is not the name of a data set: give one, such as a.zarr"
@@ -89,6 +86,10 @@ class Output(Group, theme="Output"):
         place = lib.storage.absolute(self.picture)
         if lib.storage.absolute(self.out) in (place, *place.parents):
             raise WrongPlace(f"--figure {self.picture} must be another place than --out {self.out}")
+
+    def find(self, request: dict) -> "lib.xarray.Dataset | None":
+        """Find the data set that the same command has completed; refuse places that are taken."""
+        self.check()
         found = self.saved(request)  # first, as it says what differs
         earlier = request if found is None else lib.storage.request_in(found.attrs)
         lib.storage.check_picture(self.picture, request, earlier, overwrite=self.overwrite)
