@@ -68,6 +68,7 @@ def test_a_population_walks_as_its_members_do(monkeypatch):
         np.testing.assert_allclose(one, other, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_gaits_change_with_a_weight_as_their_derivatives_say():
     here, step, middle = gait(), 1e-3, float(value_of(WALKER, WEIGHT))
     by = gait_derivatives(WALKER, here, WEIGHT)
@@ -112,6 +113,7 @@ def test_all_leaves_have_derivatives():
         np.testing.assert_allclose(value_of(back, name), by, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_margins_have_derivatives_by_all_weights():
     """In reverse as forward, where walkers stride, fall either way, or run."""
 
@@ -155,6 +157,7 @@ def test_a_machine_of_tables_solves_its_equation():
     np.testing.assert_allclose(ends, [place(2, 0.5), place(3, 0.5)], rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_walks_trajectories_and_explanations():
     x = gait().states[0]
     made, same = wj.walk(WALKER, x, 5), wj.walk(SCALARS, x, 5)
@@ -167,6 +170,7 @@ def test_walks_trajectories_and_explanations():
     assert "leads to section" in said and "NetworkWalker" in said
 
 
+@pytest.mark.slow
 def test_basins_and_falls_equal_those_by_scalars():
     one, other = (wj.basin(walker, GRID, progress=False) for walker in (WALKER, SCALARS))
     assert len(np.unique(one["fate"])) > 1
@@ -262,6 +266,7 @@ def test_the_page_takes_the_defaults_of_a_class():
         offer(table)
 
 
+@pytest.mark.slow
 def test_feedback_and_gradients_keep_networks():
     gains = {"slope": (0.01, 0.0)}
     walker = wj.Feedback(WALKER, gait(), gains, {"slope": (0.005, 0.02)})
