@@ -179,7 +179,7 @@ def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str,
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
     """Make an option of a group, with settings of `Option` and bounds of `Number`.
 
-    Its field's annotation says how a value is read, and its field's name is its own, without flags.
+    The annotation of its field says how a value is read; without `flags`, the field names it.
     """
     return dataclasses.field(default=default, metadata={"flags": flags, "help": help, **settings})
 
