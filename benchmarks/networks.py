@@ -27,9 +27,10 @@ heel strikes within three strides, and its gradient was off by 40. A population 
                                              walker_jax                               diffrax
     2 x 16  within   2.6 s   60290/s   15.8 s  11456/s |   3.7 s   21815/s   16.0 s   3777/s | 4e-09
 
-    python benchmarks/networks.py [WIDTHS [LAYERS [STARTS [WAYS]]]]
+    python benchmarks/networks.py [--only 2x16 2x16-once population] [--starts N] [--ways WAYS]
 """
 
+import argparse
 import os
 import subprocess
 import sys
@@ -234,16 +235,21 @@ if __name__ == "__main__":
         way, *numbers, file = sys.argv[2:]
         width, layers, within, starts = map(int, numbers)
         measure(way, width, layers, bool(within), starts, file)
-    else:
-        given = [
-            *sys.argv[1:],
-            *["8,16,32,64", "1,2", "50000", ",".join(WAYS)][len(sys.argv) - 1 :],
-        ]
-        widths, sizes = ([int(x) for x in one.split(",")] for one in given[:2])
-        ways = given[3].split(",")
-        print(" " * 17 + "".join(f"{way:>38}" for way in ways))
-        for within in (True, False):
-            for layers in sizes:
-                for width in widths:
-                    report(width, layers, within, int(given[2]), ways)
-        report_population(16, 2, int(given[2]) // FEWER)
+        sys.exit()
+    rows = {
+        f"{layers}x{width}{'' if within else '-once'}": (width, layers, within)
+        for within in (True, False)
+        for layers in (1, 2)
+        for width in (8, 16, 32, 64)
+    }
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--only", nargs="+", choices=[*rows, "population"], help="rows")
+    parser.add_argument("--starts", type=int, default=50_000)
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS)
+    given = parser.parse_args()
+    print(" " * 17 + "".join(f"{way:>38}" for way in given.ways))
+    for row in given.only or [*rows, "population"]:
+        if row == "population":
+            report_population(16, 2, given.starts // FEWER)
+        else:
+            report(*rows[row], given.starts, given.ways)
