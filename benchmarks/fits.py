@@ -23,7 +23,6 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import least_squares
 
 import walker_jax as wj
-from walker_jax.fitting import fits
 from walker_jax.fitting.residuals import all_residuals
 from walker_jax.walkers.parameters import value_of, with_values
 
@@ -101,7 +100,8 @@ def compare(steps):
         begun = time.process_time()
         found = wj.fit(*asked, noise=noise)
         ours = time.process_time() - begun
-    posed = fits.pose(*asked, noise=noise)
+    posed = found.problem
+    assert posed is not None
     flat, unflatten = ravel_pytree(posed.begun)
     residuals = jax.jit(lambda at, data: all_residuals(posed.layout, unflatten(at), data))
     by_hand = lambda at: np.asarray(residuals(at, posed.data))

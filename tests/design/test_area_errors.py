@@ -12,6 +12,7 @@ SIMPLEST = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
 FRACTAL = wj.PoweredWalker(0.0, hip_stiffness=2.0, hip_angle=-0.3, push_off=0.1)
 
 
+@pytest.mark.slow
 def test_at_a_fractal_boundary_the_error_is_infinite():
     """The integral has the wrong sign there, or a third of the size."""
     names = "hip_angle", "slope", "hip_stiffness"

@@ -335,6 +335,7 @@ def test_a_measurement_is_kept_once_it_is_taken(monkeypatch):
     assert len(begun) == 2 and kept == [1, 2]
 
 
+@pytest.mark.slow
 def test_out_of_time_ends_a_measurement_and_hurries_the_last(monkeypatch):
     """The time is over as the third measurement begins, which stops before its first kernel."""
     began, ended = [], []

@@ -31,6 +31,7 @@ from parts_of_pictures import extents, figure_of, labels, legend
 
 import walker_jax as wj
 from walker_jax import Grid, Outcome, figures
+from walker_jax.figures.layout import in_lines, width_of
 from walker_jax.figures.text import NO_BREAK, walker_title
 from walker_jax.walkers.parameters import attributes_of
 
@@ -424,6 +425,52 @@ def test_titles_have_parameters_that_differ_from_defaults():
         name = type(walker).__name__
         title = walker_title(xr.Dataset(attrs={"walker": name} | attributes_of(walker)))
         assert title.replace(NO_BREAK, " ") == f"{name}, {words}"
+
+
+ABOUT = {"slope": 0.0125, "hip_stiffness": 0.2345, "hip_damping": 0.0123, "foot_mass": 0.1234}
+TITLED = {"walker": "SpringWalker"} | {f"walker_{name}": value for name, value in ABOUT.items()}
+
+
+@pytest.mark.parametrize("halves", [False, True])
+@pytest.mark.parametrize("name", ["basin", "gait_branches", "bifurcation_diagram"])
+def test_long_titles_stay_on_the_picture(name, halves):
+    """Also beside another picture: the text is measured, as bold letters are wider."""
+    ax = Figure((10, 4.4), layout="constrained").subplots(1, 2)[0] if halves else None
+    (data,) = GIVEN_AXES[name]
+    ax = getattr(figures, name)(data.assign_attrs(TITLED), ax=ax)
+    stays(figure_of(ax), figure_of(ax).axes[-1].bbox.x0 if halves else figure_of(ax).bbox.x1)
+
+
+def test_long_titles_stay_above_several_pictures():
+    figure = figures.bifurcations(diagram().assign_attrs(TITLED))
+    stays(figure, figure.bbox.x1)
+
+
+def stays(figure, right):
+    """Check that a title with all its words ends before this place (pixels)."""
+    figure.draw_without_rendering()
+    shown = figure.findobj(lambda one: isinstance(one, Text) and "SpringW" in one.get_text())
+    (title,) = shown
+    box = title.get_window_extent()
+    assert title.get_text().replace("\n", " ").count(", ") == len(ABOUT)
+    assert figure.bbox.x0 <= box.x0 and box.x1 <= right and box.y1 <= figure.bbox.y1
+
+
+def test_lines_of_text_end_between_phrases_and_never_in_a_formula():
+    text = f"one{NO_BREAK}phrase, $a + b$ and  two"
+    whole = width_of(text, "medium")
+    assert in_lines(text, 1.01 * whole, "medium") == "one phrase, $a + b$ and  two"
+    assert in_lines(text, 0.8 * whole, "medium") == "one phrase, $a + b$\nand  two"
+    narrow = width_of("phrase,", "medium")
+    assert in_lines(text, narrow, "medium").split("\n") == [
+        "one",
+        "phrase,",
+        "$a + b$",
+        "and",
+        "two",
+    ]
+    assert in_lines("", 1.0, "medium") == "" and in_lines("a\nb $", 9.0, "medium") == "a\nb $"
+    assert width_of(text, "medium", "bold") > 1.05 * whole
 
 
 def test_the_largest_value_inside_a_range_is_marked():

@@ -11,7 +11,7 @@ from parts_of_pictures import annotations, box, figure_of, legend, lightness, li
 
 from walker_jax import figures
 from walker_jax.figures import style, text
-from walker_jax.figures.branch_plots import evenly_around
+from walker_jax.figures.branch_plots import places_near
 from walker_jax.figures.sweep_plots import colours_of
 
 PICTURES = [figures.gait_branches, figures.largest_multiplier, figures.bifurcation_diagram]
@@ -106,6 +106,33 @@ def test_every_state_of_what_walks_on_is_a_dot():
     np.testing.assert_allclose(unstable[:, 0], [0.015, 0.016, 0.020])
 
 
+def test_few_dots_are_large_enough_to_be_seen():
+    size = lambda data: figures.bifurcation_diagram(data).lines[0].get_markersize()
+    few = diagram()
+    many = few.isel(recent=np.arange(4000) % few.sizes["recent"])
+    assert size(few) == 3 and size(many) == 1
+
+
+def test_lines_meet_at_a_neimark_sacker_point():
+    """It lies between two points, as a fold does; the pair has the modulus 1 there."""
+    branches = {"one": [(0.010, [0.20], 0.5, True), (0.020, [0.30], 1.5, False)]}
+    found = {"branch": 0, "period": 1, "value": 0.017, "states": [[0.27, 0.1]] + [[np.nan] * 2] * 2}
+    found["multipliers"] = [[0.6, 0.8], [0.6, -0.8]]
+    data = diagram(branches, [])
+    dims = {f"torus_{name}": data[f"torus_{name}"].dims for name in found}
+    data = data.drop_dims("torus").assign(
+        {f"torus_{name}": (dims[f"torus_{name}"], [value]) for name, value in found.items()}
+    )
+    ax = figures.gait_branches(data)
+    (solid,), (dashed,) = lines(ax, dashed=False), lines(ax, dashed=True)
+    np.testing.assert_allclose(solid, [(0.010, 0.20), (0.017, 0.27)])
+    np.testing.assert_allclose(dashed, [(0.017, 0.27), (0.020, 0.30)])
+    np.testing.assert_allclose(signs(ax, "s"), [(0.017, 0.27)])
+    multipliers = figures.largest_multiplier(data)
+    (solid,), (dashed,) = (lines(multipliers, dashed=one) for one in (False, True))
+    np.testing.assert_allclose([solid[-1], dashed[0]], [(0.017, 1), (0.017, 1)])
+
+
 def test_a_line_stands_where_walking_is_lost():
     ax = figures.bifurcation_diagram(diagram(lost=(0.0180, 0.0182)))
     (line,) = (line for line in ax.lines if line.get_transform() == ax.get_xaxis_transform())
@@ -197,10 +224,11 @@ def test_multipliers_are_filled_inside_the_unit_circle_only():
 
 
 def test_step_times_stand_apart_within_the_range():
-    places = evenly_around(np.array([1.0, 1.1, 1.2]), 0.0, 10.0)
+    places = places_near(np.array([1.0, 1.1, 1.2]), 0.0, 10.0)
     np.testing.assert_allclose(places, [1.35 - 0.9, 1.35, 1.35 + 0.9])  # not below the range
-    np.testing.assert_allclose(evenly_around(np.array([4.0, 6.0]), 0.0, 10.0), [4.55, 5.45])
-    assert len(evenly_around(np.zeros(0), 0.0, 1.0)) == 0
+    np.testing.assert_allclose(places_near(np.array([4.0, 6.0]), 0.0, 10.0), [4.0, 6.0])
+    np.testing.assert_allclose(places_near(np.array([4.0, 4.1]), 0.0, 10.0), [3.6, 4.5])
+    assert len(places_near(np.zeros(0), 0.0, 1.0)) == 0
 
 
 def test_attractors_have_the_colours_of_their_periods():

@@ -1,13 +1,17 @@
 """Pictures of walkers in motion show what was computed."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 from matplotlib.animation import FFMpegWriter
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.figures import films
 from walker_jax.figures.poses import above_ground, draw_pose
 
 SLOPE = 0.004
@@ -157,6 +161,30 @@ def test_a_film_dwells_on_a_stride(walk, tmp_path):
     with Image.open(path) as film:
         times = [one.info["duration"] for one in ImageSequence.Iterator(film)]
     assert times == [200 if number == 1 else 50 for number in some["stride"].values.tolist()]
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_long_title_of_a_film_stands_above_the_stride(walk, data, tmp_path, monkeypatch, beside):
+    """Also at the film's own number of dots per inch, for which it is not laid out again."""
+    drawn = []
+
+    @contextmanager
+    def writer(figure, *_):
+        figure.set_dpi(films.DOTS)
+        figure.draw_without_rendering()
+        texts = figure.findobj(lambda one: isinstance(one, Text) and one.get_weight() == "bold")
+        drawn.append((figure, [one for one in texts if one.get_text()]))
+        yield lambda: None
+
+    monkeypatch.setattr(films, "film_writer", writer)
+    about = {f"walker_parameter_number_{i}": 0.123456 for i in range(6)}
+    long = walk.isel(frame=slice(0, 1)).assign_attrs(about)
+    figures.film(long, tmp_path / "walk.gif", data if beside else None)
+    ((figure, (heading, title)),) = drawn
+    assert heading.get_text() == "stride 1, time 0.0"
+    above, below = title.get_window_extent(), heading.get_window_extent()
+    assert len(title.get_text().split("\n")) >= (2 if beside else 3)
+    assert above.y0 > below.y1 and above.x1 <= figure.bbox.x1 and above.y1 <= figure.bbox.y1
 
 
 def test_an_interrupted_film_leaves_what_was_there(walk, tmp_path, monkeypatch):

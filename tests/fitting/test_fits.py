@@ -70,8 +70,9 @@ def test_scipy_finds_the_same_by_differences(shooting):
     recordings = record_walk(wj.SimplestWalker(0.009), noise=NOISE)
     asked = wj.SimplestWalker(0.0095), recordings, "slope"
     found = wj.fit(*asked, noise=WALK_NOISE, shooting=shooting)
-    posed = fits.pose(*asked, noise=WALK_NOISE, shooting=shooting)
-    first = posed.steps.is_first if shooting == "single" else slice(None)
+    posed = found.problem
+    assert posed is not None
+    first = posed.data.steps.is_first if shooting == "single" else slice(None)
     flat, unflatten = ravel_pytree(posed.begun._replace(starts=posed.begun.starts[first]))
     residuals = jax.jit(lambda at, data: all_residuals(posed.layout, unflatten(at), data))
     of = lambda at: np.asarray(residuals(jnp.asarray(at), posed.data))
@@ -114,8 +115,9 @@ def test_noise_that_is_not_given_is_found(ball):
 def posed():
     """A fit of a ball before its search, at the true gravity, and its bounces in closed form."""
     asked = Ball(GRAVITY, 0.0, 0.9), record_ball(noise=NOISE), "gravity"
-    problem = fits.pose(*asked, noise=BALL_NOISE)
-    begins, speeds = bounces(len(problem.steps.run))
+    problem = wj.fit(*asked, noise=BALL_NOISE).problem
+    assert problem is not None
+    begins, speeds = bounces(len(problem.data.steps.run))
     begun = problem.begun._replace(begins=begins[:1], starts=speeds[:, None])
     return problem._replace(begun=begun), begins[:-1], speeds
 
@@ -127,7 +129,7 @@ def test_a_step_apart_begins_where_it_was_recorded(posed):
     follow = lambda apart: fits.follow_jit(
         problem.layout, longer, problem.data._replace(apart=np.array(apart))
     )
-    np.testing.assert_array_equal(follow(True).begins, problem.steps.begins)
+    np.testing.assert_array_equal(follow(True).begins, problem.data.steps.begins)
     np.testing.assert_allclose(
         follow(True).ends - follow(True).begins, 2 * longer.starts[:, 0] / GRAVITY, rtol=1e-12
     )
@@ -138,14 +140,14 @@ def test_a_step_apart_begins_where_it_was_recorded(posed):
 def test_noise_is_that_of_steps_that_are_made(posed):
     """The last one, which begins below the ground, has no residuals; the others keep theirs."""
     problem, begins, speeds = posed
-    steps, starts = problem.steps, np.append(speeds[:-1], -1.0)[:, None]
+    steps, starts = problem.data.steps, np.append(speeds[:-1], -1.0)[:, None]
     nothing: Any = None
     found = Solved(problem.begun._replace(starts=starts), *[nothing] * 5)
     after = steps.times - begins[:, None]
     off = (speeds[:, None] * after - GRAVITY * after**2 / 2 - steps.values[..., 0])[:-1]
     free = 1 - (1 + 1 + len(speeds)) / steps.count
     expected = np.sqrt(np.mean(off[steps.known[:-1, :, 0]] ** 2) / free)
-    noise = fits.noise_left(problem.layout, found, problem.data, steps)
+    noise = fits.noise_left(problem.layout, found, problem.data)
     np.testing.assert_allclose(noise, expected, rtol=1e-9)
 
 

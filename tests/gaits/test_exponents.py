@@ -195,6 +195,7 @@ def test_what_is_refused():
         wj.fractals.information_dimension(np.full((3, 2), np.nan))
 
 
+@pytest.mark.slow
 def test_exponents_by_another_solver():
     walker = wj.SimplestWalker(0.004)
     gait = wj.find_gait(walker)

@@ -7,6 +7,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import walker_jax as wj
 
@@ -85,6 +86,7 @@ def test_derivatives_are_those_of_both_events():
         np.testing.assert_allclose(found, expected, atol=atol)
 
 
+@pytest.mark.slow
 def test_derivatives_by_runge_kutta_pass_both_events():
     end = lambda x: wj.stride(Corner(), x, solver=diffrax.Tsit5(), tolerance=1e-9).state
     x = starts()[:3]

@@ -165,6 +165,22 @@ def test_what_was_used_last_stays(folder, monkeypatch):
     assert kept == {others.name, "a.kernel", "c.kernel", "d.kernel"}
 
 
+def test_a_folder_is_looked_at_after_a_part_of_its_size(folder, monkeypatch):
+    """At the first write of a process, and then only after a sixteenth of the most bytes."""
+    monkeypatch.setattr(object_cache, "MAX_BYTES", 16 * 1000)
+    monkeypatch.setattr(object_cache, "unseen", type(object_cache.unseen)())
+    looks, remove = [], object_cache.remove_oldest
+    monkeypatch.setattr(object_cache, "remove_oldest", lambda at: looks.append(at) or remove(at))
+    for number in range(40):
+        object_cache.store(f"{number}", b"x" * 100)
+        assert len(looks) == 1 + number // 11
+    assert set(looks) == {folder}
+    monkeypatch.setattr(object_cache, "MAX_BYTES", 1000)
+    object_cache.store("last", b"x" * 100)
+    sizes = [path.stat().st_size for path in folder.iterdir()]
+    assert sum(sizes) <= 1000 < sum(sizes) + sizes[0]
+
+
 @pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
 def test_a_write_that_does_not_end_leaves_nothing(folder, monkeypatch, error):
     def replace(*paths):

@@ -166,7 +166,7 @@ def own(monkeypatch):
     return kernel(lambda a, x: unrolled(a, x)), compiled
 
 
-@pytest.mark.parametrize("jit", [jax.jit, lambda f: f])
+@pytest.mark.parametrize("jit", [jax.jit, pytest.param(lambda f: f, marks=pytest.mark.slow)])
 def test_a_long_derivative_is_compiled_for_many_cells(jit, own, monkeypatch):
     """Along three directions at once; of fewer cells, each direction is a cell of its own."""
     monkeypatch.setattr(primitive, "LONG_CELLS", len(XS))

@@ -8,6 +8,8 @@ import pytest
 import xarray as xr
 from robot_examples import FILES, as_robot
 
+import walker_jax as wj
+
 GAIT = as_robot((0.28809807504, -0.35705418063, -0.20285043033))
 START = [
     f"--start={name}={value}"
@@ -42,6 +44,24 @@ def test_a_file_leads_to_a_basin(run, tmp_path):
     assert "walks" in out and "slice at swing_leg_rate 0.48298" in out
     data = xr.open_zarr(tmp_path / "basin.zarr", consolidated=False)
     assert data.fate.shape == (100, 100) and int((data.attractor == 0).sum()) > 300
+
+
+def test_workers_compute_the_basin_of_a_robot(tmp_path, monkeypatch):
+    """As this process does, to the last bit; they have neither its file nor MuJoCo."""
+    pytest.importorskip("distributed")
+    file = tmp_path / "compass.xml"
+    shutil.copy(FILES / file.name, file)
+    robot = wj.robot(file)
+    file.unlink()
+    (tmp_path / "mujoco.py").write_text("raise ImportError('there is none')")
+    monkeypatch.syspath_prepend(tmp_path)  # workers look for packages where this process does
+    at = dict(zip(robot.section, GAIT.tolist(), strict=True))
+    grid = wj.Grid.through(at, stance_leg=(-0.4, -0.2, 8), stance_leg_rate=(0.7, 1.5, 8))
+    here = wj.basin(robot, grid, "direct", progress=False)
+    there = wj.basin(robot, grid, "direct", progress=False, out=tmp_path / "a", cluster=1)
+    for name in ("fate", "attractor", "strides"):
+        np.testing.assert_array_equal(there[name], here[name])
+    assert 0 < int((here.attractor == 0).sum()) < here.attractor.size
 
 
 def test_a_foreign_file_is_refused_in_one_line(run, tmp_path):

@@ -18,7 +18,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability import probable_falls
 from walker_jax.stability.disturbed_falls import DisturbedWalks
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.nearest_points import NearestPoint, descend, solve_nearest
+from walker_jax.stability.nearest_points import NearestPoint, nearest_minima, solve_nearest
 from walker_jax.stability.probable_falls import ProbableFall
 from walker_jax.stability.rays import spread_directions
 from walker_jax.walking.disturbed import follow_disturbed, follow_disturbed_margins
@@ -29,7 +29,7 @@ ONE = np.array([1.0, 0.0, 0.0])
 
 def nearest(fails, gradient, size):
     rays = np.concatenate([np.eye(size), -np.eye(size), spread_directions(size, 60)])
-    rays, lengths = descend(fails, gradient, rays, 24)
+    rays, lengths = nearest_minima(fails, gradient, rays, 24)
     return solve_nearest(fails, gradient, rays[0], lengths[0])
 
 
@@ -71,11 +71,11 @@ def test_a_longer_search_begins_with_the_shorter_sequence(monkeypatch):
     """One more stride without a disturbance comes before it or after it."""
     begun = []
 
-    def descend(fails, gradient, rays, count, known):
+    def search(fails, gradient, rays, count, known):
         begun.append((rays.tolist(), known))
         return rays, np.ones(len(rays))
 
-    monkeypatch.setattr(probable_falls, "descend", descend)
+    monkeypatch.setattr(probable_falls, "nearest_minima", search)
     monkeypatch.setattr(probable_falls, "solve_nearest", lambda *_: made_up_point(1.0, [1.0]))
     walks = made_up_walks(1.0, 0.0, 0.5)
     shorter = made_up_point(2.0, np.arange(1, 7) / np.sqrt(91))
@@ -214,9 +214,9 @@ def test_a_thin_finger_that_is_known_is_kept():
     fails = lambda w: inside(w) | (w[:, 0] > 3)
     gradient = lambda w: np.tile([1.0, 0.0], (len(w), 1))
     rays = np.array([[1.0, 0.0]])
-    _, lengths = descend(fails, gradient, rays, 4)
+    _, lengths = nearest_minima(fails, gradient, rays, 4)
     assert lengths[0] == pytest.approx(3, rel=1e-4)
-    _, lengths = descend(fails, gradient, rays, 4, (1, 0.653 * (1 + 1e-9)))
+    _, lengths = nearest_minima(fails, gradient, rays, 4, (1, 0.653 * (1 + 1e-9)))
     assert lengths[0] == pytest.approx(0.653, rel=1e-4)
 
 

@@ -19,7 +19,8 @@ from walker_jax.stability.boundaries import curves_of, summarise_boundary, touch
 from walker_jax.stability.metric import metric_of
 from walker_jax.stability.rays import nearest_failure
 from walker_jax.stability.sampling import draw_from_ball, draw_starts
-from walker_jax.stability.tipping import FAILURES, Ends, assemble_tipping, transition_counts
+from walker_jax.stability.tipping import Ends, assemble_tipping, transition_counts
+from walker_jax.systems.outcomes import OUTCOMES
 
 WALKER = wj.SimplestWalker(0.004)
 MATRIX = np.array([[2.0, 1.5], [1.5, 3.0]])
@@ -236,8 +237,9 @@ def test_a_gait_may_jump_to_an_end_that_no_start_has():
     at attractor 2."""
     attractors = [Attractor(np.full((1, 2), 0.1 * number)) for number in range(3)]
     before, after = (Mapper(WALKER, attractors[:count], Integrator(1e-10), 10) for count in (1, 3))
-    fallen = FAILURES + int(Outcome.FORWARD)
-    ends = Ends(np.array([0, 0, fallen]), np.array([1, fallen, fallen]), [np.array([2])])
+    fallen, numbers = int(Outcome.FORWARD), OUTCOMES + np.arange(3)
+    first = np.array([numbers[0], numbers[0], fallen])
+    ends = Ends(first, np.array([numbers[1], fallen, fallen]), [numbers[2:]])
     found = assemble_tipping(ends, before, after, 0.95)
     assert found.before == ("attractor 0", "FORWARD")
     assert found.after == ("attractor 1", "attractor 2", "FORWARD")

@@ -21,7 +21,7 @@ from walker_jax.stability import gait_robustness
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.gait_robustness import common_attributes, join_rows
+from walker_jax.stability.gait_robustness import join_rows
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.sampling import (
     BasinStability,
@@ -465,13 +465,11 @@ def test_rows_of_a_table_may_lack_what_others_have():
     assert table.phidot.values.tolist()[::2] == [-0.05, -0.06] and np.isnan(table.phidot[1])
     assert np.isnan(table.checked[1]) and table.checked[2] == 7
     assert table.direction.dims == ("slope", "coordinate") and table.direction[2, 1] == 0.8
-    assert common_attributes([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
+    attributes = lambda *rows: join_rows([*rows], 0.1 * np.arange(len(rows)), "slope").attrs
+    assert attributes(lacking, full) == attributes(full) == {"walker_mass": 2.0, "seed": 0}
     other.attrs |= {"section": ["theta"], "seed": 1}
     same = other.assign_attrs(section=["theta"], seed=2)
-    assert common_attributes([other, lacking, same], "slope") == {
-        "walker_mass": 2.0,
-        "section": ["theta"],
-    }
+    assert attributes(other, lacking, same) == {"walker_mass": 2.0, "section": ["theta"]}
 
 
 @pytest.mark.slow

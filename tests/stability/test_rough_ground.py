@@ -241,7 +241,7 @@ def test_a_walk_without_an_answer_is_no_fall(gait, monkeypatch):
     """It counts with the strides that it made, as one that is left off."""
     outcomes = np.array([Outcome.FORWARD, Outcome.UNDECIDED, Outcome.STRIDE], np.int8)
     walks = Walked(np.zeros((3, 4)), outcomes, np.array([5, 7, 10]))
-    module = "walker_jax.stability.rough_ground.walk_disturbed"
+    module = "walker_jax.stability.time_to_fall.walk_disturbed"
     monkeypatch.setattr(module, lambda *_: walks)
     found = wj.steps_to_fall(WALKER, 1e-3, 3, gait=gait, limit=10)
     assert found.ended.tolist() == [True, False, False] and found.mean == 22

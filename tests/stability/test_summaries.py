@@ -22,6 +22,7 @@ from walker_jax.stability.disturbances import LeastDisturbance
 from walker_jax.stability.robustness_fields import FIELDS, summarise_robustness, without_gait
 from walker_jax.stability.sampling import BasinStability
 from walker_jax.stability.steps_down import LeastStepDown
+from walker_jax.storage.schema import check_dataset
 from walker_jax.walkers.parameters import describe_in_words, describe_walker, space_decimals
 
 WALKER = wj.SimplestWalker(0.004)
@@ -272,12 +273,9 @@ def test_a_search_agrees_with_a_basin_from_whichever_state():
 def test_the_schema_of_robustness_has_all_that_it_adds(monkeypatch):
     data = made_up_robustness(monkeypatch)
     basin = wj.refine(WALKER, GRID, 0, check=0)
-    names = {field.name for field in FIELDS}
-    assert names == {*data} - {*basin} == {*without_gait(WALKER)}
-    for field in FIELDS:
-        whole = np.issubdtype(data[field.name].dtype, np.integer)
-        assert whole == (field.kind in ("count", "outcome"))
-        assert (data[field.name].dims == ("coordinate",)) == (field.kind == "vector")
+    assert {*FIELDS} == {*data} - {*basin} == {*without_gait(WALKER)}
+    check_dataset(data, "robustness")
+    check_dataset(basin.assign(without_gait(WALKER)).assign_attrs(data.attrs), "robustness")
 
 
 def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):

@@ -96,6 +96,7 @@ def test_the_basin_of_a_gait_on_the_cut_is_that_of_another():
     assert float(found.area[0]) == pytest.approx(2 * TURN, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_and_exponents_of_a_gait_on_the_cut():
     there = wj.find_gait(CUT, [3.1, -0.5])
     found, expected = (

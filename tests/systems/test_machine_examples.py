@@ -80,6 +80,7 @@ def test_a_ball_begins_a_period_above_the_table_or_in_it(table):
     np.testing.assert_allclose(made.state, expected, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_ball_on_a_table_has_derivatives_and_a_basin(table):
     gait, table = table["gait"], table["table"]
     stride = jax.jit(lambda x: wj.stride(table, x).state)

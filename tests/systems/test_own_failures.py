@@ -188,6 +188,7 @@ def test_the_basin_names_them(tmp_path):
     assert set(np.unique(mapped["fate"].values)) <= {0, 12, 13}
 
 
+@pytest.mark.slow
 def test_the_area_changes_with_what_moves_their_boundaries():
     found = wj.measure(Juggler(), "area", ["ceiling", "slowest"], grid=GRID)
     assert found.value == pytest.approx(3.0, rel=1e-9)

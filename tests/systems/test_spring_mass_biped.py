@@ -77,6 +77,7 @@ def test_a_stride_is_that_of_another_integration(walker, start):
     np.testing.assert_allclose(made.time, time, atol=2e-11)
 
 
+@pytest.mark.slow
 def test_modes_are_skipped_as_the_legs_land_and_leave():
     walked, flown = ([one.name for one in wj.explain(FASTER, x).modes] for x in (WALKED, FLOWN))
     assert walked == ["past mid-stance", "double support", "before mid-stance"]
@@ -107,6 +108,7 @@ def test_running_is_that_of_one_leg():
         assert other == pytest.approx(np.real(apex.multipliers[0]), abs=1e-10)
 
 
+@pytest.mark.slow
 def test_derivatives_and_margins_pass_all_ways():
     starts, step = jnp.array([WALKED, FLOWN]), 1e-5
     stride = jax.jit(lambda x: wj.stride(FASTER, x).state)
@@ -121,6 +123,7 @@ def test_derivatives_and_margins_pass_all_ways():
     assert (np.asarray(margins.backward)[:2] > 0).all()
 
 
+@pytest.mark.slow
 def test_a_trajectory_passes_the_modes():
     stride = wj.stride(FASTER, WALKED)
     single, double, *_ = wj.explain(FASTER, WALKED).modes

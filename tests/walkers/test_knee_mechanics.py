@@ -347,6 +347,7 @@ def test_a_foot_that_comes_down_after_the_fall_does_not_land():
     assert not found.landing[0] < 0
 
 
+@pytest.mark.slow
 def test_the_margin_of_a_foot_that_lands_is_of_its_speed(path):
     """Or of how far in front it lands, or the stance leg leans, whichever is nearer to zero."""
     (phase,), unit = WALKER.phases(), 1 / float(toppling_rate(WALKER))

@@ -145,9 +145,9 @@ PARAMETERS = [(-3.5, -0.5), (-2, 2.5), (-2, 1)]
 @pytest.mark.parametrize(
     ("kind", "launched"),
     [
-        (wj.SimplestWalker, False),
+        pytest.param(wj.SimplestWalker, False, marks=pytest.mark.slow),
         (wj.SpringWalker, False),
-        (wj.SpringWalker, True),
+        pytest.param(wj.SpringWalker, True, marks=pytest.mark.slow),
         (wj.PoweredWalker, True),
     ],
 )

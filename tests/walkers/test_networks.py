@@ -68,6 +68,7 @@ def test_a_population_walks_as_its_members_do(monkeypatch):
         np.testing.assert_allclose(one, other, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_gaits_change_with_a_weight_as_their_derivatives_say():
     here, step, middle = gait(), 1e-3, float(value_of(WALKER, WEIGHT))
     by = gait_derivatives(WALKER, here, WEIGHT)
@@ -144,6 +145,7 @@ def test_gradients_of_many_walks_are_summed_in_groups(monkeypatch):
     assert transposes.groups_of(1000, 4545) == (1, 1000)
 
 
+@pytest.mark.slow
 def test_margins_have_derivatives_by_all_weights():
     """In reverse as forward, where walkers stride, fall either way, or run."""
 
@@ -187,6 +189,7 @@ def test_a_machine_of_tables_solves_its_equation():
     np.testing.assert_allclose(ends, [place(2, 0.5), place(3, 0.5)], rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_walks_trajectories_and_explanations():
     x = gait().states[0]
     made, same = wj.walk(WALKER, x, 5), wj.walk(SCALARS, x, 5)
@@ -199,6 +202,7 @@ def test_walks_trajectories_and_explanations():
     assert "leads to section" in said and "NetworkWalker" in said
 
 
+@pytest.mark.slow
 def test_basins_and_falls_equal_those_by_scalars():
     one, other = (wj.basin(walker, GRID, progress=False) for walker in (WALKER, SCALARS))
     assert len(np.unique(one["fate"])) > 1
@@ -294,6 +298,7 @@ def test_the_page_takes_the_defaults_of_a_class():
         offer(table)
 
 
+@pytest.mark.slow
 def test_feedback_and_gradients_keep_networks():
     gains = {"slope": (0.01, 0.0)}
     walker = wj.Feedback(WALKER, gait(), gains, {"slope": (0.005, 0.02)})

@@ -270,7 +270,13 @@ class Waving(Lost):
         return {name: mode._replace(guards=(wave,), conditions=(held,))}
 
 
-@pytest.mark.parametrize("solver", [None, diffrax.Dopri8()], ids=["Taylor", "Dopri8"])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param(None, id="Taylor"),
+        pytest.param(diffrax.Dopri8(), id="Dopri8", marks=pytest.mark.slow),
+    ],
+)
 def test_rises_are_all_of_them(solver):
     """The sine of 5 t rises through a half at (pi / 6 + 2 pi k) / 5."""
     (mode,) = wj.explain(Waving(), jnp.array([0.2]), solver=solver).modes
@@ -311,7 +317,11 @@ def test_a_map_is_explained_too():
         jax.jit(lambda x: wj.explain(wj.systems.HenonMap(), x))(jnp.zeros(2))
 
 
-@pytest.mark.parametrize("system", [Decaying(), Slow(), Vanishing()], ids=lambda one: one.label())
+@pytest.mark.parametrize(
+    "system",
+    [Decaying(), *(pytest.param(one, marks=pytest.mark.slow) for one in (Slow(), Vanishing()))],
+    ids=lambda one: one.label(),
+)
 def test_after_the_steps_that_are_recorded_the_end_is_found(system, monkeypatch):
     x = jnp.array([0.2])
     (whole,), of_whole = (found := wj.explain(system, x)).modes, found.complaints

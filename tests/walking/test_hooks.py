@@ -224,6 +224,7 @@ def nearest(walking):
     return gait, wj.least_disturbance(walking, gait, directions=16, strides=60)
 
 
+@pytest.mark.slow
 def test_the_least_disturbance_is_where_strides_begin_to_fail(walking, nearest):
     gait, found = nearest
     x = np.asarray(gait.states[0])

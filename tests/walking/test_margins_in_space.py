@@ -105,7 +105,7 @@ def outcomes_of_margins(xs):
 @pytest.mark.parametrize(
     ("outcome_of", "far", "pairs"),
     [
-        pytest.param(outcomes_of_margins, 3000, 40, id="of margins"),
+        pytest.param(outcomes_of_margins, 3000, 40, id="of margins", marks=pytest.mark.slow),
         pytest.param(
             lambda xs: wj.strides(WALKER, xs).outcome,
             8000,

@@ -119,6 +119,19 @@ def test_a_runner_is_shown_until_its_foot_leaves_the_ground():
     assert data.sizes["frame"] == 1  # it pulls at the start
 
 
+@pytest.mark.parametrize("step", [0.01, 0.07, 0.9])
+def test_a_run_is_shown_to_the_instant_of_lift_off(step):
+    """Of an inverted pendulum of energy E it is where 3 cos(theta - slope) = 2 E, before the foot
+    comes down at theta = -0.285 (SciPy's DOP853)."""
+    walker, start = wj.SpringWalker(0.0165, 20.0), (0.3, -0.9749387098808787)
+    data = wj.motion(walker, np.array(start), 1, step=step)
+    assert data["outcome"].values.tolist() == [wj.Outcome.RUNNING]
+    energy = start[1] ** 2 / 2 + np.cos(start[0] - 0.0165)
+    lift_off = 0.0165 - np.arccos(2 * energy / 3)
+    np.testing.assert_allclose(data["theta"].values[-1], lift_off, rtol=0, atol=1e-10)
+    assert lift_off > -0.2783 and np.all(data["theta"].values[:-1] > lift_off)
+
+
 def test_wrong_arguments():
     walker = wj.SimplestWalker(0.004)
     with pytest.raises(ValueError, match="x must be a feasible start"):

@@ -148,6 +148,12 @@ def attractors_of(label: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
     return np.where(label < OUTCOMES, -1, label - OUTCOMES)
 
 
+def labels_among(label: Int[np.ndarray, "*n"]) -> Int[np.ndarray, " labels"]:
+    """Return the labels that occur: those with attractors first, then the fates."""
+    found = np.unique(label)
+    return np.roll(found, np.count_nonzero(found >= OUTCOMES))
+
+
 def neighbours(
     cells: Int[np.ndarray, " n"], shape: tuple[int, ...]
 ) -> Iterator[Int[np.ndarray, " n"]]:

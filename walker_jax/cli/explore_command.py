@@ -50,12 +50,12 @@ def explore(walker: "wj.System", page: Page) -> None:
     from walker_jax.basins.windows import grid_along
     from walker_jax.explorer.offers import flag_of, offer
     from walker_jax.explorer.server import run_server
+    from walker_jax.systems.hybrid_system import has_ground
     from walker_jax.systems.system import numbers_of
-    from walker_jax.walkers.model import is_planar
     from walker_jax.walkers.parameters import chosen_options
 
     page.check_host()
-    if page.axis and is_planar(type(walker)):
+    if page.axis and has_ground(walker):
         raise WrongUse("--axis is for systems: the page shows a walker in the plane about its gait")
     axes = named_axes(walker, page.axis) if page.axis else {}
     if axes:

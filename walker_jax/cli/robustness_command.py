@@ -80,9 +80,9 @@ class Measures(Group, theme="Measures"):
     def settings(self, walker: "wj.System") -> dict[str, Any]:
         """Return the arguments of the library's `robustness`."""
         from walker_jax.design.evaluation import check_starts
-        from walker_jax.walkers.model import is_planar
+        from walker_jax.systems.hybrid_system import has_ground
 
-        if not is_planar(walker):
+        if not has_ground(walker):
             plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
             refuse(plane, ground=self.ground)
         given = {name: value for name, value in vars(self).items() if value is not None}

@@ -60,10 +60,11 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
 
     from walker_jax import storage
     from walker_jax.execution.progress import bar
+    from walker_jax.systems.hybrid_system import has_ground
     from walker_jax.systems.outcomes import name_of_outcome
-    from walker_jax.walkers.model import State, is_planar, moves_like
+    from walker_jax.walkers.model import State, moves_like
 
-    if not is_planar(walker):
+    if not has_ground(walker):
         other = f"not for {walker.label()}: leave it out"
         refuse(f"is for walkers in the plane, {other}", ground=asked.ground)
         if walker.picture() is None:

@@ -12,7 +12,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.stability.sensitivity import DISTURBANCES, INDICATORS, respond_to
 from walker_jax.walkers.choices import Choice, numbers_chosen
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import along_parameter
+from walker_jax.walkers.parameters import value_of, with_parameter
 from walker_jax.walking.starts import prepare
 
 ALL = tuple(DISTURBANCES.values()), tuple(INDICATORS.values())
@@ -46,6 +46,8 @@ def sensitivity_gradient(
     value, gradient = float(norm(checked, state)), []
     for name in parameters:
         change = gait_derivatives(walker, gait, name, multipliers=False, tolerance=tolerance)
-        way = along_parameter(checked, name), jnp.asarray(change.states[0], state.dtype)
-        gradient.append(float(jax.jvp(norm, (checked, state), way)[1]))
+        along = lambda value, x, name=name: norm(with_parameter(checked, name, value), x)
+        at = value_of(checked, name), state
+        way = jnp.ones_like(at[0]), jnp.asarray(change.states[0], state.dtype)
+        gradient.append(float(jax.jvp(along, at, way)[1]))
     return Measure(value, np.array(gradient))

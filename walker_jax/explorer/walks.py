@@ -23,8 +23,8 @@ from walker_jax.walkers.kneed import BentState
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.phase import legs
 from walker_jax.walking.iteration import record_walk, strides
-from walker_jax.walking.movement import find_ends, frames_shown, swings_at
-from walker_jax.walking.trajectories import state_after
+from walker_jax.walking.movement import find_end
+from walker_jax.walking.trajectories import phase_times, state_after
 
 MAX_STRIDES = 60
 """Most strides in one answer."""
@@ -108,12 +108,11 @@ def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> S
 
 def fall(walker: Any, start: Float[np.ndarray, " coordinates"], outcome: Outcome) -> dict:
     """Describe the stride in which a walker fails, until it is on the ground, runs or stops."""
-    ends = np.minimum(find_ends(walker, start), walker.picture().longest())
-    times = np.linspace(0, ends[-1], 1 + max(8, round(ends[-1] / FRAME)))
+    last = min(find_end(walker, start, outcome), walker.picture().longest())
+    times = np.linspace(0, max(last, FRAME), 1 + max(8, round(last / FRAME)))
     states = states_at(walker, start, times)
     finite = np.isfinite(states.theta)
-    count = len(times) if finite.all() else int(finite.argmin())
-    count = max(2, min(count, frames_shown(walker, outcome, states, swings_at(times, ends))))
+    count = max(2, len(times) if finite.all() else int(finite.argmin()))
     states = jax.tree.map(lambda values: values[:count], states)
     return end(walker, start, outcome, float(times[count - 1]), states)
 
@@ -143,7 +142,7 @@ def end(
         bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
         if bent is not None:
             found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
-        locks = float(find_ends(walker, start)[-2])
+        locks = float(phase_times(walker, start)[-2])
         found["locks"] = locks if np.isfinite(locks) else None
     return found
 

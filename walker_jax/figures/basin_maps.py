@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import along_axis, large_basins
 from walker_jax.checks import WrongUse
@@ -33,31 +32,28 @@ def basin(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     check_dataset(data, "basin")
     check_plane(data["fate"])
     ax = axes_for(ax, style)
-    large = large_basins(data, len(BASINS))
-    found = regions.regions_of(data, large)
-    x, y = axes = axes_of(data)
-    extent = regions.extent_of(data, x, y)
-    regions.show_image(ax, regions.paint(found, data["fate"].shape), extent)
+    large, axes = large_basins(data, len(BASINS)), axes_of(data)
+    found, extent = regions.draw_regions(ax, data, large)
     free, share = np.ones(data["fate"].shape, bool), share_drawn(data)
-    handles: list[Any] = []
     for number, marker in zip(large, MARKERS, strict=False):
         cycle = regions.cycle_of(data, number)
         dots = regions.place_states(data, cycle, axes)
         inside = (dots >= extent[::2]) & (dots <= extent[1::2])
         name = regions.attractor_name(data, int(data["period"].sel(number=number)), cycle)
         where = "" if inside.all(axis=1).any() else " (outside the picture)"
-        handles.append(regions.attractor_mark(ax, dots, marker, name + where))
+        regions.mark_attractor(ax, dots, marker, name + where)
         regions.keep_clear(free, dots, extent)
     ax.set(xlim=extent[:2], ylim=extent[2:])
+    patches = []
     for region in found:
         named = style.get("labels", True) and regions.draw_label(ax, region, free, extent)
         if not named or region.counted:
-            handles.append(regions.counted_patch(region, share))
+            patches.append(regions.counted_patch(region, share))
     if "origin" in data.attrs:
         ax.yaxis.get_offset_text().set_x(-0.1)  # put the offset in its usual place
     note = text.basin_note(data) + place_note(data, axes)
     x, y = (offset_label(data, one) for one in axes)
-    return finish(ax, style, text.walker_title(data), note, x=x, y=y, legend=handles)
+    return finish(ax, style, text.walker_title(data), note, x=x, y=y, legend=patches)
 
 
 def check_plane(fate: xr.DataArray) -> None:
@@ -126,18 +122,17 @@ def basin_slices(data: xr.Dataset) -> Figure:
     for ax, index in zip(grid.flat, chosen, strict=False):
         regions.show_image(ax, image[:, :, index], extent)
         ax.set_title(text.coordinate_value(z, float(depths[index])), fontsize="medium")
-    marks: dict[str, Line2D] = {}
     for number, marker in zip(large, MARKERS, strict=False):
         cycle = regions.cycle_of(data, number)
         name = regions.attractor_name(data, int(data["period"].sel(number=number)), cycle)
         for place in regions.place_states(data, cycle, (x, y, z)):
             ax = grid.flat[int(np.abs(depths[chosen] - place[2]).argmin())]
-            marks[name] = regions.attractor_mark(ax, place[None, :2], marker, name)
+            regions.mark_attractor(ax, place[None, :2], marker, name)
     grid[0, 0].set(xlim=extent[:2], ylim=extent[2:])
     layout.name_outer_axes(grid, len(chosen), x, y)
     patches = [regions.counted_patch(region, share_drawn(data)) for region in found]
     layout.figure_title(figure, text.walker_title(data))
-    layout.figure_legend(figure, [*marks.values(), *patches], text.basin_note(data))
+    layout.figure_legend(grid.flat, patches, text.basin_note(data))
     return figure
 
 
@@ -161,7 +156,7 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
         note = text.area_phrase(data, area) if area else "no basin of attraction"
         ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
     layout.name_outer_axes(panels, len(slopes), x, y)
-    layout.figure_legend(figure, [*map(regions.patch_of, found)])
+    layout.figure_legend(panels.flat, map(regions.patch_of, found))
     return figure
 
 

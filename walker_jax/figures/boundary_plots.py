@@ -6,11 +6,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from walker_jax.basins.cell_classes import large_basins
 from walker_jax.figures import regions
 from walker_jax.figures.basin_maps import axes_of, check_plane
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
-from walker_jax.figures.style import BASINS, INK
+from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.stability.boundaries import region_name
 from walker_jax.storage.schema import check_dataset
@@ -42,10 +41,7 @@ def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -
     check_plane(data["fate"])
     ax = axes_for(ax, style, 7, 6.2)
     x, y = axes = axes_of(data)
-    extent = regions.extent_of(data, x, y)
-    found = regions.regions_of(data, large_basins(data, len(BASINS)))
-    regions.show_image(ax, regions.paint(found, data["fate"].shape), extent)
-    marks: list[Any] = []
+    found, extent = regions.draw_regions(ax, data)
     seen: dict[bytes, str] = {}
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)
@@ -69,10 +65,10 @@ def boundary(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -
             colour, sign = "white", "D"
         look: Any = {"color": colour, "mec": INK, "mew": 0.8, "ls": "", "zorder": 4}
         places = regions.place_states(data, states, axes)
-        marks += ax.plot(*places.T, sign, label=f"{pair}: {words}", **look)
+        ax.plot(*places.T, sign, label=f"{pair}: {words}", **look)
     ax.set(xlim=extent[:2], ylim=extent[2:])
-    handles = [*marks, *map(regions.patch_of, found)]
-    return finish(ax, style, walker_title(data), entropy_phrase(data), x=x, y=y, legend=handles)
+    note, patches = entropy_phrase(data), map(regions.patch_of, found)
+    return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches)
 
 
 def finite_rows(states: np.ndarray) -> np.ndarray:

@@ -34,6 +34,8 @@ SIGNS: tuple[dict[str, Any], ...] = (
 filled where they are known to be supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
+DOTS = 60
+"""Size of the dots of attractors (points) times the square root of their number, in its limits."""
 HIGHEST = 2
 """Largest modulus of a multiplier that is drawn against a parameter."""
 FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
@@ -141,19 +143,19 @@ def bifurcation_diagram(
     check_dataset(data, "bifurcation diagram")
     ax = axes_for(ax, style, 7, 5)
     value, state = curves.attractor_states(data)
-    ax.plot(value, state, "o", color=BASINS[0], ms=1, mew=0, rasterized=True, zorder=4)
-    handles = [Line2D([], [], color=BASINS[0], marker="o", ms=3, ls="", label="attractor")]
+    size = np.clip(DOTS / math.sqrt(max(len(value), 1)), 1, 3)  # few dots are larger
+    ax.plot(value, state, "o", color=BASINS[0], ms=size, mew=0, rasterized=True, zorder=4)
+    ax.plot([], [], "o", color=BASINS[0], ms=3, label="attractor")
     for curve in curves.cascade_curves(data)[:1]:
-        draw_curve(ax, curve, curve.states, stable=False)
-        handles.append(Line2D([], [], color=INK, label="unstable gait", **DASHED))
+        draw_curve(ax, curve, curve.states, stable=False, label="unstable gait")
     set_range(ax, data)
     lost, note = curves.loss_of_attractor(data), ""
     if np.isfinite(lost):
-        handles.append(ax.axvline(lost, color=LOSS, lw=1, zorder=3, label="walking is lost"))
+        ax.axvline(lost, color=LOSS, lw=1, zorder=3, label="walking is lost")
         low, high = data["lost"].values.tolist()
         digits = max(5, 1 - math.floor(math.log10(high - low)))  # enough to tell the two apart
         note = f"walking is lost between {low:.{digits}f} and {high:.{digits}f}"
-    return over_parameter(ax, style, data, "attractors", note, y=first_name(data), legend=handles)
+    return over_parameter(ax, style, data, "attractors", note, y=first_name(data))
 
 
 def lyapunov_exponents(
@@ -171,12 +173,11 @@ def lyapunov_exponents(
     value = data["sample_value"].values
     found, errors = data["exponents"].values, data["exponent_errors"].values
     ax.axhline(0, color=INK, lw=0.8, zorder=1)
-    handles = []
     for i, (middle, error) in enumerate(zip(found.T, 2 * errors.T, strict=True)):
         colour = BASINS[i % len(BASINS)]
         ax.fill_between(value, middle - error, middle + error, color=colour, alpha=0.3, lw=0)
         place = ("first", "second", "third")[i] if i < 3 else f"{i + 1}th"
-        handles += ax.plot(value, middle, color=colour, lw=1, label=place, zorder=3)
+        ax.plot(value, middle, color=colour, lw=1, label=place, zorder=3)
     known = found[np.isfinite(found)]
     if len(known):
         top = max(float(known.max()), 0.05)
@@ -186,8 +187,7 @@ def lyapunov_exponents(
     note = (
         f"the first is above zero from {positive[0]:.5f}" if len(positive) else "none is above zero"
     )
-    y = "exponent (1/stride)"
-    return over_parameter(ax, style, data, "Lyapunov exponents", note, y=y, legend=handles)
+    return over_parameter(ax, style, data, "Lyapunov exponents", note, y="exponent (1/stride)")
 
 
 def bifurcations(data: xr.Dataset) -> Figure:
@@ -198,26 +198,26 @@ def bifurcations(data: xr.Dataset) -> Figure:
     the first period doubling of the cascade and the loss of walking, if any.
     """
     check_dataset(data, "bifurcation diagram")
-    rows = 3 if "exponents" in data else 2
+    window, exponents = cascade_window(data), "exponents" in data
+    panels = [(gait_branches, "Gaits"), (bifurcation_diagram, "Attractors")]
+    panels.append((largest_multiplier, "Largest Floquet multiplier"))
+    panels += [(lyapunov_exponents, "Lyapunov exponents")] * exponents
+    whole = len(panels)
+    if window is not None:
+        panels.append((bifurcation_diagram, "Attractors of the cascade"))
+        panels += [(lyapunov_exponents, "Exponents of the cascade")] * exponents
+    rows = -(-len(panels) // 2)
     figure = new_figure(10.4, 4.5 * rows)
-    axes = figure.subplots(rows, 2)
-    gait_branches(data, axes[0, 0], title="a  Gaits")
-    bifurcation_diagram(data, axes[0, 1], title="b  Attractors")
-    largest_multiplier(data, axes[1, 0], title="c  Largest Floquet multiplier")
-    if rows == 3:
-        lyapunov_exponents(data, axes[1, 1], title="d  Lyapunov exponents")
-    window, close = cascade_window(data), axes.flat[3 if rows == 2 else 4]
-    if window is None:
-        for ax in axes[-1, 3 - rows :]:
-            ax.remove()
-    else:
-        letter = "d" if rows == 2 else "e"
-        bifurcation_diagram(data, close, title=f"{letter}  Attractors of the cascade")
-        close.lines[0].set(markersize=0.8, alpha=0.5)
-        close.set(xlim=window[:2], ylim=window[2:])
-        if rows == 3:
-            lyapunov_exponents(data, axes[2, 1], title="f  Exponents of the cascade")
-            axes[2, 1].set_xlim(window[:2])
+    axes = figure.subplots(rows, 2).flat
+    for i, (ax, (draw, title)) in enumerate(zip(axes, panels, strict=False)):
+        draw(data, ax, title=f"{'abcdef'[i]}  {title}")
+        if window is not None and i >= whole:
+            ax.set_xlim(window[:2])
+            if draw is bifurcation_diagram:
+                ax.set_ylim(window[2:])
+                ax.lines[0].set(markersize=0.8 * ax.lines[0].get_markersize(), alpha=0.5)
+    for ax in figure.axes[len(panels) :]:
+        ax.remove()
     figure_title(figure, walker_title(data))
     return figure
 
@@ -243,20 +243,19 @@ def stability_and_area(
     slopes, known = areas["slope"].values, np.isfinite(areas["area"].values)
     for curve in curves.cascade_curves(gaits)[:1]:
         draw_multiplier(ax, curve)
+    ax.plot([], [], color=INK, **SOLID, label=f"{RADIUS}; dashed: unstable")
     ax.set(xlim=(0, 1.02 * slopes.max()), ylim=(0, HIGHEST))
     other = ax.twinx()
     look: Any = {"color": BASINS[1], "ms": 5, "mfc": "none", "label": "area, cell mapping"}
-    points = other.plot(slopes, areas["mapped_area"], "s", **look)
+    other.plot(slopes, areas["mapped_area"], "s", **look)
     if known.any():
         label = "area, refined (error below the width of the line)"
         refined = slopes[known], areas["area"].values[known]
-        points += other.plot(*refined, "-o", color=BASINS[0], ms=3, label=label)
+        other.plot(*refined, "-o", color=BASINS[0], ms=3, label=label)
     other.set_ylim(0)
     other.set_ylabel(AREA_LABEL, color=BASINS[0])
-    line = Line2D([], [], color=INK, **SOLID, label=f"{RADIUS}; dashed: unstable")
-    title, handles = "Stability of the gait, and area of its basin", [line, *points]
-    words: Any = {"x": "slope", "y": RADIUS, "legend": handles, "beside": [other]}
-    return finish(ax, style, title, "SimplestWalker", **words)
+    title = "Stability of the gait, and area of its basin"
+    return finish(ax, style, title, "SimplestWalker", x="slope", y=RADIUS, beside=[other])
 
 
 def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
@@ -267,9 +266,17 @@ def coefficients(data: xr.Dataset, name: str) -> Float[np.ndarray, " n"]:
 
 
 def draw_curve(
-    ax: Axes, curve: Curve, heights: Float[np.ndarray, "n k"], *, stable: bool = True
+    ax: Axes,
+    curve: Curve,
+    heights: Float[np.ndarray, "n k"],
+    *,
+    stable: bool = True,
+    label: str = "",
 ) -> None:
-    """Draw lines along a curve: dashed where it is unstable, and solid where it is `stable`."""
+    """Draw lines along a curve: dashed where it is unstable, and solid where it is `stable`.
+
+    The first of them has the label.
+    """
     solid = curve.stable_intervals
     changes = np.flatnonzero(solid[1:] != solid[:-1]) + 1
     colour, _ = period_style(curve.period)
@@ -278,7 +285,10 @@ def draw_curve(
             run = slice(start, stop + 1)
             order = 3 * solid[start] + 1 / curve.period
             style = SOLID if solid[start] else DASHED if curve.period < 3 else FAINTER
-            ax.plot(curve.value[run], heights[run], color=colour, zorder=2 + order, **style)
+            look = style | {"color": colour, "zorder": 2 + order}
+            (first, *_) = ax.plot(curve.value[run], heights[run], **look)
+            first.set_label(label)
+            label = ""
 
 
 def draw_multiplier(ax: Axes, curve: Curve) -> None:
@@ -327,7 +337,7 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
     """Write the step times of the gaits of period one at the end of the range beside the axes."""
     heights, times = curves.final_gaits(data)
     order, at = np.argsort(heights), ax.get_yaxis_transform()
-    for i, place in zip(order, evenly_around(heights[order], *ax.get_ylim()), strict=True):
+    for i, place in zip(order, places_near(heights[order], *ax.get_ylim()), strict=True):
         look: Any = {
             "va": "center",
             "fontsize": SMALL,
@@ -339,14 +349,16 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
         ax.annotate(words, (1.03, 1), (0, 6), "axes fraction", "offset points", fontsize=SMALL)
 
 
-def evenly_around(
+def places_near(
     heights: Float[np.ndarray, " n"], low: float, high: float
 ) -> Float[np.ndarray, " n"]:
-    """Return as many places, 0.09 of a range apart, around ascending heights in that range."""
+    """Return places in a range, 0.09 of it apart, as near as may be to ascending heights."""
+    from scipy.optimize import isotonic_regression
+
     gap = 0.09 * (high - low)
-    away = gap * (np.arange(len(heights)) - (len(heights) - 1) / 2)
-    middle, most = np.mean(heights) if len(heights) else low, away.max(initial=0) + gap / 2
-    return np.clip(middle, low + most, high - most) + away
+    away = gap * np.arange(len(heights))
+    nearest = isotonic_regression(heights - away).x
+    return np.clip(nearest, low + gap / 2, high - gap / 2 - away.max(initial=0)) + away
 
 
 def set_range(ax: Axes, data: xr.Dataset) -> None:

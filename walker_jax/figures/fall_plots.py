@@ -86,16 +86,15 @@ def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
     """Draw the disturbances of each stride as bars."""
     number = np.arange(1, len(fall.disturbances) + 1)
     kinds = np.flatnonzero(fall.disturbances.any(axis=0))
-    width, bars = 0.8 / len(kinds), list[Any]()
+    width = 0.8 / len(kinds)
     for i, kind in enumerate(kinds):
         at = number + (i - (len(kinds) - 1) / 2) * width
-        heights = fall.disturbances[:, kind]
-        bars.append(ax.bar(at, heights, width, color=BASINS[i], label=KINDS[kind]))
+        ax.bar(at, fall.disturbances[:, kind], width, color=BASINS[i], label=KINDS[kind])
     ax.axhline(0, color=INK, lw=0.8)
     count_axis(ax)
     single = len(kinds) == 1
     y = KINDS[kinds[0]] if single else "disturbance"
-    finish(ax, {}, "Disturbances", x="stride", y=y, legend=[] if single else bars)
+    finish(ax, {"legend": not single}, "Disturbances", x="stride", y=y)
 
 
 def count_axis(ax: Axes) -> None:
@@ -126,12 +125,11 @@ def draw_path(ax: Axes, fall: ProbableFall) -> None:
         ("before the fall", last, {"marker": "X", "ms": 9, "color": BASINS[1]}),
     ]
     ax.plot(*places, color=BASINS[0], lw=0.8)
-    marks = []
     for label, some, look in signs:
         if some.any():
-            marks += ax.plot(*places[:, some], ls="", zorder=3, label=label, **look)
+            ax.plot(*places[:, some], ls="", zorder=3, label=label, **look)
     ax.locator_params(axis="x", nbins=6)
-    finish(ax, {}, "States just after heel strike", x="theta", y="sum", legend=marks)
+    finish(ax, {}, "States just after heel strike", x="theta", y="sum")
 
 
 def draw_law(ax: Axes, fall: ProbableFall) -> None:
@@ -141,13 +139,13 @@ def draw_law(ax: Axes, fall: ProbableFall) -> None:
     means = np.array([fall.mean_strides(one) for one in scales.tolist()])
     shown = means <= LONGEST
     rare, law = exponent[shown], np.exp(exponent[shown])
-    lines = ax.semilogy(rare, means[shown], color=BASINS[0], label="mean strides to a fall")
-    lines += ax.semilogy(rare, law, "--", lw=1, color=OTHERS, label="exp(action / scale$^2$)")
+    ax.semilogy(rare, means[shown], color=BASINS[0], label="mean strides to a fall")
+    ax.semilogy(rare, law, "--", lw=1, color=OTHERS, label="exp(action / scale$^2$)")
     above = ax.secondary_xaxis("top", functions=(lambda e: e, lambda e: e))
     ticks = exponent[:: len(exponent) // 4]
     above.set_xticks(ticks, [f"{np.sqrt(fall.action / one):.2g}" for one in ticks])
     above.set_xlabel("scale of the deviations")
-    finish(ax, {}, "Law", x="action / scale$^2$", y="mean strides to a fall", legend=lines)
+    finish(ax, {}, "Law", x="action / scale$^2$", y="mean strides to a fall")
 
 
 def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
@@ -206,21 +204,18 @@ def chaotic_saddle(
         first, second = np.moveaxis(np.asarray(states, float)[..., :2], -1, 0)
         return first, first + second if summed else second
 
-    handles: list[Any] = []
-    ways = found.escapes[:ROUTES, -STRIDES:]
-    for way in ways:
-        line = ax.plot(*place(way), "-o", color=OTHERS, lw=0.6, ms=2.5, zorder=1)
-        line[0].set_label("on the way to a failure")
-        handles = line
+    ways = place(found.escapes[:ROUTES, -STRIDES:].swapaxes(0, 1))
+    for i, line in enumerate(ax.plot(*ways, "-o", color=OTHERS, lw=0.6, ms=2.5, zorder=1)):
+        line.set_label("" if i else "on the way to a failure")
     shown = [("saddle", found.saddle, BASINS[1])]
     shown += [] if attractor is None else [("attractor before the crisis", attractor, BASINS[2])]
     for order, (label, states, colour) in enumerate(shown, start=2):
         ax.plot(*place(states), ".", color=colour, zorder=order, ms=2.5, mew=0)
-        handles += ax.plot([], [], "o", color=colour, ms=5, label=label)
+        ax.plot([], [], "o", color=colour, ms=5, label=label)
     if gait is not None:
         look: Any = {"mfc": "white", "mec": INK, "mew": 1.2, "ms": 6, "zorder": 5}
         label = f"gait of period {len(gait.states)}"
-        handles += ax.plot(*place(gait.states), "o", label=label, **look)
+        ax.plot(*place(gait.states), "o", label=label, **look)
     for set_limits, values in zip((ax.set_xlim, ax.set_ylim), place(found.saddle), strict=True):
         low, high = np.quantile(values, [0.001, 0.999])
         set_limits(low - (high - low) * AROUND, high + (high - low) * AROUND)
@@ -228,7 +223,7 @@ def chaotic_saddle(
     note = f"mean life {found.mean_life:.1f}; exponents {exponents}; "
     note += f"dimension {found.dimension:.2f}"
     x, y = found.section[0], "sum" if summed else found.section[1]
-    return finish(ax, style, "Chaotic saddle", note, x=x, y=y, legend=handles)
+    return finish(ax, style, "Chaotic saddle", note, x=x, y=y)
 
 
 def crisis_law(
@@ -265,14 +260,14 @@ def crisis_law(
     bars = ax.errorbar(distance, lives, 2 * errors, fmt="o", ms=4, lw=1, color=BASINS[0])
     bars[0].set_label("mean life")
     fitted = f"fitted exponent {law.exponent:.2f} ({law.low:.2f} to {law.high:.2f})"
-    handles = [bars[0], *ax.plot(ends, line(law.exponent), color=BASINS[0], label=fitted)]
+    ax.plot(ends, line(law.exponent), color=BASINS[0], label=fitted)
     for i, (name, exponent) in enumerate((predicted or {}).items()):
         look = {"color": BASINS[1], "lw": 1.1, "ls": DASHES[i % len(DASHES)]}
-        handles += ax.plot(ends, line(exponent), label=f"{name}: {exponent:.2f}", **look)
+        ax.plot(ends, line(exponent), label=f"{name}: {exponent:.2f}", **look)
     for name, value in (openings or {}).items():
         ax.axvline(value - law.crisis, color=OTHERS, lw=0.9, ls=":", zorder=1)
         words = f" {name} " * style.get("labels", True)
         ax.text(value - law.crisis, ax.get_ylim()[1], words, rotation=90, va="top", ha="right")
     note = f"crisis at {law.crisis:.8g}; chi² per degree of freedom {law.misfit:.1f}"
     x, y = f"distance from {law.crisis:.8g}", "mean life (strides)"
-    return finish(ax, style, "Mean life beyond the crisis", note, x=x, y=y, legend=handles)
+    return finish(ax, style, "Mean life beyond the crisis", note, x=x, y=y)

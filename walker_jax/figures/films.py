@@ -153,7 +153,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     x, y = map(str, data["fate"].dims[1:])
     name_axes(ax, x, y)
     figure_title(figure, walker_title(data), "large")
-    figure_legend(figure, [*map(patch_of, regions)])
+    figure_legend([ax], map(patch_of, regions))
     heading = ax.set_title("window 0.000e+00 wide, 0.000e+00 high", loc="left", fontsize="medium")
     fix_layout(figure)
     sizes = [float(cell_edges(data[name].values)[1]) * 2 for name in (x, y)]

@@ -48,7 +48,7 @@ def fitted_samples(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Sty
     for k in range(data.sizes["column"]):
         lines = ax.plot(after.T, data["fitted"].values[..., k].T, lw=0.6, color=INK)
     lines[0].set_label("fitted")
-    handles, note = [*handles, lines[0]], f"{data.sizes['step']} steps, recorded and fitted"
+    note = f"{data.sizes['step']} steps, recorded and fitted"
     return finish(ax, style, walker_title(data), note, x=SINCE, y="coordinates", legend=handles)
 
 

@@ -2,10 +2,10 @@
 
 import math
 import re
-import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import chain
 from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
@@ -13,7 +13,10 @@ from jaxtyping import Float
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 from matplotlib.transforms import offset_copy
 
 from walker_jax.checks import WrongUse, check_number
@@ -22,14 +25,16 @@ from walker_jax.figures.text import NO_BREAK, axis_label
 
 GAP = 7
 """Gap between the axes and the text above them (points)."""
-LETTER = 0.49
-"""Mean width of a letter, in sizes of the text."""
 WIDER = 1.15
 """Factor by which a layout enlarges axes, at least."""
-FORMULA, INSTEAD = re.compile(r"\$.*?\$"), "\ue000" * 2
-"""A formula in a text, and letters that take about its place."""
-SIGN = 9
-"""Width of a sign of a legend, with the gaps around it, in letters."""
+SIGN = 4.8
+"""Width of a sign of a legend, with the gaps around it, in sizes of the text."""
+MOST_COLUMNS = 6
+"""Most columns of a legend."""
+MANY = 4
+"""Width (inches) from which a legend of more than five lines has two columns."""
+WORD = re.compile(r" *(?:\$[^$]*\$|[^ ])+")
+"""A word of a text, after spaces; a formula is part of one."""
 SMALLER = 0.6
 """Factor on lines and signs in print, the same as for text of 8 points against a screen's."""
 page_width: ContextVar[float | None] = ContextVar("page_width", default=None)
@@ -147,7 +152,8 @@ def name_axes(ax: Axes, x: str | None = None, y: str | None = None, **look: Any)
     if x is not None:
         ax.set_xlabel(axis_label(x), **look)
     if y is not None:
-        ax.set_ylabel(in_lines(axis_label(y), height_of(ax), "axes.labelsize"), **look)
+        high = ax.bbox.height / figure_of(ax).dpi
+        ax.set_ylabel(in_lines(axis_label(y), high, "axes.labelsize"), **look)
 
 
 def name_outer_axes(panels: np.ndarray, used: int, x: str, y: str) -> None:
@@ -173,7 +179,8 @@ def finish(
 ) -> DrawnAxes:
     """Write title and note above axes, their names, and a legend below. Returns the axes.
 
-    `beside` are axes that share the height, such as a colour bar.
+    The legend has what is labelled on the axes, and then the given signs. `beside` are axes that
+    share the height, such as a colour bar.
     """
     printed = page_width.get() is not None
     for line in ax.lines if printed else ():
@@ -183,7 +190,7 @@ def finish(
         name_axes(ax, x, y)
     for one in beside:
         one.set_ylabel(one.get_ylabel() if style.get("labels", True) else "")
-    wide = WIDER * ax.bbox.width / figure_of(ax).dpi
+    wide = float(WIDER * ax.bbox.width / figure_of(ax).dpi)
     own = style.get("title", not printed)
     title = own if isinstance(own, str) else title * own
     note = in_lines(note, wide, NOTE) if style.get("subtitle", not printed) else ""
@@ -191,60 +198,74 @@ def finish(
         if note:
             ax.annotate(note, (0, 1), (0, GAP), "axes fraction", "offset points", fontsize=NOTE)
         pad = GAP + 1.45 * points_of(NOTE) * len(note.splitlines()) if note else None
-        ax.set_title(in_lines(title, 0.9 * wide, "axes.titlesize"), pad=pad)
-        if style.get("legend", True) and (handles := [*legend]):
+        ax.set_title(in_lines(title, wide, "axes.titlesize", "bold"), pad=pad)
+        labelled = (each.get_legend_handles_labels()[0] for each in (ax, *beside))
+        handles = [*chain(*labelled), *legend]
+        if style.get("legend", True) and handles:
             drop = 13 + 2.4 * points_of("font.size")  # height of the axes' names and numbers
             below = offset_copy(ax.transAxes, figure_of(ax), y=-drop, units="points")
-            columns = in_columns(handles, wide)
-            ax.legend(handles=handles, ncols=columns, bbox_to_anchor=(0, 0), bbox_transform=below)
+            place: Any = {"bbox_to_anchor": (0, 0), "bbox_transform": below}
+            ax.legend(**in_columns(handles, wide), **place)
     return cast(DrawnAxes, ax)
 
 
-def height_of(ax: Axes) -> float:
-    """Return the height of axes in inches."""
-    return ax.bbox.height / figure_of(ax).dpi
+def width_of(text: str, size: str, weight: Any = "normal") -> float:
+    """Return the width of a line of text in inches, in one of the sizes of `points_of`."""
+    font = FontProperties(size=points_of(size), weight=weight)
+    return text_to_path.get_text_width_height_descent(text, font, is_math_text(text))[0] / 72
 
 
-def letters_in(inches: float, size: str) -> int:
-    """Return about how many letters of a size are in a width."""
-    return max(10, int(72 * inches / (LETTER * points_of(size))))
+def in_lines(text: str, inches: float, size: str, weight: Any = "normal") -> str:
+    """Break a text into lines of a width: none within a formula, nor within a phrase that fits."""
+    lines = []
+    for paragraph in text.split("\n"):
+        line = ""
+        for word in WORD.findall(paragraph):
+            longer = line + word if line else word.strip(" ")
+            if width_of(longer, size, weight) > inches:
+                lines += [line] if line else []
+                if NO_BREAK in word and width_of(word, size, weight) > inches:
+                    word = in_lines(word.replace(NO_BREAK, " "), inches, size, weight)
+                *full, longer = word.strip(" ").split("\n")
+                lines += full
+            line = longer
+        lines.append(line)
+    return "\n".join(lines).replace(NO_BREAK, " ")
 
 
-def in_lines(text: str, inches: float, size: str) -> str:
-    """Break a text into lines of about a width, none within a formula."""
-    formulas = iter(FORMULA.findall(text))
-    look: Any = {"break_long_words": False, "break_on_hyphens": False}
-    short, most = FORMULA.sub(INSTEAD, text).split("\n"), letters_in(inches, size)
-    lines = "\n".join(textwrap.fill(one, most, **look) for one in short)
-    return re.sub(INSTEAD, lambda _: next(formulas), lines).replace(NO_BREAK, " ")
-
-
-def in_columns(handles: Sequence[Artist], inches: float) -> int:
-    """Return the number of columns of a legend of about a width; break labels that are longer.
+def in_columns(handles: Sequence[Artist], inches: float) -> dict[str, Any]:
+    """Return signs, labels and number of columns of a legend of a width; break longer labels.
 
     A legend of many lines has two columns at least.
     """
-    size, most = "legend.fontsize", letters_in(inches, "legend.fontsize")
-    longest = max(len(FORMULA.sub("x", str(one.get_label()))) for one in handles)
-    columns = min(
-        len(handles), 6, max(1 + (len(handles) > 5 and most > 60), most // (longest + SIGN))
-    )
-    room = inches / columns - SIGN * LETTER * points_of(size) / 72
-    for one in handles:
-        one.set_label(in_lines(str(one.get_label()), room, size))
-    return columns
+    size, labels = "legend.fontsize", [str(one.get_label()) for one in handles]
+    sign = SIGN * points_of(size) / 72
+    widths = [sign + width_of(one, size) for one in labels]
+    least, most = 1 + (len(handles) > 5 and inches > MANY), min(len(handles), MOST_COLUMNS)
+    wide = lambda columns: sum(map(max, np.array_split(widths, columns)))  # as a legend has them
+    fitting = [columns for columns in range(least, most + 1) if wide(columns) <= inches]
+    room = math.inf if fitting else inches / least - sign
+    broken = [in_lines(one, room, size) for one in labels]
+    return {"handles": handles, "labels": broken, "ncols": max(fitting, default=least)}
 
 
-def figure_legend(figure: Figure, handles: Sequence[Artist], note: str = "") -> None:
-    """Put a legend at the left, below all axes of a figure, under a note."""
+def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:
+    """Put a legend at the left, below all axes of a figure, under a note.
+
+    It has what is labelled on some of the axes, and then the given signs, each label once.
+    """
+    axes = [*axes]
+    labelled = chain(*(ax.get_legend_handles_labels()[0] for ax in axes))
+    handles = [*{one.get_label(): one for one in (*labelled, *signs)}.values()]
+    figure = figure_of(axes[0])
     wide = figure.get_figwidth()
     above: Any = in_lines(note, wide, "legend.fontsize") or None
     look: Any = {"loc": "outside lower left", "frameon": False, "alignment": "left"}
-    figure.legend(handles=handles, ncols=in_columns(handles, wide), title=above, **look)
+    figure.legend(**in_columns(handles, wide), title=above, **look)
 
 
 def figure_title(figure: Figure, title: str, size: str = "x-large") -> None:
     """Write a title at the left, above all axes of a figure; none in print."""
     if page_width.get() is None:
-        title = title.replace(NO_BREAK, " ")
-        figure.suptitle(title, x=0.01, ha="left", size=size, weight="bold", wrap=True)
+        lines = in_lines(title, 0.97 * figure.get_figwidth(), size, "bold")
+        figure.suptitle(lines, x=0.01, ha="left", size=size, weight="bold")

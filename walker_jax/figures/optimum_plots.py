@@ -111,41 +111,40 @@ def draw_optimisation(
     ax: Axes, data: xr.Dataset, parameter: str, title: str, style: Style
 ) -> DrawnAxes:
     """Draw the picture `optimisation` under a title."""
-    scan, ground = draw_scan(ax, data, parameter)
-    runs, own = draw_runs(ax, data, parameter), data.sel(parameter=parameter)
-    ends = draw_end(ax, own, "start", marker="o", mfc="none", mec=INK, mew=1.4, ms=12)
-    ends += draw_end(ax, own, "optimum", marker="*", mfc=BASINS[1], mec="white", ms=17)
+    own = data.sel(parameter=parameter)
+    draw_end(ax, own, "start", marker="o", mfc="none", mec=INK, mew=1.4, ms=12)
+    draw_end(ax, own, "optimum", marker="*", mfc=BASINS[1], mec="white", ms=17)
+    ground, runs = draw_scan(ax, data, parameter), draw_runs(ax, data, parameter)
     ax.set_xlim(*results.bounds(data, parameter))
     ax.locator_params(axis="x", nbins=6)
-    note, handles = text.join_phrases([gain(data), *ending(data, parameter)]), [*ends, *scan, *runs]
-    y = objective_words(data)
-    return finish(ax, style, title, note, x=parameter, y=y, legend=[*handles, *ground])
+    note, y = text.join_phrases([gain(data), *ending(data, parameter)]), objective_words(data)
+    return finish(ax, style, title, note, x=parameter, y=y, legend=[*runs, *ground])
 
 
-def draw_end(ax: Axes, own: xr.Dataset, side: str, **look: Any) -> list[Line2D]:
-    """Draw start or optimum, uncut even at a bound. Returns it for the legend."""
+def draw_end(ax: Axes, own: xr.Dataset, side: str, **look: Any) -> None:
+    """Draw start or optimum, uncut even at a bound."""
     at = float(own[side])
     look |= {"label": f"{side}, at {at:.4g}", "ls": "", "zorder": 6} | UNCLIPPED
-    return ax.plot([at], [float(own[f"exact_{side}"])], **look)
+    ax.plot([at], [float(own[f"exact_{side}"])], **look)
 
 
-def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D], list[Patch]]:
-    """Draw the scan, if there is one, and the background where limits forbid it.
+def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> list[Patch]:
+    """Draw the scan, if there is one, and the background where limits forbid it, if they do.
 
-    Returns both for the legend.
+    Returns the sign of that background in the legend.
     """
     scan = results.scan_of(data, parameter)
     if scan is None:
-        return [], []
+        return []
     words = "scan" + ", others as in the optimum" * (data.sizes["parameter"] > 1)
     allowed = np.where(scan.allowed, scan.value, np.nan)
-    lines = ax.plot(scan.parameter, allowed, color=SCAN, lw=2.5, label=words, zorder=2)
+    ax.plot(scan.parameter, allowed, color=SCAN, lw=2.5, label=words, zorder=2)
     if not scan.forbidden:
-        return lines, []
+        return []
     ax.plot(scan.parameter, scan.value, color=SCAN, lw=1, ls=(0, (4, 3)), zorder=1)
     for low, high in scan.forbidden:
         ax.axvspan(low, high, color=FORBIDDEN, lw=0, zorder=0)
-    return lines, [Patch(fc=FORBIDDEN, ec=SCAN, lw=0.5, label=limit_words(data))]
+    return [Patch(fc=FORBIDDEN, ec=SCAN, lw=0.5, label=limit_words(data))]
 
 
 def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> list[Line2D]:
@@ -186,7 +185,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
     panels[1].tick_params(labelleft=False)
-    layout.figure_legend(layout.figure_of(panels[0]), [*map(regions.patch_of, found)])
+    layout.figure_legend(panels, map(regions.patch_of, found))
 
 
 def basin_note(data: xr.Dataset, side: str) -> str:

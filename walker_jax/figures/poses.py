@@ -67,7 +67,7 @@ def step(data: xr.Dataset) -> Figure:
         Line2D([], [], color=colour, lw=3, label=f"{name} leg")
         for name, colour in (("stance", INK), ("swing", SWING))
     ]
-    figure_legend(figure, legs)
+    figure_legend(figure.axes, legs)
     figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
     return figure
 

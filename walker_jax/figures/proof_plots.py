@@ -6,7 +6,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.patches import Patch
 
 from walker_jax.figures.layout import DrawnAxes, Style, axes_for, finish
 from walker_jax.figures.style import BASINS, INK
@@ -34,13 +33,12 @@ def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     width = (high - low) / data["count"].values / 2.0 ** data["level"].values[:, None]
     corner = low + data["place"].values * width
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    handles: list[Any] = []
     for fate, (words, colour) in FATES.items():
         some = data["proved"].values == fate
         if some.any():
             corners = corner[some, None] + square * width[some, None]
-            ax.add_collection(PolyCollection([*corners], facecolors=colour, linewidths=0))
-            handles.append(Patch(color=colour, label=words))
+            look: Any = {"facecolors": colour, "linewidths": 0, "label": words}
+            ax.add_collection(PolyCollection([*corners], **look))
     factor, size = data["trap_factor"].values, float(data["trap_size"])
     curves = {"trap": (ellipse(data, size * np.linalg.inv(factor.T)), "-")}
     if radius := data.attrs["radius"]:
@@ -48,9 +46,9 @@ def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
         curves[f"starts within {radius:.7g} of the gait"] = around, "--"
     for words, (curve, dashes) in curves.items():
         ax.plot(*curve.T, color="white", lw=1.8)
-        handles += ax.plot(*curve.T, dashes, color=INK, lw=0.9, label=words)
+        ax.plot(*curve.T, dashes, color=INK, lw=0.9, label=words)
     gait = ellipse(data, np.zeros((len(low), len(low))))[0]
-    handles += ax.plot(*gait, "o", ls="", ms=7, color=INK, mec="white", label="gait")
+    ax.plot(*gait, "o", ls="", ms=7, color=INK, mec="white", label="gait")
     ends = np.concatenate([[low, high], *(curve for curve, _ in curves.values())])
     beyond = 0.03 * np.ptp(ends, axis=0)
     (left, bottom), (right, top) = ends.min(axis=0) - beyond, ends.max(axis=0) + beyond
@@ -58,7 +56,7 @@ def proof(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     # Where distances are those of the section, a disc is round.
     equal = radius and y != "sum"
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal" if equal else "auto")
-    return finish(ax, style, walker_title(data), proof_note(data), x=x, y=y, legend=handles)
+    return finish(ax, style, walker_title(data), proof_note(data), x=x, y=y)
 
 
 def ellipse(data: xr.Dataset, shape: np.ndarray) -> np.ndarray:

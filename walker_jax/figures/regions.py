@@ -8,11 +8,16 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from walker_jax.basins.cell_classes import CellClass, along_axis, failing_cells, walking_cells
-from walker_jax.figures.layout import LETTER, cell_edges, figure_of
+from walker_jax.basins.cell_classes import (
+    CellClass,
+    along_axis,
+    failing_cells,
+    large_basins,
+    walking_cells,
+)
+from walker_jax.figures.layout import cell_edges, figure_of, width_of
 from walker_jax.figures.style import (
     ARTEFACTS,
     BASINS,
@@ -100,6 +105,20 @@ def paint(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*
     return image
 
 
+def draw_regions(
+    ax: Axes, data: xr.Dataset, large: list[int] | None = None
+) -> tuple[list[Region], Extent]:
+    """Draw the regions of a data set over two dimensions, by default with its largest basins.
+
+    Returns them, and the edges of the grid.
+    """
+    large = large_basins(data, len(BASINS)) if large is None else large
+    found = regions_of(data, large)
+    extent = extent_of(data, *map(str, data["fate"].dims))
+    show_image(ax, paint(found, data["fate"].shape), extent)
+    return found, extent
+
+
 def extent_of(data: xr.Dataset, x: str, y: str) -> Extent:
     """Return the edges of a grid: left, right, low and high."""
     return (*cell_edges(data[x].values), *cell_edges(data[y].values))
@@ -141,12 +160,10 @@ def attractor_name(data: xr.Dataset, period: int, cycle: Float[np.ndarray, "n se
     return f"{words}: ({', '.join(names)}) = {shown}{', …' * (len(states) > 2)}"
 
 
-def attractor_mark(
-    ax: Axes, dots: Float[np.ndarray, "n 2"], marker: str, label: str = ""
-) -> Line2D:
+def mark_attractor(ax: Axes, dots: Float[np.ndarray, "n 2"], marker: str, label: str = "") -> None:
     """Draw the states of an attractor."""
     style = {"color": INK, "mec": "white", "mew": 1.2, "ms": 7.5, "zorder": 5}
-    return ax.plot(*dots.T, marker, ls="", label=label, **style)[0]
+    ax.plot(*dots.T, marker, ls="", label=label, **style)
 
 
 def patch_of(region: Region, label: str = "") -> Patch:
@@ -179,7 +196,7 @@ def draw_label(ax: Axes, region: Region, free: Bool[np.ndarray, "nx ny"], extent
     look: Any = {"ha": "center", "color": "white" if dark else INK, "clip_on": True}
     letter, words = (region.letter, LARGE, "bold"), (region.words, SMALL, "normal")
     for lines in ([letter, words], [letter]) if region.letter else ([words],):
-        wide = max(LETTER * len(text) * points_of(font) for text, font, _ in lines)
+        wide = 72 * max(width_of(*line) for line in lines)
         tall = sum(1.2 * points_of(font) for _, font, _ in lines)
         # The ellipse within the box of the words fits where its centre is deeper than 1.
         steps: Any = 2 * size / np.array((wide, tall)) / cells.shape

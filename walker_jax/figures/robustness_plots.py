@@ -25,7 +25,8 @@ from walker_jax.figures.layout import (
 from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
 from walker_jax.stability import nearest_starts
-from walker_jax.stability.nearest_starts import NearestStart, has_plane_disturbance
+from walker_jax.stability.disturbances import LeastDisturbance
+from walker_jax.stability.nearest_starts import has_plane_disturbance
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, failures_of
 
@@ -51,7 +52,9 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
         raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
     ax = axes_for(ax, style, 5.4, 5.4)
     axes, starts = axes_of(data), nearest_starts.nearest_starts(data)
-    around = [nearest_starts.circle(one.gait_state, one.distance) for one in starts]
+    gait = data["gait_state"].values
+    centres = [gait, *(one.state - one.size * one.direction for one in starts[1:])]
+    around = map(nearest_starts.circle, centres, [one.size for one in starts])
     curves = [regions.place_states(data, one, axes) for one in around]
     low, high = np.min(curves, axis=(0, 1)), np.max(curves, axis=(0, 1))
     middle, reach = (low + high) / 2, WINDOW * (high - low)
@@ -60,46 +63,42 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]
         first, last = np.searchsorted(data[name].values, ends)
         window[name] = slice(max(0, first - 2), last + 2)  # some cells, however large they are
     near = data.isel(window)
-    found = regions.regions_of(near, large_basins(data, len(BASINS)))
-    image, extent = regions.paint(found, near["fate"].shape), regions.extent_of(near, *axes)
-    regions.show_image(ax, image, extent)
+    found, _ = regions.draw_regions(ax, near, large_basins(data, len(BASINS)))
     for curve, line in zip(curves, ("-", "--"), strict=False):
         ax.plot(*curve.T, line, color="white", lw=1.6)
-    gait = data["gait_state"].values
     name = regions.attractor_name(data, int(data["gait_period"]), gait[None])
-    marks = [mark(ax, data, gait, name, "o", 7.5)]
+    mark(ax, data, gait, name, "o", 7.5)
     for one, sign in zip(starts, "XP", strict=False):
-        marks.append(mark(ax, data, one.state, start_phrase(one, data), sign, 10.0))
+        mark(ax, data, one.state, start_phrase(one, data), sign, 10.0)
     ax.set(xlim=limits[0], ylim=limits[1])
     ax.locator_params(nbins=6)
-    handles, (x, y) = [*marks, *map(regions.patch_of, found)], axes
-    note = distance_phrase(starts)
-    return finish(ax, style, "Least disturbance", note, x=x, y=y, legend=handles)
+    (x, y), patches, note = axes, map(regions.patch_of, found), distance_phrase(starts)
+    return finish(ax, style, "Least disturbance", note, x=x, y=y, legend=patches)
 
 
-def mark(ax: Axes, data: xr.Dataset, state: Any, words: str, sign: str, size: float) -> Line2D:
+def mark(ax: Axes, data: xr.Dataset, state: Any, words: str, sign: str, size: float) -> None:
     """Draw a state."""
     look: Any = {"ls": "", "mec": "white", "color": INK, "zorder": 3, "ms": size, "label": words}
     (place,) = regions.place_states(data, state[None], axes_of(data))
-    return ax.plot(*place, sign, **look)[0]
+    ax.plot(*place, sign, **look)
 
 
-def distance_phrase(starts: list[NearestStart]) -> str:
+def distance_phrase(starts: list[LeastDisturbance]) -> str:
     """Return the distances of the nearest starts from the gait, in words."""
     nearest, *fall = starts
     if fall:
-        farther = f"{fall[0].distance:.4g} to a failure"
-        return f"from the gait {nearest.distance:.4g} to another attractor, {farther}"
-    elsewhere = nearest.outcome == Outcome.STRIDE
+        farther = f"{fall[0].size:.4g} to a failure"
+        return f"from the gait {nearest.size:.4g} to another attractor, {farther}"
+    elsewhere = nearest.failure == Outcome.STRIDE
     end = "start that does not return" if elsewhere else "failure"
-    return f"{nearest.distance:.4g}, from the gait to the nearest {end}"
+    return f"{nearest.size:.4g}, from the gait to the nearest {end}"
 
 
-def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
+def start_phrase(start: LeastDisturbance, data: xr.Dataset) -> str:
     """Return the legend of the nearest start that does not return."""
-    if start.outcome == Outcome.STRIDE:
+    if start.failure == Outcome.STRIDE:
         return "nearest start that converges to another attractor"
-    fails = failure_words(start.outcome, failures_of(data))
+    fails = failure_words(start.failure, failures_of(data))
     strides = count_noun(start.strides, "stride")
     return f"nearest start that {fails} after {strides}"
 
@@ -130,17 +129,15 @@ def robustness_measures(
     """
     values, parameter = table_axis(data)
     ax = axes_for(ax, style, 7, 4.6)
-    handles: list[Line2D] = []
     for name in ("total_area", "least_disturbance"):
         largest = float(np.nanmax([0.0, *data[name].values]))
-        lines = draw_measure(ax, data, name, largest or 1)
-        lines[0].set_label(f"{lines[0].get_label()} (largest {largest:.4g})")
-        handles += lines
-    handles += draw_measure(ax, data, "multiplier")
+        first, *_ = draw_measure(ax, data, name, largest or 1)
+        first.set_label(f"{first.get_label()} (largest {largest:.4g})")
+    draw_measure(ax, data, "multiplier")
     show_from_zero(ax, values)
     note = "band: twice the standard error of the area; multiplier of the attracting gait"
-    words: Any = {"x": parameter, "y": "relative to the maximum; multiplier", "legend": handles}
-    return finish(ax, style, f"{walker_title(data)}: robustness", note, **words)
+    title, y = f"{walker_title(data)}: robustness", "relative to the maximum; multiplier"
+    return finish(ax, style, title, note, x=parameter, y=y)
 
 
 def boundary_dimension(
@@ -191,14 +188,14 @@ def robustness_table(data: xr.Dataset) -> Figure:
         ),
     }
     for ax, (name, (title, note, y)) in zip(axes.flat, panels.items(), strict=False):
-        handles = draw_measure(ax, data, name)
+        several = len(draw_measure(ax, data, name)) > 1
         show_from_zero(ax, values)
         if name == "multiplier":
             draw_periods(ax, data)
             ax.axhline(1, color=INK, lw=0.8, zorder=1)
         else:
             mark_maximum(ax, data, name)
-        finish(ax, {}, title, note, x=parameter, y=y, legend=handles * (len(handles) > 1))
+        finish(ax, {"legend": several}, title, note, x=parameter, y=y)
     boundary_dimension(data, axes[1, 1])
     figure_title(figure, f"{walker_title(data)}: robustness")
     return figure

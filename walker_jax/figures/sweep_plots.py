@@ -82,7 +82,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     ]
     if len(inside):
         handles.append(Line2D([], [], label="bifurcation", **EVENT))
-    layout.figure_legend(figure, handles)
+    layout.figure_legend(figure.axes, handles)
     count = text.count_noun(data.sizes["attractor"], "attractor")
     layout.figure_title(figure, f"{text.walker_title(data)}, {count}", "large")
     return figure

@@ -10,7 +10,6 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize, to_hex
-from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import CellClass
 from walker_jax.basins.volumes import grid_of
@@ -61,13 +60,11 @@ def viability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) 
     regions.show_image(ax, image, extent)
     drawn = {"target": data["capture"].values == 0}
     drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
-    marks: list[Any] = []
     for name, cells in drawn.items():
-        marks += draw_boundary(ax, BOUNDS[name], cells, extent)
+        draw_boundary(ax, BOUNDS[name], cells, extent)
     bar = figure_of(ax).colorbar(scale, ax=ax, label="share of safe actions")
-    handles, note = [*marks, *map(regions.patch_of, failing)], viability_note(data) + place
-    words: Any = {"x": x, "y": y, "legend": handles, "beside": [bar.ax]}
-    return finish(ax, style, walker_title(data), note, **words)
+    note, patches = viability_note(data) + place, map(regions.patch_of, failing)
+    return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches, beside=[bar.ax])
 
 
 def capturability(
@@ -103,13 +100,12 @@ def capturability(
         if words
     ]
     regions.show_image(ax, regions.paint(found, viable.shape), extent)
-    lines: list[Any] = []
     for (words, basin), look in zip(around.items(), LINES, strict=False):
         cells, _ = middle_plane(basin, "attractor")
         named = f"{words}: {sum(basin.attrs['area']):.3g}", *look
-        lines += draw_boundary(ax, named, cells["attractor"].values >= 0, extent)
-    handles, note = [*map(regions.patch_of, found), *lines], actions_in_words(data) + place
-    return finish(ax, style, walker_title(data), note, x=x, y=y, legend=handles)
+        draw_boundary(ax, named, cells["attractor"].values >= 0, extent)
+    note, patches = actions_in_words(data) + place, map(regions.patch_of, found)
+    return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches)
 
 
 def areas_of_capture(data: xr.Dataset) -> list[str]:
@@ -168,18 +164,18 @@ def draw_boundary(
     line: tuple[str, str, float, Any],
     cells: Bool[np.ndarray, "nx ny"],
     extent: regions.Extent,
-) -> list[Line2D]:
-    """Draw the line around a set of cells; return its sign in the legend, none without cells."""
+) -> None:
+    """Draw the line around a set of cells, if it has any."""
     words, colour, width, kind = line
     if not cells.any():
-        return []
+        return
     around = np.pad(cells, 1).repeat(2, 0).repeat(2, 1)[1:-1, 1:-1]
     ends = zip(np.reshape(extent, (2, 2)), cells.shape, strict=True)
     places = [np.linspace(first, last, n + 1).repeat(2) for (first, last), n in ends]
     style: Any = {"colors": [colour], "linewidths": [width], "linestyles": [kind]}
     ax.contour(*places, around.T.astype(float), levels=[0.5], **style)
     on_white = "0.6" if colour == "white" else colour
-    return [Line2D([], [], label=words, color=on_white, lw=width, ls=kind)]
+    ax.plot([], [], label=words, color=on_white, lw=width, ls=kind)
 
 
 def viability_note(data: xr.Dataset) -> str:

@@ -43,28 +43,26 @@ def volume(data: xr.Dataset) -> Figure:
     if large:
         (centre,) = regions.place_states(data, regions.cycle_of(data, large[0])[:1], names)
     figure = layout.new_figure(10, 9)
-    patches, marks = {}, []
+    panels, patches = [], []
     for panel, hidden in enumerate((2, 1, 0), start=1):
         ax, depths = figure.add_subplot(2, 2, panel), data[names[hidden]].values
         at = float(np.clip(centre[hidden], depths[0], depths[-1]))
         plane = slice_basin(data, names[hidden], at)
         x, y = (name for name in names if name != names[hidden])
-        found = regions.regions_of(plane, large)
-        patches |= {region.words: regions.patch_of(region) for region in found}
-        image = regions.paint(found, plane["fate"].shape)
-        regions.show_image(ax, image, regions.extent_of(plane, x, y))
-        marks = []
+        found, _ = regions.draw_regions(ax, plane, large)
+        patches += map(regions.patch_of, found)
         for number, marker in zip(large, MARKERS, strict=False):
             cycle = regions.cycle_of(data, number)
             name = regions.attractor_name(data, int(data["period"][number]), cycle)
             dots = regions.place_states(data, cycle, (x, y))
-            marks.append(regions.attractor_mark(ax, dots, marker, name))
+            regions.mark_attractor(ax, dots, marker, name)
         ax.set(xlim=window[names.index(x)], ylim=window[names.index(y)])
         place = text.coordinate_value(names[hidden], float(plane[names[hidden]]))
-        layout.finish(ax, {}, f"Slice at {place}", x=x, y=y)
+        layout.finish(ax, {"legend": False}, f"Slice at {place}", x=x, y=y)
+        panels.append(ax)
     draw_surface(figure, data, cells, large, window)
     layout.figure_title(figure, text.walker_title(data))
-    layout.figure_legend(figure, [*marks, *patches.values()], volume_note(data))
+    layout.figure_legend(panels, patches, volume_note(data))
     return figure
 
 

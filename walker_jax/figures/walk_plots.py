@@ -83,12 +83,11 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
     basin(data, whole)
     x, y = trajectory_in(data, walk).T
     half = len(x) // 2
-    large, axes = large_basins(data, len(BASINS)), axes_of(data)
-    image = regions.paint(regions.regions_of(data, large), data["fate"].shape)
-    regions.show_image(close, image, regions.extent_of(data, *axes))
-    for number in large:
+    axes = axes_of(data)
+    regions.draw_regions(close, data)
+    for number in large_basins(data, len(BASINS)):
         dots = regions.place_states(data, regions.cycle_of(data, number), axes)
-        regions.attractor_mark(close, dots, "o")
+        regions.mark_attractor(close, dots, "o")
     for ax, first, last in ((whole, 0, half), (close, half, len(x))):
         ax.plot(x, y, "-", color=TRAJECTORY, lw=1.2, zorder=5)
         ax.plot(x, y, "o", color=TRAJECTORY, mec=INK, mew=0.8, ms=6, zorder=6)

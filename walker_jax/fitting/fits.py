@@ -1,7 +1,7 @@
 """Fits of a system's parameters to recordings of its steps, by maximum likelihood."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from walker_jax.checks import (
 )
 from walker_jax.fitting.bounds import Bounds, to_free
 from walker_jax.fitting.recordings import Recording, as_recordings
-from walker_jax.fitting.residuals import LOSSES, Data, Layout, Unknowns, follow_steps
+from walker_jax.fitting.residuals import LOSSES, Data, Layout, Problem, Unknowns, follow_steps
 from walker_jax.fitting.results import Fit, fit_of, predicted_jit
 from walker_jax.fitting.solving import Solved, polish_starts, solve
 from walker_jax.fitting.starts import check_feasible, first_starts, names_of_state
@@ -107,60 +107,6 @@ def fit(
     system.
     """
     check_whole("bootstrap", bootstrap, least=0, most=MOST_RESAMPLED)
-    systems, layout, columns, steps, data, given, begun = pose(
-        system,
-        recordings,
-        parameters,
-        bounds=bounds,
-        noise=noise,
-        priors=priors,
-        shooting=shooting,
-        loss=loss,
-        inputs=inputs,
-        skip=skip,
-        starts=starts,
-        tolerance=tolerance,
-    )
-    free, apart = layout._replace(single=False), data._replace(apart=np.array(True))
-    solved, apart = search(free, begun, apart, steps, given)
-    data = data._replace(noise=apart.noise)
-    solved, data = search(free, solved.unknowns, data, steps, given)
-    if layout.single:
-        begun = solved.unknowns._replace(starts=solved.unknowns.starts[steps.is_first])
-        solved, data = search(layout, begun, data, steps, given)
-    return fit_of(systems, layout, columns, steps, data, solved, bootstrap, seed)
-
-
-class Problem(NamedTuple):
-    """A fit before its search."""
-
-    systems: tuple[HybridSystem, ...]
-    layout: Layout
-    columns: tuple[str, ...]
-    steps: Steps
-    data: Data
-    given: Float[np.ndarray, " columns"]
-    """Noise of columns, NaN where it is to be found."""
-    begun: Unknowns
-    """First guesses, with a start for each step."""
-
-
-def pose(
-    system: HybridSystem | tuple[HybridSystem, HybridSystem],
-    recordings: Recording | Sequence[Recording],
-    parameters: Choice,
-    *,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    noise: Mapping[str, float] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    shooting: str = "multiple",
-    loss: str = "linear",
-    inputs: Mapping[str, tuple[str, float]] | None = None,
-    skip: float = 0.0,
-    starts: Float[Any, "*steps section"] | None = None,
-    tolerance: float | None = None,
-) -> Problem:
-    """Check the arguments of `fit`, and return its unknowns and the data of its residuals."""
     systems = check_systems(system)
     names = numbers_chosen(systems[0], parameters)
     if not names:
@@ -181,8 +127,9 @@ def pose(
     data = make_data(
         systems[0], each, steps, names, (first, strike_noise), bounds, priors, tolerance
     )
-    begun = first_unknowns(systems[0], layout, columns, steps, data, starts)
-    return Problem(systems, layout, columns, steps, data, given, begun)
+    begun = first_unknowns(systems[0], layout, columns, data, starts)
+    problem = Problem(systems, layout, columns, data, given, begun)
+    return fit_of(problem, *search(problem), bootstrap, seed)
 
 
 def check_systems(system: Any) -> tuple[HybridSystem, ...]:
@@ -251,15 +198,13 @@ def noise_of(
     return given, np.where(np.isnan(given), first, given)
 
 
-def noise_left(
-    layout: Layout, found: Solved, data: Data, steps: Steps
-) -> Float[np.ndarray, " columns"]:
+def noise_left(layout: Layout, found: Solved, data: Data) -> Float[np.ndarray, " columns"]:
     """Return the standard deviation of the residuals of each column, of steps that walk.
 
     With the sum of squares, the unknowns take their share of the degrees of freedom; with a robust
     loss it is that of a normal distribution with the same median.
     """
-    motion, values = predicted_jit(layout, found.unknowns, data)
+    steps, (motion, values) = data.steps, predicted_jit(layout, found.unknowns, data)
     off = np.abs(values - steps.values)
     used = steps.known & np.asarray(motion.walks)[:, None, None] & np.isfinite(off)
     each = [off[..., k][used[..., k]] for k in range(off.shape[-1])]
@@ -296,10 +241,7 @@ def make_data(
             raise WrongUse(f"{argument} must be of parameters that are fitted, not of {name!r}")
     prior = np.array([known.get(n, (m, np.inf)) for n, m in zip(names, middle, strict=True)]).T
     return Data(
-        each,
-        *(steps.times, steps.values, steps.known, steps.begins, steps.ends, steps.run),
-        steps.is_first,
-        *(*noise, prior, bounds_of(system, names, bounds or {}, middle)),
+        *(each, steps, *noise, prior, bounds_of(system, names, bounds or {}, middle)),
         np.ones(len(steps.run)),
         integrator_of(np.dtype(float), tolerance, None).in_dtype(np.dtype(float)),
         np.array(False),
@@ -328,12 +270,11 @@ def first_unknowns(
     system: HybridSystem,
     layout: Layout,
     columns: Sequence[str],
-    steps: Steps,
     data: Data,
     starts: Any,
 ) -> Unknowns:
     """Return where the search begins; a step that fails from its own guess has a typical one."""
-    size = len(system.section)
+    size, steps = len(system.section), data.steps
     if starts is None:
         guesses = first_starts(system, columns, steps)
     else:
@@ -359,13 +300,26 @@ def first_unknowns(
 follow_jit = jax.jit(follow_steps, static_argnums=0)
 
 
-def search(
-    layout: Layout, begun: Unknowns, data: Data, steps: Steps, given: np.ndarray
+def search(problem: Problem) -> tuple[Solved, Data]:
+    """Search with steps apart, then one after another, in single shooting by the impact at last."""
+    layout, data = problem.layout, problem.data
+    free, apart = layout._replace(single=False), data._replace(apart=np.array(True))
+    found, apart = search_with_noise(problem, free, problem.begun, apart)
+    data = data._replace(noise=apart.noise)
+    found, data = search_with_noise(problem, free, found.unknowns, data)
+    if layout.single:
+        begun = found.unknowns._replace(starts=found.unknowns.starts[data.steps.is_first])
+        found, data = search_with_noise(problem, layout, begun, data)
+    return found, data
+
+
+def search_with_noise(
+    problem: Problem, layout: Layout, begun: Unknowns, data: Data
 ) -> tuple[Solved, Data]:
     """Search until the noise that is not given agrees with the residuals."""
-    found = solve(layout, begun, data)
-    for _ in range(NOISE_ROUNDS if np.isnan(given).any() else 0):
-        noise = np.where(np.isnan(given), noise_left(layout, found, data, steps), given)
+    found, missing = solve(layout, begun, data), np.isnan(problem.given)
+    for _ in range(NOISE_ROUNDS if missing.any() else 0):
+        noise = np.where(missing, noise_left(layout, found, data), problem.given)
         data = data._replace(noise=noise)
         found = solve(layout, found.unknowns, data)
     return found, data

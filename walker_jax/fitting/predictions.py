@@ -42,43 +42,38 @@ def sample_state(
 
 
 def predict_samples(
-    system: HybridSystem,
     names: Sequence[str],
     places: Sequence[int],
-    x: Float[Array, " section"],
+    size: int,
+    variables: Float[Array, " variables"],
     times: Float[Array, " samples"],
-    values: Float[Array, " parameters"],
+    system: HybridSystem,
     integrator: Integrator,
 ) -> Predicted:
-    """Predict the coordinates at `places` of a state, at times after the start x of a step.
+    """Predict the coordinates at `places` of a state, at times on the clock of the recording.
 
-    Derivatives are by x, by the time, and by the parameters `names`.
+    Variables are the `size` coordinates of the start, its time, and the parameters `names`.
     """
-    size = len(x)
 
-    def predict(variables):
+    def predict(variables, time):
         now = with_values(system, zip(names, variables[size + 1 :], strict=True))
-        state = sample_state(now, variables[:size], variables[size], integrator)
+        state = sample_state(now, variables[:size], time - variables[size], integrator)
         return state[jnp.asarray(places)]
 
-    def at(time):
-        return with_jacobian(predict, jnp.concatenate([x, time[None], values]))
-
-    return jax.vmap(at)(times)
+    return jax.vmap(lambda time: with_jacobian(partial(predict, time=time), variables))(times)
 
 
 def predict_step(
-    system: HybridSystem,
     names: Sequence[str],
-    x: Float[Array, " section"],
-    values: Float[Array, " parameters"],
+    size: int,
+    variables: Float[Array, " variables"],
+    system: HybridSystem,
     integrator: Integrator,
 ) -> Predicted:
     """Predict the start of the next step, and the duration of this one; NaN after a failure.
 
-    Derivatives are by x and by the parameters `names`.
+    Variables are the `size` coordinates of the start, and the parameters `names`.
     """
-    size = len(x)
 
     def predict(variables):
         now = with_values(system, zip(names, variables[size:], strict=True))
@@ -86,7 +81,7 @@ def predict_step(
         walks = made.outcome == Outcome.STRIDE
         return jnp.append(made.state, jnp.where(walks, made.time, jnp.nan))
 
-    return with_jacobian(predict, jnp.concatenate([x, values]))
+    return with_jacobian(predict, variables)
 
 
 def with_jacobian(function: Any, variables: Float[Array, " variables"]) -> Predicted:

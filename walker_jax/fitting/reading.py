@@ -1,7 +1,7 @@
 """Recordings read from files and from arrays: columns by name, units, experiments."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
+from walker_jax.checks import WrongUse, array, check_kind, is_number, numbers, short
 from walker_jax.fitting.recordings import (
     UNITS,
+    Recording,
     Recordings,
     make_recording,
-    split,
     strikes_at_changes,
 )
 
@@ -60,48 +60,38 @@ def read_recordings(
     turn, and for a column of NaN alone.
     """
     sources = source if isinstance(source, list | tuple) else [source]
-    found = []
-    for one in sources:
-        table = columns_of(one)
-        for part in split(table, None if experiment is None else check_name(table, experiment)):
-            given = times_of(part, time, units or {}), part
-            found.append(
-                one_recording(*given, columns, units or {}, strikes, inputs, experiment, time)
-            )
-    return Recordings(found)
+    sizes = units or {}
+
+    def read(table: Mapping[str, Any]) -> Recording:
+        """Read one experiment."""
+        column = lambda name: numbers(name, table[check_name(table, name)])
+        measured = lambda name, of: column(of) * unit_of(sizes, name)
+        at, stance, legs = measured(time, time), 0, strikes if isinstance(strikes, str) else None
+        if legs is not None:
+            ends, stance = strikes_at_changes(at, column(legs))
+        else:
+            ends = None if strikes is None else numbers("strikes", strikes) * unit_of(sizes, time)
+        left = [one for one in table if one not in {time, legs, experiment, *inputs}]
+        named = left if columns is None else columns
+        named = dict(named) if isinstance(named, Mapping) else {one: one for one in named}
+        if unknown := [*({*sizes} - {*named, *inputs, time})]:
+            raise WrongUse(f"units must be of columns that are read, not of {unknown[0]!r}")
+        values = {name: measured(name, of) for name, of in named.items()}
+        return make_recording(at, values, ends, {one: measured(one, one) for one in inputs}, stance)
+
+    return Recordings(read(part) for one in sources for part in split(columns_of(one), experiment))
 
 
-def one_recording(
-    at: Any,
-    table: Mapping[str, Any],
-    columns: Mapping[str, str] | Sequence[str] | None,
-    units: Mapping[str, str | float],
-    strikes: Any,
-    inputs: Sequence[str],
-    experiment: str | None,
-    time: str,
-) -> Any:
-    """Return the recording of one experiment."""
-    stance, legs = 0, strikes if isinstance(strikes, str) else None
-    if legs is not None:
-        strikes, stance = strikes_at_changes(at, numbers(legs, table[check_name(table, legs)]))
-    elif strikes is not None:
-        strikes = numbers("strikes", strikes) * unit_of(units, time)
-    if columns is None:
-        columns = [one for one in table if one not in {time, legs, experiment, *inputs}]
-    named = dict(columns) if isinstance(columns, Mapping) else {one: one for one in columns}
-    if unknown := [*({*units} - {*named, *inputs, time})]:
-        raise WrongUse(f"units must be of columns that are read, not of {unknown[0]!r}")
-    read = lambda name, column: (
-        numbers(column, table[check_name(table, column)]) * unit_of(units, name)
-    )
-    values = {name: read(name, column) for name, column in named.items()}
-    return make_recording(at, values, strikes, {one: read(one, one) for one in inputs}, stance)
-
-
-def times_of(table: Mapping[str, Any], time: str, units: Mapping[str, str | float]) -> Any:
-    """Return times in the system's unit."""
-    return numbers(time, table[check_name(table, time)]) * unit_of(units, time)
+def split(table: Mapping[str, Any], experiment: str | None) -> Iterator[dict[str, Any]]:
+    """Return the rows of each experiment, in the order of the first of each."""
+    columns = {name: array(name, one) for name, one in table.items()}
+    if experiment is None:
+        yield columns
+        return
+    which = columns[check_name(columns, experiment)]
+    _, first = np.unique(which, return_index=True)
+    for value in which[np.sort(first)]:
+        yield {name: one[which == value] for name, one in columns.items()}
 
 
 def unit_of(units: Mapping[str, str | float], name: str) -> float:

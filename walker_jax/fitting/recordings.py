@@ -4,13 +4,13 @@ Gaps are NaN. Heel strikes are given as times, told by a column that changes at 
 a coordinate jumps as the legs exchange roles.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.checks import WrongUse, array, check_kind, numbers, short
+from walker_jax.checks import WrongUse, check_kind, numbers, short
 from walker_jax.systems.html_tables import html_table
 
 UNITS = {
@@ -179,16 +179,3 @@ def as_recordings(recordings: Any) -> Recordings:
                 f"{', '.join(sorted(one.values))}"
             )
     return Recordings(several)
-
-
-def split(
-    table: Mapping[str, Any], experiment: str | None
-) -> Iterator[dict[str, Float[np.ndarray, " samples"]]]:
-    """Return the rows of each experiment, in the order of the first of each."""
-    if experiment is None:
-        yield {name: array(name, one) for name, one in table.items()}
-        return
-    which = array(experiment, table[experiment])
-    _, first = np.unique(which, return_index=True)
-    for value in which[np.sort(first)]:
-        yield {name: array(name, one)[which == value] for name, one in table.items()}

@@ -1,23 +1,26 @@
-"""A bootstrap over steps: fits to steps drawn with replacement, all in one call."""
+"""A bootstrap over steps: fits to steps drawn with replacement."""
 
+from functools import partial
+
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
-from walker_jax.fitting.residuals import Data, Layout
-from walker_jax.fitting.solving import Solved, solve_weighted
-from walker_jax.fitting.steps import Steps
+from walker_jax.fitting.residuals import Data, Layout, Problem, Unknowns
+from walker_jax.fitting.solving import Solved, solve
 
 AT_ONCE = 50
 """Fits in one call, which holds as many copies of all predictions."""
 
 
 def resample(
-    layout: Layout, solved: Solved, data: Data, steps: Steps, count: int, seed: int
+    problem: Problem, solved: Solved, data: Data, count: int, seed: int
 ) -> Float[np.ndarray, "draws parameters"]:
     """Return parameters of fits to resampled steps; NaN where a fit did not converge.
 
     Each step counts as often as it is drawn. Linked steps are drawn together, by runs.
     """
+    layout, steps = problem.layout, data.steps
     random = np.random.default_rng(seed)
     groups = steps.run if layout.single else np.arange(len(steps.run))
     number = int(groups.max()) + 1
@@ -29,3 +32,13 @@ def resample(
         values, converged = solve_weighted(layout, solved.unknowns, data, weights)
         found.append(np.where(np.asarray(converged)[:, None], values, np.nan))
     return np.concatenate(found)
+
+
+@partial(jax.jit, static_argnums=0)
+def solve_weighted(
+    layout: Layout, begun: Unknowns, data: Data, weights: Float[Array, "draws steps"]
+) -> tuple[Float[Array, "draws parameters"], Bool[Array, " draws"]]:
+    """Solve again with other weights of steps, all draws in one call; return the parameters."""
+    again = lambda one: solve(layout, begun, data._replace(weights=one))
+    found = jax.vmap(again)(weights)
+    return found.motion.values, found.converged

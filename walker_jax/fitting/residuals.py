@@ -6,14 +6,13 @@ the one before it ends, as predicted. Its start on the section is free (multiple
 the step before it leads (single shooting).
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from walker_jax.fitting.bounds import Bounds, from_free
 from walker_jax.fitting.predictions import (
@@ -23,6 +22,7 @@ from walker_jax.fitting.predictions import (
     predict_step,
     sample_state,
 )
+from walker_jax.fitting.steps import Steps
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.walkers.parameters import with_values
@@ -60,13 +60,7 @@ class Data(NamedTuple):
 
     systems: Any
     """The system of each step: leaves have steps along their first axis."""
-    times: Float[Any, "steps samples"]
-    values: Float[Any, "steps samples columns"]
-    known: Bool[Any, "steps samples columns"]
-    begins: Float[Any, " steps"]
-    ends: Float[Any, " steps"]
-    run: Int[Any, " steps"]
-    is_first: Bool[Any, " steps"]
+    steps: Steps
     noise: Float[Any, " columns"]
     strike_noise: Float[Any, ""]
     prior: Float[Any, "2 parameters"]
@@ -77,6 +71,19 @@ class Data(NamedTuple):
     integrator: Integrator
     apart: Bool[Any, ""]
     """Whether each step begins at its recorded heel strike, so that steps are fitted one by one."""
+
+
+class Problem(NamedTuple):
+    """A fit before its search."""
+
+    systems: tuple[HybridSystem, ...]
+    layout: Layout
+    columns: tuple[str, ...]
+    data: Data
+    given: Float[Any, " columns"]
+    """Noise of columns, NaN where it is to be found."""
+    begun: Unknowns
+    """First guesses, with a start for each step."""
 
 
 class Motion(NamedTuple):
@@ -96,9 +103,9 @@ def follow_steps(layout: Layout, unknowns: Unknowns, data: Data) -> Motion:
     A step begins when the one before it ends, or, while steps are `apart`, when it was recorded to.
     """
     values = from_free(unknowns.free, data.bounds)
-    size = unknowns.starts.shape[1]
+    size, steps = unknowns.starts.shape[1], data.steps
     join = lambda x: jnp.concatenate([x, values])
-    make = partial(steps_made, layout.names, size)
+    make = partial(predict_step, layout.names, size)
     if layout.single:
 
         def advance(x, step):
@@ -107,7 +114,7 @@ def follow_steps(layout: Layout, unknowns: Unknowns, data: Data) -> Motion:
             end = linearised(make, join(x), system, data.integrator)
             return jnp.where(jnp.isfinite(end[:size]), end[:size], x), (x, end[size])
 
-        each = data.systems, data.is_first, data.run
+        each = data.systems, steps.is_first, steps.run
         _, (starts, durations) = lax.scan(advance, unknowns.starts[0], each)
     else:
         starts = unknowns.starts
@@ -115,19 +122,12 @@ def follow_steps(layout: Layout, unknowns: Unknowns, data: Data) -> Motion:
         ends = linearised(jax.vmap(make, (0, 0, None)), joined, data.systems, data.integrator)
         durations = ends[:, size]
     walks = jnp.isfinite(durations)
-    durations = jnp.where(walks, durations, data.ends - data.begins)
+    durations = jnp.where(walks, durations, steps.ends - steps.begins)
     total = jnp.cumsum(durations)
-    before = jnp.where(data.is_first, total - durations, 0)
-    offset = unknowns.begins - jax.ops.segment_sum(before, data.run, len(unknowns.begins))
-    begins = jnp.where(data.apart, data.begins, total - durations + offset[data.run])
+    before = jnp.where(steps.is_first, total - durations, 0)
+    offset = unknowns.begins - jax.ops.segment_sum(before, steps.run, len(unknowns.begins))
+    begins = jnp.where(data.apart, steps.begins, total - durations + offset[steps.run])
     return Motion(values, starts, begins, begins + durations, walks)
-
-
-def steps_made(
-    names: Sequence[str], size: int, variables: Array, system: HybridSystem, integrator: Integrator
-) -> Predicted:
-    """Predict the end of a step from its start and the parameters, joined."""
-    return predict_step(system, names, variables[:size], variables[size:], integrator)
 
 
 def standardise(loss: str, residuals: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -151,19 +151,16 @@ def step_residuals(
     """Return the residuals of a step's samples, from its start, its time and the parameters."""
     system, times, recorded, known, weight = step
     noise, integrator = shared
-    x, begin, values = variables[:size], variables[size], variables[size + 1 :]
-    found = predict_samples(
-        system, layout.names, layout.places, x, times - begin, values, integrator
-    )
-    jacobian = found.jacobian.at[..., size].multiply(-1)  # by the time at which the step begins
-    finite = jnp.isfinite(found.values) & jnp.isfinite(jacobian).all(axis=-1)
+    names, places = layout.names, layout.places
+    found = predict_samples(names, places, size, variables, times, system, integrator)
+    finite = jnp.isfinite(found.values) & jnp.isfinite(found.jacobian).all(axis=-1)
     off = jnp.where(known, (found.values - recorded) / noise[None], 0)
     lost = jnp.where(known, LOST, 0.0)
     rate = jax.vmap(jax.vmap(jax.grad(partial(standardise, layout.loss))))(
         jnp.where(finite, off, 0)
     )
     used = (known & finite)[..., None]
-    slopes = jnp.where(used, rate[..., None] * jacobian / noise[None, :, None], 0)
+    slopes = jnp.where(used, rate[..., None] * found.jacobian / noise[None, :, None], 0)
     root = jnp.sqrt(weight)
     residuals = root * jnp.where(finite, standardise(layout.loss, off), lost)
     return Predicted(residuals.reshape(-1), root * slopes.reshape(-1, len(variables)))
@@ -197,7 +194,7 @@ def residuals(
         of_one = lambda one, step: compress(step_residuals(layout, size, one, step, shared))
         return jax.vmap(of_one)(variables, steps)
 
-    steps = data.systems, data.times, data.values, data.known, data.weights
+    steps = data.systems, *data.steps[:3], data.weights  # times, values, known
     samples = linearised(of_samples, variables, steps, (data.noise, data.integrator))
     others = strike_residuals(layout, motion, data), prior(motion, data)
     return jnp.concatenate([samples.reshape(-1), *others]), motion
@@ -205,11 +202,11 @@ def residuals(
 
 def strike_residuals(layout: Layout, motion: Motion, data: Data) -> Float[Array, " strikes"]:
     """Return the residuals of heel strikes: of ends, and of beginnings of runs."""
-    root = jnp.sqrt(data.weights)
-    ends = standardise(layout.loss, (motion.ends - data.ends) / data.strike_noise)
-    begins = standardise(layout.loss, (motion.begins - data.begins) / data.strike_noise)
+    steps, root = data.steps, jnp.sqrt(data.weights)
+    ends = standardise(layout.loss, (motion.ends - steps.ends) / data.strike_noise)
+    begins = standardise(layout.loss, (motion.begins - steps.begins) / data.strike_noise)
     ends = root * jnp.where(motion.walks, ends, LOST)
-    return jnp.concatenate([ends, jnp.where(data.is_first, root * begins, 0)])
+    return jnp.concatenate([ends, jnp.where(steps.is_first, root * begins, 0)])
 
 
 def prior(motion: Motion, data: Data) -> Float[Array, " parameters"]:
@@ -229,12 +226,12 @@ def predicted(
         state = lambda time: sample_state(now, x, time - begin, data.integrator)
         return jax.vmap(state)(times)[:, jnp.asarray(layout.places)]
 
-    return motion, jax.vmap(of_step)(motion.starts, motion.begins, data.systems, data.times)
+    return motion, jax.vmap(of_step)(motion.starts, motion.begins, data.systems, data.steps.times)
 
 
 def all_residuals(layout: Layout, unknowns: Unknowns, data: Data) -> Float[Array, " numbers"]:
     """Return a residual for each number, as other programs search with; none is compressed."""
     motion, values = predicted(layout, unknowns, data)
-    off = jnp.where(data.known, (values - data.values) / data.noise, 0)
+    off = jnp.where(data.steps.known, (values - data.steps.values) / data.noise, 0)
     others = strike_residuals(layout, motion, data), prior(motion, data)
     return jnp.concatenate([standardise(layout.loss, off).reshape(-1), *others])

@@ -14,9 +14,8 @@ from scipy.stats import norm
 from walker_jax.checks import check_confidence
 from walker_jax.fitting.bounds import Bounds, from_free, moving, to_free
 from walker_jax.fitting.resampling import resample
-from walker_jax.fitting.residuals import Data, Layout, predicted
+from walker_jax.fitting.residuals import Data, Problem, predicted
 from walker_jax.fitting.solving import Solved
-from walker_jax.fitting.steps import Steps
 from walker_jax.fitting.uncertainty import (
     Direction,
     covariance_and_directions,
@@ -48,6 +47,8 @@ class Fit:
     data: xr.Dataset
     """Recorded and fitted samples, residuals, starts, and durations of steps."""
     bounds: Bounds = field(repr=False)
+    problem: Problem | None = field(default=None, repr=False)
+    """Residuals, and the first guesses of the search."""
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -114,18 +115,9 @@ def root_of(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return vectors * np.sqrt(np.maximum(values, 0))
 
 
-def fit_of(
-    systems: Sequence[HybridSystem],
-    layout: Layout,
-    columns: Sequence[str],
-    steps: Steps,
-    data: Data,
-    solved: Solved,
-    bootstrap: int,
-    seed: int,
-) -> Fit:
-    """Return the result of a search."""
-    names, values = layout.names, np.asarray(solved.motion.values)
+def fit_of(problem: Problem, solved: Solved, data: Data, bootstrap: int, seed: int) -> Fit:
+    """Return the result of a search, whose noise is that of `data`."""
+    names, values = problem.layout.names, np.asarray(solved.motion.values)
     rates, away = moving(solved.unknowns.free, data.bounds)
     # At a bound recordings tell nothing: without the bound the search would go on.
     root = information(np.asarray(solved.jacobian), len(names)) * np.where(away, 1 / rates, 0)
@@ -133,10 +125,10 @@ def fit_of(
     covariance, directions = covariance_and_directions(root, names, sizes)
     errors = np.sqrt(np.diag(covariance)).tolist()
     put = lambda one: with_values(one, zip(names, values, strict=True))
-    fitted = tuple(map(put, systems))
-    draws = resample(layout, solved, data, steps, bootstrap, seed)
+    fitted = tuple(map(put, problem.systems))
+    draws = resample(problem, solved, data, bootstrap, seed)
     named = dict(zip(names, values.tolist(), strict=True))
-    found = data_of(fitted[0], layout, columns, steps, data, solved, covariance, directions)
+    found = data_of(fitted[0], problem, data, solved, covariance, directions)
     return Fit(
         named,
         dict(zip(names, errors, strict=True)),
@@ -147,20 +139,20 @@ def fit_of(
         bool(solved.converged) and bool(np.all(solved.motion.walks)),
         found,
         data.bounds,
+        problem,
     )
 
 
 def data_of(
     system: HybridSystem,
-    layout: Layout,
-    columns: Sequence[str],
-    steps: Steps,
+    problem: Problem,
     data: Data,
     solved: Solved,
     covariance: Float[np.ndarray, "n n"],
     directions: Sequence[Direction],
 ) -> xr.Dataset:
     """Return recorded and fitted numbers as a data set."""
+    layout, steps = problem.layout, data.steps
     motion, fitted = predicted_jit(layout, solved.unknowns, data)
     gaps = np.where(steps.known, 0.0, np.nan)
     per_sample = "step", "sample", "column"
@@ -189,7 +181,7 @@ def data_of(
         },
         {
             # objects, which Zarr stores as text of any length
-            "column": np.array(columns, object),
+            "column": np.array(problem.columns, object),
             "coordinate": np.array(system.section, object),
             "parameter": np.array(layout.names, object),
         },

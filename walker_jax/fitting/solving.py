@@ -3,6 +3,7 @@
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
@@ -20,11 +21,16 @@ from walker_jax.fitting.residuals import (
     step_residuals,
 )
 
-TOLERANCE = 1e-7
-"""Change of the unknowns, in their standard deviations with all others fixed, that ends a search;
-and relative change of the sum of squares."""
-FIRST_TOLERANCE = 1e-2
+TOLERANCE = 1e-3
+"""Last change of the unknowns, in their standard deviations with all others fixed. The next one,
+which is not made, would be a hundredth or so; rounding errors leave some 1e-5."""
+FIRST_TOLERANCE = 3.0
 """The same for steps that are fitted apart, whose result is a first guess."""
+FIRST_DAMPING = 1e-8
+"""Damping that a search begins with, over the squared length of each column of the Jacobian: next
+to none, as each step is fitted already."""
+ROUNDING = 1e-11
+"""Rounding errors of the sum of squares, relative to it, at most."""
 MOST_TURNS = 200
 """Most evaluations of the residuals in one search."""
 POLISHING_TURNS = 8
@@ -46,6 +52,19 @@ class Solved(NamedTuple):
     """Derivatives of the compressed residuals by the unknowns, in their order."""
 
 
+class TrustRegion(optx.ClassicalTrustRegion):
+    """Takes steps whose effect on the sum of squares is less than its rounding errors, too.
+
+    A search that is rejected there goes on in vain, with ever more damping.
+    """
+
+    def predict_reduction(self, y_diff, f_info):
+        """Compute the change of half the sum of squares that is expected of a step."""
+        expected = super().predict_reduction(y_diff, f_info)
+        rounding = ROUNDING * (f_info.as_min() + 1)
+        return jnp.where(expected < -rounding, expected, rounding / self.low_cutoff)
+
+
 @partial(jax.jit, static_argnums=0)
 def solve(layout: Layout, begun: Unknowns, data: Data) -> Solved:
     """Search from `begun` on.
@@ -57,12 +76,13 @@ def solve(layout: Layout, begun: Unknowns, data: Data) -> Solved:
     flat, unflatten = ravel_pytree(begun)
     slopes, _ = jax.jacfwd(lambda at: residuals(layout, unflatten(at), data), has_aux=True)(flat)
     lengths = jnp.linalg.norm(slopes, axis=0)
-    scale = jnp.where(lengths > 0, lengths, 1)
+    scale = FIRST_DAMPING**0.5 * jnp.where(lengths > 0, lengths, 1)
     place = lambda z: unflatten(flat + z / scale)
-    tolerance: Any = jnp.where(data.apart, FIRST_TOLERANCE, TOLERANCE)
+    tolerance: Any = FIRST_DAMPING**0.5 * jnp.where(data.apart, FIRST_TOLERANCE, TOLERANCE)
+    method = optx.LevenbergMarquardt(ROUNDING, tolerance, linear_solver=lx.Normal(lx.Cholesky()))
     found = optx.least_squares(
         lambda z, _: residuals(layout, place(z), data),
-        optx.LevenbergMarquardt(tolerance, tolerance, linear_solver=lx.Normal(lx.Cholesky())),
+        eqx.tree_at(lambda one: one.search, method, TrustRegion()),
         jnp.zeros_like(flat),
         has_aux=True,
         max_steps=MOST_TURNS,
@@ -101,20 +121,10 @@ def polish_starts(
 
     def turn(carry):
         known, _, turns = carry
-        known, changes = jax.vmap(turn_one)(known, data.begins, steps)
+        known, changes = jax.vmap(turn_one)(known, data.steps.begins, steps)
         return known, changes.any(), turns + 1
 
-    steps = data.systems, data.times, data.values, data.known, data.weights
+    steps = data.systems, *data.steps[:3], data.weights  # times, values, known
     nowhere = starts, jnp.full(len(starts), jnp.inf), jnp.zeros_like(starts)
     going = lambda carry: carry[1] & (carry[2] < POLISHING_TURNS)
     return lax.while_loop(going, turn, (nowhere, jnp.array(True), jnp.array(0)))[0][0]
-
-
-@partial(jax.jit, static_argnums=0)
-def solve_weighted(
-    layout: Layout, begun: Unknowns, data: Data, weights: Float[Array, "draws steps"]
-) -> tuple[Float[Array, "draws parameters"], Bool[Array, " draws"]]:
-    """Solve again with other weights of steps, all draws in one call; return the parameters."""
-    again = lambda one: solve(layout, begun, data._replace(weights=one))
-    found = jax.vmap(again)(weights)
-    return found.motion.values, found.converged

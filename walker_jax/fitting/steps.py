@@ -5,7 +5,7 @@ steps make a run, in which each heel strike ends one step and begins the next.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,34 +22,26 @@ FEWEST_SAMPLES = 3
 class Steps(NamedTuple):
     """Samples of all steps, in the system's units."""
 
-    times: Float[np.ndarray, "steps samples"]
+    times: Float[Any, "steps samples"]
     """Times of samples, on the clock of their recording; that of the heel strike where padded."""
-    values: Float[np.ndarray, "steps samples columns"]
+    values: Float[Any, "steps samples columns"]
     """Zero where there is no sample."""
-    known: Bool[np.ndarray, "steps samples columns"]
-    begins: Float[np.ndarray, " steps"]
+    known: Bool[Any, "steps samples columns"]
+    begins: Float[Any, " steps"]
     """Recorded time of the heel strike that begins each step."""
-    ends: Float[np.ndarray, " steps"]
-    run: Int[np.ndarray, " steps"]
+    ends: Float[Any, " steps"]
+    run: Int[Any, " steps"]
     """Number of the run of consecutive steps."""
-    recording: Int[np.ndarray, " steps"]
-    stance: Int[np.ndarray, " steps"]
+    is_first: Bool[Any, " steps"]
+    """Whether a step is the first of its run."""
+    recording: Int[Any, " steps"]
+    stance: Int[Any, " steps"]
     """Number of the system: which leg stands."""
-
-    @property
-    def is_first(self) -> Bool[np.ndarray, " steps"]:
-        """Whether a step is the first of its run."""
-        return np.diff(self.run, prepend=-1) > 0
 
     @property
     def count(self) -> int:
         """Number of recorded numbers, heel strikes included."""
         return int(self.known.sum()) + len(self.run) + int(self.is_first.sum())
-
-    def select(self, which) -> "Steps":
-        """Return some of the steps, whole runs."""
-        steps = Steps(*(field[which] for field in self))
-        return steps._replace(run=np.unique(steps.run, return_inverse=True)[1].astype(np.int32))
 
 
 def cut_steps(
@@ -70,10 +62,11 @@ def cut_steps(
             if np.isfinite(values[within]).any(axis=1).sum() < FEWEST_SAMPLES:
                 goes_on = False
                 continue
-            run += not goes_on
-            goes_on = True
-            stance = (one.stance + i) % 2
-            rows.append((one.time[within], values[within], begin, end, run, number, stance))
+            is_first, goes_on = not goes_on, True
+            run += is_first
+            facts = begin, end, np.int32(run), is_first, np.int32(number)
+            stance = np.int32((one.stance + i) % 2)
+            rows.append((one.time[within], values[within], *facts, stance))
             places.append(slice(offset + within.start, offset + within.stop))
         offset += len(one.time)
     if len(rows) < 2:
@@ -88,13 +81,12 @@ def cut_steps(
 
 def pad(row: tuple, most: int) -> tuple:
     """Return a step with as many samples as all have."""
-    times, values, begin, end, run, number, stance = row
+    times, values, begin, *facts = row
     more = most - len(times)
     times = np.append(times, np.full(more, begin))
     values = np.concatenate([values, np.full((more, values.shape[1]), np.nan)])
     known = np.isfinite(values)
-    numbers = np.int32(run), np.int32(number), np.int32(stance)
-    return times, np.where(known, values, 0.0), known, begin, end, *numbers
+    return times, np.where(known, values, 0.0), known, begin, *facts
 
 
 def tables_of_inputs(

@@ -21,8 +21,8 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import check_parameter, value_of, with_parameter
-from walker_jax.walking.iteration import select_walkers
 
 LONGEST_SEARCHED_PERIOD = 6
 """Longest period for which gaits are searched; longer ones are reached by doublings only. A longer
@@ -152,7 +152,7 @@ def find_starts(
     walkers = with_parameter(walker, parameter, np.repeat(values, [len(p) for p in points]))
     integrator = Integrator(tolerance).in_dtype(float)
     walking, cycles = cycle_guesses(walkers, np.concatenate(points), period, integrator)
-    walkers = select_walkers(walkers, walking)
+    walkers = select(walkers, walking)
     found = iterate_newton(walkers, cycles, integrator)
     at = value_of(walkers, parameter)
     starts = []

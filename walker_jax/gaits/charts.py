@@ -32,8 +32,9 @@ from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import Outcome, join_names, names_in
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import describe_source, value_of
-from walker_jax.walking.iteration import select_walkers, with_parameters
+from walker_jax.walking.iteration import with_parameters
 from walker_jax.walking.stride import stride
 
 BYTES_PER_CELL = 100
@@ -255,7 +256,7 @@ def attractors_on_grid(
     walking = np.flatnonzero(np.isfinite(gaits[:, 0]) & ~stable)
     if len(walking):
         starts = gaits[walking] + START_OFFSET * np.eye(1, gaits.shape[1])[0]
-        found = settle(select_walkers(systems, walking), starts, strides, integrator)
+        found = settle(select(systems, walking), starts, strides, integrator)
         fate[walking], period[walking] = found.fate, found.period
     return Cells(axes, fate.reshape(cells), period.reshape(cells))
 
@@ -297,7 +298,7 @@ def spread_gaits(
     while len(chosen := np.flatnonzero(np.isfinite(guesses[:, 0]) & gap & (tries < MOST_TRIES))):
         tries[chosen] += 1
         found = iterate_newton(
-            select_walkers(systems, chosen), guesses[chosen][:, None], integrator, NEWTON_STEPS
+            select(systems, chosen), guesses[chosen][:, None], integrator, NEWTON_STEPS
         )
         moved = np.abs(difference(found.states[:, 0], guesses[chosen], turns_of(systems)))
         good = found.found & (moved < near).all(axis=1)

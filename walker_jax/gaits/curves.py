@@ -46,13 +46,11 @@ class Curve(NamedTuple):
 
 def read_curves(data: xr.Dataset) -> list[Curve]:
     """Return the branches of a data set of the kind "gait branches"."""
-    branch, event_branch = data["branch"].values, data["event_branch"].values
-    states, event_states = (first_coordinate(data[name]) for name in ("states", "event_states"))
-    multipliers, event_multipliers = (
-        data[name].values[..., 0] + 1j * data[name].values[..., 1]
-        for name in ("multipliers", "event_multipliers")
+    branch, states = data["branch"].values, first_coordinate(data["states"])
+    multipliers, doubles = (
+        complex_multipliers(data["multipliers"]),
+        ~data["event_fold"].values.astype(bool),
     )
-    values, doubles = data["event_value"].values, ~data["event_fold"].values.astype(bool)
     found = []
     for number in np.unique(branch).tolist():
         own = branch == number
@@ -64,11 +62,13 @@ def read_curves(data: xr.Dataset) -> list[Curve]:
             states[own, :period],
             multipliers[own],
             data["stable"].values[own].astype(bool),
-            values[(event_branch == number) & doubles],
+            data["event_value"].values[(data["event_branch"].values == number) & doubles],
         )
-        for i in np.flatnonzero(event_branch == number):
-            cycle = event_states[i, :period]
-            curve = insert_event(curve, float(values[i]), cycle, event_multipliers[i])
+        for kind in ("event", "torus"):
+            for i in np.flatnonzero(data[f"{kind}_branch"].values == number):
+                cycle = first_coordinate(data[f"{kind}_states"])[i, :period]
+                there = complex_multipliers(data[f"{kind}_multipliers"])[i]
+                curve = insert_event(curve, float(data[f"{kind}_value"][i]), cycle, there)
         found.append(curve)
     return found
 
@@ -122,6 +122,11 @@ def interpolate_multipliers(curve: Curve) -> Curve:
         multipliers=np.array([np.roots(row) for row in polynomials], complex),
         stable=np.where(inside, curve.stable_intervals[low], curve.stable[at.astype(int)]),
     )
+
+
+def complex_multipliers(parts: xr.DataArray) -> Complex[np.ndarray, "n order"]:
+    """Return multipliers whose real and imaginary parts are along the last dimension."""
+    return parts.values[..., 0] + 1j * parts.values[..., 1]
 
 
 def first_coordinate(states: xr.DataArray) -> Float[np.ndarray, "..."]:

@@ -22,8 +22,9 @@ from walker_jax.kernels.primitive import vary_together
 from walker_jax.systems.angles import Turns, difference, turn_to, turns_of
 from walker_jax.systems.outcomes import nan_unless
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import as_tangent, parameter_directions
-from walker_jax.walking.iteration import broadcast_parameters, select_walkers
+from walker_jax.walking.iteration import broadcast_parameters
 from walker_jax.walking.stride import follow_stride
 
 MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
@@ -170,7 +171,7 @@ def iterate_newton(
     active = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
     for _ in range(steps):
-        local = linearise(select_walkers(walker, active), cycles[active], integrator)
+        local = linearise(select(walker, active), cycles[active], integrator)
         mismatch = difference(local.state, np.roll(cycles[active], -1, axis=1), turns)
         residual = np.abs(mismatch).max(axis=(1, 2))
         # near rounding errors a step no longer reduces the residual

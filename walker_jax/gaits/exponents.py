@@ -39,7 +39,8 @@ from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.systems.system import System
-from walker_jax.walking.iteration import as_arrays, orbits, select_walkers
+from walker_jax.systems.trees import select
+from walker_jax.walking.iteration import as_arrays, orbits
 from walker_jax.walking.scan import scan_strides
 from walker_jax.walking.stride import follow_stride
 
@@ -144,7 +145,7 @@ def lyapunov(
         count = np.int32(settling), np.int32(settling + strides)
         found = map_cells(
             follow_frames,
-            (select_walkers(system, np.repeat(others, walks)), near, count, integrator),
+            (select(system, np.repeat(others, walks)), near, count, integrator),
             (many, True, False, False),
             progress=progress,
         )
@@ -188,7 +189,7 @@ def find_cycle_exponents(
     for period in np.unique(periods[periods > 0]):
         which = np.flatnonzero(periods == period)
         cycles = visited[which, :period]
-        jacobian = linearise(select_walkers(system, which), cycles, integrator).jacobian
+        jacobian = linearise(select(system, which), cycles, integrator).jacobian
         finite = np.isfinite(jacobian).all(axis=(1, 2, 3))
         which, jacobian = which[finite], jacobian[finite]
         product = multiply_jacobians(jacobian)

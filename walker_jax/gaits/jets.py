@@ -20,7 +20,8 @@ from jaxtyping import Array, Float
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.system import System
-from walker_jax.walking.iteration import select_walkers, with_parameters
+from walker_jax.systems.trees import select
+from walker_jax.walking.iteration import with_parameters
 from walker_jax.walking.stride import follow_stride
 
 
@@ -59,7 +60,7 @@ def differentiate_curves(
     for i in range(periods.max()):
         left = np.flatnonzero(periods > i)
         starts = repeat([one.cycle[min(i, len(one.cycle) - 1)] for one in requests])
-        cells = select_walkers(systems, left), starts[left], *(part[left] for part in jet)
+        cells = select(systems, left), starts[left], *(part[left] for part in jet)
         ends = map_cells(jet_of_stride, (shared, cells))
         for part, end in zip(jet, ends, strict=True):
             part[left] = end

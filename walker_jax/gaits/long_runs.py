@@ -17,8 +17,9 @@ from walker_jax.integrators.roots import Real
 from walker_jax.systems.angles import difference, turns_of
 from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.systems.system import System
+from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import check_parameter, with_parameter
-from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
+from walker_jax.walking.iteration import WalkEnd, iterate, orbits
 
 RECORDED_STATES = 64
 """Recorded states of an orbit; only shorter periods are recognised."""
@@ -122,9 +123,7 @@ def settle(
     fate, count = end.outcome, end.strides
     orbit = np.full((len(starts), RECORDED_STATES, starts.shape[1]), np.nan)
     left = np.flatnonzero(fate == Outcome.STRIDE)
-    states, fate[left] = orbits(
-        select_walkers(walkers, left), end.state[left], RECORDED_STATES, integrator
-    )
+    states, fate[left] = orbits(select(walkers, left), end.state[left], RECORDED_STATES, integrator)
     orbit[left] = states[:, :RECORDED_STATES]
     count[left] += np.isfinite(states[:, 1:, 0]).sum(axis=1, dtype=count.dtype)
     apart = np.abs(difference(orbit[:, :-1], orbit[:, -1:], turns_of(walkers)))
@@ -152,13 +151,13 @@ def iterate_to_cycles(
     while len(active) and made < limit:
         count = min(max(made, SETTLING_STRIDES), limit - made)
         part = iterate(
-            select_walkers(walker, active), end.state[active], count, integrator, progress=progress
+            select(walker, active), end.state[active], count, integrator, progress=progress
         )
         end.state[active], end.outcome[active] = part.state, part.outcome
         end.strides[active] += part.strides
         active, made = active[part.outcome == Outcome.STRIDE], made + count
         if made < limit:
-            walkers, states = select_walkers(walker, active), end.state[active]
+            walkers, states = select(walker, active), end.state[active]
             states, _ = orbits(walkers, states, RECORDED_STATES, integrator)
             apart = np.abs(difference(states[:, 1:], states[:, :1], turns_of(walker)))
             returns = apart.max(axis=2) < SETTLED_DISTANCE

@@ -12,6 +12,7 @@ import contextlib
 import hashlib
 import os
 import tempfile
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,10 +30,15 @@ VARIABLE = "WALKER_JAX_CACHE_DIR"
 """The environment variable that names the folder; if empty, no code is kept."""
 MAX_BYTES = 2**28
 """Most bytes in the folder, about two thousand programs; the least recently used are removed."""
+PARTS = 16
+"""A process looks at the folder when it first writes there, and then after each so many-th part of
+`MAX_BYTES`, as listing all files at every write would take 20 ms each time."""
 SUFFIX = ".kernel"
 """Suffix of every file in the folder, temporary ones included."""
 CHECKSUM_BYTES = 32
 """Length of the checksum at the start of a file: 256 bits, as for SHA-256."""
+unseen: OrderedDict[Path, int] = OrderedDict()
+"""Bytes that this process has written to a folder since it looked at it."""
 
 
 def cache_folder() -> Path | None:
@@ -116,7 +122,10 @@ def write(path: Path, code: bytes) -> None:
     except BaseException:
         os.unlink(scratch)
         raise
-    remove_oldest(path.parent)
+    unseen[path.parent] = unseen.get(path.parent, MAX_BYTES) + len(code)
+    if unseen[path.parent] > MAX_BYTES // PARTS:
+        unseen[path.parent] = 0
+        remove_oldest(path.parent)
 
 
 def remove_oldest(folder: Path) -> None:

@@ -22,7 +22,8 @@ from walker_jax.checks import (
     refuses_tracers,
 )
 from walker_jax.robots.black_boxes import BlackBox, answer
-from walker_jax.stability.sampling import wilson_interval
+from walker_jax.stability.rays import bisect_nearest
+from walker_jax.stability.sampling import draw_from_ball, wilson_interval
 
 HALVINGS = 30
 """Halvings of the segments on which failures are bracketed; 2^-30 of their length is left."""
@@ -101,16 +102,20 @@ def audit(
     judge = Judge(box, centre, units, strides, within)
     if not judge(np.zeros((1, size)))[0]:
         raise WrongUse("state must be of a gait: from it, the black box does not stay within reach")
-    rng = np.random.default_rng(seed)
-    rays = rng.normal(size=(samples, size))
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    sizes = disturbances * rng.uniform(size=samples) ** (1 / size)
-    back = judge(rays * sizes[:, None])
+    drawn = disturbances * draw_from_ball(np.random.default_rng(seed), samples, size)
+    back = judge(drawn)
     low, high = wilson_interval(int(back.sum()), samples, 0.95)
-    failed = np.flatnonzero(~back)
-    pockets = int(judge(rays[failed] * disturbances).sum()) if len(failed) else 0
-    least, at = bracket(judge, rays[failed], sizes[failed])
-    return Audit(float(back.mean()), low, high, least, at * units, pockets, judge.count)
+    sizes = np.linalg.norm(drawn[~back], axis=1)
+    if not len(sizes):
+        return Audit(1.0, low, high, np.inf, np.full(size, np.nan), 0, judge.count)
+    rays = drawn[~back] / sizes[:, None]
+    pockets = int(judge(rays * disturbances).sum())
+    fails = lambda disturbances: ~judge(disturbances)
+    begin = bisect_nearest(fails, rays[None], sizes[None], sizes[None], [np.inf], HALVINGS, 1)[0]
+    least = begin.argmin()
+    at = begin[least] * rays[least] * units
+    share = float(back.mean())
+    return Audit(share, low, high, float(begin[least]), at, pockets, judge.count)
 
 
 class Judge:
@@ -135,21 +140,3 @@ class Judge:
             back[going] = made & (apart < self.near)
             going = going[made & ~back[going]]
         return back
-
-
-def bracket(judge: Judge, rays: np.ndarray, sizes: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the least size at which failures begin along rays, by bisection, and its disturbance.
-
-    Of many rays, those that cannot be the least are left out as soon as that is known.
-    """
-    if not len(rays):
-        return np.inf, np.full(len(judge.centre), np.nan)
-    low, high = np.zeros(len(rays)), sizes.copy()
-    for _ in range(HALVINGS):
-        possible = np.flatnonzero(low < high.min())
-        middle = (low[possible] + high[possible]) / 2
-        back = judge(rays[possible] * middle[:, None])
-        low[possible] = np.where(back, middle, low[possible])
-        high[possible] = np.where(back, high[possible], middle)
-    best = int(np.argmin(high))
-    return float(high[best]), rays[best] * high[best]

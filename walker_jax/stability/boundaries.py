@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.edge_states import EdgeState, edge_state, fate_of
-from walker_jax.basins.runs import attractors_of, fates_of, label_of
+from walker_jax.basins.runs import attractors_of, fates_of, label_of, labels_among
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.execution.progress import bar, track
@@ -19,7 +19,7 @@ from walker_jax.fractals.entropies import BOX, basin_entropy
 from walker_jax.fractals.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
-from walker_jax.systems.outcomes import OUTCOMES, Outcome, failures_of, name_of_outcome
+from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System, check_single
 
 NO_REGION = (Outcome.UNDECIDED, Outcome.LEFT_GRID)
@@ -105,8 +105,7 @@ def boundary(
             walker, grid, "direct", strides=strides, tolerance=tolerance, progress=progress
         )
     label = label_regions(walker, grid, data)
-    regions = np.unique(label[label >= 0])
-    regions = np.roll(regions, np.count_nonzero(regions >= OUTCOMES))  # attractors first
+    regions = labels_among(label[label >= 0])
     number = np.full(label.shape, -1)
     for i, region in enumerate(regions):
         number[label == region] = i

@@ -1,21 +1,21 @@
-"""The nearest failure to a state, in more dimensions than can be searched ray by ray.
+"""Descents along the boundary of failures, in more dimensions than can be searched ray by ray.
 
 Rays in random directions find some failures. From the nearest of these, descents follow the
-boundary: the nearest point of a flat boundary lies along its normal. Each descent ends at a local
-minimum of the distance, and the least minimum is the answer.
+boundary: the nearest point of a flat boundary lies along its normal, to which each step turns a
+ray. Each descent ends at a local minimum of the distance, and the least minimum is the answer.
 """
 
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from walker_jax.stability.rays import (
     DENSE,
     FINE,
     Fails,
     Gradient,
-    bisect,
+    bisect_nearest,
     first_failures,
     first_on_ray,
     scan,
@@ -54,19 +54,54 @@ def descend_to_failure(
     random = spread_directions(rank, math.ceil(SHARE * count))
     rays = np.concatenate([np.eye(rank), -np.eye(rank), random])
     first = scan(roughly_fails or fails, rays @ basis, RADII)
-    nearest = first.argsort()[:DESCENTS]
-    rays, lengths = rays[nearest], first[nearest]
-    rays, lengths = rays[np.isfinite(lengths)], lengths[np.isfinite(lengths)]
-    lengths = shorten(fails, rays @ basis, 1.01 * lengths)  # `roughly_fails` may err
+    nearest = first.argsort()[: min(DESCENTS, np.isfinite(first).sum())]
+    rays = rays[nearest]
+    beyond = 1.01 * first[nearest]  # `roughly_fails` may err
+    lengths = shorten(fails, rays[:, None] @ basis, beyond)[:, 0]
+    rays, lengths = descend(fails, basis, gradient, rays, lengths, SETTLED)
+    return first_on_ray(fails, rays[0] @ basis, lengths[0])
+
+
+def descend(
+    fails: Fails,
+    basis: Float[np.ndarray, "rank size"],
+    gradient: Gradient,
+    rays: Float[np.ndarray, "n rank"],
+    lengths: Float[np.ndarray, " n"],
+    settled: float,
+    halvings: int = FINE,
+    same: float = 0.0,
+) -> tuple[Float[np.ndarray, "m rank"], Float[np.ndarray, " m"]]:
+    """Follow descents from rays that fail at some lengths; the shortest comes first.
+
+    One that comes within an angle `same` of a shorter one is dropped.
+    """
     going = np.isfinite(lengths)
+    ended = [(rays[~going], lengths[~going])]
+    rays, lengths = rays[going], lengths[going]
     for _ in range(STEPS):
-        if not going.any():
+        if len(rays) == 0:
             break
-        tried, reached = turn(fails, gradient, basis, rays[going], lengths[going])
-        change = 1 - reached / lengths[going]
-        rays[going], lengths[going] = tried, reached
-        going[going] = change > SETTLED
-    return first_on_ray(fails, rays[lengths.argmin()] @ basis, lengths.min())
+        tried, reached = turn(fails, gradient, basis, rays, lengths, halvings)
+        going = reached < (1 - settled) * lengths
+        ended.append((tried[~going], reached[~going]))
+        going &= ~follows_another(tried, reached, same)
+        rays, lengths = tried[going], reached[going]
+    rays, lengths = map(np.concatenate, zip(*ended, (rays, lengths), strict=True))
+    order = lengths.argsort(kind="stable")
+    rays, lengths = rays[order], lengths[order]
+    alone = ~follows_another(rays, lengths, same)
+    return rays[alone], lengths[alone]
+
+
+def follows_another(
+    rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"], same: float
+) -> Bool[np.ndarray, " n"]:
+    """Mark rays within an angle of a shorter one, or of an earlier one of the same length."""
+    close = np.linalg.norm(rays[:, None] - rays, axis=2) < same
+    before = np.tri(len(rays), k=-1, dtype=bool)
+    shorter = (lengths < lengths[:, None]) | (before & (lengths == lengths[:, None]))
+    return (close & shorter).any(axis=1)
 
 
 def turn(
@@ -75,25 +110,26 @@ def turn(
     basis: Float[np.ndarray, "rank size"],
     rays: Float[np.ndarray, "n rank"],
     lengths: Float[np.ndarray, " n"],
-    halvings: int = FINE,
+    halvings: int,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
     """Take one step of each descent, to the shortest of some rays towards the normal."""
     tried = turned_rays(gradient, basis, rays, lengths, TURNS)
-    flat = tried.reshape(-1, rays.shape[1]) @ basis
-    reached = shorten(fails, flat, np.repeat(lengths, len(TURNS)), halvings)
-    reached = reached.reshape(len(rays), -1)
+    reached = shorten(fails, tried @ basis, lengths, halvings)
     reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the present one
-    best = reached.argmin(axis=1)
-    row = np.arange(len(rays))
-    return tried[row, best], reached[row, best]
+    return tried[np.arange(len(rays)), reached.argmin(axis=1)], reached.min(axis=1)
 
 
 def shorten(
     fails: Fails,
-    rays: Float[np.ndarray, "n size"],
+    rays: Float[np.ndarray, "n m size"],
     lengths: Float[np.ndarray, " n"],
     halvings: int = FINE,
-) -> Float[np.ndarray, " n"]:
-    """Find the first failure on each ray up to its own length; infinite where there is none."""
-    first = first_failures(fails, rays, 0.0, lengths, NEARER)
-    return bisect(fails, rays, first, lengths / NEARER, halvings)
+) -> Float[np.ndarray, "n m"]:
+    """Find the first failure on each of m rays up to one length; infinite where there is none.
+
+    Only the shortest of the m is exact.
+    """
+    flat = rays.reshape(-1, rays.shape[2])
+    first = first_failures(fails, flat, 0.0, np.repeat(lengths, rays.shape[1]), NEARER)
+    gaps = lengths[:, None] / NEARER
+    return bisect_nearest(fails, rays, first.reshape(rays.shape[:2]), gaps, lengths, halvings)

@@ -318,9 +318,8 @@ def fit_crisis(
 
     def line(at: float) -> tuple[float, float]:
         x = np.log(values - at)
-        x, y = (one - np.average(one, weights=weights) for one in (x, logs))
-        slope = np.sum(weights * x * y) / np.sum(weights * x**2)
-        return -float(slope), float(np.sum(weights * (y - slope * x) ** 2))
+        slope, constant = np.polyfit(x, logs, 1, w=np.sqrt(weights))
+        return -float(slope), float(np.sum(weights * (logs - constant - slope * x) ** 2))
 
     if crisis is None:
         span = float(values[-1] - values[0])

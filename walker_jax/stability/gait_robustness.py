@@ -26,24 +26,25 @@ from walker_jax.stability.dimension import boundary_dimension, comparisons
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance_if_any
 from walker_jax.stability.robustness_fields import (
     DIMENSION,
-    GROUND_NAMES,
+    GAIT,
+    GROUND,
     LEAST_DISTURBANCE,
     LEAST_FALL,
+    RETURN,
     STABILITY,
+    STEP_DOWN,
     variables,
-    variables_of_gait,
-    variables_of_return,
-    variables_of_steps,
     without_gait,
 )
-from walker_jax.stability.rough_ground import count_strides
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
+from walker_jax.stability.time_to_fall import steps_to_fall
 from walker_jax.systems.angles import turns_of
+from walker_jax.systems.hybrid_system import has_ground
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import check_planar, is_planar
+from walker_jax.walkers.model import check_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 WALKS, WALK_LIMIT = 1000, 2000
@@ -143,7 +144,7 @@ def robustness(
     data.attrs["disturbances"] = disturbances
     if ground is not None:
         data.attrs["ground"] = float(ground)
-        data = data.assign(dict.fromkeys(GROUND_NAMES, np.nan))
+        data = data.assign(dict.fromkeys(GROUND.values(), np.nan))
     gait = gait_of_basins(walker, data, tolerance)
     data = data.assign(without_gait(walker))
     # A store can hold an array of objects.
@@ -154,7 +155,10 @@ def robustness(
         rolled, found = measure_gait(walker, grid, gait, disturbances, seed, about)
     if ground is not None:
         with bar("walks on rough ground", progress):
-            found |= measure_walks(walker, rolled, ground, seed, tolerance)
+            how: Any = {"gait": rolled, "limit": WALK_LIMIT, "tolerance": tolerance}
+            planar, key = check_planar(walker), jax.random.key(seed)
+            walks = steps_to_fall(planar, ground, WALKS, key, **how)
+        found |= variables(GROUND, walks._asdict())
     return data.assign(found)
 
 
@@ -182,7 +186,7 @@ def measure_gait(
         return rolled, nearest, fall, stability
 
     def by_steps_down() -> tuple[LeastStepDown, LeastStepDown]:
-        if not is_planar(walker):
+        if not has_ground(walker):
             return NO_STEP_DOWN, NO_STEP_DOWN
         planar = check_planar(walker)
         down = fall = least_step_down(planar, gait, **about)
@@ -191,25 +195,26 @@ def measure_gait(
         return down, fall
 
     measures: list[Callable[[], Any]] = [by_boundary, by_disturbances, by_steps_down]
-    boundary, (rolled, nearest, fall, stability), steps = side_by_side(lambda one: one(), measures)
+    found = side_by_side(lambda one: one(), measures)
+    boundary, (rolled, nearest, fall, stability), (down, down_fall) = found
+    returns = stability._asdict()
+    returns |= {f"{name}_strides": returns[name] for name in ("median", "slowest", "mean")}
+    about_gait = {
+        "period": len(rolled.states),
+        "state": rolled.states[0],
+        "multiplier": np.abs(rolled.multipliers[0]),
+        "step_time": np.mean(rolled.step_times),
+        "return_strides": rolled.return_strides,
+    }
+    steps = {"step_down": down.size, "step_down_failure": down.failure}
     return rolled, {
-        **variables_of_gait(rolled),
+        **variables(GAIT, about_gait),
         **variables(LEAST_DISTURBANCE, nearest._asdict()),
         **variables(LEAST_FALL, fall._asdict()),
-        **variables_of_steps(*steps),
-        **variables(STABILITY, stability._asdict()),
-        **variables_of_return(stability),
+        **variables(STEP_DOWN, steps | {"step_down_fall": down_fall.size}),
+        **variables(STABILITY | RETURN, returns),
         **variables(DIMENSION, boundary._asdict()),
     }
-
-
-def measure_walks(
-    walker: System, gait: Gait, ground: float, seed: int, tolerance: float | None
-) -> dict[str, Any]:
-    """Return the variables of walks on rough ground."""
-    how: Any = {"gait": gait, "limit": WALK_LIMIT, "tolerance": tolerance}
-    walks = count_strides(check_planar(walker), ground, WALKS, jax.random.key(seed), **how)
-    return dict(zip(GROUND_NAMES, walks[:3], strict=True))
 
 
 def tabulate(
@@ -237,28 +242,23 @@ def tabulate(
         one = robustness(there, region, progress=progress, **how)
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
     about = {"walker": walker.label(), "disturbances": how["disturbances"]}
-    return join_rows(rows, values, parameter).assign_attrs(
-        about | common_attributes(rows, parameter)
-    )
+    table = join_rows(rows, values, parameter)
+    return table.assign_attrs(about | table.attrs)
 
 
 def join_rows(
     rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str
 ) -> xr.Dataset:
-    """Join all rows into one table, with NaN for the missing values of a row."""
+    """Join all rows into one table, with NaN for the missing values of a row.
+
+    Attributes that differ between rows are dropped.
+    """
     where = xr.DataArray(values, dims=parameter, name=parameter)
-    plain = [row.reset_coords().drop_attrs() for row in rows]
-    return xr.concat(
-        plain, where, data_vars="all", coords="minimal", compat="override", join="outer"
-    )
-
-
-def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
-    """Return the attributes of the rows, except those that differ between rows."""
-    own = ("area", f"walker_{parameter}")
-    given: dict[str, list] = {}
-    for row in rows:
-        for name, value in row.attrs.items():
-            given.setdefault(name, []).append(value)
-    same = lambda values: all(np.array_equal(one, values[0]) for one in values)
-    return {name: values[0] for name, values in given.items() if name not in own and same(values)}
+    own = "area", f"walker_{parameter}"
+    about = [{name: row.attrs[name] for name in row.attrs if name not in own} for row in rows]
+    plain = [
+        row.reset_coords().drop_attrs().assign_attrs(attributes)
+        for row, attributes in zip(rows, about, strict=True)
+    ]
+    joining: Any = {"data_vars": "all", "coords": "minimal", "compat": "override", "join": "outer"}
+    return xr.concat(plain, where, **joining, combine_attrs="drop_conflicts")

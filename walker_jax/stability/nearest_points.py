@@ -17,15 +17,11 @@ chance that independent normal numbers of standard deviation sigma lie beyond th
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from walker_jax.stability.descents import turn
+from walker_jax.stability.descents import RADII, descend
 from walker_jax.stability.rays import Fails, Gradient, bisect, scan, tangents
 
-RADII = 32
-"""Distances along each random ray."""
-STEPS = 30
-"""Most steps of a descent."""
 ROUGHLY = 16
 """Bisections of lengths in a descent: to a millionth."""
 SAME = 0.02
@@ -61,7 +57,7 @@ class NearestPoint(NamedTuple):
     """det(I - r W): 1 for a flat boundary, less where it bends towards the origin."""
 
 
-def descend(
+def nearest_minima(
     fails: Fails,
     gradient: Gradient,
     rays: Float[np.ndarray, "n size"],
@@ -76,31 +72,8 @@ def descend(
     count, length = known
     first[:count] = np.minimum(first[:count], length)
     nearest = first.argsort()[: min(most, np.isfinite(first).sum())]
-    rays, lengths = rays[nearest], first[nearest]
-    ended: list[tuple[float, np.ndarray]] = []
-    for _ in range(STEPS):
-        tried, reached = turn(fails, gradient, np.eye(rays.shape[1]), rays, lengths, ROUGHLY)
-        going = reached < (1 - FLAT) * lengths
-        ended += zip(reached[~going], tried[~going], strict=True)
-        alone = going & ~follows_another(tried, reached)
-        rays, lengths = tried[alone], reached[alone]
-        if len(rays) == 0:
-            break
-    ended += zip(lengths, rays, strict=True)
-    ended.sort(key=lambda one: one[0])
-    rays, lengths = np.stack([ray for _, ray in ended]), np.array([one for one, _ in ended])
-    alone = ~follows_another(rays, lengths)
-    return rays[alone], lengths[alone]
-
-
-def follows_another(
-    rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Mark rays close to a shorter one, or to an earlier one of the same length."""
-    close = np.linalg.norm(rays[:, None] - rays, axis=2) < SAME
-    before = np.tri(len(rays), k=-1, dtype=bool)
-    shorter = (lengths < lengths[:, None]) | (before & (lengths == lengths[:, None]))
-    return (close & shorter).any(axis=1)
+    basis = np.eye(rays.shape[1])
+    return descend(fails, basis, gradient, rays[nearest], first[nearest], FLAT, ROUGHLY, SAME)
 
 
 def solve_nearest(

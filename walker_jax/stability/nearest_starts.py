@@ -1,25 +1,12 @@
 """The nearest starts from which a walker does not return to its gait, from `robustness`."""
 
-from typing import NamedTuple
-
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from walker_jax.stability.disturbances import LeastDisturbance
+from walker_jax.stability.robustness_fields import LEAST_DISTURBANCE, LEAST_FALL
 from walker_jax.systems.outcomes import Outcome, names_in
-
-
-class NearestStart(NamedTuple):
-    """The nearest start from which a walker does not return to its gait, or falls."""
-
-    gait_state: Float[np.ndarray, " section"]
-    """The nearest state of the gait."""
-    distance: float
-    state: Float[np.ndarray, " section"]
-    outcome: Outcome
-    """Failure of the walker; `STRIDE` where it converges to another attractor."""
-    strides: int
-    """Strides before the failing one."""
 
 
 def has_plane_disturbance(data: xr.Dataset) -> bool:
@@ -30,28 +17,18 @@ def has_plane_disturbance(data: xr.Dataset) -> bool:
     return len(names_in(data, "section")) == 2 and bool(np.isfinite(data["least_disturbance"]))
 
 
-def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
+def nearest_starts(data: xr.Dataset) -> list[LeastDisturbance]:
     """Return the nearest start that does not return, and the nearest that falls, if another."""
-    nearest = NearestStart(
-        data["gait_state"].values,
-        float(data["least_disturbance"]),
-        data["failing_state"].values,
-        Outcome(int(data["failure"])),
-        int(data["failing_strides"]),
-    )
-    if nearest.outcome != Outcome.STRIDE:
+    nearest = read_disturbance(data, LEAST_DISTURBANCE)
+    if nearest.failure != Outcome.STRIDE or not np.isfinite(data["least_fall"]):
         return [nearest]
-    distance, state = float(data["least_fall"]), data["fall_state"].values
-    if not np.isfinite(distance):  # nothing falls
-        return [nearest]
-    fall = NearestStart(
-        state - distance * data["fall_direction"].values,
-        distance,
-        state,
-        Outcome(int(data["fall_failure"])),
-        int(data["fall_strides"]),
-    )
-    return [nearest, fall]
+    return [nearest, read_disturbance(data, LEAST_FALL)]
+
+
+def read_disturbance(data: xr.Dataset, group: dict[str, str]) -> LeastDisturbance:
+    """Return a disturbance from the variables of its group."""
+    size, direction, state, failure, strides = (data[name].values for name in group.values())
+    return LeastDisturbance(float(size), direction, state, 0, Outcome(int(failure)), int(strides))
 
 
 def circle(

@@ -34,7 +34,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.disturbed_falls import DisturbedWalks
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.nearest_points import NearestPoint, descend, solve_nearest
+from walker_jax.stability.nearest_points import NearestPoint, nearest_minima, solve_nearest
 from walker_jax.stability.rays import spread_directions
 from walker_jax.stability.rough_ground import STRIDES_PER_CALL
 from walker_jax.systems.outcomes import Outcome
@@ -190,7 +190,7 @@ def search(
         rays += [*np.eye(size), *-np.eye(size), *spread_directions(size, directions)]
     # The two extended sequences fail where the shorter one does, or just beyond.
     known = (0, np.inf) if shorter is None else (2, shorter.length * (1 + KNOWN))
-    rays, lengths = descend(walks.fails, walks.gradient, np.stack(rays), DESCENTS, known)
+    rays, lengths = nearest_minima(walks.fails, walks.gradient, np.stack(rays), DESCENTS, known)
     return solve_nearest(walks.fails, walks.gradient, rays[0], lengths[0])
 
 

@@ -1,7 +1,7 @@
 """The nearest failure along rays from a state."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import Any
 
@@ -248,13 +248,15 @@ def bisect_nearest(
     fails: Callable,
     rays: Float[np.ndarray, "n m size"],
     high: Float[np.ndarray, "n m"],
-    gap: float | Float[np.ndarray, "n m"],
-    least: Float[np.ndarray, " n"],
+    gap: float | Float[np.ndarray, "n _"],
+    least: Float[np.ndarray, " n"] | Sequence[float],
     times: int = FINE,
+    at_once: int = AT_ONCE,
 ) -> Float[np.ndarray, "n m"]:
     """Bisect n times m rays as `bisect` does, as far as the nearest of m needs.
 
-    A ray is dropped once it is known to be longer than another of the m, or than the `least`.
+    A ray is dropped once it is known to be longer than another of the m, or than the `least`. Few
+    rays are halved several times in a call, of about `at_once` points.
     """
     ends = np.stack([high - gap, high], axis=2)[..., None]
     segments = Segments(ends, np.broadcast_to([False, True], (*high.shape, 2)).copy())
@@ -263,7 +265,7 @@ def bisect_nearest(
         going = below < np.minimum(above.min(axis=1), least)[:, None]
         if not going.any():
             break
-        halvings = min(halvings_at_once(int(going.sum())), times)
+        halvings = min(halvings_at_once(int(going.sum()), at_once), times)
         along = np.repeat(rays[going], 2**halvings - 1, axis=0)
         closer = narrow(lambda t, along=along: fails(t * along), segments.part(going), halvings)
         segments.ends[going], segments.labels[going] = closer
@@ -271,9 +273,9 @@ def bisect_nearest(
     return segments.ends[:, :, 1, 0]
 
 
-def halvings_at_once(count: int) -> int:
-    """Return how many times to halve distances on so many rays in one call."""
-    return min(max(1, math.floor(math.log2(AT_ONCE / count + 1))), MOST_HALVINGS)
+def halvings_at_once(count: int, points: int) -> int:
+    """Return how many times to halve distances on so many rays in one call of so many points."""
+    return min(max(1, math.floor(math.log2(points / count + 1))), MOST_HALVINGS)
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:

@@ -5,6 +5,7 @@ strides until then (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064).
 """
 
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from functools import partial
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -17,8 +18,6 @@ from scipy.special import betaincinv
 
 from walker_jax.checks import (
     WrongUse,
-    check_confidence,
-    check_whole,
     is_number,
     short,
 )
@@ -30,7 +29,7 @@ from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import check_single
 from walker_jax.systems.trees import in_dtype
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.model import Walker
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed_walk
 from walker_jax.walking.scan import Walked
 
@@ -60,32 +59,6 @@ class StepsToFall(NamedTuple):
     integration gave no answer."""
     outcomes: Int[np.ndarray, " n"]
     """`Outcome` of the failure, `STRIDE`, or `UNDECIDED`."""
-
-
-def count_strides(
-    walker: Walker,
-    ground: float | RandomDisturbance,
-    n: int,
-    key: Any = None,
-    *,
-    gait: Gait | None = None,
-    limit: int = 10_000,
-    confidence: float = 0.95,
-    tolerance: float | None = None,
-) -> StepsToFall:
-    """Count the strides of n walks on rough ground until they fall, as `steps_to_fall` says."""
-    check_planar(walker)
-    check_whole("n", n)
-    check_whole("limit", limit)
-    check_confidence(confidence)
-    draw_one = read_ground(ground)
-    keys = jax.random.split(read_key(key), n)
-    start = start_of_walks(walker, gait, tolerance)
-    states = np.broadcast_to(start, (n, len(start)))
-    walks = walk_disturbed(walker, states, draw_one, keys, limit, tolerance)
-    ended = ~np.isin(walks.outcome, (Outcome.STRIDE, Outcome.UNDECIDED))
-    mean, low, high = mean_life(walks.strides, ended, confidence)
-    return StepsToFall(mean, low, high, walks.strides, ended, walks.outcome)
 
 
 def walk_disturbed(
@@ -130,16 +103,12 @@ def draw(
     """Draw the disturbances of `count` strides of n walks, from stride `first` on."""
 
     def one(key, number):
-        return as_row(ground(jax.random.fold_in(key, number)))
+        drawn = ground(jax.random.fold_in(key, number))
+        disturbance = drawn if isinstance(drawn, Disturbance) else Disturbance(step=drawn)
+        return jnp.stack([jnp.asarray(value, float) for value in disturbance])
 
     numbers = first + jnp.arange(count)
     return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(keys, numbers)
-
-
-def as_row(drawn: Any) -> Float[Array, " 3"]:
-    """Return the step, slope and push in the result of a random function."""
-    disturbance = drawn if isinstance(drawn, Disturbance) else Disturbance(step=drawn)
-    return jnp.stack([jnp.asarray(value, float) for value in disturbance])
 
 
 def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
@@ -184,18 +153,13 @@ def read_key(key: Any) -> Array:
     """Return a random key, given one of new or old style, or none."""
     if key is None:
         return jax.random.key(0)
-    refusal = f"key must be one random key, such as jax.random.key(0), not {short(key)}"
-    if not isinstance(key, jax.Array):
-        raise WrongUse(refusal)
-    try:
-        key = (
-            key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
-        )
-    except (TypeError, ValueError):
-        raise WrongUse(refusal) from None
-    if key.shape:
-        raise WrongUse(refusal)
-    return key
+    if isinstance(key, jax.Array):
+        with suppress(TypeError, ValueError):
+            is_new = jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+            own = key if is_new else jax.random.wrap_key_data(key)
+            if not own.shape:
+                return own
+    raise WrongUse(f"key must be one random key, such as jax.random.key(0), not {short(key)}")
 
 
 def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " full"]:

@@ -42,7 +42,7 @@ from walker_jax.stability.rough_ground import (
 )
 from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.systems.trees import in_dtype
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_source
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.scan import Walked
@@ -79,7 +79,6 @@ def survival_of_cells(
     tolerance: float | None = None,
 ) -> xr.Dataset:
     """Estimate the chance to survive a stride by a cell map, as `steps_to_fall` says."""
-    check_planar(walker)
     if len(walker.section) != 2:
         raise WrongUse(f"walker must have two section coordinates, not {walker.section}")
     check_whole("n", walkers)
@@ -109,7 +108,9 @@ def survival_of_cells(
         coords={"direction": np.array(coordinates, object)},
         attrs={
             **describe_source(walker),
-            "ground": describe_ground(ground),
+            "ground": (
+                ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
+            ),
             "side": rough.side,
             "walkers": walkers,
             "repetitions": repetitions,
@@ -158,11 +159,6 @@ def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repet
     mean = (walks.strides[decided].sum() + later) / np.count_nonzero(decided)
     unanswered += int(np.count_nonzero(~decided))
     return Repetition(survival, mean, unanswered, chart, cells, distribution)
-
-
-def describe_ground(ground: float | RandomDisturbance) -> float | str:
-    """Return the number, the name of the function, or the `repr` of another callable."""
-    return ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
 
 
 def widening(repetitions: int) -> float:

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from typing import Any, Literal, overload
 
+import jax
+import numpy as np
 import xarray as xr
 
-from walker_jax.checks import WrongUse, refuses_tracers, short
+from walker_jax.checks import WrongUse, check_confidence, check_whole, refuses_tracers, short
 from walker_jax.gaits.cycles import Gait
-from walker_jax.stability.rough_ground import RandomDisturbance, StepsToFall, count_strides
+from walker_jax.stability.rough_ground import (
+    RandomDisturbance,
+    StepsToFall,
+    mean_life,
+    read_ground,
+    read_key,
+    start_of_walks,
+    walk_disturbed,
+)
 from walker_jax.stability.stochastic_map import survival_of_cells
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.walkers.model import Walker, check_planar
 
 WALKS, WALKERS = 1000, 100_000
 """Number of walks, and of walkers in the cells of a map."""
@@ -111,9 +122,17 @@ def steps_to_fall(
     """
     if method not in ("walks", "cells"):
         raise WrongUse(f"method must be walks or cells, not {short(method)}")
-    given: Any = {"gait": gait, "tolerance": tolerance}
-    if method == "walks":
-        how: Any = {"limit": limit, "confidence": confidence, **given}
-        return count_strides(walker, ground, WALKS if n is None else n, key, **how)
-    how = {"side": side, "repetitions": repetitions, **given}
-    return survival_of_cells(walker, ground, WALKERS if n is None else n, key, **how)
+    check_planar(walker)
+    if method == "cells":
+        how: Any = {"gait": gait, "side": side, "repetitions": repetitions, "tolerance": tolerance}
+        return survival_of_cells(walker, ground, WALKERS if n is None else n, key, **how)
+    n = check_whole("n", WALKS if n is None else n)
+    check_whole("limit", limit)
+    check_confidence(confidence)
+    draw_one, keys = read_ground(ground), jax.random.split(read_key(key), n)
+    start = start_of_walks(walker, gait, tolerance)
+    states = np.broadcast_to(start, (n, len(start)))
+    walks = walk_disturbed(walker, states, draw_one, keys, limit, tolerance)
+    ended = ~np.isin(walks.outcome, (Outcome.STRIDE, Outcome.UNDECIDED))
+    mean, low, high = mean_life(walks.strides, ended, confidence)
+    return StepsToFall(mean, low, high, walks.strides, ended, walks.outcome)

@@ -16,8 +16,8 @@ from jaxtyping import Float, Int
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.computation import check_grid
-from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
+from walker_jax.basins.runs import attractors_of, label_of, labels_among
 from walker_jax.checks import (
     WrongUse,
     check_confidence,
@@ -31,13 +31,11 @@ from walker_jax.checks import (
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
-from walker_jax.systems.outcomes import Outcome, name_of_outcome
+from walker_jax.systems.outcomes import OUTCOMES, Outcome, name_of_outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 
-FAILURES = 2**20
-"""Offset of an `Outcome` in the numbers of ends, above the numbers of attractors."""
 RUN = 2000
 """Number of states of a motion without a period that are followed after the jump."""
 
@@ -128,13 +126,14 @@ def tipping_probability(
     labels, after, _ = survey(
         other, np.concatenate([starts, *jumped]), integrator, strides, boxes=True
     )
-    own, *others = np.split(ends_of(labels), np.cumsum([samples, *map(len, jumped)])[:-1])
-    ends = Ends(ends_of(labels_before), own, others)
+    ends = label_of(*labels[:2])
+    own, *others = np.split(ends, np.cumsum([samples, *map(len, jumped)])[:-1])
+    ends = Ends(label_of(*labels_before[:2]), own, others)
     return assemble_tipping(ends, before, after, confidence)
 
 
 class Ends(NamedTuple):
-    """Ends of walkers, by the numbers of `ends_of`."""
+    """Ends of walkers, by the numbers of `label_of`."""
 
     before: Int[np.ndarray, " starts"]
     after: Int[np.ndarray, " starts"]
@@ -144,7 +143,8 @@ class Ends(NamedTuple):
 
 def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: float) -> Tipping:
     """Assemble the result of `tipping_probability`, by the mappers before and after the jump."""
-    rows, columns = np.unique(ends.before), np.unique(np.concatenate([ends.after, *ends.jumped]))
+    rows = labels_among(ends.before)
+    columns = labels_among(np.concatenate([ends.after, *ends.jumped]))
     counts = transition_counts(ends.before, ends.after, rows, columns)
     total = counts.sum(axis=1, keepdims=True)
     intervals = np.array(
@@ -153,16 +153,17 @@ def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: floa
             for row, n in zip(counts.tolist(), total[:, 0].tolist(), strict=True)
         ]
     )
-    nowhere = np.full(len(columns), np.nan)
-    share = lambda found: (found[:, None] == columns).mean(axis=0)
-    of_end = lambda end: share(ends.jumped[end]) if end < FAILURES else nowhere
+    on_attractor = np.full(counts.shape, np.nan)
+    for row, attractor in zip(on_attractor, attractors_of(rows), strict=True):
+        if attractor >= 0:
+            row[:] = (ends.jumped[attractor][:, None] == columns).mean(axis=0)
     names = lambda found: tuple(name_of(end, before.walker.failures) for end in found.tolist())
     return Tipping(
         probability=counts / total,
         low=intervals[..., 0],
         high=intervals[..., 1],
         starts=counts,
-        on_attractor=np.array([of_end(end) for end in rows]),
+        on_attractor=on_attractor,
         before=names(rows),
         after=names(columns),
         attractors_before=[one.states for one in before.attractors],
@@ -170,18 +171,11 @@ def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: floa
     )
 
 
-def ends_of(labels: Label) -> Int[np.ndarray, " n"]:
-    """Return the ends of walks: the number of an attractor, or `FAILURES` + `Outcome` for none."""
-    return np.where(labels.converged, labels.attractor, FAILURES + labels.fate.astype(int))
-
-
 def name_of(end: int, failures: Sequence[str]) -> str:
     """Return the name of an end."""
-    if end < FAILURES:
-        return f"attractor {end}"
-    outcome = end - FAILURES
-    walks = outcome == Outcome.STRIDE
-    return "unknown attractor" if walks else name_of_outcome(outcome, failures)
+    if end >= OUTCOMES:
+        return f"attractor {end - OUTCOMES}"
+    return "unknown attractor" if end == Outcome.STRIDE else name_of_outcome(end, failures)
 
 
 def transition_counts(
@@ -190,10 +184,9 @@ def transition_counts(
     rows: Int[np.ndarray, " r"],
     columns: Int[np.ndarray, " c"],
 ) -> Int[np.ndarray, "r c"]:
-    """Count the pairs with labels rows[i] and columns[j], which are sorted."""
-    counts = np.zeros((len(rows), len(columns)), int)
-    np.add.at(counts, (np.searchsorted(rows, first), np.searchsorted(columns, second)), 1)
-    return counts
+    """Count the pairs with labels rows[i] and columns[j]."""
+    ends = (second[first == row] for row in rows)
+    return np.array([[np.count_nonzero(own == column) for column in columns] for own in ends])
 
 
 def states_on(mapper: Mapper, attractor: Attractor) -> Float[np.ndarray, "n section"]:

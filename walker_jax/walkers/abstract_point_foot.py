@@ -8,8 +8,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
 from walker_jax.grids import Grid
-from walker_jax.hybrid.modes import Mode
-from walker_jax.walkers.model import SWING, Scalar, State, Walker, is_unchanged
+from walker_jax.walkers.model import SWING, Scalar, State, Walker
+from walker_jax.walkers.phase import is_of_package
 
 
 class AbstractPointFootWalker(Walker):
@@ -61,6 +61,25 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
 
     slope: Scalar
 
+    def modes(self):
+        """With what is known of the walkers of the package, which swing by the same methods.
+
+        The stance leg is an inverted pendulum, thetaddot = sin(theta - slope). It moves one way
+        until it stops, and then goes back: falls last. `contact_force` is least at an end of the
+        swing. Where `rises_past_contact` is known, a foot ahead that has come down stays down too,
+        unless the stance leg is in tension, when no stride follows.
+        """
+        modes = super().modes()
+        if not all(is_of_package(type(self), method) for method in (*SWING, "past_contact")):
+            return modes
+        swing = modes["swing"]
+        *falls, strike = swing.guards
+        pulls, *others = swing.conditions
+        lasting = [one._replace(persists=True) for one in falls]
+        strike = strike._replace(persists=swing.early_exit is not None)
+        conditions = pulls._replace(least_at_ends=True), *others
+        return modes | {"swing": swing._replace(guards=(*lasting, strike), conditions=conditions)}
+
     def struck(self, state, impulse, arm):
         """The foot keeps its speed across the swing leg: phidot changes by (1 - cos phi) times as
         much as thetadot, which changes by P . (d hip / d theta); phases may have other masses."""
@@ -96,27 +115,6 @@ class AbstractMasslessFootWalker(AbstractPointFootWalker):
         s = jnp.sin(state.phi) * state.thetadot
         swing = state.theta - state.phi
         return -jnp.sin(swing) * s, jnp.cos(swing) * s
-
-
-def pendulum_modes(
-    walker: AbstractMasslessFootWalker, kind: type, modes: dict[str, Mode]
-) -> dict[str, Mode]:
-    """Return the modes of a walker with what is known of some kind, if it swings like that.
-
-    The stance leg is an inverted pendulum, thetaddot = sin(theta - slope). It moves one way until
-    it stops, and then goes back: falls last. `contact_force` is least at an end of the swing. Where
-    `rises_past_contact` is known, a foot ahead that has come down stays down too, unless the stance
-    leg is in tension, when no stride follows.
-    """
-    if not is_unchanged(walker, kind, *SWING, "past_contact"):
-        return modes
-    swing = modes["swing"]
-    *falls, strike = swing.guards
-    pulls, *others = swing.conditions
-    lasting = [one._replace(persists=True) for one in falls]
-    strike = strike._replace(persists=swing.early_exit is not None)
-    conditions = pulls._replace(least_at_ends=True), *others
-    return modes | {"swing": swing._replace(guards=(*lasting, strike), conditions=conditions)}
 
 
 def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool[Array, ""]:

@@ -2,10 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, is_traced
 from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import leg
 from walker_jax.walkers.model import Scalar
@@ -27,7 +26,7 @@ class AbstractRoundFootWalker(HeavyLegWalker):
 
     def __check_init__(self):
         values = (self.foot_radius, self.leg_length, self.leg_inertia, self.com_from_hip)
-        if any(isinstance(value, Tracer) for value in (*values, self.com_offset)):
+        if is_traced((*values, self.com_offset)):
             return
         radius, length, inertia, down = map(float, values)
         if radius >= length:

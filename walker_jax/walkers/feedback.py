@@ -16,8 +16,6 @@ from walker_jax.systems.system import fields_of
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import Parameter, check_parameter, parameters, with_parameter
 
-UNBOUNDED = {"low": -np.inf, "high": np.inf}
-
 
 class FeedbackWalker(Walker):
     """The common base of the walkers that `Feedback` makes."""
@@ -181,7 +179,7 @@ def feedback_class(
             Parameter(f"{name}_per_{one}", f"gain of {name} on {one}", units.get(name, ""), 0.0)
             for one in kind.section
         ]
-    added = [one._replace(**UNBOUNDED) for one in added]
+    added = [one._replace(low=-np.inf, high=np.inf) for one in added]
     for name in limited:
         own = known.get(name, Parameter(name, "", "", 0.0, -np.inf, np.inf))
         added += [

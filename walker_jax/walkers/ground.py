@@ -17,8 +17,6 @@ NEVER = -1e6
 """Value of what never admits a guard, so far below zero that it is no miss."""
 LOWER = "below the level"
 """The mode of a swing foot that has passed the level of the other foot, to lower ground."""
-PASSES = -2
-"""Place of the guard that leads there, among those of the swing."""
 
 
 def raise_ground(walker: Any, modes: Mapping[str, Mode], step: Scalar) -> dict[str, Mode]:

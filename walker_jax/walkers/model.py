@@ -29,7 +29,7 @@ from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.kernels import kernel
-from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.hybrid_system import HybridSystem, has_ground
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.systems.trees import in_dtype, settle
@@ -40,13 +40,11 @@ from walker_jax.walkers.phase import (
     Conditions,
     Phase,
     State,
-    conditions_of,
-    energy_of,
     fall_guards,
     home_of,
-    is_of_package,
     is_planar,
     legs,
+    mode_of,
     some_state,
 )
 from walker_jax.walkers.pictures import picture_of_legs
@@ -172,17 +170,8 @@ class Walker(HybridSystem):
         over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
         known = is_unchanged(self, home_of(type(self), "past_contact"), *SWING)
         exits = EarlyExit(over, Outcome.FORWARD.name) if known else None
-        swing = Mode(
-            self.equations(),
-            (*fall_guards(self), strike),
-            conditions_of(self),
-            early_exit=exits,
-            rates_at=self.vector_field,
-            as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
-            longest_step=self.longest_step,
-            energy=energy_of(self),
-            most_steps=self.most_steps,
-        )
+        hooks = ((self, method) for method in GUARD_HOOKS)
+        swing = mode_of(self, self, (*fall_guards(self), strike), hooks)._replace(early_exit=exits)
         phases = self.phases()
         names = [*(phase.name() for phase in phases), "swing"]
         if len(set(names)) < len(names):
@@ -316,9 +305,9 @@ class Walker(HybridSystem):
 
 
 def check_planar(walker: Any) -> Walker:
-    """Raise `WrongUse` for walkers in space, where the theory holds in the plane only."""
+    """Raise `WrongUse` for walkers without ground, as in space: the theory is for the plane."""
     check_kind("walker", walker, Walker)
-    if not is_planar(walker):
+    if not has_ground(walker):
         raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
     return walker
 

@@ -249,13 +249,6 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
                 raise
 
 
-def check_parameters(walker: System, parameters: Sequence[str]) -> None:
-    """Raise `WrongUse` for anything but a sequence of names of the walker's parameters."""
-    check_kind("parameters", parameters, Sequence)
-    for name in parameters:
-        check_parameter(walker, name)
-
-
 def parameter_directions(
     walker: AnySystem, parameters: Sequence[str], dtype, rows: int = 1
 ) -> AnySystem:
@@ -295,16 +288,19 @@ def with_values(
 
 
 def with_entries(leaf: Any, entries: Mapping[tuple[int, ...], Any]) -> Any:
-    """Return an array with other numbers at some places, all at once where JAX traces none."""
-    if any(isinstance(one, Tracer) or np.ndim(one) for one in entries.values()) or isinstance(
-        leaf, Tracer
-    ):
-        for entry, value in entries.items():
-            leaf = with_entry(leaf, entry, value)
-        return leaf
-    changed = np.array(leaf)
+    """Return an array with other numbers at some places; arrays of values make many arrays."""
+    shape = max(map(np.shape, entries.values()), key=len)
+    own = all(np.ndim(leaf) == len(entry) for entry in entries)
+    traced = any(isinstance(one, Tracer) for one in (leaf, *entries.values()))
+    made: Any = jnp if traced else np
+    changed = made.array(leaf)
+    if shape and own:
+        changed = made.array(made.broadcast_to(changed, (*shape, *changed.shape)))
     for entry, value in entries.items():
-        changed[(..., *entry)] = value
+        if traced:
+            changed = changed.at[..., *entry].set(value)
+        else:
+            changed[..., *entry] = value
     return jnp.asarray(changed) if isinstance(leaf, jax.Array) else changed
 
 
@@ -334,15 +330,6 @@ def example_of_entry(walker: System) -> list[str]:
     return [f"{name}[{', '.join('0' * rank)}], ..." for name, rank in [*ranks][:1]]
 
 
-def with_entry(leaf: Any, entry: tuple[int, ...], value: Any) -> Any:
-    """Return an array with another number at a place; an array of values makes many arrays."""
-    if np.ndim(value) and np.ndim(leaf) == len(entry):
-        leaf = jnp.broadcast_to(leaf, (*np.shape(value), *np.shape(leaf)))
-    changed = jnp.asarray(leaf).at[..., *entry].set(value)
-    traced = isinstance(changed, Tracer) or isinstance(leaf, jax.Array)
-    return changed if traced else np.asarray(changed)
-
-
 def value_of(walker: System, parameter: str) -> Any:
     """Return the value of a parameter, or of one number in an array, by name."""
     leaves = leaves_of(walker)
@@ -350,12 +337,6 @@ def value_of(walker: System, parameter: str) -> Any:
         return leaves[parameter]
     name, entry = parse_entry(parameter)
     return leaves[name][..., *entry]
-
-
-def along_parameter(walker: AnySystem, parameter: str) -> AnySystem:
-    """Return the direction of one parameter: the walker with 1 for it and 0 for all others."""
-    one = jnp.ones_like(value_of(walker, parameter))
-    return as_tangent(walker, with_parameter(jax.tree.map(jnp.zeros_like, walker), parameter, one))
 
 
 def as_tangent(walker: AnySystem, direction: AnySystem) -> AnySystem:

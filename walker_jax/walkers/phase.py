@@ -5,7 +5,7 @@ The state, the falls and the conditions of a walker are those of its phases too.
 
 import abc
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -110,17 +110,23 @@ class Phase(eqx.Module):
         guards.append(Guard(self.event, onto, reset=self.end))
         hooks = *((self, name) for name in ("event", "clearance", "reach")), (walker, "falls")
         hooks = *hooks, (walker, "is_ahead")
-        as_smooth = all(is_of_package(type(of), hook) for of, hook in hooks)
-        return Mode(
-            self.equations(),
-            tuple(guards),
-            conditions_of(self),
-            rates_at=self.vector_field,
-            as_smooth=as_smooth,
-            longest_step=walker.longest_step,
-            energy=energy_of(self),
-            most_steps=walker.most_steps,
-        )
+        return mode_of(self, walker, guards, hooks)
+
+
+def mode_of(
+    part: Any, walker: Any, guards: Sequence[Guard], hooks: Iterable[tuple[Any, str]]
+) -> Mode:
+    """Return the mode of a phase, or of the swing, whose guards are made from some methods."""
+    return Mode(
+        part.equations(),
+        tuple(guards),
+        conditions_of(part),
+        rates_at=part.vector_field,
+        as_smooth=all(is_of_package(type(of), method) for of, method in hooks),
+        longest_step=walker.longest_step,
+        energy=energy_of(part),
+        most_steps=walker.most_steps,
+    )
 
 
 def energy_of(part: Any) -> Function | None:

@@ -29,44 +29,28 @@ GROUP = "walker_jax.walkers"
 """The entry points by which other packages add walkers."""
 
 
+FORMS = {
+    "walker": ("a class", "FILE.py:CLASS"),
+    "system": ("a system, or a class of systems", "FILE.py:NAME"),
+}
+"""For each noun, what a name denotes, and the form of the name of one in a file."""
+
+
 def find_walker(name: str) -> type[Walker]:
     """Return the class of walkers of a name; raise `WrongUse` where there is none."""
     if name in WALKERS:
         return WALKERS[name]
-    if ":" in name:
-        place, _, attribute = name.rpartition(":")
-        module = load_place(place)
-        return check_walker(name, vars(module).get(attribute), place, walkers_in(module))
-    if name.endswith(".py") and Path(name).is_file():
-        choice = choose_from(walkers_in(load_file(Path(name))), name)
-        raise WrongUse(f"walker {name} must name a class: {choice}")
-    installed = installed_walkers()
+    installed = {} if ":" in name else installed_walkers()
     if name in installed:
         return load_installed(installed[name])
-    raise not_listed("walker", name, "FILE.py:CLASS", (*WALKERS, *installed))
-
-
-def not_listed(noun: str, name: str, of_file: str, known: Sequence[str]) -> WrongUse:
-    """Return the error of a name that nothing has, with names like it."""
-    similar = " or ".join(difflib.get_close_matches(name, known))
-    return WrongUse(
-        f"{noun} must be one that walker-jax --list-walkers shows, or {of_file}, not "
-        f"{short(name)[1:-1]}{f': did you mean {similar}?' if similar else ''}"
-    )
+    return check_walker(name, *load_named("walker", name, (*WALKERS, *installed)))
 
 
 def find_system(name: str) -> type[System] | System:
     """Return the system, or class of systems, of a name; raise `WrongUse` where there is none."""
     if name in SYSTEMS:
         return SYSTEMS[name]
-    place, _, attribute = name.rpartition(":")
-    if name.endswith(".py") and Path(name).is_file():
-        choice = choose_from(systems_in(load_file(Path(name), "system")), name)
-        raise WrongUse(f"system {name} must name a system, or a class of systems: {choice}")
-    if not place:
-        raise not_listed("system", name, "FILE.py:NAME", (*SYSTEMS,))
-    module = load_place(place, "system")
-    value = vars(module).get(attribute)
+    value, others = load_named("system", name, (*SYSTEMS,))
     if isinstance(value, System):
         try:
             check_single(value)
@@ -74,10 +58,29 @@ def find_system(name: str) -> type[System] | System:
             raise WrongUse(f"system {name}: {error}") from error
         return value
     if not is_system(value):
-        others = choose_from(systems_in(module), place)
         raise WrongUse(f"system {name} must be a system or a class of systems: {others}")
     check_complete("system", name, value)
     return value
+
+
+def load_named(noun: str, name: str, known: Sequence[str]) -> tuple[Any, str]:
+    """Return what a file or module has under a name, and the names that it could have had.
+
+    Raises `WrongUse` for a name without a place, with names like it.
+    """
+    denoted, form = FORMS[noun]
+    place, _, attribute = name.rpartition(":")
+    if name.endswith(".py") and Path(name).is_file():
+        choice = choose_from(made_in(load_file(Path(name), noun), noun), name)
+        raise WrongUse(f"{noun} {name} must name {denoted}: {choice}")
+    if not place:
+        similar = " or ".join(difflib.get_close_matches(name, known))
+        raise WrongUse(
+            f"{noun} must be one that walker-jax --list-walkers shows, or {form}, not "
+            f"{short(name)[1:-1]}{f': did you mean {similar}?' if similar else ''}"
+        )
+    module = load_file(Path(place), noun) if place.endswith(".py") else load_module(place, noun)
+    return vars(module).get(attribute), choose_from(made_in(module, noun), place)
 
 
 def reference_of(kind: type[System] | System) -> str:
@@ -134,16 +137,14 @@ def load_installed(point: EntryPoint) -> type[Walker]:
         value = point.load()
     except (Exception, SystemExit) as error:  # whatever foreign code raises
         raise WrongUse(f"walker {point.name} ({point.value}) {cannot_be_loaded(error)}") from error
-    return check_walker(f"{point.name} ({point.value})", value, point.module, ())
-
-
-def load_place(place: str, noun: str = "walker") -> ModuleType:
-    """Return the module of a file or of a package; errors name the `noun` that is looked for."""
-    return load_file(Path(place), noun) if place.endswith(".py") else load_module(place, noun)
+    return check_walker(f"{point.name} ({point.value})", value, choose_from((), point.module))
 
 
 def load_file(path: Path, noun: str = "walker") -> ModuleType:
-    """Run a Python file as a module of its name, which may import files beside it."""
+    """Run a Python file as a module of its name, which may import files beside it.
+
+    Errors name the `noun` that is looked for.
+    """
     if not path.is_file():
         raise WrongPlace(f"{noun} {path}: there is no such file")
     path, name = path.resolve(), path.stem
@@ -200,13 +201,14 @@ def cannot_be_loaded(error: BaseException, path: Path | None = None) -> str:
     return f"cannot be loaded: {type(error).__name__}: {error}{line}"
 
 
-def walkers_in(module: ModuleType) -> list[str]:
-    """Return the names of the walkers that a module defines."""
-    return [
-        name
-        for name, value in vars(module).items()
-        if is_walker(value) and value.__module__ == module.__name__
-    ]
+def made_in(module: ModuleType, noun: str) -> list[str]:
+    """Return the names of the classes of walkers, or of systems and their classes, of a module."""
+    if noun == "walker":
+        made = lambda value: is_walker(value) and value.__module__ == module.__name__
+    else:
+        own = lambda value: is_system(value) and value.__module__ == module.__name__
+        made = lambda value: isinstance(value, System) or own(value)
+    return [name for name, value in vars(module).items() if made(value)]
 
 
 def is_walker(value: Any) -> bool:
@@ -217,21 +219,10 @@ def is_system(value: Any) -> TypeGuard[type[System]]:
     return isinstance(value, type) and issubclass(value, System)
 
 
-def systems_in(module: ModuleType) -> list[str]:
-    """Return the names of the systems, and of their classes, that a module makes."""
-    return [name for name in vars(module) if is_own(module, name)]
-
-
-def is_own(module: ModuleType, name: str) -> bool:
-    """Return whether a module makes a system, or defines a class of systems, of that name."""
-    value = vars(module)[name]
-    return isinstance(value, System) or (is_system(value) and value.__module__ == module.__name__)
-
-
-def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> type[Walker]:
+def check_walker(name: str, value: Any, others: str) -> type[Walker]:
     """Return the class, if it is a complete one of walkers; raise `WrongUse` otherwise."""
     if not is_walker(value):
-        raise WrongUse(f"walker {name} must name a class of walkers: {choose_from(others, place)}")
+        raise WrongUse(f"walker {name} must name a class of walkers: {others}")
     check_complete("walker", name, value)
     return value
 

@@ -9,19 +9,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
-from walker_jax.systems.outcomes import Outcome, Stride
-from walker_jax.walkers.ground import PASSES
+from walker_jax.systems.outcomes import Stride
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.failure_margins import (
-    Margins,
-    guards_of,
-    measure_modes,
-    strike_margin,
-)
+from walker_jax.walking.failure_margins import Margins, measure_modes
 from walker_jax.walking.scan import Walked, scan_strides
 from walker_jax.walking.starts import during_stride, on_section
 from walker_jax.walking.stride import follow_stride, modes_from, with_full_state
@@ -79,18 +72,9 @@ def follow_disturbed_margins(
     disturbance: Disturbance,
     integrator: Integrator,
 ) -> Margins:
-    """Follow one disturbed stride, as `follow_disturbed` does, and measure its margins.
-
-    A foot that comes down on lower ground has passed the level of the other foot before: the
-    forward margin is the smaller one of the two.
-    """
+    """Follow one disturbed stride, as `follow_disturbed` does, and measure its margins."""
     walker, x, step = disturbed_start(walker, x, disturbance)
     walker = during_stride(walker, x)
     modes = modes_from(walker, x, step, to_the_end=True)
     found, course = measure_modes(walker, x, modes, integrator)
-    *_, level, _ = course.parts
-    number = len(level.mode.guards) + PASSES
-    passed = with_fast_sincos(lambda: strike_margin(level, guards_of(level)[number], number))()
-    passed = jnp.where(found.stride.outcome == Outcome.STRIDE, passed, jnp.nan)
-    by_name = found.by_name | {Outcome.FORWARD.name: jnp.fmin(found.forward, passed)}
-    return found._replace(stride=with_full_state(found.stride, course), by_name=by_name)
+    return found._replace(stride=with_full_state(found.stride, course))

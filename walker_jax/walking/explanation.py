@@ -218,37 +218,23 @@ def explain(
 
 
 def check_records(records: list[ModeRecord], *, driven_by_gravity: bool) -> list[str]:
-    """Return complaints about the modes, in their order: about energy, and guards if none ends."""
-    unending = bool(records) and not records[-1].led_to
-    found = []
+    """Return complaints about the modes, in their order: about energy that should stay constant,
+    and about the guards if none ends the last mode."""
+    unending, found = bool(records) and not records[-1].led_to, []
     for mode in records:
-        found += check_energy(mode) if driven_by_gravity else []
-        found += check_guards(mode) if unending else []
+        start, end = mode.energy
+        if driven_by_gravity and abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
+            found.append(
+                f"in mode {mode.name!r} the energy changes by {end - start:.3g}, but gravity alone "
+                "drives the walker: vector_field and energy do not belong together"
+            )
+        if unending:
+            admitted = {rise.guard for rise in mode.rises if rise.admitted}
+            for guard in sorted({rise.guard for rise in mode.rises} - admitted):
+                found.append(f"guard {guard} of mode {mode.name!r} rose, but was never admitted")
+        if not mode.led_to:
+            found.append(f"mode {mode.name!r} is not ended by any of its guards: {mode.reason}")
     return found
-
-
-def check_guards(mode: ModeRecord) -> list[str]:
-    """Return complaints about a mode's guards."""
-    refused = {rise.guard for rise in mode.rises if not rise.admitted}
-    admitted = {rise.guard for rise in mode.rises if rise.admitted}
-    found = [
-        f"guard {guard} of mode {mode.name!r} rose, but was never admitted"
-        for guard in sorted(refused - admitted)
-    ]
-    if not mode.led_to:
-        found.append(f"mode {mode.name!r} is not ended by any of its guards: {mode.reason}")
-    return found
-
-
-def check_energy(mode: ModeRecord) -> list[str]:
-    """Return a complaint about a mode in which the energy should stay constant, and does not."""
-    start, end = mode.energy
-    if not abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
-        return []
-    return [
-        f"in mode {mode.name!r} the energy changes by {end - start:.3g}, but gravity alone "
-        "drives the walker: vector_field and energy do not belong together"
-    ]
 
 
 def record_modes(

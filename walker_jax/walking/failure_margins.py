@@ -32,6 +32,7 @@ from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, Stride, nan_unless
 from walker_jax.systems.system import System, apply_map
+from walker_jax.walkers.ground import LOWER
 from walker_jax.walking.guards import Numbers
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import as_floating, during_stride, on_section, prepare
@@ -215,7 +216,8 @@ def add_part(known: Measured, part: ModeResult, walker: HybridSystem, unit: Scal
         if one.guard.leads_to in numbers:
             greatest = jnp.maximum(one.before, jnp.where(took, -jnp.inf, one.end))
             lower(passed, one.guard.leads_to, guard_margin(one.guard, greatest, part.followed))
-        elif one.guard.leads_to == SECTION:
+        elif one.guard.leads_to in (SECTION, LOWER):
+            # A foot that comes down on lower ground has passed the level of the other foot before.
             lower(passed, Outcome.FORWARD.name, strike_margin(part, one, i))
         for held_one in one.guard.must_hold:
             value = held_one.value(part.end.state)

@@ -1,7 +1,6 @@
 """Guards as a mode begins, and where one has risen: failures, and the mode or section beyond."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,7 +9,6 @@ from jaxtyping import Array, Bool, Int
 from walker_jax.hybrid.beginnings import Due, is_due
 from walker_jax.hybrid.following import NO_GUARD
 from walker_jax.hybrid.modes import SECTION, Guard, Mode, ends_at_once
-from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.integrals import WithIntegrals
 from walker_jax.integrators.integrator import Integrator, Method
 from walker_jax.integrators.step_lengths import StepLimits, has_sharp_features
@@ -48,17 +46,10 @@ def leads_on(guard: Guard, numbers: Numbers) -> bool:
     return guard.leads_to != SECTION and guard.leads_to not in numbers
 
 
-def failure_at_start(
-    mode: Mode, numbers: Numbers, state: Any, switched: bool | Bool[Array, ""] = False
-) -> Verdict:
-    """Return the failure with which a mode begins; `UNDECIDED` if there is none."""
-    return with_fast_sincos(partial(fall_of, mode, numbers, switched=switched))(state)
-
-
 def fall_of(
     mode: Mode, numbers: Numbers, state: Any, switched: bool | Bool[Array, ""] = False
 ) -> Verdict:
-    """Return the first failure that acts at once and is due; `UNDECIDED` if none is."""
+    """Return the first failure with which a mode begins; `UNDECIDED` if there is none."""
     outcome = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
     for guard in reversed(mode.guards):
         if guard.at_once and guard.leads_to in numbers:

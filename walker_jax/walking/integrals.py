@@ -109,7 +109,6 @@ def follow_integrals(
         course._replace(
             entries={SECTION: section._replace(state=state)},
             violated={name: flag for name, flag in course.violated.items() if name not in peaks},
-            parts=(),
         ),
     )
     return {

@@ -40,7 +40,7 @@ from walker_jax.systems.trees import (
 )
 from walker_jax.walkers.parameters import Parameter, described_by, with_values
 from walker_jax.walking.scan import scan_strides
-from walker_jax.walking.starts import as_floating, check_ground, prepare, sizes_of_starts
+from walker_jax.walking.starts import as_floating, check_ground, check_size, prepare
 from walker_jax.walking.stride import follow_stride
 
 ROUNDS = 4, 16, 64
@@ -131,14 +131,7 @@ def for_each_start(
         raise WrongUse(f"{name} must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise WrongUse(f"{name} must have shape (n, coordinates), not {xs.shape}")
-    sizes = sizes_of_starts(walker)
-    if xs.shape[1] not in sizes:
-        full = " or ".join(f"(n, {size})" for size in sizes[1:])
-        raise WrongUse(
-            f"{name} must have shape (n, {sizes[0]}), on the section {walker.section}, "
-            + (f"or {full}, full states, " if full else "")
-            + f"not {xs.shape}"
-        )
+    check_size(walker, name, xs.shape, rank=2)
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
     integrator = integrator_of(xs.dtype, tolerance, solver).in_dtype(xs.dtype)
@@ -172,11 +165,6 @@ def with_parameters(
     """Return n walkers, each with its own values of some parameters, unchecked."""
     walkers = broadcast_parameters(walker, len(values), values.dtype)
     return with_values(walkers, zip(parameters, values.T, strict=True))
-
-
-def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) -> AnySystem:
-    """Return some of many walkers; the single one, if all starts share it."""
-    return select(walker, indices)
 
 
 def check_parameter_arrays(walker: System, n: int) -> None:
@@ -305,7 +293,7 @@ def iterate(
         here = active if len(active) < n else slice(None)  # a slice copies nothing
         part = map_cells(
             walk_on,
-            (select_walkers(walker, here), end.state[here], compiled, np.int32(count), integrator),
+            (select(walker, here), end.state[here], compiled, np.int32(count), integrator),
             (many, True, False, False, False),
             progress=progress and f"{progress}: from stride {done + 1} on, {len(active)} walkers",
         )
@@ -360,7 +348,7 @@ def orbits(
         if len(active) == 0:
             break
         more = min(RECORDED, count - done)
-        some = select_walkers(walker, active), states[active, done], np.int32(more)
+        some = select(walker, active), states[active, done], np.int32(more)
         part, ends, _ = map_cells(record_walk, (*some, integrator), (many, True, False, False))
         states[active, done + 1 : done + 1 + more], outcome[active] = part[:, :more], ends
         active = active[ends == Outcome.STRIDE]

@@ -6,8 +6,7 @@ They serve pictures and films of systems that have a `picture`.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from importlib.metadata import version
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -15,21 +14,19 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
-from walker_jax.hybrid.modes import Mode
+from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import failures_by_name
-from walker_jax.systems.outcomes import Outcome, join_names
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import attributes_of
-from walker_jax.walkers.phase import legs
+from walker_jax.walkers.parameters import describe_source
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.starts import during_stride, prepare
-from walker_jax.walking.stride import follow_modes, modes_from, start_course
+from walker_jax.walking.stride import follow_graph, modes_from, start_course
 from walker_jax.walking.trajectories import trajectory
 
 
@@ -119,10 +116,7 @@ def motion(
         starts = np.array([planar.project(planar.state(*row)) for row in starts])
     variables["states"] = ("start", "coordinate"), starts
     variables |= {"outcome": ("made", outcomes), "duration": ("made", durations)}
-    about = {"walker": type(walker).__name__, **attributes_of(walker)}
-    about |= {"section": join_names(walker.section)}
-    about |= {"version": f"walker-jax {version('walker-jax')}"} | picture.sizes()
-    return xr.Dataset(variables, attrs=about)
+    return xr.Dataset(variables, attrs=describe_source(walker) | picture.sizes())
 
 
 def frames_of_stride(
@@ -141,80 +135,57 @@ def frames_of_stride(
     of a condition, and for `longest` at most. `height` is the step up to the next foothold, on
     rough ground.
     """
-    outcome, duration = stride
-    ends = np.array([duration])
+    outcome, end = stride
     if outcome != Outcome.STRIDE:
-        ends = np.minimum(find_ends(walker, x, height, tolerance), longest)
-    times = np.linspace(0, ends[-1], 1 + max(1, round(ends[-1] / step)))
-    states = jax.tree.map(np.asarray, trajectory(walker, x, times, tolerance=tolerance))
-    count = frames_shown(walker, outcome, states, swings_at(times, ends))
-    return times[:count], jax.tree.map(lambda values: values[:count], states)
+        end = min(find_end(walker, x, outcome, height, tolerance), longest)
+    times = np.linspace(0, end, 1 + max(int(end > 0), round(end / step)))
+    return times, jax.tree.map(np.asarray, trajectory(walker, x, times, tolerance=tolerance))
 
 
-def find_ends(
-    walker: Walker,
+def find_end(
+    walker: System,
     x: Float[np.ndarray, " coordinates"],
+    outcome: Outcome,
     height: float | None = None,
     tolerance: float | None = None,
-) -> Float[np.ndarray, " modes"]:
-    """Compute `ends_of_modes`, with arguments as in `stride`."""
+) -> float:
+    """Compute when the picture of a stride with a failing outcome ends; infinite if never."""
     walker, start, integrator = prepare(walker, x, tolerance)
     step = None if height is None else jnp.asarray(height, start.dtype)
-    return np.asarray(ends_of_modes(walker, start, step, integrator))
+    return float(end_of_picture(walker, start, jnp.asarray(outcome), step, integrator))
 
 
 @kernel
-def ends_of_modes(
-    walker: Walker,
+def end_of_picture(
+    walker: Any,
     x: Float[Array, " coordinates"],
+    outcome: Int[Array, ""],
     step: Float[Array, ""] | None,
     integrator: Integrator,
-) -> Float[Array, " modes"]:
-    """Return the time at which each phase ends, and at which the picture ends; infinite if never.
-
-    The picture ends where the swing foot comes down, or the walker is on the ground.
-    """
+) -> Float[Array, ""]:
+    """Return when the swing foot comes down, the walker is on the ground, or the condition of its
+    outcome is violated."""
     walker = during_stride(walker, x)
+    numbers = failures_by_name(walker)
     modes = modes_from(walker, x, step, to_the_end=True)
-    modes = {name: to_the_ground(one) for name, one in modes.items()}
-    course = follow_modes(walker, modes, start_course(walker, modes, x), integrator)
-    before = course.parts[: len(walker.modes()) - 1]
-    times = [jnp.where(one.passed, one.time + one.end.time, jnp.inf) for one in before]
-    end = jnp.where(course.verdict == Outcome.UNDECIDED, jnp.inf, course.time)
-    return jnp.stack([*times, end])
+    fails = lambda name: outcome == numbers[name]
+    shown = {name: mode_shown(one, fails) for name, one in modes.items()}
+    course, _ = follow_graph(walker, shown, start_course(walker, shown, x), integrator)
+    return jnp.where(course.verdict == Outcome.UNDECIDED, jnp.inf, course.time)
 
 
-def to_the_ground(mode: Mode) -> Mode:
-    """Return the same motion, in which a leg that stops goes on until it is down."""
+def mode_shown(mode: Mode, fails: Callable[[str], Bool[Array, ""]]) -> Mode:
+    """Return a mode that goes on until a leg that stops is down, or a condition that fails is
+    violated."""
     down = lambda state: state.theta - np.pi / 2
     guards = [
         one._replace(value=down, persists=False) if one.leads_to == Outcome.BACKWARD.name else one
         for one in mode.guards
     ]
-    return mode._replace(guards=tuple(guards), conditions=())
 
+    def violation(one: Condition) -> Guard:
+        value = lambda state: jnp.where(fails(one.leads_to), -one.value(state), -1.0)
+        return Guard(value, one.leads_to, at_once=not one.zero_at_start)
 
-def swings_at(
-    times: Float[np.ndarray, " frames"], ends: Float[np.ndarray, " modes"]
-) -> Bool[np.ndarray, " frames"]:
-    """Return whether the phases before the swing are over."""
-    return times >= (ends[-2] if len(ends) > 1 else 0)
-
-
-def frames_shown(
-    walker: Walker, outcome: Outcome, states: Any, swings: Bool[np.ndarray, " frames"]
-) -> int:
-    """Count the frames before the violation of the condition that ended a stride, if one did.
-
-    The count is at least one. Before the swing, states are those of the first phase.
-    """
-    violated, modes = np.zeros(len(swings), bool), [*walker.modes().values()]
-    numbers = failures_by_name(walker)
-    parts = [(modes[-1], legs(states) if len(modes) > 1 else states, swings)]
-    parts += [(modes[0], states, ~swings)] if len(modes) > 1 else []
-    for mode, at, here in parts:
-        for one in mode.conditions:
-            if numbers[one.leads_to] == outcome:
-                value = jax.vmap(one.value)(jax.tree.map(jnp.asarray, at))
-                violated |= here & (np.asarray(value) < 0)
-    return max(1, int(violated.argmax())) if violated.any() else len(swings)
+    violations = map(violation, mode.conditions)
+    return mode._replace(guards=(*guards, *violations), conditions=())

@@ -28,17 +28,24 @@ def prepare(
     walker = with_static_functions(walker)
     check_single(walker)
     x = as_floating(x)
-    sizes = sizes_of_starts(walker)
-    if x.ndim != 1 or x.shape[0] not in sizes:
-        full = " or ".join(f"({size},)" for size in sizes[1:])
-        raise WrongUse(
-            f"x must have shape ({sizes[0]},), on the section {walker.section}, "
-            + (f"or {full}, a full state, " if full else "")
-            + f"not {x.shape}"
-        )
+    check_size(walker, "x", x.shape, rank=1)
     integrator = integrator_of(x.dtype, tolerance, solver).in_dtype(x.dtype)
     walker = in_dtype(walker, x.dtype, jnp.asarray)
     return walker, x, integrator
+
+
+def check_size(walker: System, name: str, shape: tuple[int, ...], rank: int) -> None:
+    """Raise `WrongUse` unless a start, or each of n, is on the section, or is a full state."""
+    sizes = sizes_of_starts(walker)
+    if len(shape) == rank and shape[-1] in sizes:
+        return
+    first, *others = [f"(n, {size})" if rank == 2 else f"({size},)" for size in sizes]
+    states = "full states" if rank == 2 else "a full state"
+    raise WrongUse(
+        f"{name} must have shape {first}, on the section {walker.section}, "
+        + (f"or {' or '.join(others)}, {states}, " if others else "")
+        + f"not {shape}"
+    )
 
 
 def sizes_of_starts(walker: System) -> tuple[int, ...]:

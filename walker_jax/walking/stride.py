@@ -45,7 +45,6 @@ from walker_jax.systems.system import System, apply_map
 from walker_jax.walking.guards import (
     Numbers,
     Verdict,
-    failure_at_start,
     fall_of,
     guard_due,
     method_of,
@@ -176,8 +175,6 @@ class Course(NamedTuple):
     all did."""
     violated: Violated
     """Conditions that were violated, by the failure's name."""
-    parts: tuple[ModeResult, ...] = ()
-    """The modes that have been followed; none if modes can be entered again."""
 
 
 def modes_from(
@@ -242,9 +239,9 @@ def follow_graph(
     `measured`, the parts have their misses.
     """
     again = entered_again(modes)
+    follow = partial(follow_modes, system, modes, integrator, fold, measured, again)
     if not again:
-        course = follow_modes(system, modes, begun, integrator, measured)
-        return course, reduce(fold, course.parts, known)
+        return follow(begun, known)
     first, *_ = modes
     kinds = kinds_of_states(modes, begun.entries[first].state)
     never = jnp.asarray(False)
@@ -260,47 +257,48 @@ def follow_graph(
         going = course.verdict == Outcome.UNDECIDED
         return going & reduce(jnp.logical_or, reached) & (passes < MOST_PASSES)
 
-    def follow(carry):
-        course, known = carry
-        found = follow_modes(system, modes, course, integrator, measured, again)
-        known = reduce(fold, found.parts, known)
-        return found._replace(entries=waiting | found.entries, parts=()), known
+    def follow_again(carry):
+        course, known = follow(*carry)
+        return course._replace(entries=waiting | course.entries), known
 
     def find(start, writer):
         def make(carry):
             now, passes, tapes = carry
             tapes = tapes if writer is None else writer.put(tapes, passes, now)
-            return follow(now), passes + 1, tapes
+            return follow_again(now), passes + 1, tapes
 
         begun = start, jnp.asarray(0), writer and writer.tapes
         end, passes, tapes = lax.while_loop(lambda now: goes_on(now[:2]), make, begun)
         return end, passes, (), tapes
 
     return with_transposed_turns(
-        find, lambda _: (), lambda carry, _: follow(carry), (course, known)
+        find, lambda _: (), lambda carry, _: follow_again(carry), (course, known)
     )[0]
 
 
 def follow_modes(
     system: HybridSystem,
     modes: Mapping[str, Mode],
-    course: Course,
     integrator: Integrator,
-    measured: bool = False,
-    again: list[str] | None = None,
-) -> Course:
+    fold: Callable[[Any, ModeResult], Any],
+    measured: bool,
+    again: list[str],
+    course: Course,
+    known: Any,
+) -> tuple[Course, Any]:
     """Follow each of some modes once, in order, and leave all others to which they lead.
 
-    If `measured`, the parts have their misses. Modes that a course can enter `again` may have been
-    entered from others even where they come first.
+    Modes that a course can enter `again` may have been entered from others even where they come
+    first.
     """
     numbers, (first, *_) = failures_by_name(system), modes
     for name in in_order(modes):
         switched: Any = name != first
         if again and name == first:
             switched = (course.time > 0) if name in again else False
-        course = follow_one(name, modes, numbers, course, integrator, measured, switched)
-    return course
+        course, part = follow_one(name, modes, numbers, course, integrator, measured, switched)
+        known = fold(known, part)
+    return course, known
 
 
 def follow_one(
@@ -311,14 +309,14 @@ def follow_one(
     integrator: Integrator,
     measured: bool,
     switched: bool | Bool[Array, ""],
-) -> Course:
+) -> tuple[Course, ModeResult]:
     """Follow one mode, from where the course enters it to where its guard leads."""
     entry = course.entries[name]
     mode = suit_state(name, modes[name], entry.state)
     method = method_of(mode, entry.state, integrator)
     going = entry.reached & (course.verdict == Outcome.UNDECIDED)
     due, rises = guard_due(mode, numbers, method, entry.state, switched)
-    begun = failure_at_start(mode, numbers, entry.state, switched)
+    begun = with_fast_sincos(partial(fall_of, mode, numbers, switched=switched))(entry.state)
     for one in mode.conditions:
         if one.at_start:
             pulled = (course.time == 0) & one.is_negative(entry.state)
@@ -357,9 +355,8 @@ def follow_one(
     part = ModeResult(
         name, mode, entry.state, course.time, going, begun, followed, taken, passed, end
     )
-    parts = *course.parts, part
     verdict = verdict.astype(jnp.int8)
-    return Course(entries, course.time + end.time, verdict, held, violated, parts)
+    return Course(entries, course.time + end.time, verdict, held, violated), part
 
 
 def join(name: str, known: Entry | None, other: Entry) -> Entry:
@@ -396,5 +393,5 @@ def end_course(system: HybridSystem, modes: Mapping[str, Mode], course: Course) 
         return make_stride(point, verdict.astype(jnp.int8), course.time)
 
     state = course.entries[SECTION].state
-    judged = course._replace(entries={}, parts=())
+    judged = course._replace(entries={})
     return zero_where_unused(with_fast_sincos(judge), system, state, judged)

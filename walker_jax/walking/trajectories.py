@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial, reduce
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -167,29 +167,23 @@ def follow_phase_times(
     walker = during_stride(walker, x)
     modes = modes_from(walker, x)
     begun = start_course(walker, modes, x)
-    nan = jnp.full_like(begun.time, jnp.nan)
+    none = jnp.full_like(begun.time, jnp.nan), jnp.asarray(False)
 
-    def add(known: PhaseEnds, part: ModeResult) -> PhaseEnds:
+    def add(known: Ends, part: ModeResult) -> Ends:
         """Add a mode; one that is entered again ends later."""
-        leads = [
-            part.taken == i for i, one in enumerate(part.mode.guards) if one.leads_to == SECTION
-        ]
-        end = part.time + part.end.time
-        time = jnp.where(part.passed, end, known.times[part.name])
-        is_last = known.is_last[part.name] | reduce(jnp.logical_or, leads, jnp.asarray(False))
-        return PhaseEnds(known.times | {part.name: time}, known.is_last | {part.name: is_last})
+        time, is_last = known[part.name]
+        for i, guard in enumerate(part.mode.guards):
+            if guard.leads_to == SECTION:
+                is_last |= part.taken == i
+        time = jnp.where(part.passed, part.time + part.end.time, time)
+        return known | {part.name: (time, is_last)}
 
-    none = PhaseEnds(dict.fromkeys(modes, nan), dict.fromkeys(modes, jnp.asarray(False)))
-    course, ends = follow_graph(walker, modes, begun, integrator, add, none)
+    course, ends = follow_graph(walker, modes, begun, integrator, add, dict.fromkeys(modes, none))
     made = end_course(walker, modes, course)
     walks = made.outcome == Outcome.STRIDE  # or a later stride's failure, known at its end
-    return jnp.stack([nan_unless(~ends.is_last[name] | walks, ends.times[name]) for name in modes])
+    return jnp.stack([nan_unless(~is_last | walks, time) for time, is_last in ends.values()])
 
 
-class PhaseEnds(NamedTuple):
-    """Ends of modes, by their names."""
-
-    times: dict[str, Scalar]
-    """When each ended last since the start of the stride; NaN if it led nowhere."""
-    is_last: dict[str, Bool[Array, ""]]
-    """Whether it led to the section."""
+Ends = dict[str, tuple[Scalar, Bool[Array, ""]]]
+"""When each mode ended last since the start of the stride, NaN if it led nowhere, and whether it
+led to the section."""

@@ -116,7 +116,7 @@ def doubts(name: str, mode: Mode, way: Sequence[tuple[float, Any]]) -> list[str]
     """
     found, start = [], way[0][1]
     times = np.array([time for time, _ in way])
-    if getattr(mode, "scales", None) is None:
+    if mode.scales is None:
         states = np.array([numbers_of(state) for _, state in way])
         own = proportional_variables(mode.field, start)
         for i, least, other in faint_variables(times, states):
@@ -126,7 +126,7 @@ def doubts(name: str, mode: Mode, way: Sequence[tuple[float, Any]]) -> list[str]
                 f"in mode {name!r} {names_of(start)[i]} falls to {least:.3g}, beside variables of "
                 f"{other:.3g}: its digits are noise, unless Mode has scales for the variables"
             )
-    if getattr(mode, "longest_step", None) is None and has_sharp_features(mode.field, start):
+    if mode.longest_step is None and has_sharp_features(mode.field, start):
         found.append(
             f"the longest step of mode {name!r} takes {np.diff(times, prepend=0).max():.3g}: "
             "features of its exponential functions that are shorter may be missed, unless Mode has "
