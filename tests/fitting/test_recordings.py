@@ -98,6 +98,18 @@ def test_a_step_without_samples_ends_a_run():
     np.testing.assert_array_equal(TIME[places[1]], steps.times[1][steps.known[1, :, 0]])
 
 
+def test_samples_without_numbers_are_not_predicted():
+    """A quarter of 70 is kept, padded to a multiple of 16; inputs have all."""
+    theta = np.where(np.arange(len(TIME)) % 4, np.nan, THETA)
+    (one,) = wj.read_recordings({"time": TIME, "theta": theta}, strikes=STRIKES)
+    steps, places = cut_steps([one], ["theta"], 0.0, 0.0)
+    assert steps.times.shape == (3, 32)
+    for i, place in enumerate(places):
+        there = np.isfinite(theta[place])
+        assert len(there) in (69, 70)
+        np.testing.assert_array_equal(steps.times[i][steps.known[i, :, 0]], TIME[place][there])
+
+
 def test_samples_near_heel_strikes_are_left_out():
     (one,) = wj.read_recordings({"time": TIME, "theta": THETA}, strikes=STRIKES)
     steps, _ = cut_steps([one], ["theta"], 0.05, 0.02)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
+from scipy.stats import norm
 
 from walker_jax.checks import (
     WrongUse,
@@ -21,8 +22,16 @@ from walker_jax.checks import (
 )
 from walker_jax.fitting.bounds import Bounds, to_free
 from walker_jax.fitting.recordings import Recording, as_recordings
-from walker_jax.fitting.residuals import LOSSES, Data, Layout, Problem, Unknowns, follow_steps
-from walker_jax.fitting.results import Fit, fit_of, predicted_jit
+from walker_jax.fitting.residuals import (
+    LOSSES,
+    Data,
+    Layout,
+    Problem,
+    Unknowns,
+    follow_steps,
+    predicted,
+)
+from walker_jax.fitting.results import Fit, fit_of
 from walker_jax.fitting.solving import Solved, polish_starts, solve
 from walker_jax.fitting.starts import check_feasible, first_starts, names_of_state
 from walker_jax.fitting.steps import Steps, cut_steps, tables_of_inputs
@@ -204,21 +213,17 @@ def noise_left(layout: Layout, found: Solved, data: Data) -> Float[np.ndarray, "
     With the sum of squares, the unknowns take their share of the degrees of freedom; with a robust
     loss it is that of a normal distribution with the same median.
     """
-    steps, (motion, values) = data.steps, predicted_jit(layout, found.unknowns, data)
+    steps, (motion, values) = data.steps, predicted(layout, found.unknowns, data)
     off = np.abs(values - steps.values)
     used = steps.known & np.asarray(motion.walks)[:, None, None] & np.isfinite(off)
     each = [off[..., k][used[..., k]] for k in range(off.shape[-1])]
     if layout.loss != "linear":
-        spread = [np.median(one) / NORMAL_QUARTILE if one.size else np.nan for one in each]
+        spread = [np.median(one) / norm.ppf(0.75) if one.size else np.nan for one in each]
     else:
         free = 1 - ravel_pytree(found.unknowns)[0].size / steps.count
         free = max(free, 1 / steps.count)
         spread = [np.sqrt(np.mean(one**2) / free) if one.size else np.nan for one in each]
     return np.where(np.isnan(spread), data.noise, spread)
-
-
-NORMAL_QUARTILE = 0.6744897501960817
-"""Three quarters of a normal distribution are below it."""
 
 
 def make_data(

@@ -215,6 +215,7 @@ def prior(motion: Motion, data: Data) -> Float[Array, " parameters"]:
     return (motion.values - mean) / deviation
 
 
+@partial(jax.jit, static_argnums=0)
 def predicted(
     layout: Layout, unknowns: Unknowns, data: Data
 ) -> tuple[Motion, Float[Array, "steps samples columns"]]:

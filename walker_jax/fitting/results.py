@@ -26,8 +26,6 @@ from walker_jax.systems.html_tables import html_table
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.walkers.parameters import describe_source, with_values
 
-predicted_jit = jax.jit(predicted, static_argnums=0)
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -48,7 +46,7 @@ class Fit:
     """Recorded and fitted samples, residuals, starts, and durations of steps."""
     bounds: Bounds = field(repr=False)
     problem: Problem | None = field(default=None, repr=False)
-    """Residuals, and the first guesses of the search."""
+    """Constants of the residuals, and first guesses; None of a fit that `fit` did not make."""
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -153,7 +151,7 @@ def data_of(
 ) -> xr.Dataset:
     """Return recorded and fitted numbers as a data set."""
     layout, steps = problem.layout, data.steps
-    motion, fitted = predicted_jit(layout, solved.unknowns, data)
+    motion, fitted = predicted(layout, solved.unknowns, data)
     gaps = np.where(steps.known, 0.0, np.nan)
     per_sample = "step", "sample", "column"
     real = steps.known.any(axis=-1)

@@ -50,7 +50,7 @@ def cut_steps(
     """Return the steps of recordings, and the samples of each, all experiments end to end.
 
     Samples up to `skip` after a heel strike are left out, and those within `margin` of one, as they
-    may belong to the other step.
+    may belong to the other step; inputs keep them, and those without any number.
     """
     rows, places, run, offset = [], [], -1, 0
     for number, one in enumerate(recordings):
@@ -59,14 +59,15 @@ def cut_steps(
         for i, (begin, end) in enumerate(zip(one.strikes, one.strikes[1:], strict=False)):
             first, last = np.searchsorted(one.time, (begin + max(skip, margin), end - margin))
             within = slice(int(first), int(last))
-            if np.isfinite(values[within]).any(axis=1).sum() < FEWEST_SAMPLES:
+            seen = np.isfinite(values[within]).any(axis=1)
+            if seen.sum() < FEWEST_SAMPLES:
                 goes_on = False
                 continue
             is_first, goes_on = not goes_on, True
             run += is_first
             facts = begin, end, np.int32(run), is_first, np.int32(number)
             stance = np.int32((one.stance + i) % 2)
-            rows.append((one.time[within], values[within], *facts, stance))
+            rows.append((one.time[within][seen], values[within][seen], *facts, stance))
             places.append(slice(offset + within.start, offset + within.stop))
         offset += len(one.time)
     if len(rows) < 2:
