@@ -105,8 +105,8 @@ class DisturbedWalks(NamedTuple):
     ) -> Float[np.ndarray, "n strides 3"]:
         """Call `pull_walks` in batches of one size, so that one program is compiled.
 
-        The program of a walker with many parameters differentiates by these too: its steps are then
-        transposed, which is faster than forward mode, and `fall_gradient` needs the same program.
+        The program of a walker with many parameters differentiates by these too: `fall_gradient`
+        needs the same one.
         """
         walker, integrator = self.arrays()
         real = eqx.filter(walker, eqx.is_inexact_array_like)
