@@ -87,6 +87,20 @@ def test_scipy_finds_the_same_by_differences(shooting):
     assert error == pytest.approx(rate * np.sqrt(covariance[0, 0]), rel=1e-4)
 
 
+def test_a_first_guess_that_is_far_off_leads_to_the_same():
+    recordings = record_walk(wj.SimplestWalker(0.009), noise=NOISE)
+    for shooting in ("multiple", "single"):
+        near, *far = (
+            wj.fit(
+                wj.SimplestWalker(slope), recordings, "slope", noise=WALK_NOISE, shooting=shooting
+            )
+            for slope in (0.009, 0.006, 0.0135)
+        )
+        for one in far:
+            off = one.parameters["slope"] - near.parameters["slope"]
+            assert one.converged and abs(off) < 1e-5 * near.errors["slope"]
+
+
 def test_errors_are_as_large_as_the_fits_are_off():
     """Squares of 40 errors, over their standard deviations, add up as the chi-square law says."""
     total, costs = 0.0, 0.0
