@@ -1,12 +1,13 @@
 """How many digits of the conformance set does each solver get right, and which events does it miss?
 
-    python benchmarks/conformance/run.py                        # all; a quarter of an hour
+    python benchmarks/conformance/run.py                        # all; half an hour, most of it
+                                                                # to compile for diffrax
     python benchmarks/conformance/run.py --only ball --solvers SciPy
-    python benchmarks/conformance/run.py --page                 # for docs/conformance.md
 
 A row is a run. Digits are of the worst time, state or derivative, relative to the number or to 1,
-whichever is larger; a dash stands where the events are not those of the run. The last column is
-how much the run amplifies an error of its start: so many digits nobody has in float64.
+whichever is larger; `3 missed`: of its events three, from the first wrong one on, are not found.
+The last column is how much the run amplifies an error of its start: so many digits nobody has in
+float64.
 """
 
 import argparse

@@ -44,6 +44,7 @@ def test_two_chaotic_attractors_in_disjoint_cells_are_two(method):
     np.testing.assert_allclose(data.area, 3.2, rtol=1e-14)  # half of the grid each, by symmetry
 
 
+@pytest.mark.slow
 def test_they_are_two_in_pieces_refined_and_after_a_jump(tmp_path):
     stored = wj.basin(CUBIC, GRID, "direct", out=tmp_path / "two.zarr")
     np.testing.assert_array_equal(stored.attractor, wj.basin(CUBIC, GRID, "direct").attractor)
@@ -55,6 +56,7 @@ def test_they_are_two_in_pieces_refined_and_after_a_jump(tmp_path):
     np.testing.assert_array_equal(np.diag(jump.on_attractor), 1)  # both sides are kept
 
 
+@pytest.mark.slow
 def test_they_keep_their_numbers_over_a_parameter():
     """From two fixed points through two chaotic attractors to one, beyond the merging at 2.598."""
     values = [1.5, 2.4, 2.5, 2.65]

@@ -5,7 +5,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from all_measures import all_measures
 
 import walker_jax as wj
 from walker_jax.checks import ComputationFailed, WrongUse
@@ -40,6 +39,7 @@ def bell_minus_one(machine, gait):
     return jnp.exp(-jnp.sum((gait.states[0] + 1 / jnp.sqrt(2)) ** 2))
 
 
+@pytest.mark.slow
 def test_a_convex_front():
     """On it p = q, so the roots of both distances add up to that of their ends."""
     front = pareto(POINT, BOUNDS, (near_one, near_minus_one), points=5, starts=1, progress=False)
@@ -102,11 +102,15 @@ def test_a_function_is_maximised_with_bounds_and_without(free):
     assert found.at_bound.values.tolist() == [0, 0]
 
 
-def test_limits_and_weights_of_functions():
-    """Nearest to (1, 1) on p <= 0.2, and the mean of two goals."""
+def test_a_function_has_a_limit():
+    """Nearest to (1, 1) on p <= 0.2."""
     found = wj.optimise(POINT, BOUNDS, near_one, at_most={first: 0.2}, starts=1, progress=False)
     np.testing.assert_allclose(found.optimum, [0.2, 1], atol=0.004)
     assert found.measure.values[found.binding.values].tolist() == ["first"]
+
+
+@pytest.mark.slow
+def test_the_mean_of_two_goals():
     goal = {near_one: 3.0, near_minus_one: 1.0}
     found = wj.optimise(POINT, BOUNDS, goal, starts=1, progress=False)
     np.testing.assert_allclose(found.optimum, [0.5, 0.5], atol=0.004)
@@ -126,10 +130,11 @@ def test_integrals_are_objectives_and_limits():
     """The ball lands at the table's speed of one flight, 2 pi, and its flights take that long."""
     ball = Timed(0.4, 0.8)
     gait = wj.find_gait(ball)
-    found = all_measures(ball, ["restitution", "amplitude"], gait)
+    parameters = "restitution", "amplitude"
+    found = {one: wj.measure(ball, one, parameters, gait) for one in ("effort", "height")}
     step = 1e-5
     for name in ("effort", "height"):
-        for i, of in enumerate(("restitution", "amplitude")):
+        for i, of in enumerate(parameters):
             ends = []
             for side in (-step, step):
                 other = Timed(

@@ -449,14 +449,13 @@ def test_long_titles_stay_above_several_pictures():
 def stays(figure, right):
     """Check that a title with all its words ends before this place (pixels)."""
     figure.draw_without_rendering()
-    shown = figure.findobj(lambda one: isinstance(one, Text) and "SpringW" in one.get_text())
-    (title,) = shown
+    (title,) = (one for one in figure.findobj(Text) if "SpringWalker" in one.get_text())
     box = title.get_window_extent()
     assert title.get_text().replace("\n", " ").count(", ") == len(ABOUT)
     assert figure.bbox.x0 <= box.x0 and box.x1 <= right and box.y1 <= figure.bbox.y1
 
 
-def test_lines_of_text_end_between_phrases_and_never_in_a_formula():
+def test_lines_of_text_end_between_phrases_not_in_a_formula():
     text = f"one{NO_BREAK}phrase, $a + b$ and  two"
     whole = width_of(text, "medium")
     assert in_lines(text, 1.01 * whole, "medium") == "one phrase, $a + b$ and  two"

@@ -36,9 +36,19 @@ def test_modes_stand_in_the_order_of_a_stride():
     assert places[wj.SECTION] == (3, 0)
 
 
-def test_the_way_of_a_stride_is_thick_and_failures_are_named():
-    system = wj.systems.SpringMassBiped(energy=1.25)
-    ax = figures.modes(system, wj.explain(system, (0.9, 0.03)))
+@pytest.mark.parametrize(
+    ("system", "start"),
+    [
+        (wj.systems.StickSlip(), [1.2]),  # slips, sticks, slips again, to the section
+        pytest.param(wj.systems.SpringMassBiped(energy=1.25), (0.9, 0.03), marks=pytest.mark.slow),
+    ],
+)
+def test_the_way_of_a_stride_is_thick(system, start):
+    ax = figures.modes(system, wj.explain(system, start))
     thick = [one for one in arrows(ax) if one.get_linewidth() > 1]
-    assert len(thick) == 3 and len(arrows(ax)) == 5
+    assert len(thick) == 3 < len(arrows(ax))
+
+
+def test_failures_are_named():
+    ax = figures.modes(wj.systems.SpringMassBiped(energy=1.25))
     assert "backward\nforward\nrunning" in {text.get_text() for text in ax.texts}

@@ -107,10 +107,13 @@ def test_every_state_of_what_walks_on_is_a_dot():
 
 
 def test_few_dots_are_large_enough_to_be_seen():
-    size = lambda data: figures.bifurcation_diagram(data).lines[0].get_markersize()
-    few = diagram()
-    many = few.isel(recent=np.arange(4000) % few.sizes["recent"])
-    assert size(few) == 3 and size(many) == 1
+    def size(count):
+        few = diagram().isel(sample=np.arange(count) % 5)
+        data = few.assign(sample_value=("sample", np.linspace(0.01, 0.02, count)))
+        return figures.bifurcation_diagram(data).lines[0].get_markersize()
+
+    assert size(1) == size(5) == 3 and size(200) == 1
+    assert size(61) == pytest.approx(1.5)
 
 
 def test_lines_meet_at_a_neimark_sacker_point():

@@ -131,6 +131,7 @@ def main(kind: str, folder: Path, every: int = 1) -> int:
         left = [place.name for place in path.parent.iterdir()]
         assert left == [path.name], left
         assert not [*path.rglob("*.partial")]
+        assert {place.name for place in path.iterdir()} == {*WHOLE.variables, "zarr.json"}
 
     while code == KILLED:
         operation += every

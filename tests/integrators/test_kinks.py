@@ -343,7 +343,7 @@ def expanded():
     def all_of_them(line):
         return {name: look(line, *PIECEWISE[name]) for name in PIECEWISE}
 
-    return all_of_them(line), jax.jit(first_zero)
+    return all_of_them(line), jax.jit(lambda *args: first_zero(*args)[0])
 
 
 @pytest.mark.parametrize("name", PIECEWISE)
@@ -384,7 +384,7 @@ def test_kinks_of_which_nothing_is_known_are_refused():
 @pytest.fixture(scope="module")
 def zero():
     """The first zero of polynomials, (n, 7), in 0 <= t <= 1."""
-    found = jax.jit(jax.vmap(lambda p: first_zero(list(p), jnp.array(1.0), jnp.array(1e-9))))
+    found = jax.jit(jax.vmap(lambda p: first_zero(list(p), jnp.array(1.0), jnp.array(1e-9))[0]))
     return lambda polynomials: np.asarray(found(jnp.asarray(polynomials)))
 
 

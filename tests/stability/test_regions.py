@@ -94,15 +94,22 @@ def test_three_attractors_and_a_failure_are_four_regions():
     assert (label.ravel()[beginning] == -1).all()  # no feasible start
 
 
-def test_a_start_on_the_boundary_itself_is_in_no_region(monkeypatch):
-    """A column of starts on the stable manifold of a saddle, x = 0, is no third region."""
+CUBIC = wj.Map(lambda x: jnp.stack([1.5 * x[0] - x[0] ** 3, 0.3 * x[1]]), ("x", "y"))
+"""The stable manifold of its saddle is x = 0, between two fixed points."""
+
+
+def test_a_start_on_the_boundary_itself_is_in_no_region():
+    """A column of starts on the stable manifold of a saddle is no third region."""
+    grid = wj.Grid.plain(x=(-1.4, 1.4, 41), y=(-1, 1, 12))
+    label = label_regions(CUBIC, grid, wj.basin(CUBIC, grid, "direct"))
+    assert (label[20] == -1).all() and (np.delete(label, 20, axis=0) >= 0).all()
+
+
+@pytest.mark.slow
+def test_the_boundary_of_two_points_is_a_straight_manifold(monkeypatch):
     begin = partial(wj.stable_manifold, points=20)
     monkeypatch.setattr("walker_jax.stability.boundaries.stable_manifold", begin)
-    cubic = wj.Map(lambda x: jnp.stack([1.5 * x[0] - x[0] ** 3, 0.3 * x[1]]), ("x", "y"))
-    grid = wj.Grid.plain(x=(-1.4, 1.4, 41), y=(-1, 1, 12))
-    label = label_regions(cubic, grid, wj.basin(cubic, grid, "direct"))
-    assert (label[20] == -1).all() and (np.delete(label, 20, axis=0) >= 0).all()
-    even = wj.boundary(cubic, wj.Grid.plain(x=(-1.4, 1.4, 24), y=(-1, 1, 8)))
+    even = wj.boundary(CUBIC, wj.Grid.plain(x=(-1.4, 1.4, 24), y=(-1, 1, 8)))
     assert not even.boundary_fractal and even.edge_kind.values.tolist() == ["saddle"]
     np.testing.assert_allclose(even.edge_saddle.values[0, 0], 0, atol=1e-9)
     np.testing.assert_allclose(even.edge_multipliers.values[0, :, 0], [1.5, 0.3], atol=1e-9)

@@ -15,7 +15,7 @@ from zarr.storage import LocalStore
 
 from walker_jax import storage
 from walker_jax.checks import NotWritten
-from walker_jax.storage import places, requests
+from walker_jax.storage import requests, runs
 from walker_jax.storage.schema import SCHEMA_VERSION
 
 REQUEST = {"command": "basin", "slope": 0.004}
@@ -238,9 +238,9 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
         pass
     program = (
         "import os, signal, sys, pathlib\n"
-        "from walker_jax.storage import places\n"
+        "from walker_jax.storage import runs\n"
         "path = pathlib.Path(sys.argv[1])\n"
-        "with places.exclusive(path):\n"
+        "with runs.exclusive(path):\n"
         "    print('locked', flush=True)\n"
         "    sys.stdin.read()\n"
     )
@@ -395,7 +395,7 @@ HOLDING = """
 import os, sys
 from pathlib import Path
 from walker_jax import storage
-from walker_jax.storage import places
+from walker_jax.storage import runs
 path, mark, held = Path(sys.argv[1]), sys.argv[2], 0
 others = []  # of the first of them
 for _ in range(2):
@@ -405,7 +405,7 @@ for _ in range(2):
         break
 while held < 30:
     try:
-        with places.exclusive(path):
+        with runs.exclusive(path):
             os.close(os.open(mark, os.O_CREAT | os.O_EXCL))  # not if another one holds it too
             held += 1
             os.unlink(mark)
@@ -447,7 +447,7 @@ def test_what_a_killed_run_left_beside_goes_with_the_next(tmp_path, data):
 
 def test_two_runs_may_not_begin_at_once(tmp_path, data):
     path = tmp_path / "a.zarr"
-    with places.exclusive(path):
+    with runs.exclusive(path):
         with (
             pytest.raises(storage.StoreConflict, match="is being written by another run"),
             begun(path),
@@ -482,24 +482,25 @@ def test_a_piece_that_does_not_fit_on_the_disk_is_missing(tmp_path, monkeypatch)
     assert found is not None and (found["value"].values == ROWS).all()
 
 
-def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
-    path, removals = tmp_path / "a.zarr", []
+def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path):
+    path = tmp_path / "a.zarr"
     with begun(path) as place:
         write(place, 0)
         write(place, 1)
-        with monkeypatch.context() as patch:
-            patch.setattr("walker_jax.storage.pieces.remove_arrays", lambda *_: None)
-            place.finish(axes())
-    shutil.copytree(path / "half", path / "z")
-    with monkeypatch.context() as patch:
-        removed = lambda path, folder, names: removals.extend(names)
-        patch.setattr("walker_jax.storage.datasets.remove_arrays", removed)
-        storage.find(path, REQUEST)
-    assert sorted(removals) == ["half", "written", "z"]
-    assert removals[-1] == "written"  # it shows that others may remain
-    found = storage.find(path, REQUEST)
+        place.finish(axes())
+        left = Path(shutil.copytree(path, tmp_path / "killed" / path.name))
+    (left / "value/c/0/0.1a2b.partial").write_bytes(b"half of")
+    (left / "z").mkdir()
+    assert {"half", "written"} <= {one.name for one in left.iterdir()}
+    found = storage.load(left)  # these are not part of it
     assert found is not None and set(found.variables) == {"value", "x", "y"}
-    assert not (path / "half").exists() and not (path / "written").exists()
+    left.with_name(f".{left.name}.walker-jax").mkdir()  # as a killed run leaves it
+    for place in (path, left):
+        found = storage.find(place, REQUEST)
+        assert found is not None and set(found.variables) == {"value", "x", "y"}
+        assert {one.name for one in place.iterdir()} == {"value", "x", "y", "zarr.json"}
+        assert not [*place.rglob("*.partial")]
+        assert [one.name for one in place.parent.iterdir() if one.name[0] == "."] == []
 
 
 def test_places_read_only_even_to_root_and_names_too_long(tmp_path):

@@ -5,7 +5,6 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from all_measures import all_measures
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
@@ -76,17 +75,17 @@ def test_a_wheel_has_a_motion(gait):
 
 
 def test_a_wheel_has_a_speed(gait):
-    found = all_measures(DrawnWheel(), ["alpha"], gait)
-    length = found["step-length"]
+    drawn, plain = DrawnWheel(), wj.systems.TorsoWheel()
+    length = wj.measure(drawn, "step-length", ["alpha"], gait)
     assert length.value == pytest.approx(2 * np.sin(ALPHA), rel=1e-15)
     assert length.gradient[0] == pytest.approx(2 * np.cos(ALPHA), rel=1e-13)
+    value = lambda wheel, name: wj.measure(wheel, name, (), gait).value
     speed = length.value / float(gait.step_times[0])
-    assert found["speed"].value == pytest.approx(speed, rel=1e-14)
-    cost = found["cost-of-transport"].value  # on level ground it is the motors' alone
+    assert value(drawn, "speed") == pytest.approx(speed, rel=1e-14)
+    cost = value(drawn, "cost-of-transport")  # on level ground it is the motors' alone
     assert cost == pytest.approx(0.02 / length.value, rel=1e-14)
-    plain = all_measures(wj.systems.TorsoWheel(), ["alpha"], gait)
-    assert np.isnan(plain["step-length"].value) and not cost_is_known(wj.systems.TorsoWheel())
-    assert plain["spectral-radius"].value == found["spectral-radius"].value
+    assert np.isnan(value(plain, "step-length")) and not cost_is_known(plain)
+    assert value(plain, "spectral-radius") == value(drawn, "spectral-radius")
 
 
 def test_a_wheel_has_a_region_and_a_usual_range(gait):

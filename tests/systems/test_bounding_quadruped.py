@@ -85,6 +85,7 @@ def test_a_stride_in_any_order_is_that_of_another_integration(start):
     np.testing.assert_allclose(made.time, time, atol=5e-11)
 
 
+@pytest.mark.slow
 def test_modes_follow_the_order_of_footfalls():
     names = [*BOUNDER.modes()]
     for start, expected in STARTS.items():
@@ -94,6 +95,7 @@ def test_modes_follow_the_order_of_footfalls():
         assert np.nanmax(times) == wj.stride(BOUNDER, start).time
 
 
+@pytest.mark.slow
 def test_bounding_is_stable_and_symmetric_in_time(gait):
     """Backward in time the rear becomes the front: both stand as long, and the body is level."""
     assert gait.stable and abs(gait.states[0, 2]) < 1e-12
@@ -112,6 +114,7 @@ def test_every_mode_keeps_the_energy(gait):
         np.testing.assert_allclose(mode.energy, BOUNDER.energy, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_bound_is_the_same_from_the_apex_of_either_flight(gait):
     other = wj.find_gait(BOUNDER, [1.03, -0.71, 0.0])
     assert other.states[0, 1] < 0 < gait.states[0, 1]
@@ -119,6 +122,7 @@ def test_a_bound_is_the_same_from_the_apex_of_either_flight(gait):
     np.testing.assert_allclose(other.step_times, gait.step_times, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
     """All feet land at once and leave at once, and the pitch stays zero."""
     k, angle, energy = RUNS_AT.values()
@@ -152,6 +156,7 @@ def test_derivatives_by_parameters_are_those_of_differences(gait):
     np.testing.assert_allclose(jax.jacfwd(stride)(values), expected, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_starts_near_the_bound_return_to_it_and_others_fall(gait):
     h, rate, _ = gait.states[0]
     grid = wj.Grid.plain(

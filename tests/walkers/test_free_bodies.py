@@ -119,7 +119,7 @@ def test_running_is_a_force_that_pulls_before_heel_strike():
     for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:2]:
         following, _, forces = Bodies(walkers[i]).stride(xs[i])
         assert following is not None and forces.min() > 0
-    for i in np.flatnonzero(found.outcome != Outcome.OUTSIDE):
+    for i in np.flatnonzero(found.outcome != Outcome.OUTSIDE)[:100]:
         assert found.outcome[i] == Outcome.RUNNING or at_start(i) > 0
 
 

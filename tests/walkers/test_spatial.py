@@ -252,10 +252,10 @@ def test_a_disc_does_not_scuff_where_it_strikes():
     assert differ.sum() <= 2 and (np.abs(margins) < 1e-4).all()
 
 
-def test_a_push_from_the_side_topples_it(gait):
+def test_a_push_from_the_side_topples_it():
     """A stronger one lifts it off the slope; to the other side, the old foot would not lift."""
     pushes = np.array([-1.5, -2.0, 2.0])
-    starts = np.asarray(gait.states[0]) + pushes[:, None] * np.eye(7)[4]
+    starts = published() + pushes[:, None] * np.eye(7)[4]
     fates = wj.strides(WALKER, starts).outcome
     assert fates.tolist() == [Outcome.SIDEWAYS, Outcome.RUNNING, Outcome.OUTSIDE]
 

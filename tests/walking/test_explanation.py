@@ -227,6 +227,64 @@ def test_a_mode_that_is_over_as_it_begins_is_told():
     assert [one.name for one in found.modes] == ["over", "turn"]
     assert [one.led_to for one in found.modes] == ["turn at once", wj.SECTION]
     assert found.modes[0].time == 0 and found.modes[1].time == pytest.approx(2 * np.pi)
+    assert [one.due for one in found.modes] == [0, None]
+    assert "  guard 0 (turn) was due as the mode began: 1\n" in str(found)
+    assert "did not rise" not in str(found)
+
+
+class Bouncer(wj.HybridSystem):
+    """A ball between a fall and a rise, whose impact multiplies its speed."""
+
+    restitution: float = 0.8
+    at_apex: float = 1.0
+
+    section = ("height",)
+
+    def lift(self, x):
+        return jnp.stack([x[0], 0 * x[0]])
+
+    def project(self, state):
+        return state[:1]
+
+    def modes(self):
+        field = lambda y: jnp.stack([y[1], 0 * y[1] - 1])
+        bounce = lambda y: y.at[1].multiply(-self.restitution)
+        raised = lambda y: y.at[0].multiply(self.at_apex)
+        lands = wj.Guard(lambda y: -y[0], "rise", reset=bounce)
+        top = wj.Guard(lambda y: -y[1], wj.SECTION, reset=raised)
+        energy = lambda y: y[1] ** 2 / 2 + y[0]
+        guards = {"fall": (lands,), "rise": (top,)}
+        return {name: wj.Mode(field, one, energy=energy) for name, one in guards.items()}
+
+
+class Motorised(Bouncer):
+    def motor_work(self, start, end):
+        return start[0] * (self.restitution**2 - 1)
+
+
+class WithoutEnergy(Bouncer):
+    def modes(self):
+        return {name: mode._replace(energy=None) for name, mode in super().modes().items()}
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "doubtful"),
+    [
+        (Bouncer, (0.8, 1.0), {}),  # an impact takes energy
+        (Bouncer, (1.0, 1.0), {}),
+        (Bouncer, (1.5, 1.0), {"fall": "'fall' to 'rise' adds 2.5 to an energy of 2: "}),
+        (Bouncer, (1.0, 1.1), {}),  # the section may count heights from another place
+        (Motorised, (1.5, 1.1), {}),
+        (WithoutEnergy, (1.5, 1.1), {}),
+    ],
+)
+def test_a_reset_that_adds_energy_is_doubted(kind, changes, doubtful):
+    """A speed v becomes 1.5 v, so the energy 2 becomes 4.5."""
+    found = wj.explain(kind(*changes), jnp.array([2.0]))
+    assert found.outcome == wj.Outcome.STRIDE and found.complaints == []
+    assert [mode.name for mode in found.modes if mode.doubts] == [*doubtful]
+    for words in doubtful.values():
+        assert f"\n? the reset from mode {words}wrong, unless motors" in str(found)
 
 
 class WithEnergy(wj.SimplestWalker):

@@ -13,8 +13,8 @@ from part_of_swing import PartOfSwing
 import walker_jax as wj
 from walker_jax.hybrid.modes import Guard
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.integrators.step_lengths import step_size
-from walker_jax.integrators.taylor_steps import taylor_step
+from walker_jax.integrators.step_lengths import NO_LIMITS, step_size
+from walker_jax.integrators.taylor_steps import end_at_kink, smooth_step
 from walker_jax.kernels import kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome
@@ -107,6 +107,11 @@ def test_a_motion_that_is_a_polynomial_of_time_ends_at_its_root():
     assert found.state[0] == pytest.approx(-theta - thetadot * roots[1], rel=1e-12)
 
 
+def length_of_step(field, state, tolerance):
+    made = smooth_step(field, state, 12, tolerance, (), NO_LIMITS)
+    return end_at_kink(field, *made, tolerance)[1]
+
+
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_steps_of_flights_clocks_and_rest_are_finite(dtype):
     fields = {
@@ -118,7 +123,7 @@ def test_steps_of_flights_clocks_and_rest_are_finite(dtype):
         for state in ((1.0, 0.3), (0.0, 0.0)):
             start = tuple(jnp.asarray(value, dtype) for value in state)
             tolerance = 1e-12 if dtype == np.float64 else 1e-6
-            length = taylor_step(field, start, 12, tolerance)[1]
+            length = length_of_step(field, start, tolerance)
             assert np.isfinite(length) and length > 0, (name, state)
     broken = [jnp.asarray(np.nan, dtype)] * 13
     assert np.isnan(step_size(broken, 1e-6))
@@ -234,8 +239,8 @@ def test_margins_of_own_rules_vanish_where_failing_begins(name):
 
 
 @kernel
-def length_of_step(walker, state):
-    return taylor_step(walker.equations(), state, 12, 1e-12)[1]
+def length_for(walker, state):
+    return length_of_step(walker.equations(), state, 1e-12)
 
 
 @pytest.mark.parametrize("length", [1e2, 1e4])
@@ -252,7 +257,7 @@ def test_steps_have_the_same_length_in_any_unit(length):
 
     def first_step(size):
         state = State(*jnp.array([0.2, 0.4, -0.22 / size**0.5, -0.02 / size**0.5]))
-        return float(length_of_step(walker(size), state)) / size**0.5
+        return float(length_for(walker(size), state)) / size**0.5
 
     assert first_step(length) == pytest.approx(first_step(1.0), rel=0.3)
 

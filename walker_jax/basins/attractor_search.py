@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import (
     SAMPLE,
@@ -21,7 +21,6 @@ from walker_jax.basins.attractor import (
     match_attractor,
     new_cycle,
     sample_indices,
-    targets_of,
 )
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.labels import CLOSE, LONGEST_PERIOD, SURVIVAL, Label
@@ -110,8 +109,9 @@ def label_and_find(
 
     Other arguments are those of `complete`.
     """
-    labels = mapper.follow(starts, progress=progress)
-    return complete(mapper, starts, labels, boxes=boxes, most=most)
+    return complete(
+        mapper, starts, mapper.follow(starts, progress=progress), boxes=boxes, most=most
+    )
 
 
 def complete(
@@ -162,7 +162,8 @@ def search(
     if len(x) > SCOUTS:
         add_cycles(walker, sample(x, SCOUTS), found, integrator)
         if any(one.period for one in found):
-            x = x[stay_undecided(found, walker, x, integrator)]
+            mapper = Mapper(walker, found, integrator, PATIENCE * LONGEST_PERIOD)
+            x = x[mapper.walk(x).undecided]
     x, solved = add_cycles(walker, x, found, integrator)
     if len(x) and not solved and not any(one.stands_for_all for one in found):
         found += lasting_motions(walker, sample(x, WITNESSES), found, integrator)
@@ -221,15 +222,6 @@ def add_repeated(
         if len(x) == 0:
             break
     return x, period, nearest
-
-
-def stay_undecided(
-    found: Sequence[Attractor], walker: System, x: Points, integrator: Integrator
-) -> Bool[np.ndarray, " n"]:
-    """Return whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
-    targets, _ = targets_of(found, x.shape[1])
-    end = iterate(walker, x, PATIENCE * LONGEST_PERIOD, integrator, targets)
-    return (end.outcome == Outcome.STRIDE) & (end.target < 0)
 
 
 def lasting_motions(

@@ -15,28 +15,16 @@ LARGE = 0.1
 few cells near a bifurcation, only the number is reported."""
 
 
-class CellClass(NamedTuple):
-    """Cells of a grid with a common property."""
-
-    cells: Bool[np.ndarray, "*shape"]
-    """Whether each cell belongs to the class."""
-
-    @property
-    def count(self) -> int:
-        """Number of cells in the class."""
-        return int(np.count_nonzero(self.cells))
-
-
 class WalkingCells(NamedTuple):
-    """The cells from which a walker never falls, by the attractor it converges to."""
+    """Marks of the cells from which a walker never falls, by the attractor it converges to."""
 
-    large: dict[int, CellClass]
+    large: dict[int, Bool[np.ndarray, "*shape"]]
     """The large basins, by the numbers of their attractors."""
-    others: CellClass
+    others: Bool[np.ndarray, "*shape"]
     """The cells of all other attractors together."""
-    artefacts: CellClass
+    artefacts: Bool[np.ndarray, "*shape"]
     """Cells in artefacts of cell mapping."""
-    unmatched: CellClass
+    unmatched: Bool[np.ndarray, "*shape"]
     """Cells that converge to no known attractor."""
 
 
@@ -77,15 +65,15 @@ def large_basins(data: xr.Dataset, most: int) -> list[int]:
 
 
 def walking_cells(data: xr.Dataset, large: Sequence[int]) -> WalkingCells:
-    """Sort the cells that never fall into classes, one for each of the `large` attractors."""
+    """Sort the cells that never fall, with a class for each of the `large` attractors."""
     attractor = data["attractor"].values
     walks = data["fate"].values == Outcome.STRIDE
     made_up = walks & np.isin(attractor, np.flatnonzero(artefacts(data)))
     return WalkingCells(
-        large={number: CellClass(walks & (attractor == number)) for number in large},
-        others=CellClass(walks & (attractor >= 0) & ~made_up & ~np.isin(attractor, large)),
-        artefacts=CellClass(made_up),
-        unmatched=CellClass(unmatched_cells(data["fate"].values, attractor)),
+        large={number: walks & (attractor == number) for number in large},
+        others=walks & (attractor >= 0) & ~made_up & ~np.isin(attractor, large),
+        artefacts=made_up,
+        unmatched=unmatched_cells(data["fate"].values, attractor),
     )
 
 
@@ -96,9 +84,11 @@ def unmatched_cells(
     return (fate == Outcome.STRIDE) & (attractor < 0)
 
 
-def failing_cells(fate: Int[np.ndarray, "*shape"]) -> dict[Outcome, CellClass]:
-    """Return the cells of each failure that there is."""
-    return {Outcome(one): CellClass(fate == one) for one in np.unique(fate[fate > Outcome.STRIDE])}
+def failing_cells(
+    fate: Int[np.ndarray, "*shape"],
+) -> dict[Outcome, Bool[np.ndarray, "*shape"]]:
+    """Mark the cells of each failure that there is."""
+    return {Outcome(one): fate == one for one in np.unique(fate[fate > Outcome.STRIDE])}
 
 
 def along_axis(

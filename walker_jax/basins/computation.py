@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from walker_jax.basins.methods import METHODS, DirectIteration, compute_in_memory, work_of
+from walker_jax.basins.methods import METHODS, DirectIteration, label_in_memory, work_of
 from walker_jax.basins.own_labels import check_label
+from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -147,7 +148,7 @@ def basin(
         work = replace(work, label=label)
     if out is None:
         check_cluster(cluster, out)
-        return compute_in_memory(work, progress)
+        return to_dataset(walker, grid, label_in_memory(work, progress), settings)
     by = {"overwrite": overwrite, "cluster": cluster, "progress": progress}
     return complete_store(work_of(work, request), Path(out), **by)
 

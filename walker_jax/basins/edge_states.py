@@ -129,23 +129,15 @@ def edge_state(
         found = np.asarray(take_strides(walker, x, tolerance=tolerance).state)
         return turn_to(found, found[:1], turns)
 
-    saddle: Gait | None = None
-
-    def is_saddle(states: Float[np.ndarray, "period section"]) -> bool:
-        nonlocal saddle
+    def saddle_at(states: Float[np.ndarray, "period section"]) -> Gait | None:
         gait = search_gait(walker, states, len(states), tolerance=tolerance)
         near = cycle_distance(np.asarray(gait.states[:1]), states[:1], turns) < NEAR
-        saddle = gait if gait.found and near and not gait.stable else None
-        return saddle is not None
+        return gait if gait.found and near and not gait.stable else None
 
-    track = follow_edge(
-        image,
-        label_starts,
-        *ends,
-        rounds=rounds,
-        longest=LONGEST_PERIOD,
-        is_cycle=is_saddle,
-    )
+    is_cycle = lambda states: saddle_at(states) is not None
+    how: Any = {"rounds": rounds, "longest": LONGEST_PERIOD, "is_cycle": is_cycle}
+    track = follow_edge(image, label_starts, *ends, **how)
+    saddle = saddle_at(track.path[-track.period :]) if track.period else None
     fates = fate_of(track.labels[0]), fate_of(track.labels[1])
     if track.torn:
         name, margin = failing_margin(walker, track.sides, integrator)

@@ -177,11 +177,8 @@ def without_period(attractors: Sequence[Attractor]) -> list[int]:
 def motions_apart(attractors: Sequence[Attractor]) -> Clouds | None:
     """Return the clouds of all motions without a period; None where one stands for all."""
     known = [one for one in attractors if one.period is None]
-    return (
-        None
-        if any(one.stands_for_all for one in known)
-        else clouds_of([one.cloud for one in known])
-    )
+    apart = not any(one.stands_for_all for one in known)
+    return clouds_of([one.cloud for one in known]) if apart else None
 
 
 def repeats(walks: Float[Any, "*n states section"]) -> Bool[Any, "*n"]:

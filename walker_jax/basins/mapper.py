@@ -87,15 +87,15 @@ class Mapper(NamedTuple):
 
     def approached(self, x: Float[Any, "*n section"]) -> Int[Any, "*n"]:
         """Return the numbers of the cycles that walkers come ever nearer to; -1 for none."""
-        if not isinstance(x, np.ndarray):
-            return self.coming_nearer(x)
-        near = match_attractor(x, self.attractors, CLOSE, turns_of(self.walker)) >= 0
-        return fill(np.full(len(x), -1, np.int32), near, x, self.coming_nearer)
 
-    def coming_nearer(self, x: Float[Any, "*n section"]) -> Int[Any, "*n"]:
-        """Return the same for walkers of which most are `CLOSE` to a cycle."""
-        number, farthest = self.follow_near(x)
-        return x.__array_namespace__().where(comes_nearer(farthest), number, -1)
+        def find(x: Float[Any, "*n section"]) -> Int[Any, "*n"]:
+            number, farthest = self.follow_near(x)
+            return x.__array_namespace__().where(comes_nearer(farthest), number, -1)
+
+        if not isinstance(x, np.ndarray):
+            return find(x)
+        near = match_attractor(x, self.attractors, CLOSE, turns_of(self.walker)) >= 0
+        return fill(np.full(len(x), -1, np.int32), near, x, find)
 
     def follow_near(self, x: Float[Any, "*n section"]) -> tuple[Int[Any, "*n"], Float[Any, "..."]]:
         """Return the cycles that walks are `CLOSE` to, and the distances by stretches."""

@@ -1,10 +1,10 @@
 """Cell mapping and direct iteration of a grid, at once in memory or piece by piece into a store."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,9 +16,9 @@ from walker_jax.basins.attractor import Attractor, in_order, seen, sorted_number
 from walker_jax.basins.attractor_search import (
     PATIENCE,
     complete,
-    label_and_find,
     mapper_of_scouts,
     scouts_among,
+    survey,
 )
 from walker_jax.basins.labels import LONGEST_PERIOD, Label
 from walker_jax.basins.mapper import Mapper
@@ -34,7 +34,6 @@ from walker_jax.basins.schema import (
     count_at_border,
     describe,
     request_of,
-    to_dataset,
 )
 from walker_jax.cellmaps import CellMap, cell_image, resolve
 from walker_jax.execution.pieces import Work
@@ -48,6 +47,10 @@ from walker_jax.walking.stride import stride
 
 PIECE = 2**20
 """Cells of a piece of a store, up to twice as many, or all of a smaller grid."""
+
+
+Read = Callable[[str, int], np.ndarray]
+"""Returns the values of an array over a piece."""
 
 
 class Block(NamedTuple):
@@ -67,24 +70,6 @@ class Finished(NamedTuple):
     attractors: list[Attractor]
     cell_cycles: CellCycles | None
     pieces: Iterator[dict[str, np.ndarray]]
-
-
-@dataclass(frozen=True)
-class InMemory:
-    """The whole grid as one piece in memory, in place of `storage.Pieces`."""
-
-    notes: Any
-    shape: tuple[int, ...]
-    values: dict[str, np.ndarray]
-    count: int = 1
-
-    def at(self, _: int) -> tuple[slice, ...]:
-        """Return the slices of the arrays that the piece covers."""
-        return tuple(slice(0, size) for size in self.shape)
-
-    def read(self, name: str, _: int) -> np.ndarray:
-        """Return an array."""
-        return self.values[name]
 
 
 @dataclass(frozen=True)
@@ -113,18 +98,23 @@ class CellMapping(Method):
         image = cell_map(self.walker, self.grid, self.integrator, block, progress=progress)
         return {"image": image}
 
-    def finish(self, place: storage.Pieces | InMemory) -> Finished:
+    def finish(self, notes: dict, blocks: Sequence[Block], read: Read) -> Finished:
         """Return the attractors, and the remaining values of each piece."""
-        blocks = [block_at(self.grid, place, i).cells for i in range(place.count)]
         image = np.empty(self.grid.size, np.int32)
-        for i, cells in enumerate(blocks):
-            image[cells] = place.read("image", i).ravel()
+        for i, block in enumerate(blocks):
+            image[block.cells] = read("image", i).ravel()
         ends = resolve(image, sinks=OUTCOMES)
         attractors, number, counts = attractors_of_cycles(
             self.walker, self.grid, ends, self.integrator
         )
-        values = (labels_of_cells(ends.part(cells), number) for cells in blocks)
-        return Finished(attractors, counts, (dict(zip(ARRAYS, one, strict=True)) for one in values))
+        number = np.append(number, np.int32(-1))
+
+        def pieces() -> Iterator[dict[str, np.ndarray]]:
+            for own in (ends.part(block.cells) for block in blocks):
+                fate = np.maximum(own.sink, Outcome.STRIDE).astype(np.int8)
+                yield {"fate": fate, "attractor": number[own.attractor], "strides": own.steps}
+
+        return Finished(attractors, counts, pieces())
 
 
 @dataclass(frozen=True)
@@ -173,17 +163,17 @@ class DirectIteration(Method):
         found = {"fate": labels.fate, "strides": labels.strides + np.int32(made)}
         return found | {"reached": labels.attractor, "ends": labels.state}
 
-    def finish(self, place: storage.Pieces | InMemory) -> Finished:
+    def finish(self, notes: dict, blocks: Sequence[Block], read: Read) -> Finished:
         """Return the attractors, and the remaining values of each piece."""
         (window, made), remaining, ends, cells = self.window, [], [], []
-        for i in range(place.count):
-            x = place.read("ends", i).reshape(-1, self.grid.coordinates)
+        for i, block in enumerate(blocks):
+            x = read("ends", i).reshape(-1, self.grid.coordinates)
             remaining.append(np.flatnonzero(np.isfinite(x[:, 0])))
             ends.append(x[remaining[-1]])
-            cells.append(block_at(self.grid, place, i).first + remaining[-1])
+            cells.append(block.first + remaining[-1])
         starts, x = window.centres(np.concatenate(cells)), np.concatenate(ends)
         if self.label is None:
-            mapper, count = self.mapper(place.notes), len(x)
+            mapper, count = self.mapper(notes), len(x)
             unknown = np.full(count, -1, np.int32), np.full(count, mapper.strides, np.int32)
             rest = complete(mapper, starts, Label(np.zeros(count, np.int8), *unknown, x))
             attractors, number = in_order(seen(rest.mapper.attractors, rest.labels.attractor))
@@ -196,8 +186,7 @@ class DirectIteration(Method):
 
         def pieces() -> Iterator[dict[str, np.ndarray]]:
             for i, (mine, reached, count) in enumerate(each):
-                attractor = number[place.read("reached", i).ravel()]
-                strides = place.read("strides", i).ravel()
+                attractor, strides = number[read("reached", i).ravel()], read("strides", i).ravel()
                 attractor[mine], strides[mine] = reached, count
                 yield {"attractor": attractor, "strides": strides}
 
@@ -207,17 +196,12 @@ class DirectIteration(Method):
 METHODS = {"cell-map": CellMapping, "direct": DirectIteration}
 
 
-def compute_in_memory(method: CellMapping | DirectIteration, progress: bool) -> xr.Dataset:
-    """Compute `basin` as one piece in memory."""
-    basins = label_in_memory(method, progress)
-    return to_dataset(method.walker, method.grid, basins, method.settings)
-
-
 def label_in_memory(method: CellMapping | DirectIteration, progress: bool = False) -> Basins:
     """Compute the labels of all cells of a grid, in their order, as one piece."""
     grid, notes = method.grid, method.notes()
-    values = method.piece(notes, Block(0, grid.shape), progress=progress)
-    found = method.finish(InMemory(notes, grid.shape, values))
+    whole = Block(0, grid.shape)
+    values = method.piece(notes, whole, progress=progress)
+    found = method.finish(notes, [whole], lambda name, _: values[name])
     values |= next(found.pieces)
     fate, attractor, strides = (values[name] for name in ARRAYS)
     return Basins(fate, attractor, strides, found.attractors, found.cell_cycles)
@@ -234,13 +218,14 @@ def work_of(method: CellMapping | DirectIteration, request: dict | None) -> Work
     about = describe(method.walker, grid, method.settings)
 
     def finish(place: storage.Pieces, _: Compute) -> xr.Dataset:
-        attractors, cell_cycles, pieces = method.finish(place)
+        blocks = [block_at(grid, place, i) for i in range(place.count)]
+        attractors, cell_cycles, pieces = method.finish(place.notes, blocks, place.read)
         cells, at_border = np.zeros(len(attractors), int), 0
-        for i, values in enumerate(pieces):
+        for i, (block, values) in enumerate(zip(blocks, pieces, strict=True)):
             place.write(i, values)
             reached = values["attractor"]
             cells += np.bincount(reached[reached >= 0], minlength=len(cells))
-            at_border += count_at_border(grid, reached, block_at(grid, place, i).first)
+            at_border += count_at_border(grid, reached, block.first)
         return add_attractors(about, grid, attractors, cells, at_border, cell_cycles)
 
     return Work(
@@ -266,7 +251,7 @@ def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return (*[1] * axis, -(-shape[axis] // parts))
 
 
-def block_at(grid: Grid, place: storage.Pieces | InMemory, piece: int) -> Block:
+def block_at(grid: Grid, place: storage.Pieces, piece: int) -> Block:
     """Return the cells of a piece."""
     at = place.at(piece)
     start = [one.start for one in at] + [0] * (len(grid.shape) - len(at))
@@ -308,14 +293,6 @@ def image_of_cell(shared: tuple[System, Grid, Integrator], index: Int[Array, ""]
     return cell_image(grid, result.state, result.outcome, leave=Outcome.LEFT_GRID)
 
 
-def labels_of_cells(
-    ends: CellMap, number: Int[np.ndarray, " cycles"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the fate, attractor and strides of cells, from their ends and cycles' attractors."""
-    fate = np.maximum(ends.sink, Outcome.STRIDE).astype(np.int8)
-    return fate, np.append(number, np.int32(-1))[ends.attractor], ends.steps
-
-
 def attractors_of_cycles(
     walker: System, grid: Grid, ends: CellMap, integrator: Integrator
 ) -> tuple[list[Attractor], Int[np.ndarray, " cycles"], CellCycles]:
@@ -326,13 +303,11 @@ def attractors_of_cycles(
     lengths = np.array([len(cycle) for cycle in ends.attractors], int)
     cycle, number = np.repeat(np.arange(len(lengths)), lengths), np.full(len(lengths), -1, np.int32)
     x = grid.centres(np.concatenate([np.zeros(0, int), *ends.attractors]))
-    scouts = x[scouts_among(len(x))]
-    scouted = mapper_of_scouts(walker, scouts, integrator, PATIENCE * LONGEST_PERIOD)
-    labels, mapper, _ = label_and_find(scouted, x)
+    labels, mapper, _ = survey(walker, x, integrator, PATIENCE * LONGEST_PERIOD)
     falls = np.bincount(cycle, labels.fallen, len(lengths)).astype(int)
     for i in range(len(mapper.attractors)):
         number[2 * np.bincount(cycle, labels.attractor == i, len(lengths)) > lengths] = i
-    real = [i for i in sorted_numbers(mapper.attractors) if (number == i).any()]
+    real = [i for i in range(len(mapper.attractors)) if (number == i).any()]
     made_up = {i: Attractor(x[cycle == i]) for i in np.flatnonzero(number < 0).tolist()}
     alone = [[*made_up][i] for i in sorted_numbers([*made_up.values()])]
     owned = [*(np.flatnonzero(number == i) for i in real), *([i] for i in alone)]

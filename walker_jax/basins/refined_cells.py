@@ -87,6 +87,19 @@ class RefinedCells:
         self.total_strides += made
         return labels
 
+    def follow_levels(self) -> tuple[list[int], list[int]]:
+        """Follow all levels; return the number of cells followed on each, and on the boundary."""
+        followed, boundary, cells = [], [], np.arange(self.grid.size)
+        for level in range(self.levels + 1):
+            if level:
+                self.subdivide()
+                cells = self.children(cells)
+            self.follow(level, cells)
+            cells = self.cells[self.on_boundary(self.runs.label)]
+            followed.append(len(self.cells))
+            boundary.append(len(cells))
+        return followed, boundary
+
     def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:
         """Follow cells, then their neighbours where labels differ, until no new boundary shows."""
         while cells.size:

@@ -207,17 +207,7 @@ def refine_cells(
     mapper = mapper_of_scouts(walker, scouts, integrator, strides, boxes=True)
     label = "cells" if progress else None
     cells = RefinedCells(grid, levels, by_centres, mapper, np.random.default_rng(seed), label)
-    followed, boundary = [], []
-    next_cells = np.arange(grid.size)
-    for level in range(levels + 1):
-        if level:
-            cells.subdivide()
-            next_cells = cells.children(next_cells)
-        cells.follow(level, next_cells)
-        next_cells = cells.cells[cells.on_boundary(cells.runs.label)]
-        followed.append(len(cells.cells))
-        boundary.append(len(next_cells))
-
+    followed, boundary = cells.follow_levels()
     drawn, excess, counts = correct_and_estimate(cells, levels, check)
     depth = cells.runs.levels_of(drawn)
     weight = cells.inherited() / np.maximum(counts, 1)

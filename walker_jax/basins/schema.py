@@ -64,31 +64,29 @@ def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
 
 def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr.Dataset:
     """Make the data set that `basin` returns; settings of the method are among its attributes."""
+    return add_basins(describe(walker, grid, settings), grid, basins, walker.failures)
+
+
+def add_basins(data: xr.Dataset, grid: Grid, basins: Basins, failures: Sequence[str]) -> xr.Dataset:
+    """Add the labels of a grid's cells, and the attractors, to a data set of its axes."""
     reached = basins.attractor[basins.attractor >= 0]
     cells = np.bincount(reached, minlength=len(basins.attractors))
-    about = attributes_of_arrays(walker.failures)
+    about = attributes_of_arrays(failures)
     arrays = {
         name: (grid.names, np.asarray(values).reshape(grid.shape), about[name])
         for name, values in zip(ARRAYS, basins, strict=False)
     }
-    data = describe(walker, grid, settings).assign(arrays)
+    data = data.assign(arrays)
     at_border = count_at_border(grid, basins.attractor)
     return add_attractors(data, grid, basins.attractors, cells, at_border, basins.cell_cycles)
 
 
 def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
     """Make a data set of a grid's axes; attributes name the walker and the computation."""
-    about = {
-        **describe_source(walker),
-        **settings,
-        **({"origin": grid.origin.tolist()} if is_centred(grid) else {}),
-    }
+    about = describe_source(walker) | settings
+    if np.any(np.asarray(grid.origin)[: grid.coordinates - len(grid.fixed)]):
+        about["origin"] = grid.origin.tolist()  # the coordinates of the box are offsets from it
     return xr.Dataset(coords=grid.axes | grid.fixed_values, attrs=about)
-
-
-def is_centred(grid: Grid) -> bool:
-    """Return whether the box coordinates of a grid are offsets from its origin."""
-    return bool(np.any(np.asarray(grid.origin)[: grid.coordinates - len(grid.fixed)]))
 
 
 def count_at_border(grid: Grid, attractor: Int[np.ndarray, " n"], first: int = 0) -> int:

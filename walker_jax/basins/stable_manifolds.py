@@ -141,13 +141,12 @@ class Curve:
 
     def at(self, t: float) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
         """Return the point at a length t, and its derivative by t (Hermite's interpolation)."""
+        from scipy.interpolate import CubicHermiteSpline
+
         i = min(max(bisect_right(self.lengths, t) - 1, 0), len(self.points) - 2)
-        h = self.lengths[i + 1] - self.lengths[i]
-        u = (t - self.lengths[i]) / h
-        ends = np.stack([*self.points[i : i + 2], *(h * one for one in self.tangents[i : i + 2])])
-        values = [1 - u * u * (3 - 2 * u), u * u * (3 - 2 * u), u * (1 - u) ** 2, u * u * (u - 1)]
-        slopes = [-6 * u * (1 - u), 6 * u * (1 - u), (1 - u) * (1 - 3 * u), u * (3 * u - 2)]
-        return np.array(values) @ ends, np.array(slopes) @ ends / h
+        ends = slice(i, i + 2)
+        cubic = CubicHermiteSpline(self.lengths[ends], self.points[ends], self.tangents[ends])
+        return cubic(t), cubic(t, 1)
 
 
 def follow_manifold(

@@ -117,21 +117,15 @@ def label(
     own, x, integrator = prepare(system, start, tolerance, solver)
     if x.shape != (len(own.section),):
         raise WrongUse(f"start must be on the section {own.section}, not of shape {x.shape}")
-    found = check_attractors(attractors)
+    found = list(attractors) if isinstance(attractors, Sequence) else [attractors]
+    if not all(isinstance(one, Attractor) for one in found):
+        raise WrongUse(f"attractors must be those of find_attractors, not {short(attractors)}")
     if not any(isinstance(one, Tracer) for one in jax.tree.leaves((system, found, tolerance))):
         with jax.ensure_compile_time_eval():
             check_attracting(system, found, integrator_of(x.dtype, tolerance, solver))
     found = jax.tree.map(jnp.asarray, found)
     with nan_allowed():
         return Mapper(own, found, integrator, strides, further)(x)
-
-
-def check_attractors(attractors: Any) -> list[Attractor]:
-    """Return attractors as a list; raise `WrongUse` for anything else."""
-    found = list(attractors) if isinstance(attractors, Sequence) else [attractors]
-    if not all(isinstance(one, Attractor) for one in found):
-        raise WrongUse(f"attractors must be those of find_attractors, not {short(attractors)}")
-    return found
 
 
 def check_attracting(

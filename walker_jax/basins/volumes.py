@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from walker_jax.basins.attractor import Attractor, all_motions
 from walker_jax.basins.runs import Runs, flat_index
-from walker_jax.basins.schema import attributes_of_arrays, count_at_border
+from walker_jax.basins.schema import Basins, add_basins
 from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.storage.schema import check_dataset
@@ -52,24 +53,17 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
     plane = Grid(axes, grid.shear[:, others], grid.origin + grid.shear[:, hidden] * centre)
     cells = np.insert(np.indices(plane.shape), hidden, place, axis=0)
     run = runs.of_cells(flat_index(cells, grid.shape))
-    arrays = {
-        "fate": data["run_fate"].values[run],
-        "attractor": data["run_attractor"].values[run],
-        "strides": np.zeros(plane.shape, np.int32),
-    }
-    reached = arrays["attractor"][arrays["attractor"] >= 0]
-    counts = np.bincount(reached, minlength=data.sizes["number"])
-    about = attributes_of_arrays(failures_of(data))
-    found = xr.Dataset(
-        {key: (plane.names, values, about[key]) for key, values in arrays.items()},
-        coords=plane.axes | {axis: centre},
-        attrs=data.attrs | {"area": (counts * plane.cell_area).tolist()},
+    basins = Basins(
+        data["run_fate"].values[run].ravel(),
+        data["run_attractor"].values[run].ravel(),
+        np.zeros(plane.size, np.int32),
+        [
+            Attractor(states[:period]) if period else all_motions(states[:1])
+            for states, period in zip(data["states"].values, data["period"].values, strict=True)
+        ],
     )
-    return found.merge(data[["period", "states"]]).assign(
-        cells=("number", counts),
-        area=("number", counts * plane.cell_area),
-        at_border=count_at_border(plane, arrays["attractor"].ravel()),
-    )
+    frame = xr.Dataset(coords=plane.axes | {axis: centre}, attrs=data.attrs)
+    return add_basins(frame, plane, basins, failures_of(data))
 
 
 def frame_of(grid: Grid) -> dict[str, Any]:

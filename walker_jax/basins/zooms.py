@@ -75,8 +75,7 @@ def boundary_point(
 def checked_mapper(
     walker: System, grid: Grid, strides: int, tolerance: float | None, needed_by: str
 ) -> Mapper:
-    """Check the arguments; return the mapper to a grid's attractors, with capture boxes."""
-    check_grid(walker, grid, "direct")
+    """Check other arguments; return the mapper to a grid's attractors, with capture boxes."""
     check_single(walker)
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype

@@ -52,7 +52,7 @@ def basin(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     if "origin" in data.attrs:
         ax.yaxis.get_offset_text().set_x(-0.1)  # put the offset in its usual place
     note = text.basin_note(data) + place_note(data, axes)
-    x, y = (offset_label(data, one) for one in axes)
+    x, y = ("offset of " * bool(middle_of(data, one)) + text.axis_label(one) for one in axes)
     return finish(ax, style, text.walker_title(data), note, x=x, y=y, legend=patches)
 
 
@@ -165,11 +165,6 @@ def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
     thinned = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
     return thinned.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
-
-
-def offset_label(data: xr.Dataset, axis: str) -> str:
-    """Return the label of an axis, which may have offsets from the middle of the picture."""
-    return f"offset of {text.axis_label(axis)}" if middle_of(data, axis) else text.axis_label(axis)
 
 
 def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:

@@ -34,8 +34,9 @@ SIGNS: tuple[dict[str, Any], ...] = (
 filled where they are known to be supercritical."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
-DOTS = 60
-"""Size of the dots of attractors (points) times the square root of their number, in its limits."""
+DOTS = 90
+"""Size of the dots of attractors (points), in its limits, over the largest distance between values
+of the parameter as a share of their range: a quarter of that distance on the picture."""
 HIGHEST = 2
 """Largest modulus of a multiplier that is drawn against a parameter."""
 FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
@@ -83,8 +84,8 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
         if found.any()
     ]
     note = ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n)
-    handles = [*kinds, *period_lines(drawn)]
-    return over_parameter(ax, style, data, "gaits", note, y=first_name(data), legend=handles)
+    y, handles = names_in(data, "section")[0], [*kinds, *period_lines(drawn)]
+    return over_parameter(ax, style, data, "gaits", note, y=y, legend=handles)
 
 
 def over_parameter(
@@ -143,7 +144,8 @@ def bifurcation_diagram(
     check_dataset(data, "bifurcation diagram")
     ax = axes_for(ax, style, 7, 5)
     value, state = curves.attractor_states(data)
-    size = np.clip(DOTS / math.sqrt(max(len(value), 1)), 1, 3)  # few dots are larger
+    gaps = np.diff(np.unique(data["sample_value"].values))
+    size = np.clip(DOTS * gaps.max() / gaps.sum(), 1, 3) if len(gaps) else 3
     ax.plot(value, state, "o", color=BASINS[0], ms=size, mew=0, rasterized=True, zorder=4)
     ax.plot([], [], "o", color=BASINS[0], ms=3, label="attractor")
     for curve in curves.cascade_curves(data)[:1]:
@@ -155,7 +157,7 @@ def bifurcation_diagram(
         low, high = data["lost"].values.tolist()
         digits = max(5, 1 - math.floor(math.log10(high - low)))  # enough to tell the two apart
         note = f"walking is lost between {low:.{digits}f} and {high:.{digits}f}"
-    return over_parameter(ax, style, data, "attractors", note, y=first_name(data))
+    return over_parameter(ax, style, data, "attractors", note, y=names_in(data, "section")[0])
 
 
 def lyapunov_exponents(
@@ -367,11 +369,6 @@ def set_range(ax: Axes, data: xr.Dataset) -> None:
     values = np.concatenate([data["value"].values, samples])
     if len(values) and np.ptp(values) > 0:
         ax.set_xlim(values.min(), values.max())
-
-
-def first_name(data: xr.Dataset) -> str:
-    """Return the name of the first coordinate of the section."""
-    return names_in(data, "section")[0]
 
 
 def period_lines(drawn: list[Curve]) -> list[Line2D]:

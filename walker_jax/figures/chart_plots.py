@@ -29,19 +29,13 @@ CASING = [withStroke(linewidth=3.5, foreground="white")]
 """White on both sides of curves, as cells may have nearly their colour."""
 NOT_KNOWN = SIGNS[Outcome.UNDECIDED][0]
 """Colour of cells where the integration gave no answer."""
-KINDS: dict[str, dict[str, Any]] = {
-    "fold": {"ls": "-", "lw": 2.0},
-    "doubling": {"ls": "-", "lw": 1.4},
-    "neimark-sacker": {"ls": (0, (5, 2)), "lw": 1.6},
-    "branch point": {"ls": (0, (1, 1.5)), "lw": 1.6},
+KINDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "fold": ("fold", {"ls": "-", "lw": 2.0}),
+    "doubling": ("period doubling", {"ls": "-", "lw": 1.4}),
+    "neimark-sacker": ("Neimark-Sacker", {"ls": (0, (5, 2)), "lw": 1.6}),
+    "branch point": ("branch point", {"ls": (0, (1, 1.5)), "lw": 1.6}),
 }
-"""Line styles of bifurcations."""
-WORDS = {
-    "fold": "fold",
-    "doubling": "period doubling",
-    "neimark-sacker": "Neimark-Sacker",
-    "branch point": "branch point",
-}
+"""Words and line styles of bifurcations."""
 CIRCLES: dict[str, Any] = {"marker": "o", "ms": 3, "mfc": "white", "mew": 0.9}
 """Circles along the subcritical part of a curve."""
 SPECIAL: dict[str, Any] = {"marker": "D", "ms": 5.5, "mfc": "white", "mec": INK, "mew": 1.2}
@@ -114,7 +108,7 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
         coefficients = data["curve_coefficient"].values[own].tolist()
         subcritical = np.array([criticality(kind, one) == SUBCRITICAL for one in coefficients])
         colour = period_style(period)[0]
-        ax.plot(x, y, color=colour, zorder=4, path_effects=CASING, **KINDS[kind])
+        ax.plot(x, y, color=colour, zorder=4, path_effects=CASING, **KINDS[kind][1])
         if subcritical.any():
             part = x[subcritical], y[subcritical]
             ax.plot(*part, color=colour, ls="", zorder=5, markevery=3, **CIRCLES)
@@ -124,10 +118,10 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
             [],
             [],
             color=INK,
-            label=WORDS[kind] + ", subcritical" * some,
-            **KINDS[kind] | (CIRCLES if some else {}),
+            label=words + ", subcritical" * some,
+            **look | (CIRCLES if some else {}),
         )
-        for kind in KINDS
+        for kind, (words, look) in KINDS.items()
         for some in (False, True)
         if (kind, some) in seen
     ]

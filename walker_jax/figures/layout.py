@@ -242,11 +242,14 @@ def in_columns(handles: Sequence[Artist], inches: float) -> dict[str, Any]:
     sign = SIGN * points_of(size) / 72
     widths = [sign + width_of(one, size) for one in labels]
     least, most = 1 + (len(handles) > 5 and inches > MANY), min(len(handles), MOST_COLUMNS)
-    wide = lambda columns: sum(map(max, np.array_split(widths, columns)))  # as a legend has them
+    # Their labels are in columns as a legend has them.
+    wide = lambda columns: sum(part.max() for part in np.array_split(widths, columns))
     fitting = [columns for columns in range(least, most + 1) if wide(columns) <= inches]
     room = math.inf if fitting else inches / least - sign
     broken = [in_lines(one, room, size) for one in labels]
-    return {"handles": handles, "labels": broken, "ncols": max(fitting, default=least)}
+    rows = lambda columns: -(-len(handles) // columns)
+    columns = min(fitting, key=lambda columns: (rows(columns), columns), default=least)
+    return {"handles": handles, "labels": broken, "ncols": columns}
 
 
 def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:

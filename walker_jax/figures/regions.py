@@ -10,13 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
-from walker_jax.basins.cell_classes import (
-    CellClass,
-    along_axis,
-    failing_cells,
-    large_basins,
-    walking_cells,
-)
+from walker_jax.basins.cell_classes import along_axis, failing_cells, large_basins, walking_cells
 from walker_jax.figures.layout import cell_edges, figure_of, width_of
 from walker_jax.figures.style import (
     ARTEFACTS,
@@ -40,7 +34,8 @@ BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor
 class Region(NamedTuple):
     """A class of cells, and how it is drawn."""
 
-    of: CellClass
+    cells: Bool[np.ndarray, "*shape"]
+    """Whether each cell is in the region."""
     colour: str
     letter: str
     """First line of its label; empty if it has only one."""
@@ -48,11 +43,6 @@ class Region(NamedTuple):
     """The other line."""
     counted: bool = False
     """Whether the legend counts its cells even where the label has room."""
-
-    @property
-    def cells(self) -> Bool[np.ndarray, "*shape"]:
-        """Whether each cell is in the region."""
-        return self.of.cells
 
 
 def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
@@ -78,8 +68,8 @@ def with_one_basin(
 ) -> list[Region]:
     """Return the nonempty regions: the basin, walkers that converge elsewhere, and failures."""
     found = [
-        Region(CellClass(basin), BASINS[0], "A", BASIN),
-        Region(CellClass((fate == Outcome.STRIDE) & ~basin), UNMATCHED, "", UNMATCHED_WORDS),
+        Region(basin, BASINS[0], "A", BASIN),
+        Region((fate == Outcome.STRIDE) & ~basin, UNMATCHED, "", UNMATCHED_WORDS),
     ]
     return with_failures(found, fate, failures)
 
@@ -173,7 +163,7 @@ def patch_of(region: Region, label: str = "") -> Patch:
 
 def counted_patch(region: Region, share: int) -> Patch:
     """Return the sign of a region with its number of cells, one in `share` of which is given."""
-    count = region.of.count * share
+    count = int(np.count_nonzero(region.cells)) * share
     about = "about " * (share > 1)
     return patch_of(region, f"{region.words} ({about}{count:,}{NO_BREAK}cell{'s' * (count > 1)})")
 

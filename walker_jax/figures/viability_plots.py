@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize, to_hex
 
-from walker_jax.basins.cell_classes import CellClass
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.figures import regions
@@ -95,7 +94,7 @@ def capturability(
     sets = [capture == n for n in range(MOST_STRIDES)]
     sets += [capture >= MOST_STRIDES, viable & (capture < 0), ~viable & (capture < 0)]
     found = [
-        regions.Region(CellClass(cells), colour, "", words)
+        regions.Region(cells, colour, "", words)
         for cells, colour, words in zip(sets, COLOURS, areas_of_capture(data), strict=True)
         if words
     ]

@@ -31,8 +31,7 @@ MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """Largest residual of a gait: above the rounding errors of a stride, below the distance between two
 gaits."""
 SAME_STATE_DISTANCE = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
-"""States closer than this in every coordinate count as one: a hundred times the largest residual
-in float64, ten times in float32."""
+"""States closer than this in every coordinate count as one."""
 MAX_SEARCH_STEPS = 40
 """Newton steps of a search: a few do near a gait, where it converges quadratically."""
 FEW_STRIDES = 128
@@ -182,9 +181,8 @@ def iterate_newton(
         best.residual[improved] = residual[better]
         best.step_times[improved] = local.time[better]
         jacobians[improved] = local.jacobian[better]
-        ended = (residual <= rounding) | (
-            ~better & (best.residual[active] < MAX_RESIDUAL[cycles.dtype])
-        )
+        close = best.residual[active] < MAX_RESIDUAL[cycles.dtype]
+        ended = (residual <= rounding) | (~better & close)
         going = np.isfinite(residual) & ~ended
         active, mismatch, jacobian = active[going], mismatch[going], local.jacobian[going]
         if len(active) == 0:

@@ -5,7 +5,6 @@ end the mode, by cheap bounds: that is its `Event`. Such a step is searched for 
 rise of a guard; if there is none, diffrax goes on from there.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,11 +15,6 @@ from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.hybrid.beginnings import begins_on_its_lower_side
 from walker_jax.hybrid.crossings import Crossing, first_rise, may_rise
-from walker_jax.hybrid.measured_in_reverse import (
-    carried_of,
-    decided_of,
-    transpose_measured_steps,
-)
 from walker_jax.hybrid.misses import (
     Misses,
     StepRecord,
@@ -30,13 +24,18 @@ from walker_jax.hybrid.misses import (
     no_misses,
     with_rates,
 )
-from walker_jax.hybrid.modes import Condition, Guard, Mode, value_at
+from walker_jax.hybrid.modes import Condition, Guard, Mode, has_ended, value_at
+from walker_jax.hybrid.modes_in_reverse import (
+    carried_of,
+    decided_of,
+    find_in_reverse,
+    find_measured_in_reverse,
+)
 from walker_jax.integrators.integrator import Memory, Method, zero_at
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.step_loop import make_steps, write_steps
+from walker_jax.integrators.step_loop import make_steps
 from walker_jax.integrators.taylor import function_series, is_list
-from walker_jax.integrators.transposed_steps import transpose_steps
 from walker_jax.kernels.reverse import Writer, reversing, zero_where_unused
 
 FIRST_ORDER = 6
@@ -116,14 +115,17 @@ def follow_mode(
     if in_reverse:
         method = method.in_reverse()
     find = partial(find_event, mode, going=going, method=method, risen=risen, measured=measured)
-    if in_reverse and not measured:
-        last, arrive = find_in_reverse(mode, find, start, method)
+    go_on = lambda state: state
+    if not in_reverse:
+        last, _ = find(start)
+    elif measured:
+        rated, begun = begin_following(mode, start, going, method, measured)
+        follow, guards = partial(follow_measured, rated, method), partial(along, rated)
+        last = find_measured_in_reverse(rated, method, find, follow, guards, begun)
     else:
-        if in_reverse:
-            last = find_measured_in_reverse(mode, find, start, going, method)
-        else:
-            last, _ = find(start)
-        arrive = partial(method.refine_event, surface_of(mode, last.guard))
+        last, go_on = find_in_reverse(mode, find, start, method)
+    surface = partial(value_of_guard, mode, last.guard, surface=True)
+    arrive = lambda state: method.refine_event(surface, go_on(state))
     refined, delay = zero_where_unused(arrive, last.arrival)
     ended = has_ended(mode, last.guard)
     keep = lambda new, old: jnp.where(ended, new, old)
@@ -175,108 +177,55 @@ def integrate_mode(
                 known = carried_of(now), decided_of(found, seen)
                 tapes = writer.put(tapes, now.count, *known)
             return found, tapes
-        step = partial(next_step, mode, method, violated=now.violated)
-        quiet, going = lambda step: step.quiet, now.guard == NO_GUARD
+
+        def step(carry):
+            last, number, tapes = carry
+            made = next_step(mode, method, last, violated=now.violated)
+            if writer is not None:
+                row = (made.start, made.time), made.memory.control
+                number, tapes = number + 1, writer.put(tapes, number, *row)
+            return made, number, tapes
+
         # In a batch, lanes that have ended wait here for the others.
-        about = now.last, quiet, going, now.count, mode.most_steps
-        if writer is None:
-            last, count = make_steps(step, *about)
-        else:
-            row = lambda made: ((made.start, made.time), made.memory.control)
-            last, count, tapes = write_steps(step, *about, writer._replace(tapes=tapes), row)
+        quiet, going = lambda carry: carry[0].quiet, now.guard == NO_GUARD
+        first = now.last, writer and now.count, tapes
+        (last, _, tapes), count = make_steps(step, first, quiet, going, now.count, mode.most_steps)
         return search_step(mode, method, now._replace(last=last, count=count))[0], tapes
 
     return lax.while_loop(unfinished, follow, (begun, writer and writer.tapes))
 
 
-def find_in_reverse(
-    mode: Mode, find: Callable, start: Any, method: Method
-) -> tuple[Unfinished, Callable]:
-    """Find the first event so that reverse mode transposes the steps before it.
-
-    Returns the mode as it begins its last step, and a function from there to the event.
-    """
-
-    def find_steps(start, writer):
-        last, tapes = find(start, writer=writer)
-        steps = jnp.where(has_ended(mode, last.guard), jnp.maximum(last.count - 1, 0), 0)
-        return last.last.start, last.last.time, steps, last, tapes
-
-    state, time, last = transpose_steps(method, find_steps, start)
-    until = last.time - last.last.time
-
-    def arrive(state):
-        arrival = method.state_at(state, method.expand(state), until)
-        return method.refine_event(surface_of(mode, last.guard), arrival)
-
-    return last._replace(arrival=state, time=time + until), arrive
-
-
-def find_measured_in_reverse(
-    mode: Mode, find: Callable, start: Any, going: Bool[Array, ""], method: Method
-) -> Unfinished:
-    """Find the first event, and the misses before it, so that reverse mode transposes all steps."""
-    mode, begun = begin_following(mode, start, going, method, True)
-
-    def find_steps(start, writer):
-        last, tapes = find(start, writer=writer)
-        return last, has_ended(mode, last.guard), tapes
-
-    follow, guards = partial(follow_measured, mode, method), partial(along, mode)
-    return transpose_measured_steps(mode, method, find_steps, follow, guards, begun)
-
-
-def surface_of(mode: Mode, number: Int[Array, ""]) -> Callable[[Any], Scalar]:
-    """Return the function that is zero where a mode has ended, by which its end has derivatives."""
-    return partial(value_of_guard, mode, number, surface=True)
-
-
-def has_ended(mode: Mode, guard: Int[Array, ""]) -> Bool[Array, ""]:
-    """Return whether a guard has ended a mode."""
-    return (guard >= 0) & (guard < len(mode.guards))
-
-
 def begin_following(
     mode: Mode, start: Any, going: Bool[Array, ""], method: Method, measured: bool
 ) -> tuple[Mode, Unfinished]:
-    """Return the mode with the rates of its conditions, and its start."""
+    """Return the mode with the rates of its conditions, and its start: a step of no length."""
     if not method.is_series:  # whose steps alone are short enough for the proofs about guards
         mode = mode._replace(guards=tuple(one._replace(persists=False) for one in mode.guards))
     mode, zero = with_rates(mode, start), zero_at(start)
-    guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
+    below = [begins_on_its_lower_side(guard, method, start) for guard in mode.guards]
+    violated, known = {one.leads_to: jnp.asarray(False) for one in mode.conditions}, []
+    for one in mode.conditions:
+        if one.least_at_ends:
+            value = value_at(one.value, start)
+        else:
+            value, rate = one.and_rate(start)
+            known.append(((value, rate), (value, rate)))
+        if not one.zero_at_start:
+            violated[one.leads_to] |= going & (value < 0)
     misses = no_misses(mode, start) if measured else None
-    first, values = before_first_step(mode, method, start)
-    violated = {one.leads_to: jnp.asarray(False) for one in mode.conditions}
-    for condition, value in zip(mode.conditions, values, strict=True):
-        if not condition.zero_at_start:
-            violated[condition.leads_to] |= going & (value < 0)
-    return mode, Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
+    guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
+    # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
+    nothing = sum(0 * jnp.sum(x) for x in jax.tree.leaves(start))
+    start = jax.tree.map(lambda x: x + nothing, start)
+    memory, quiet = method.begin(start), jnp.asarray(True)
+    first = Step(start, start, zero, zero, below, below, known, quiet, memory)
+    return mode, Unfinished(first, start, zero, guard, jnp.asarray(0), violated, misses)
 
 
 def follow_measured(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, StepRecord]:
     """Make a step of a measured mode, and search all of it."""
     last = measured_step(mode, method, now.last)
     return search_step(mode, method, now._replace(last=last, count=now.count + 1))
-
-
-def before_first_step(mode: Mode, method: Method, start: Any) -> tuple[Step, list[Scalar]]:
-    """Return a step of no length at the start of a mode, and the values of conditions there."""
-    zero = zero_at(start)
-    below = [begins_on_its_lower_side(guard, method, start) for guard in mode.guards]
-    values, known = [], []
-    for one in mode.conditions:
-        if one.least_at_ends:
-            values.append(value_at(one.value, start))
-        else:
-            value, rate = one.and_rate(start)
-            values.append(value)
-            known.append(((value, rate), (value, rate)))
-    # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
-    nothing = sum(0 * jnp.sum(x) for x in jax.tree.leaves(start))
-    start = jax.tree.map(lambda x: x + nothing, start)
-    memory = method.begin(start)
-    step = Step(start, start, zero, zero, below, below, known, jnp.asarray(True), memory)
-    return step, values
 
 
 def next_step(mode: Mode, method: Method, step: Step, *, violated: Violated) -> Step:

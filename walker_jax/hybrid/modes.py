@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from walker_jax.integrators.expansion import without_derivatives
 from walker_jax.integrators.integrator import MOST_STEPS
@@ -149,6 +149,11 @@ class Mode(NamedTuple):
     def functions(self) -> list[list[Function]]:
         """Return the value of each guard and the functions that admit it."""
         return [[one.value, *one.admits] for one in self.guards]
+
+
+def has_ended(mode: Mode, guard: Int[Array, ""]) -> Bool[Array, ""]:
+    """Return whether the guard with this number, or none, has ended a mode."""
+    return (guard >= 0) & (guard < len(mode.guards))
 
 
 def ends_at_once(

@@ -85,28 +85,37 @@ def bracketed_newton(
     return lax.while_loop(unfinished, iterate, (low, high, high, low))[2]
 
 
-def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scalar:
-    """Find the first zero of a polynomial in 0 <= t <= length; `length` or more if there is none.
+def first_zero(
+    series: list[Float[Array, "*n"]], length: Scalar, resolution: Scalar
+) -> tuple[Scalar, Float[Array, "*n"]]:
+    """Find the first zero of a polynomial, or of several in arrays, in 0 <= t <= length.
 
-    The polynomial is expanded about points that approach the zero from the left. Each advances by a
-    length that certainly holds no zero, until that length is less than the resolution. This
+    **Returns** its time, `length` or more if there is none, and the share of each polynomial in it:
+    1 for the one that has it.
+
+    The polynomials are expanded about points that approach the zero from the left. Each advances by
+    a length that certainly holds no zero, until that length is less than the resolution. This
     converges like Newton's iteration, but passes no zero. A polynomial that is zero at t = 0 has
     its first zero there, unless it vanishes identically.
     """
+    least = lambda steps: -largest(-steps) if steps.ndim else steps
 
     def unfinished(carry):
-        time, step, *_ = carry
-        return (time < length) & (step > resolution)
+        time, steps, *_ = carry
+        return (time < length) & (least(steps) > resolution)
 
     def advance(carry):
-        time, step, *series = carry
-        time, series = time + step, shifted(series, step)
+        time, steps, *series = carry
+        step = least(steps)
+        time, series = time + step, shifted(series, jnp.broadcast_to(step, steps.shape))
         return time, length_without_zero(series, length - time), *series
 
     sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
     series = [sign * c for c in series]
     first = jnp.zeros_like(length), length_without_zero(series, length), *series
-    return lax.while_loop(unfinished, advance, first)[0]
+    time, steps, *_ = lax.while_loop(unfinished, advance, first)
+    share = (steps == least(steps)).astype(length.dtype)
+    return time, share / jnp.sum(share)
 
 
 def length_without_zero(series: list[Scalar], most: Scalar) -> Scalar:
@@ -135,36 +144,6 @@ def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
     return series
 
 
-def first_of_many(
-    series: list[Float[Array, " n"]], length: Scalar, resolution: Scalar
-) -> tuple[Scalar, list[Scalar]]:
-    """Find the first zero of several polynomials, as `first_zero` does, and which of them has it.
-
-    Returns the time and the coefficients of that polynomial. All advance by the same lengths.
-    """
-
-    def unfinished(carry):
-        time, steps, *_ = carry
-        return (time < length) & (least(steps) > resolution)
-
-    def advance(carry):
-        time, steps, *known = carry
-        step = least(steps)
-        time, known = time + step, shifted(known, jnp.broadcast_to(step, steps.shape))
-        return time, length_without_zero(known, length - time), *known
-
-    least = lambda steps: -largest(-steps)
-    exact, length = series, lax.stop_gradient(length)
-    series = lax.stop_gradient(series)
-    sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
-    series = [sign * c for c in series]
-    first = jnp.zeros_like(length), length_without_zero(series, length), *series
-    time, steps, *_ = lax.while_loop(unfinished, advance, first)
-    share = (steps == least(steps)).astype(length.dtype)
-    share = share / jnp.sum(share)
-    return time, [jnp.sum(share * c) for c in exact]
-
-
 def cut_at_switches(switches: list[list[Array]], length: Scalar, behind: Scalar) -> Scalar:
     """Cut a step just behind the first zero of functions given by their series.
 
@@ -172,10 +151,9 @@ def cut_at_switches(switches: list[list[Array]], length: Scalar, behind: Scalar)
     since second derivatives depend on where a step ends at a kink.
     """
     for switch in switches:
-        if jnp.ndim(switch[0]):
-            zero, switch = first_of_many(switch, length, behind)
-        else:
-            zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
+        zero, share = first_zero(*lax.stop_gradient((switch, length)), behind)
+        if share.ndim:
+            switch = [jnp.sum(share * c) for c in switch]
         length = jnp.where(
             zero + behind < length, differentiable_zero(switch, zero) + behind, length
         )

@@ -383,10 +383,6 @@ def exp_series(x: Series) -> Series:
     return solution(EQUATIONS["exp"], jnp.exp, x)
 
 
-def log_series(x: Series) -> Series:
-    return solution(EQUATIONS["log"], jnp.log, x)
-
-
 def sqrt_series(x: Series) -> Series:
     return solution(EQUATIONS["sqrt"], jnp.sqrt, x)
 

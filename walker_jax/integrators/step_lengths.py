@@ -102,9 +102,7 @@ def longest_step(
     motion, start = motion_of(field, state)
     _, known = motion_of(field, series)
     counted = count_variables(known) if may_have_clocks(motion, start) else None
-    sizes = sizes_of(known, counted, limits.scales)
-    if limits.scales is None and limits.proportional is not None:
-        sizes = with_own_sizes(known, sizes, limits.proportional)
+    sizes = sizes_of(known, counted, limits)
     length = step_size(known, tolerance, sizes, counted)
     if limits.longest is not None:
         length = jnp.minimum(length, lax.stop_gradient(limits.longest))
@@ -177,27 +175,19 @@ def uncapped_step_size(series: PyTree, tolerance: Real, sizes: PyTree) -> Scalar
 
 
 def sizes_of(
-    series: PyTree, counted: PyTree | None = None, scales: PyTree | None = None
+    series: PyTree, counted: PyTree | None = None, limits: StepLimits = NO_LIMITS
 ) -> PyTree[Array]:
     """Return |y| at the start of a step, above zero: one number, or one for each variable."""
     smallest = float(jnp.finfo(series_dtype(series)).tiny) ** 0.5
-    if scales is None:
-        return jnp.maximum(scale_of(series, counted), smallest)
-
-    def size(coefficients, scale):
-        return jnp.maximum(own_size(coefficients), jnp.maximum(lax.stop_gradient(scale), smallest))
-
-    return jax.tree.map(size, series, scales, is_leaf=is_list)
-
-
-def with_own_sizes(series: PyTree, size: Scalar, proportional: PyTree) -> PyTree[Array]:
-    """Return a size for each variable: its own for those that are proportional, else the given."""
-    smallest = float(jnp.finfo(series_dtype(series)).tiny) ** 0.5
-
-    def choose(coefficients, own):
-        return jnp.where(own, jnp.maximum(own_size(coefficients), smallest), size)
-
-    return jax.tree.map(choose, series, proportional, is_leaf=is_list)
+    if limits.scales is not None:
+        above = lambda scale: jnp.maximum(lax.stop_gradient(scale), smallest)
+        size = lambda c, scale: jnp.maximum(own_size(c), above(scale))
+        return jax.tree.map(size, series, limits.scales, is_leaf=is_list)
+    of_all = jnp.maximum(scale_of(series, counted), smallest)
+    if limits.proportional is None:
+        return of_all
+    size = lambda c, own: jnp.where(own, jnp.maximum(own_size(c), smallest), of_all)
+    return jax.tree.map(size, series, limits.proportional, is_leaf=is_list)
 
 
 def own_size(coefficients: list[Array]) -> Array:

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.integrators.closures import convert_closure
 from walker_jax.integrators.roots import Scalar
-from walker_jax.kernels.reverse import Writer
 
 MOST_AT_ONCE = 2**24
 """Most steps of one call, after which its caller goes on: single precision counts no further."""
@@ -54,28 +53,6 @@ def make_steps(
         throw=False,
     )
     return solution.solver_state, made + solution.stats["num_steps"]
-
-
-def write_steps(
-    step: Callable[[PyTree], PyTree],
-    last: PyTree,
-    goes_on: Callable[[PyTree], Bool[Array, ""]],
-    going: Bool[Array, ""],
-    made: Int[Array, ""],
-    most: int,
-    writer: Writer,
-    row_of: Callable[[PyTree], tuple[PyTree, PyTree]],
-) -> tuple[PyTree, Int[Array, ""], list]:
-    """Make the same steps, and write each on tapes: where it begins, and what was decided there."""
-
-    def make(now):
-        last, count, tapes = now
-        made = step(last)
-        return made, count + 1, writer.put(tapes, count, *row_of(made))
-
-    begun = last, made, writer.tapes
-    (last, _, tapes), made = make_steps(make, begun, lambda now: goes_on(now[0]), going, made, most)
-    return last, made, tapes
 
 
 class NoInterpolation(diffrax.AbstractLocalInterpolation):

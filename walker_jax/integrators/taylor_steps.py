@@ -16,7 +16,6 @@ from walker_jax.integrators.reductions import largest
 from walker_jax.integrators.roots import Real, Scalar, cut_at_switches, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.step_lengths import (
-    NO_LIMITS,
     StepLimits,
     cut_for_function,
     longest_step,
@@ -45,27 +44,6 @@ class Taylor(eqx.Module):
     order: int = eqx.field(static=True, default=SERIES_ORDER[jnp.dtype("float64")])
 
 
-def taylor_step(
-    vector_field: VectorField,
-    state: PyTree,
-    order: int,
-    tolerance: Real,
-    *others: Callable[[PyTree], PyTree],
-    watched: tuple[Callable[[PyTree], Scalar], ...] = (),
-    limits: StepLimits = NO_LIMITS,
-) -> tuple[PyTree[list], Scalar]:
-    """Return the series of the solution of y' = f(y) from a state, and the length of a step.
-
-    At the end of the step the last terms of the series reach the tolerance, and those of the
-    watched functions are within it; where f or they have sharp features (`step_lengths`), their
-    polynomials agree with them. If f or one of the `others` has a kink before that, the step
-    ends just behind the kink, by `tolerance` times the length. The length is NaN if f jumps by more
-    than the root of the tolerance, relative to |y| or |y'|.
-    """
-    series, length = smooth_step(vector_field, state, order, tolerance, watched, limits)
-    return end_at_kink(vector_field, series, length, tolerance, *others)
-
-
 def smooth_step(
     vector_field: VectorField,
     state: PyTree,
@@ -76,7 +54,9 @@ def smooth_step(
 ) -> tuple[PyTree[list], Scalar]:
     """Return the series of a step from a state, and its length if it meets no kink.
 
-    The length is constant to derivatives.
+    At the end of the step the last terms of the series reach the tolerance, and those of the
+    watched functions are within it; where the equations or they have sharp features
+    (`step_lengths`), their polynomials agree with them. The length is constant to derivatives.
     """
     if limits.in_reverse:
         series, sharp = series_with_sharp_parts(vector_field, state, order)
@@ -97,7 +77,12 @@ def end_at_kink(
     tolerance: Real,
     *others: Callable[[PyTree], PyTree],
 ) -> tuple[PyTree[list], Scalar]:
-    """Return the series and the length of a step that ends just behind the first kink."""
+    """Return the series and the length of a step that ends just behind the first kink.
+
+    That is of the equations or one of the `others`, by `tolerance` times the length behind it. The
+    length is NaN if the equations jump by more than the root of the tolerance, relative to |y| or
+    |y'|.
+    """
     found = [series_of_switches(f, series) for f in (vector_field, *others)]
     switches, bases = (
         [one for part in parts for one in part] for parts in zip(*found, strict=True)

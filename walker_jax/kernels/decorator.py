@@ -13,6 +13,11 @@ from walker_jax.checks import WrongUse, short
 from walker_jax.kernels import gpu
 from walker_jax.kernels.primitive import call_program
 from walker_jax.kernels.program import Program, program_of
+from walker_jax.kernels.reverse import says_no_transpose
+
+UNEQUAL_AXES = "vmap out_axes"
+"""Part of JAX's error for `jax.jacfwd` of a function whose result itself depends on the
+direction, as steps within a kernel do that are as long as their derivatives allow."""
 
 
 def kernel(
@@ -98,8 +103,8 @@ def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
     - `function`: a function of one cell, or a kernel.
     - `args`, `kwargs`: its arguments for one cell; only their shapes and types matter.
 
-    **Returns** the reason, with the line of the function if it is known. Returns `None` if there is
-    a kernel.
+    **Returns** the reason, with the line of the function if it is known; for a function that cannot
+    be traced, the error in one line. Returns `None` if there is a kernel.
     """
     platform = next(iter(jnp.zeros(()).devices())).platform
     route = gpu.route_in_use() if platform != "cpu" else None
@@ -107,12 +112,26 @@ def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
         return f"arrays are on a {platform}, where kernels are {gpu.in_words()}"
     if not hasattr(function, "find_program"):
         function = kernel(function)
-    found = vars(function)["find_program"](args, kwargs)
-    if found is None:
-        return "kernels do not support complex numbers"
-    program, leaves, _ = found
-    made = gpu.ptx_for(program, [True] * len(leaves), route) if route else program.compiled
+    try:
+        found = vars(function)["find_program"](args, kwargs)
+        if found is None:
+            return "kernels do not support complex numbers"
+        program, leaves, _ = found
+        made = gpu.ptx_for(program, [True] * len(leaves), route) if route else program.compiled
+    except WrongUse:
+        raise
+    except Exception as error:  # whatever JAX or the function itself raises as it is traced
+        return why_untraced(error)
     return None if made else program.why_not
+
+
+def why_untraced(error: Exception) -> str:
+    """Say in one line that a function cannot be traced, and what to do about a derivative."""
+    first, *_ = str(error).strip().rstrip(".").splitlines() or [""]
+    instead = ""
+    if says_no_transpose(error) or UNEQUAL_AXES in first:
+        instead = ": a derivative of kernel(f) has a kernel of its own, outside any other kernel"
+    return f"a kernel cannot trace the function, {type(error).__name__}: {first}{instead}"
 
 
 def program_for(function: Callable, args: tuple) -> tuple[Program, list[jax.Array], Any] | None:

@@ -214,11 +214,15 @@ class Family:
     def names_of(self, value: float, found: list[Attractor], taken: list[int]) -> list[int]:
         """Return the numbers of attractors that were not known beforehand at a value."""
         names: list[int] = []
-        wandering = iter(self.names_without_period(found))
+        before = list(self.without_period)
+        clouds = [one.points for one in found if one.period is None]
+        matches = match_clouds(clouds, [one.points for one in self.without_period.values()])
+        wandering = iter(matches)
         for one in found:
             branch, name = None, NONE
             if one.period is None:
-                name = next(wandering)
+                match = next(wandering)
+                name = NONE if match == NONE else before[match]
             else:
                 others = self.cycles_at(value)
                 known = [cycle for _, cycle in others]
@@ -239,13 +243,6 @@ class Family:
                 self.branches.append(branch)
             names.append(name)
         return names
-
-    def names_without_period(self, found: list[Attractor]) -> list[int]:
-        """Return the numbers of motions without a period; `NONE` for new ones."""
-        before = list(self.without_period)
-        clouds = [one.points for one in found if one.period is None]
-        known = [self.without_period[name].points for name in before]
-        return [NONE if i == NONE else before[i] for i in match_clouds(clouds, known)]
 
 
 def assemble(
@@ -282,12 +279,9 @@ def assemble(
     over = ("value", "attractor")
     return xr.Dataset(
         {
-            **{
-                name: (over, share)
-                for name, share in zip(
-                    ("fraction", "fraction_low", "fraction_high"), shares, strict=True
-                )
-            },
+            "fraction": (over, shares[0]),
+            "fraction_low": (over, shares[1]),
+            "fraction_high": (over, shares[2]),
             "failed": (("value", "outcome"), failed),
             "states": ((*over, "phase", "coordinate"), states),
             "period": ("attractor", period),

@@ -219,18 +219,20 @@ def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
     returned = int(labels.converged.sum())
     interval = wilson_interval(returned, samples, trial.confidence)
     counts = returned / samples, *interval, fates, len(labels.remaining)
-    shocks = np.min([trial.sizes.size(x, starts[labels.converged]) for x in own.states], axis=0)
-    shock = mean_of(shocks), np.max(shocks) if returned else np.nan
+    back = starts[labels.converged]
+    shocks = nan_if_none(np.min([trial.sizes.size(x, back) for x in own.states], axis=0))
+    shock = shocks.mean(), shocks.max()
     if trial.within is None:
         return *counts, *6 * (np.nan,), *shock
     close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, trial.within))])
-    closer = close.walk(starts[labels.converged])
-    made = np.where(closer.converged, closer.strides, np.inf)
-    late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)
+    closer = close.walk(back)
+    made = nan_if_none(np.where(closer.converged, closer.strides, np.inf))
+    late = np.percentile(made, (50, 95), method="inverted_cdf")
     beyond = shocks > 0  # a start at the gait itself has no pace
-    paces = made[beyond] / shocks[beyond]
+    paces = nan_if_none(made[beyond] / shocks[beyond])
+    pace = paces.mean(), np.percentile(paces, 50, method="inverted_cdf")
     in_time = np.sum(made <= trial.horizon) / samples
-    return *counts, *late, mean_of(made), mean_of(paces), median_of(paces), in_time, *shock
+    return *counts, *late, made.mean(), *pace, in_time, *shock
 
 
 def draw_starts(
@@ -248,14 +250,9 @@ def draw_starts(
     return starts
 
 
-def mean_of(values: Float[np.ndarray, " n"]) -> float:
-    """Return the mean; NaN of none."""
-    return float(values.mean()) if values.size else np.nan
-
-
-def median_of(values: Float[np.ndarray, " n"]) -> float:
-    """Return the lower median; NaN of none."""
-    return float(np.percentile(values, 50, method="inverted_cdf")) if values.size else np.nan
+def nan_if_none(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+    """Return the values, or one NaN if there are none."""
+    return values if values.size else np.full(1, np.nan)
 
 
 def draw_from_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:

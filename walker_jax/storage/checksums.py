@@ -63,8 +63,7 @@ def check_chunks(path: Path, array: Any) -> None:
     """
     import numpy as np
 
-    counts = map(lambda whole, size: -(-whole // size), array.shape, array.chunks)
-    for place in np.ndindex(*counts):
+    for place in np.ndindex(*array.cdata_shape):
         key = f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
         with name_damage(path, key, "is missing"):
             (path / key).stat()

@@ -24,7 +24,6 @@ from walker_jax.storage.damage import (
     METADATA,
     VERSION,
     Damaged,
-    is_own_array,
     name_damage,
 )
 from walker_jax.storage.places import (
@@ -33,16 +32,14 @@ from walker_jax.storage.places import (
     StoreConflict,
     atomic_file,
     check_writable,
-    exclusive,
-    move_into_place,
     open_group,
-    remove_arrays,
     resolve_link,
     scratch_folder,
     writing,
 )
 from walker_jax.storage.requests import canonical_json, check_request
-from walker_jax.storage.tables import as_csv, as_tex, table_of, write_mat
+from walker_jax.storage.runs import exclusive, move_into_place
+from walker_jax.storage.tables import as_tex, table_of, write_mat
 
 if TYPE_CHECKING:
     import xarray  # takes half a second to load, which commands without a data set avoid
@@ -67,7 +64,7 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
             with exclusive(path):
                 pass
     try:
-        data = read_existing(path)
+        data = load(path)
     except Damaged as error:
         if not overwrite:
             hint = ANOTHER_PLACE_OR_OVERWRITE.format("out")
@@ -84,30 +81,6 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
             f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"), of="out"
         )
     return None
-
-
-def read_existing(path: Path) -> "xarray.Dataset | None":
-    """Return the data set at a place, if there is one; remove leftovers from a complete one."""
-    try:
-        if not path.is_dir():
-            return None
-    except OSError:  # for example, the name is too long
-        return None
-    try:
-        data = load(path)
-    except Damaged:
-        data = None
-    if data is None:  # again, as a run that ends removes arrays
-        data = load(path)
-    whole = data is not None and not data.attrs.get("unfinished")
-    if whole and is_own_array(path / "written"):
-        # a run ended just before its last action, which was to remove arrays
-        with suppress(StoreConflict, OSError), exclusive(path) as folder:
-            kept = check_metadata(path)
-            others = {place.name for place in path.iterdir() if is_own_array(place)} - {*kept}
-            # `written` last: it shows that arrays remain to be removed
-            remove_arrays(path, folder, sorted(others, key=lambda name: name == "written"))
-    return data
 
 
 def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
@@ -140,6 +113,8 @@ def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset]
 
 def load(path: Path) -> "xarray.Dataset | None":
     """Return the data set at `path`, or None if there is none; `Damaged` if it is damaged."""
+    with suppress(Exception):  # a run that ends may just be removing arrays
+        return open_dataset(path)
     try:
         return open_dataset(path)
     except Damaged:
@@ -204,7 +179,7 @@ def export(
         hint = ANOTHER_PLACE_OR_OVERWRITE.format("file")
         raise StoreConflict(f"{file} exists", hint, of="overwrite")
     try:
-        data = load(path) if path.is_dir() else None
+        data = load(path)
     except Damaged as error:
         hint = "the command that made it replaces it with overwrite"
         raise Damaged(*error.args, hint, of="overwrite") from error
@@ -222,5 +197,6 @@ def export(
             write_mat(data, draft)
         else:
             table = table_of(data, rows)
-            draft.write_text(as_csv(table) if file.suffix == ".csv" else as_tex(table))
+            csv = file.suffix == ".csv"
+            draft.write_text(table.to_csv(index=False) if csv else as_tex(table))
     return data

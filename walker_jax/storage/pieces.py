@@ -29,14 +29,12 @@ from walker_jax.storage.places import (
     RESUME_HINT,
     StoreConflict,
     check_writable,
-    exclusive,
-    move_into_place,
     open_group,
-    remove_arrays,
     resolve_link,
     writing,
 )
 from walker_jax.storage.requests import canonical_json, check_request
+from walker_jax.storage.runs import exclusive, move_into_place
 
 if TYPE_CHECKING:
     import xarray  # takes half a second to load, which commands without a data set avoid
@@ -69,8 +67,6 @@ class Pieces(NamedTuple):
     """A data set on disk whose arrays are written by pieces, blocks of their first axes."""
 
     path: Path
-    folder: Path
-    """The run's hidden folder beside the data set."""
     group: Any
     shape: tuple[int, ...]
     """Shape of the axes that are cut."""
@@ -81,12 +77,12 @@ class Pieces(NamedTuple):
     names: tuple[str, ...]
     """Names of the arrays that are cut."""
     aside: tuple[str, ...]
-    """Names of the auxiliary arrays, which `finish` removes."""
+    """Names of the auxiliary arrays, which are removed at the end."""
 
     @property
     def counts(self) -> tuple[int, ...]:
         """Number of pieces along each axis."""
-        return piece_counts(self.shape, self.block)
+        return tuple(map(lambda whole, size: -(-whole // size), self.shape, self.block))
 
     @property
     def count(self) -> int:
@@ -150,16 +146,15 @@ class Pieces(NamedTuple):
                 self.array("written")[self.place(piece)] = 1
 
     def finish(self, data: "xarray.Dataset") -> None:
-        """Add the data known only at the end, and remove the auxiliary arrays."""
+        """Add the data known only at the end. Auxiliary arrays go when the place is released."""
         attributes = dict(self.group.attrs)
         final = data.attrs | {"request": attributes["request"]}
-        left = (*self.aside, "written")  # `written` last: it shows that arrays remain to be removed
         data = with_checksums(data)
         data.attrs = attributes
         with writing(self.path):
             data.to_zarr(self.path, mode="a", consolidated=False, write_empty_chunks=True)
-            seal(self.path, final, without=left)  # in one go, which completes the data set
-            remove_arrays(self.path, self.folder, left)
+            # In one go, which completes the data set.
+            seal(self.path, final, without=(*self.aside, "written"))
 
 
 @contextmanager
@@ -184,7 +179,7 @@ def open_pieces(
       first axes, the same in all, are cut into pieces.
     - `block`: length of a piece along each of these axes; a resumed data set keeps its own.
     - `notes`: called once, at the beginning; its JSON result is kept until the end.
-    - `aside`: names of auxiliary arrays, which `finish` removes.
+    - `aside`: names of auxiliary arrays, which are removed at the end.
     - `overwrite`: whether to begin anew, replacing what is there.
 
     The place is reserved meanwhile. Raises `StoreConflict` if another process writes there, or
@@ -214,11 +209,12 @@ def open_pieces(
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):
             raise StoreConflict(f"another run has just completed {path}: run again to read it")
-        name, array = next(iter(arrays.items()))
-        shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
         noted, names = json.loads(str(group.attrs["notes"])), tuple(n for n in arrays if n in group)
         with resumable(path, overwrite=overwrite):
-            yield Pieces(path, folder, group, shape, block, noted, names, (*aside,))
+            shape, begun_with = (
+                whole[: len(block)] for whole in (group[names[0]].shape, group[names[0]].chunks)
+            )
+            yield Pieces(path, group, shape, begun_with, noted, names, (*aside,))
 
 
 def create_store(
@@ -241,7 +237,7 @@ def create_store(
             dimension_names=[str(dim) for dim in array.dims],
             attributes=dict(array.attrs),
         )
-    count = piece_counts(next(iter(arrays.values())).shape, block)
+    count = group[next(iter(arrays))].cdata_shape[: len(block)]
     group.create_array(
         "written",
         shape=count,
@@ -251,11 +247,6 @@ def create_store(
         compressors=codecs(),
     )
     seal(path)
-
-
-def piece_counts(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
-    """Return the number of blocks along each of the first axes of a shape."""
-    return tuple(-(-whole // size) for whole, size in zip(shape, block, strict=False))
 
 
 def sync_to_disk(file: Path) -> None:

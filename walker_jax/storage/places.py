@@ -1,21 +1,13 @@
-"""Places on disk: their contents, the lock for writing, and the replacement by a whole result."""
+"""Places on disk: whether they can be written, and files that are written whole."""
 
 import os
-import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
-import filelock
-
 from walker_jax.checks import NotWritten, WrongPlace
-
-LOCK_FILE = "lock"
-"""The file with which a run locks a folder."""
-LOCK_ATTEMPTS = 100
-"""Attempts to take a lock that another run is just removing."""
 
 
 class StoreConflict(WrongPlace):
@@ -75,80 +67,6 @@ def scratch_folder(path: Path) -> Path:
 
 
 @contextmanager
-def exclusive(path: Path) -> Iterator[Path]:
-    """Reserve `path`, and yield a hidden folder beside it, which is removed at the end.
-
-    First cleans up after a killed run. Raises `StoreConflict` while another run holds the place;
-    its lock ends with its process, however that ends.
-    """
-    folder = scratch_folder(path)
-    lock = acquire_lock(folder, path)
-    try:
-        restore(folder, path)
-        remove_partial_files(path)
-        yield folder
-    finally:
-        try:
-            restore(folder, path)
-            shutil.rmtree(folder, ignore_errors=True)
-        finally:
-            lock.release()
-
-
-def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
-    """Make the folder of the run that writes at `path`, and lock it."""
-    lock = filelock.FileLock(folder / LOCK_FILE, blocking=False)
-    with writing(path):
-        for _ in range(LOCK_ATTEMPTS):
-            try:
-                folder.mkdir(exist_ok=True)
-                lock.acquire()
-                return lock
-            except (FileNotFoundError, FileExistsError):  # another run is just removing it
-                continue
-            except (filelock.Timeout, PermissionError):  # a run of this user, or of another
-                wait = f"wait, or {ANOTHER_PLACE.format('out')}"
-                raise StoreConflict(
-                    f"{path} is being written by another run", wait, of="out"
-                ) from None
-    raise StoreConflict(f"{path} cannot be written: {folder} is in the way: move it away")
-
-
-def move_into_place(folder: Path, path: Path) -> None:
-    """Move the new data set in the folder to `path`, replacing what is there."""
-    if path.exists():
-        path.rename(folder / "old")
-    (folder / "new").rename(path)
-    restore(folder, path)
-
-
-def restore(folder: Path, path: Path) -> None:
-    """Restore the old data set at `path` if none has replaced it; remove everything else."""
-    old, new = folder / "old", folder / "new"
-    if old.exists() and not path.exists():
-        old.rename(path)
-    if old.exists() and new.exists():
-        raise StoreConflict(
-            f"{path} came in the way of data sets that are in {folder}: move it away"
-        )
-    for left in folder.iterdir():
-        if left.is_dir() and not left.is_symlink():
-            shutil.rmtree(left)
-        elif left.name != LOCK_FILE:
-            left.unlink()
-
-
-def remove_partial_files(path: Path) -> None:
-    """Remove what Zarr was writing to a data set when a run ended: partial files, empty arrays."""
-    if (path / "zarr.json").is_file():
-        for left in [*path.rglob("*.partial")]:
-            left.unlink()
-        for array in path.iterdir():
-            with suppress(OSError):  # the folder is not empty
-                array.rmdir()
-
-
-@contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a file that replaces `path` at the end if all goes well, and is removed otherwise."""
     draft = path.with_name(f".new.{path.name}")
@@ -171,10 +89,3 @@ def open_group(path: Path, mode: Literal["r", "r+"]) -> Any:
     import zarr  # takes long to load, and only runs with a place on disk need it
 
     return zarr.open_group(path, mode=mode)
-
-
-def remove_arrays(path: Path, folder: Path, names: Iterable[str]) -> None:
-    """Move arrays of a data set to a folder that is about to be removed."""
-    for name in names:
-        if (path / name).exists():  # another run may have been faster
-            (path / name).rename(folder / name)

@@ -6,7 +6,7 @@ The tables are in `kinds.toml`, which says what they mean.
 import tomllib
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from walker_jax.checks import WrongUse
 
@@ -45,18 +45,18 @@ class Kind(NamedTuple):
     """The kind whose variables and attributes this one inherits."""
 
 
-def read_kind(table: dict[str, Any]) -> Kind:
-    """Return a kind from its table."""
-    variables = {name: Variable(*row) for name, row in table.get("variables", {}).items()}
-    meanings = table.get("attributes", {}).items()
-    attributes = {name: meaning or COMMON[name] for name, meaning in meanings}
-    return Kind(table["about"], variables, attributes, table.get("base", ""))
-
-
 TABLES = tomllib.loads((Path(__file__).parent / "kinds.toml").read_text(encoding="utf-8"))
 COMMON: dict[str, str] = TABLES["common"]
 """Attributes of nearly all kinds, with their meaning."""
-KINDS = {name: read_kind(table) for name, table in TABLES["kind"].items()}
+KINDS = {
+    kind: Kind(
+        table["about"],
+        {name: Variable(*row) for name, row in table.get("variables", {}).items()},
+        {name: one or COMMON[name] for name, one in table.get("attributes", {}).items()},
+        table.get("base", ""),
+    )
+    for kind, table in TABLES["kind"].items()
+}
 """The kinds of data sets by name."""
 KINDS["robustness table"].variables.update(
     {

@@ -63,11 +63,6 @@ def with_unit(name: str, attributes: Any, part: int = 0) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def as_csv(table: "pandas.DataFrame") -> str:
-    """Write a table as CSV, with all digits."""
-    return table.to_csv(index=False)
-
-
 def as_tex(table: "pandas.DataFrame") -> str:
     """Write a table as a LaTeX `tabular`, with the rules of the package booktabs."""
     row = lambda cells: " & ".join(map(in_tex, cells)) + r" \\"

@@ -13,7 +13,6 @@ from walker_jax.checks import WrongUse, is_traced
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.systems.system import fields_of
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import (
     MultibodyPhase,
@@ -24,6 +23,21 @@ from walker_jax.walkers.masses import (
     stance_coordinates,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, least_scuff, shown_by
+from walker_jax.walkers.parameter_table import (
+    CHECK_LOCK,
+    CHECK_SCUFFING,
+    HIP_MASS,
+    KNEED_SLOPE,
+    POINT_FOOT,
+    SHANK_COM,
+    SHANK_INERTIA,
+    SHANK_LENGTH,
+    SHANK_MASS,
+    THIGH_COM,
+    THIGH_INERTIA,
+    THIGH_LENGTH,
+    THIGH_MASS,
+)
 
 
 class BentState(NamedTuple):
@@ -69,21 +83,23 @@ class KneedWalker(HeavyLegWalker):
     of mass at the knee.
     """
 
-    slope: Scalar = eqx.field(converter=table.KNEED_SLOPE.convert)
-    hip_mass: Scalar = table.HIP_MASS.field()
-    thigh_mass: Scalar = table.THIGH_MASS.field()
-    shank_mass: Scalar = table.SHANK_MASS.field()
-    thigh_length: Scalar = table.THIGH_LENGTH.field()
-    shank_length: Scalar = table.SHANK_LENGTH.field()
-    thigh_com: Scalar = table.THIGH_COM.field()
-    shank_com: Scalar = table.SHANK_COM.field()
-    thigh_inertia: Scalar = table.THIGH_INERTIA.field()
-    shank_inertia: Scalar = table.SHANK_INERTIA.field()
-    foot_radius: Scalar = table.POINT_FOOT.field()
-    check_lock: bool = eqx.field(static=True, converter=table.CHECK_LOCK.convert, default=False)
-    check_scuffing: bool = eqx.field(
-        static=True, converter=table.CHECK_SCUFFING.convert, default=False
+    slope: Scalar = eqx.field(converter=KNEED_SLOPE.convert)
+    hip_mass: Scalar = eqx.field(converter=HIP_MASS.convert, default=HIP_MASS.default)
+    thigh_mass: Scalar = eqx.field(converter=THIGH_MASS.convert, default=THIGH_MASS.default)
+    shank_mass: Scalar = eqx.field(converter=SHANK_MASS.convert, default=SHANK_MASS.default)
+    thigh_length: Scalar = eqx.field(converter=THIGH_LENGTH.convert, default=THIGH_LENGTH.default)
+    shank_length: Scalar = eqx.field(converter=SHANK_LENGTH.convert, default=SHANK_LENGTH.default)
+    thigh_com: Scalar = eqx.field(converter=THIGH_COM.convert, default=THIGH_COM.default)
+    shank_com: Scalar = eqx.field(converter=SHANK_COM.convert, default=SHANK_COM.default)
+    thigh_inertia: Scalar = eqx.field(
+        converter=THIGH_INERTIA.convert, default=THIGH_INERTIA.default
     )
+    shank_inertia: Scalar = eqx.field(
+        converter=SHANK_INERTIA.convert, default=SHANK_INERTIA.default
+    )
+    foot_radius: Scalar = eqx.field(converter=POINT_FOOT.convert, default=POINT_FOOT.default)
+    check_lock: bool = eqx.field(static=True, converter=CHECK_LOCK.convert, default=False)
+    check_scuffing: bool = eqx.field(static=True, converter=CHECK_SCUFFING.convert, default=False)
 
     def __check_init__(self):
         values = (self.foot_radius, self.thigh_length, self.shank_length)

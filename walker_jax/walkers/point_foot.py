@@ -4,10 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from walker_jax.multibody import System
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker, gait_strip
 from walker_jax.walkers.masses import MultibodyWalker, gravity, leg, rises_ever_faster
 from walker_jax.walkers.model import STEP, Scalar, shown_by
+from walker_jax.walkers.parameter_table import FOOT_MASS, SLOPE
 
 
 class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):
@@ -21,8 +21,8 @@ class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):
     Raises `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=table.SLOPE.convert)
-    foot_mass: Scalar = table.FOOT_MASS.field()
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    foot_mass: Scalar = eqx.field(converter=FOOT_MASS.convert, default=FOOT_MASS.default)
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)

@@ -4,9 +4,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import DRIVE, WORK, Scalar, State, shown_by
+from walker_jax.walkers.parameter_table import (
+    ANY_SLOPE,
+    HIP_ANGLE,
+    HIP_DAMPING,
+    HIP_STIFFNESS,
+    PUSH_OFF,
+)
 
 
 class PoweredWalker(AbstractMasslessFootWalker):
@@ -42,11 +48,13 @@ class PoweredWalker(AbstractMasslessFootWalker):
     Raises `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=table.ANY_SLOPE.convert)
-    hip_stiffness: Scalar = table.HIP_STIFFNESS.field()
-    hip_damping: Scalar = table.HIP_DAMPING.field()
-    hip_angle: Scalar = table.HIP_ANGLE.field()
-    push_off: Scalar = table.PUSH_OFF.field()
+    slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
+    hip_stiffness: Scalar = eqx.field(
+        converter=HIP_STIFFNESS.convert, default=HIP_STIFFNESS.default
+    )
+    hip_damping: Scalar = eqx.field(converter=HIP_DAMPING.convert, default=HIP_DAMPING.default)
+    hip_angle: Scalar = eqx.field(converter=HIP_ANGLE.convert, default=HIP_ANGLE.default)
+    push_off: Scalar = eqx.field(converter=PUSH_OFF.convert, default=PUSH_OFF.default)
 
     @shown_by(*DRIVE)
     def driven_by_gravity(self):

@@ -5,9 +5,15 @@ import jax.numpy as jnp
 
 from walker_jax import multibody
 from walker_jax.multibody.single_support import coordinates_and_rates
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.masses import MultibodyWalker, leg, weight
 from walker_jax.walkers.model import WORK, Scalar, shown_by
+from walker_jax.walkers.parameter_table import (
+    ANY_SLOPE,
+    HIP_ANGLE,
+    HIP_DAMPER,
+    HIP_SPRING,
+    PUSH_OFF,
+)
 from walker_jax.walkers.point_foot import PointFootWalker
 from walker_jax.walkers.round_foot import RoundFootWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker
@@ -24,11 +30,11 @@ class AbstractPoweredWalker(MultibodyWalker):
     mass of a foot.
     """
 
-    slope: Scalar = eqx.field(converter=table.ANY_SLOPE.convert)
-    hip_spring: Scalar = table.HIP_SPRING.field()
-    hip_damper: Scalar = table.HIP_DAMPER.field()
-    hip_angle: Scalar = table.HIP_ANGLE.field()
-    push_off: Scalar = table.PUSH_OFF.field()
+    slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
+    hip_spring: Scalar = eqx.field(converter=HIP_SPRING.convert, default=HIP_SPRING.default)
+    hip_damper: Scalar = eqx.field(converter=HIP_DAMPER.convert, default=HIP_DAMPER.default)
+    hip_angle: Scalar = eqx.field(converter=HIP_ANGLE.convert, default=HIP_ANGLE.default)
+    push_off: Scalar = eqx.field(converter=PUSH_OFF.convert, default=PUSH_OFF.default)
 
     def system(self):
         passive = super().system()

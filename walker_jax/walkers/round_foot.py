@@ -4,10 +4,19 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from walker_jax.multibody import System
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_round_foot import AbstractRoundFootWalker
 from walker_jax.walkers.masses import gravity, rises_ever_faster
 from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameter_table import (
+    COM_FROM_HIP,
+    COM_OFFSET,
+    FOOT_RADIUS,
+    HIP_MASS,
+    LEG_INERTIA,
+    LEG_LENGTH,
+    LEG_MASS,
+    SLOPE,
+)
 
 
 class RoundFootWalker(AbstractRoundFootWalker):
@@ -29,14 +38,14 @@ class RoundFootWalker(AbstractRoundFootWalker):
     of mass at the hip.
     """
 
-    slope: Scalar = eqx.field(converter=table.SLOPE.convert)
-    hip_mass: Scalar = table.HIP_MASS.field()
-    leg_mass: Scalar = table.LEG_MASS.field()
-    leg_inertia: Scalar = table.LEG_INERTIA.field()
-    leg_length: Scalar = table.LEG_LENGTH.field()
-    com_from_hip: Scalar = table.COM_FROM_HIP.field()
-    com_offset: Scalar = table.COM_OFFSET.field()
-    foot_radius: Scalar = table.FOOT_RADIUS.field()
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    hip_mass: Scalar = eqx.field(converter=HIP_MASS.convert, default=HIP_MASS.default)
+    leg_mass: Scalar = eqx.field(converter=LEG_MASS.convert, default=LEG_MASS.default)
+    leg_inertia: Scalar = eqx.field(converter=LEG_INERTIA.convert, default=LEG_INERTIA.default)
+    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.convert, default=LEG_LENGTH.default)
+    com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.convert, default=COM_FROM_HIP.default)
+    com_offset: Scalar = eqx.field(converter=COM_OFFSET.convert, default=COM_OFFSET.default)
+    foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.convert, default=FOOT_RADIUS.default)
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.grids import Grid
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_point_foot import (
     AbstractMasslessFootWalker,
     gait_strip,
     rises_past_contact,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, moves_like, shown_by
+from walker_jax.walkers.parameter_table import SLOPE
 
 
 class SimplestWalker(AbstractMasslessFootWalker):
@@ -24,7 +24,7 @@ class SimplestWalker(AbstractMasslessFootWalker):
     - `slope`: of the ground (rad), above 0 and below pi/2. Raises `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=table.SLOPE.convert)
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
 
     @shown_by(*DRIVE)
     def driven_by_gravity(self):

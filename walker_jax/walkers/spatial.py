@@ -22,8 +22,24 @@ from walker_jax.multibody.space import (
     rotation_about,
 )
 from walker_jax.systems.outcomes import Outcome
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, Walker, least_scuff, shown_by
+from walker_jax.walkers.parameter_table import (
+    ALLOW_SCUFFING,
+    COM_FORWARD,
+    COM_HEIGHT,
+    COM_OUTWARD,
+    DISC_RADIUS,
+    HIP_WIDTH,
+    INERTIA_XX,
+    INERTIA_XY,
+    INERTIA_XZ,
+    INERTIA_YY,
+    INERTIA_YZ,
+    INERTIA_ZZ,
+    LEG_LENGTH,
+    SPATIAL_LEG_MASS,
+    SPATIAL_SLOPE,
+)
 from walker_jax.walkers.pictures import DiscPicture
 from walker_jax.walkers.rolling_stance import RollingStance, SpatialState, contact_forces
 
@@ -66,23 +82,23 @@ class SpatialWalker(Walker):
     Raises `ValueError` otherwise, and for a matrix of inertia that is not positive definite.
     """
 
-    slope: Scalar = table.SPATIAL_SLOPE.field()
-    leg_mass: Scalar = table.SPATIAL_LEG_MASS.field()
-    leg_length: Scalar = table.LEG_LENGTH.field()
-    hip_width: Scalar = table.HIP_WIDTH.field()
-    disc_radius: Scalar = table.DISC_RADIUS.field()
-    com_forward: Scalar = table.COM_FORWARD.field()
-    com_outward: Scalar = table.COM_OUTWARD.field()
-    com_height: Scalar = table.COM_HEIGHT.field()
-    inertia_xx: Scalar = table.INERTIA_XX.field()
-    inertia_yy: Scalar = table.INERTIA_YY.field()
-    inertia_zz: Scalar = table.INERTIA_ZZ.field()
-    inertia_xy: Scalar = table.INERTIA_XY.field()
-    inertia_xz: Scalar = table.INERTIA_XZ.field()
-    inertia_yz: Scalar = table.INERTIA_YZ.field()
-    allow_scuffing: bool = eqx.field(
-        static=True, converter=table.ALLOW_SCUFFING.convert, default=False
+    slope: Scalar = eqx.field(converter=SPATIAL_SLOPE.convert, default=SPATIAL_SLOPE.default)
+    leg_mass: Scalar = eqx.field(
+        converter=SPATIAL_LEG_MASS.convert, default=SPATIAL_LEG_MASS.default
     )
+    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.convert, default=LEG_LENGTH.default)
+    hip_width: Scalar = eqx.field(converter=HIP_WIDTH.convert, default=HIP_WIDTH.default)
+    disc_radius: Scalar = eqx.field(converter=DISC_RADIUS.convert, default=DISC_RADIUS.default)
+    com_forward: Scalar = eqx.field(converter=COM_FORWARD.convert, default=COM_FORWARD.default)
+    com_outward: Scalar = eqx.field(converter=COM_OUTWARD.convert, default=COM_OUTWARD.default)
+    com_height: Scalar = eqx.field(converter=COM_HEIGHT.convert, default=COM_HEIGHT.default)
+    inertia_xx: Scalar = eqx.field(converter=INERTIA_XX.convert, default=INERTIA_XX.default)
+    inertia_yy: Scalar = eqx.field(converter=INERTIA_YY.convert, default=INERTIA_YY.default)
+    inertia_zz: Scalar = eqx.field(converter=INERTIA_ZZ.convert, default=INERTIA_ZZ.default)
+    inertia_xy: Scalar = eqx.field(converter=INERTIA_XY.convert, default=INERTIA_XY.default)
+    inertia_xz: Scalar = eqx.field(converter=INERTIA_XZ.convert, default=INERTIA_XZ.default)
+    inertia_yz: Scalar = eqx.field(converter=INERTIA_YZ.convert, default=INERTIA_YZ.default)
+    allow_scuffing: bool = eqx.field(static=True, converter=ALLOW_SCUFFING.convert, default=False)
 
     section: ClassVar = ("yaw", "theta", "phi", "yawdot", "leandot", "thetadot", "phidot")
     state: ClassVar = SpatialState

@@ -3,13 +3,13 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_point_foot import (
     AbstractMasslessFootWalker,
     gait_strip,
     rises_past_contact,
 )
 from walker_jax.walkers.model import DRIVE, STEP, Scalar, State, shown_by
+from walker_jax.walkers.parameter_table import HIP_STIFFNESS, SLOPE
 
 
 class SpringWalker(AbstractMasslessFootWalker):
@@ -31,8 +31,10 @@ class SpringWalker(AbstractMasslessFootWalker):
     Raises `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=table.SLOPE.convert)
-    hip_stiffness: Scalar = table.HIP_STIFFNESS.field()
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    hip_stiffness: Scalar = eqx.field(
+        converter=HIP_STIFFNESS.convert, default=HIP_STIFFNESS.default
+    )
 
     @shown_by(*DRIVE)
     def driven_by_gravity(self):

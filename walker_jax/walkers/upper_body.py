@@ -4,10 +4,21 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from walker_jax.multibody import System
-from walker_jax.walkers import parameter_table as table
 from walker_jax.walkers.abstract_round_foot import AbstractRoundFootWalker
 from walker_jax.walkers.masses import gravity, leg, rises_ever_faster
 from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameter_table import (
+    BODY_COM,
+    BODY_INERTIA,
+    BODY_MASS,
+    COM_FROM_HIP,
+    COM_OFFSET,
+    FOOT_RADIUS,
+    LEG_INERTIA,
+    LEG_LENGTH,
+    LEG_MASS,
+    SLOPE,
+)
 
 
 class UpperBodyWalker(AbstractRoundFootWalker):
@@ -26,16 +37,16 @@ class UpperBodyWalker(AbstractRoundFootWalker):
     Raises `ValueError` as there.
     """
 
-    slope: Scalar = eqx.field(converter=table.SLOPE.convert)
-    body_mass: Scalar = table.BODY_MASS.field()
-    body_inertia: Scalar = table.BODY_INERTIA.field()
-    body_com: Scalar = table.BODY_COM.field()
-    leg_mass: Scalar = table.LEG_MASS.field()
-    leg_inertia: Scalar = table.LEG_INERTIA.field()
-    leg_length: Scalar = table.LEG_LENGTH.field()
-    com_from_hip: Scalar = table.COM_FROM_HIP.field()
-    com_offset: Scalar = table.COM_OFFSET.field()
-    foot_radius: Scalar = table.FOOT_RADIUS.field()
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    body_mass: Scalar = eqx.field(converter=BODY_MASS.convert, default=BODY_MASS.default)
+    body_inertia: Scalar = eqx.field(converter=BODY_INERTIA.convert, default=BODY_INERTIA.default)
+    body_com: Scalar = eqx.field(converter=BODY_COM.convert, default=BODY_COM.default)
+    leg_mass: Scalar = eqx.field(converter=LEG_MASS.convert, default=LEG_MASS.default)
+    leg_inertia: Scalar = eqx.field(converter=LEG_INERTIA.convert, default=LEG_INERTIA.default)
+    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.convert, default=LEG_LENGTH.default)
+    com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.convert, default=COM_FROM_HIP.default)
+    com_offset: Scalar = eqx.field(converter=COM_OFFSET.convert, default=COM_OFFSET.default)
+    foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.convert, default=FOOT_RADIUS.default)
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)

@@ -1,5 +1,6 @@
-"""Checks of a model: its starts, its section, and the state in which its strides end."""
+"""Checks of a model: its starts, its section, where its strides end, and its energy."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -7,12 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from walker_jax.hybrid.modes import SECTION, Mode
 from walker_jax.systems.angles import unnamed_angles
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import System
 from walker_jax.walking.starts import on_section
 from walker_jax.walking.stride import modes_from
 from walker_jax.walking.undecided import not_finite
+
+ENERGY_DRIFT = 1e-6
+"""Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
 
 
 def format_point(values: Float[np.ndarray, " n"]) -> str:
@@ -67,3 +72,24 @@ def check_landing(system: HybridSystem, landed: Any) -> list[str]:
     if miss > 1e-6 * max(1.0, largest(found)):
         return [f"the last reset leads off the section: rates differ by {miss:.3g} there"]
     return []
+
+
+def added_energy(
+    system: HybridSystem, modes: Mapping[str, Mode], way: tuple[str, str], before: float, state: Any
+) -> list[str]:
+    """Return a doubt about a reset from one mode to another that adds energy.
+
+    None about a system with motors (`motor_work`), nor about resets to the section, where the
+    energy of a walker counts from its other foot.
+    """
+    name, onto = way
+    energy = None if onto == SECTION else modes[onto].energy
+    if energy is None or type(system).motor_work is not System.motor_work:
+        return []
+    gain = float(energy(state)) - before
+    if not gain > ENERGY_DRIFT * max(1.0, abs(before)):
+        return []
+    return [
+        f"the reset from mode {name!r} to {onto!r} adds {gain:.3g} to an energy of {before:.6g}: "
+        "wrong, unless motors do that work (define motor_work) or energies count from two places"
+    ]

@@ -32,12 +32,14 @@ from walker_jax.systems.hybrid_system import HybridSystem, failures_by_name
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.consistency import (
+    ENERGY_DRIFT,
+    added_energy,
     check_landing,
     check_point,
     check_projection,
     format_point,
 )
-from walker_jax.walking.guards import Numbers, fall_of, guard_due, method_of
+from walker_jax.walking.guards import Numbers, method_of, number_due
 from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.stride import modes_from, stride
 from walker_jax.walking.undecided import (
@@ -49,8 +51,6 @@ from walker_jax.walking.undecided import (
 
 MOST_RISES = 20
 """Most rises of a mode that are reported: the last ones."""
-ENERGY_DRIFT = 1e-6
-"""Change of the energy, relative to it or to 1, that exceeds an error of the integration."""
 MOST_MODES = 100
 """Most modes of a stride that are recorded."""
 MOST_STUCK = 100
@@ -85,6 +85,8 @@ class ModeRecord(NamedTuple):
     steps: int
     led_to: str
     """The name to which the guard that ended it leads; empty if nothing ended it."""
+    due: int | None
+    """The number of the guard that ended it as it began; None if none did."""
     rises: list[Rise]
     least: dict[str, float]
     """The least value of the conditions, by their outcome when negative."""
@@ -130,8 +132,10 @@ class Explanation(NamedTuple):
                     f"  guard {rise.guard} ({rise.leads_to}) rose at {rise.time:.9g}{counted}"
                 )
             risen = {f"{rise.guard} ({rise.leads_to})" for rise in mode.rises}
-            for name, value in mode.greatest.items():
-                if name not in risen:
+            for number, (name, value) in enumerate(mode.greatest.items()):
+                if number == mode.due:
+                    lines.append(f"  guard {name} was due as the mode began: {value:.6g}")
+                elif name not in risen:
                     since = " from below zero" if value > 0 else ""
                     lines.append(f"  guard {name} did not rise{since}: {value:.6g} at most")
             asked = [(name, value, value >= 0) for name, value in mode.least.items()]
@@ -251,6 +255,9 @@ def record_modes(
         if guard is None or not all(value > 0 for value in record.held.values()):
             return records, None
         state = guard.reset(state)
+        way = name, guard.leads_to
+        added = added_energy(system, modes, way, record.energy[1], state)
+        records[-1] = record._replace(doubts=(*record.doubts, *added))
         if guard.leads_to == SECTION:
             return records, state
         name = guard.leads_to
@@ -273,20 +280,13 @@ def record_mode(
     method = method_of(mode, state, jax.tree.map(jnp.asarray, integrator))
     mode, begun = begin_following(mode, state, jnp.asarray(True), method, measured=True)
     made = Followed(begun, [], [float(one.value(state)) for one in mode.guards], [(0.0, state)], "")
-    fallen = int(fall_of(mode, numbers, state, switched))
-    due, _ = guard_due(mode, numbers, method, state, switched)
-    if fallen != Outcome.UNDECIDED:
-        led_to = next(of for of, number in numbers.items() if number == fallen) + " at once"
-        guard = None
-    elif due is not None and due >= 0:
-        guard = mode.guards[int(due)]
-        led_to = f"{guard.leads_to} at once"
-    else:
+    number = due = number_due(mode, numbers, method, state, switched)
+    if due == NO_GUARD:
         made = follow_steps(name, mode, method, made)
         number = int(made.end.guard)
-        guard = None if number == NO_GUARD else mode.guards[number]
-        led_to = guard.leads_to if guard else ""
-        guard = None if led_to in numbers else guard
+    guard = None if number == NO_GUARD else mode.guards[number]
+    led_to = guard.leads_to if guard else ""
+    guard = None if led_to in numbers else guard
     there, count = made.end.arrival, int(made.end.count)
     held = values_held(guard, there) if guard else {}
     energy = mode.energy or (lambda state: np.nan)
@@ -295,7 +295,8 @@ def record_mode(
         name=name,
         time=float(made.end.time) if led_to else np.inf,
         steps=count,
-        led_to=led_to,
+        led_to=led_to if due == NO_GUARD else f"{led_to} at once",
+        due=None if due == NO_GUARD else due,
         rises=made.rises[-MOST_RISES:],
         least=least_values(mode, (state, there), made.end.misses),
         held=held,

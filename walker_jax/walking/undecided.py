@@ -76,7 +76,7 @@ def find_jump(mode: Mode, method: Method, series: Any) -> tuple[float, float, st
     found: list[tuple[float, str]] = []
     for label, function in [("the vector field", method.field), *guards]:
         for equation, switch in located_switches(function, series):
-            zero = float(first_zero(switch, length, length * method.tolerance))
+            zero = float(first_zero(switch, length, length * method.tolerance)[0])
             if zero < float(length):
                 line = line_of(equation)
                 name = f"{label}, in {equation.primitive.name}" + (f", {line}" if line else "")
