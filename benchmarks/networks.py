@@ -18,18 +18,22 @@ Starts are near the gait. The last column is the largest difference of diffrax's
 walker_jax's, by the same walks, relative to the largest derivative. Last comes a population of
 networks of 2 x 16, all at once and one after the other.
 
-On a machine of two cores, which many others used too, walker_jax made 2.8 times the strides of
-diffrax at 369 weights, and three times the gradients; its gradient costs 5.3 strides, and at 4,545
-weights, in another run of three strides, 6.4. From 256 starts 0.004 from the gait diffrax missed
-heel strikes within three strides, and its gradient was off by 40. A population of 32 networks made
-59,760 strides a second, and one after the other 58,131.
+On a machine of two cores, which many others used too, walker_jax made 2.1 times the strides of
+diffrax or more, and 2.8 times the gradients or more; a gradient costs 3.4 to 5.7 strides. From 256
+starts 0.004 from the gait diffrax missed heel strikes within three strides, and its gradient was
+off by 40. A population of 32 networks made 59,760 strides a second, and one after the other 58,131.
 
                                              walker_jax                               diffrax
-    2 x 16  within   2.6 s   60290/s   15.8 s  11456/s |   3.7 s   21815/s   16.0 s   3777/s | 4e-09
+    1 x 8   within   1.9 s  189122/s    9.2 s  47406/s |   3.9 s   30452/s   16.0 s   4583/s | 4e-09
+    2 x 16  within   2.3 s   60039/s   14.9 s  11272/s |   3.6 s   22376/s   15.0 s   2266/s | 4e-09
+    2 x 32  within   2.4 s   29168/s   13.4 s   5151/s |   3.4 s   13813/s   13.3 s   1823/s | 4e-09
+    1 x 8   once     1.2 s  957075/s    3.5 s 283185/s |   3.0 s   38794/s   12.6 s   4511/s | 4e-09
+    2 x 16  once     1.2 s  948875/s    4.1 s 224763/s |   3.6 s   39897/s   15.2 s   6549/s | 4e-09
 
-    python benchmarks/networks.py [WIDTHS [LAYERS [STARTS [WAYS]]]]
+    python benchmarks/networks.py [--only 2x16 2x16-once population] [--starts N] [--ways WAYS]
 """
 
+import argparse
 import os
 import subprocess
 import sys
@@ -234,16 +238,21 @@ if __name__ == "__main__":
         way, *numbers, file = sys.argv[2:]
         width, layers, within, starts = map(int, numbers)
         measure(way, width, layers, bool(within), starts, file)
-    else:
-        given = [
-            *sys.argv[1:],
-            *["8,16,32,64", "1,2", "50000", ",".join(WAYS)][len(sys.argv) - 1 :],
-        ]
-        widths, sizes = ([int(x) for x in one.split(",")] for one in given[:2])
-        ways = given[3].split(",")
-        print(" " * 17 + "".join(f"{way:>38}" for way in ways))
-        for within in (True, False):
-            for layers in sizes:
-                for width in widths:
-                    report(width, layers, within, int(given[2]), ways)
-        report_population(16, 2, int(given[2]) // FEWER)
+        sys.exit()
+    rows = {
+        f"{layers}x{width}{'' if within else '-once'}": (width, layers, within)
+        for within in (True, False)
+        for layers in (1, 2)
+        for width in (8, 16, 32, 64)
+    }
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--only", nargs="+", choices=[*rows, "population"], help="rows")
+    parser.add_argument("--starts", type=int, default=50_000)
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS)
+    given = parser.parse_args()
+    print(" " * 17 + "".join(f"{way:>38}" for way in given.ways))
+    for row in given.only or [*rows, "population"]:
+        if row == "population":
+            report_population(16, 2, given.starts // FEWER)
+        else:
+            report(*rows[row], given.starts, given.ways)

@@ -10,27 +10,26 @@ from typing import Any
 def load_lazily(package: dict[str, Any]) -> tuple[Callable, Callable, list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` for the globals of a package.
 
-    The stub `__init__.pyi`, which type checkers read, imports each public name from its module.
-    Modules that it imports from the package itself are loaded in the same way, but are not in
-    `__all__`.
+    The stub beside it, which type checkers read, imports each public name from its module. Modules
+    are loaded in the same way; those of the package itself are not in `__all__`.
     """
     own = package["__name__"]
     stub = ast.parse(Path(package["__file__"]).with_suffix(".pyi").read_text())
-    modules = {
-        name.name: statement.module or ""
+    paths = {
+        one.asname or one.name: f"{getattr(statement, 'module', '')}.{one.name}".lstrip(".")
         for statement in stub.body
-        if isinstance(statement, ast.ImportFrom)
-        for name in statement.names
+        if isinstance(statement, ast.Import | ast.ImportFrom)
+        for one in statement.names
     }
 
     def load(name: str) -> Any:
-        if name not in modules:
+        if name not in paths:
             raise AttributeError(f"module {own!r} has no attribute {name!r}")
-        if modules[name] == own:
-            return import_module(f"{own}.{name}")
-        value = package[name] = getattr(import_module(modules[name]), name)
+        home, _, last = paths[name].rpartition(".")
+        known = vars(import_module(home)) if home else {}
+        value = package[name] = known[last] if last in known else import_module(paths[name])
         return value
 
     others = {"__version__"} & package.keys()
-    names = sorted(name for name, module in modules.items() if module != own)
-    return load, lambda: sorted({*modules, *others}), names
+    names = sorted(name for name, path in paths.items() if path != f"{own}.{name}")
+    return load, lambda: sorted({*paths, *others}), names

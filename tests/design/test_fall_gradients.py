@@ -1,7 +1,10 @@
 """The action of the most probable fall changes as its derivative says."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
+from networks import NetworkWalker
 
 import walker_jax as wj
 
@@ -23,3 +26,22 @@ def test_the_action_changes_with_slope_and_spring(strides):
     assert np.shape(wj.measure(wj.SpringWalker(**values), "fall-action", (), **how).gradient) == (
         0,
     )
+
+
+@pytest.mark.parametrize("strides", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_the_action_changes_with_all_weights_of_a_network(strides):
+    """By a difference along a direction in which all change; the gait changes too."""
+    how = {"strides": strides, "directions": 8 * strides**2}
+    walker = NetworkWalker(0.009)
+    weights, unravel = ravel_pytree(walker.policy)
+    towards = np.random.default_rng(0).normal(size=weights.size)
+    action = lambda step: (
+        wj.most_probable_fall(
+            NetworkWalker(0.009, policy=unravel(weights + step * jnp.asarray(towards))), **how
+        ).action
+    )
+    found = wj.measure(walker, "fall-action", lambda one: one.policy, **how)
+    assert found.gradient.shape == weights.shape
+    by = (8 * (action(1e-3) - action(-1e-3)) - action(2e-3) + action(-2e-3)) / 12e-3
+    assert by / found.value == pytest.approx(found.gradient @ towards / found.value, rel=1e-4)
+    assert abs(by) > 0.01 * found.value

@@ -8,12 +8,13 @@ import explorer_server
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from networks import NetworkWalker
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.explorer import notebook, pictures, walks, workers
 from walker_jax.explorer.family import describe_offer
-from walker_jax.explorer.lattice import TILE
+from walker_jax.explorer.lattice import HOME_CELLS, TILE, Tile, home_of
 from walker_jax.explorer.offers import FAMILY, offer
 from walker_jax.explorer.subjects import read_subject
 from walker_jax.walkers.kneed import LockedWalker
@@ -208,3 +209,24 @@ def test_commands_and_notebooks_name_it_for_other_processes(file, walker, monkey
     monkeypatch.setattr(shown.server, "code", "of before")  # as after a change of the file
     assert notebook.explore(kind(*jnp.array([0.01, 0.02, 0.5]))).server is not shown.server
     assert shown.server.closed
+
+
+def test_a_picture_of_a_walker_with_a_network_is_its_basin():
+    """The page asks for its slope alone; the network is that of the class."""
+    offered = offer(NetworkWalker(0.009))
+    subject = read_subject(
+        {"walker": "NetworkWalker", "parameters": {"slope": 0.01}, "section": "plain"},
+        {"NetworkWalker": offered},
+    )
+    home = home_of(offered, "plain")
+    width = (np.array(home.upper) - home.lower) / HOME_CELLS
+    of_gait = np.array(np.subtract(home.gait, home.lower) / width / TILE, int)
+    cells = pictures.label_tiles(subject, [Tile(0, *of_gait.tolist())])[0]
+    label, _ = np.frombuffer(cells, np.uint8).reshape(2, TILE, TILE)
+    within = np.indices((TILE, TILE)).reshape(2, -1).T
+    places = home.lower + width * (TILE * of_gait + within + 0.5)
+    fate, _ = explorer_server.follow(NetworkWalker(0.01), places, 60)
+    falls = label.ravel() < pictures.FIRST_ATTRACTOR
+    assert 0.01 < falls.mean() < 0.99
+    np.testing.assert_array_equal(label.ravel()[falls], fate[falls])
+    assert (fate[~falls] == wj.Outcome.STRIDE).all()

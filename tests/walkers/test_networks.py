@@ -18,7 +18,7 @@ from walker_jax.design.sweeps import empty_row
 from walker_jax.explorer.offers import offer
 from walker_jax.figures.text import walker_title
 from walker_jax.gaits.derivatives import gait_derivatives
-from walker_jax.kernels import primitive
+from walker_jax.kernels import primitive, transposes
 from walker_jax.storage.places import StoreConflict
 from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import value_of, with_parameter
@@ -111,6 +111,38 @@ def test_all_leaves_have_derivatives():
         times = wj.strides(with_parameter(WALKER, name, values), np.tile(x, (4, 1))).time
         by = float(times @ np.array([1.0, -8.0, 8.0, -1.0])) / (12 * step)
         np.testing.assert_allclose(value_of(back, name), by, rtol=1e-7, atol=1e-9)
+
+
+def test_gradients_of_many_walks_are_summed_in_groups(monkeypatch):
+    """Group by group, the last of other sizes, as all at once; so are those by the starts."""
+    xs = jnp.asarray(gait().states[0] + 0.002 * np.random.default_rng(1).normal(size=(3, 5, 2)))
+    of_both = lambda walker, x: wj.stride(walker, x).state @ jnp.array([0.7, -0.2])
+    total = lambda walker, xs: jnp.sum(
+        jax.vmap(jax.vmap(of_both, (None, 0)), (None, 0))(walker, xs)
+    )
+    at_once = jax.grad(total, (0, 1))(WALKER, xs)
+    one_by_one = [jax.grad(of_both, (0, 1))(WALKER, x) for x in xs.reshape(-1, 2)]
+    by_walker = jax.tree.map(lambda *each: sum(each), *[one for one, _ in one_by_one])
+    expected = by_walker, jnp.stack([x for _, x in one_by_one]).reshape(xs.shape)
+    calls = []
+
+    def in_fours(cells, numbers):
+        calls.append((cells, numbers))
+        return 4, 3
+
+    monkeypatch.setattr(transposes, "groups_of", in_fours)
+    grouped = jax.grad(total, (0, 1))(WALKER, xs)
+    assert calls == [(15, 18)]  # all numbers of the walker
+    for found in (at_once, grouped):
+        for one, other in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
+    monkeypatch.undo()
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    assert transposes.groups_of(1000, 4545) == (4, 250)
+    assert transposes.groups_of(1000, 100) == (1, 1000)
+    assert transposes.groups_of(129, 2**30) == (1, 129)  # for two cores
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert transposes.groups_of(1000, 4545) == (1, 1000)
 
 
 @pytest.mark.slow

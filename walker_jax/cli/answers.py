@@ -1,24 +1,22 @@
 """The answers of commands: printed, drawn and saved."""
 
-import json
 import math
 import sys
 import time
 from collections.abc import Callable, Container, Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import walker_jax as wj
-from walker_jax.cli.options import Group, Place, option, place, whole
+from walker_jax.cli import library as lib
+from walker_jax.cli.options import Group, option
+from walker_jax.cli.section import is_robot
 from walker_jax.refusals import WrongPlace
-
-if TYPE_CHECKING:
-    import xarray
-
 
 PICTURES = (".png", ".svg", ".pdf")
 """Formats with a title, which holds the signature of the request."""
+OVERWRITE: Any = option(False, "Replace what is there.")
 
 
 def request_for(
@@ -28,12 +26,8 @@ def request_for(
 
     The description of the system is `without` the parameters that the command varies.
     """
-    from walker_jax.identity import code_fingerprint
-    from walker_jax.systems.system import code_of
-    from walker_jax.walkers.parameters import describe_walker
-
-    about = {name: one for name, one in describe_walker(system).items() if name not in without}
-    code = code_fingerprint(type(system), code_of(system))
+    about = {name: one for name, one in lib.describe_walker(system).items() if name not in without}
+    code = lib.code_fingerprint(type(system), lib.code_of(system))
     asked = {"walker": about} | asked | ({"code": code} if code else {})
     return {"command": command, **asked, "version": version("walker-jax")}
 
@@ -43,75 +37,39 @@ def slope_of(about: dict[str, Any]) -> dict[str, float]:
     return {name: value for name, value in about.items() if name == "slope"}
 
 
+def draw(axes: Any, path: Path, request: dict) -> None:
+    """Save the picture of these axes, signed with the request."""
+    picture = axes.get_figure(root=True)
+    with lib.storage.atomic_file(path) as draft:
+        picture.savefig(draft, dpi=150, metadata={"Title": lib.storage.signature(request)})
+
+
 def check_suffix(figure: Path) -> None:
     """Refuse a picture whose name ends in none of the `PICTURES`."""
     if figure.suffix not in PICTURES:
         raise WrongPlace(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
 
 
-def draw(axes: Any, path: Path, request: dict) -> None:
-    """Save the picture of these axes, signed with the request."""
-    from walker_jax import storage
-
-    picture = axes.get_figure(root=True)
-    with storage.atomic_file(path) as draft:
-        picture.savefig(draft, dpi=150, metadata={"Title": storage.signature(request)})
-
-
-OVERWRITE: Any = option(False, "Replace what is there.")
-AS_JSON: Any = option(False, "Print the answer as JSON.", "--json")
+def check_picture(path: Path | None, request: dict, *, overwrite: bool, film: bool = False) -> None:
+    """Refuse a place where a picture, or a film, cannot go."""
+    if path is not None:
+        (wj.figures.check_film if film else check_suffix)(path)
+        argument = "animate" if film else "figure"
+        lib.storage.check_picture(path, request, overwrite=overwrite, argument=argument)
 
 
-class Answers:
-    """Printing answers, and checks of their files, for groups with these options."""
-
-    as_json: bool
-    overwrite: bool
-
-    def tell(self, answer: dict, lines: Iterable[str]) -> None:
-        """Print an answer as JSON, or in words, line by line."""
-        if self.as_json:
-            print(json.dumps(jsonable(answer), allow_nan=False))
-        else:
-            print(*lines, sep="\n")
-
-    def check_figure(self, path: Path | None, request: dict) -> None:
-        """Refuse a place where a picture cannot go."""
-        from walker_jax import storage
-
-        if path is not None:
-            check_suffix(path)
-            storage.check_picture(path, request, overwrite=self.overwrite)
-
-    def check_film(self, path: Path | None, request: dict) -> None:
-        """Refuse a place where a film cannot go."""
-        from walker_jax import figures, storage
-
-        if path is not None:
-            figures.check_film(path)
-            storage.check_picture(path, request, overwrite=self.overwrite, argument="animate")
-
-
-class Json(Answers, Group, theme="Output"):
-    """The form of an answer."""
-
-    as_json: bool = AS_JSON
-
-
-class Files(Answers, Group, theme="Output"):
-    """The form of an answer, and whether its files replace others."""
+class Files(Group, theme="Output"):
+    """Whether the files of an answer replace others."""
 
     overwrite: bool = OVERWRITE
-    as_json: bool = AS_JSON
 
 
-class Output(Answers, Group, theme="Output"):
-    """The places of a command's data set and picture, and the form of its answer."""
+class Output(Group, theme="Output"):
+    """The places of a command's data set and picture."""
 
-    out: Path = option(Path(), "Where the data set goes.", type=Place())
-    figure: Path | None = place("Where the picture goes (default: beside it, .png).")
+    out: Path = option(Path(), "Where the data set goes.")
+    figure: Path | None = option(None, "Where the picture goes (default: beside it, .png).")
     overwrite: bool = OVERWRITE
-    as_json: bool = AS_JSON
 
     @property
     def picture(self) -> Path:
@@ -120,72 +78,67 @@ class Output(Answers, Group, theme="Output"):
 
     def check(self) -> None:
         """Refuse places without a name or with a wrong ending, and one place for both."""
-        from walker_jax import storage
-
         if not self.out.name:
             raise WrongPlace(
                 f"--out {self.out} is not the name of a data set: give one, such as a.zarr"
             )
         check_suffix(self.picture)
-        place = storage.absolute(self.picture)
-        if storage.absolute(self.out) in (place, *place.parents):
+        place = lib.storage.absolute(self.picture)
+        if lib.storage.absolute(self.out) in (place, *place.parents):
             raise WrongPlace(f"--figure {self.picture} must be another place than --out {self.out}")
 
-    def find(self, request: dict) -> "xarray.Dataset | None":
+    def find(self, request: dict) -> "lib.xarray.Dataset | None":
         """Find the data set that the same command has completed; refuse places that are taken."""
-        from walker_jax import storage
-
         self.check()
-        how: Any = {"overwrite": self.overwrite}
-        found = storage.find(self.out, request, **how)  # first, as it says what differs
-        earlier = request if found is None else storage.request_in(found.attrs)
-        storage.check_picture(self.picture, request, earlier, **how)
+        found = self.saved(request)  # first, as it says what differs
+        earlier = request if found is None else lib.storage.request_in(found.attrs)
+        lib.storage.check_picture(self.picture, request, earlier, overwrite=self.overwrite)
         if earlier["version"] != request["version"]:
             print(f"{self.out} was computed by version {earlier['version']}", file=sys.stderr)
         return found
+
+    def saved(self, request: dict) -> "lib.xarray.Dataset | None":
+        """Return the data set of this request that is there, if it is."""
+        return lib.storage.find(self.out, request, overwrite=self.overwrite)
 
     def draw(self, axes: Any, request: dict) -> None:
         """Save the picture of these axes."""
         draw(axes, self.picture, request)
 
     def place(self, request: dict) -> dict[str, Any]:
-        """Return the arguments of library functions that save their results."""
-        return {"out": self.out, "request": request, "overwrite": self.overwrite}
+        """Return the arguments of library functions that save their results, and show progress."""
+        how = {"overwrite": self.overwrite, "progress": True}
+        return {"out": self.out, "request": request, **how}
 
     def produce(
         self,
         request: dict,
-        compute: "Callable[[], xarray.Dataset]",
+        compute: "Callable[[], lib.xarray.Dataset]",
         picture: str,
         kept: bool = False,
-    ) -> "xarray.Dataset":
+    ) -> "lib.xarray.Dataset":
         """Return the data set of a request, computed unless it exists, and draw its picture.
 
         `picture` is the name of a function in `figures`. With `kept`, `compute` itself saves.
         """
-        from walker_jax import storage
-        from walker_jax.execution.progress import bar
-
         data = self.find(request)
         if data is None:
-            with bar(request["command"], True):
+            with lib.bar(request["command"], True):
                 data = compute()
-            data = data if kept else storage.save(data, self.out, request)
-        from walker_jax import figures  # which takes half a second to load
-
-        self.draw(getattr(figures, picture)(data), request)
+            data = data if kept else lib.storage.save(data, self.out, request)
+        self.draw(getattr(wj.figures, picture)(data), request)
         return data
 
-    def tell(self, answer: dict, lines: Iterable[str], film: Path | None = None) -> None:
-        """Print the answer and the places of the files."""
+    def places(self, film: Path | None = None) -> str:
+        """Write where the files are."""
         shot = f", film {film}" if film is not None else ""
-        super().tell(answer, [*lines, f"  data set {self.out}, picture {self.picture}{shot}"])
+        return f"  data set {self.out}, picture {self.picture}{shot}"
 
 
 class Pieces(Group, theme="Processes"):
     """The processes that compute the pieces of a data set."""
 
-    workers: int | None = whole(
+    workers: int | None = option(
         None, "Processes that share the cores (Dask).", excludes=("scheduler",)
     )
     scheduler: str | None = option(
@@ -202,11 +155,9 @@ class Stopwatch:
     """Wall-clock time, and the part of it that JAX spent on tracing and compiling."""
 
     def __init__(self):
-        import jax
-
         self.compiling: list[tuple[float, float]] = []
         self.start = time.perf_counter()
-        jax.monitoring.register_event_duration_secs_listener(self.record)
+        lib.monitoring.register_event_duration_secs_listener(self.record)
 
     def record(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         if "/compile" in event or "compilation_cache" in event:
@@ -237,8 +188,6 @@ def jsonable(value: Any) -> Any:
 
 def is_walker(system: "wj.System") -> bool:
     """Return whether a system is a walker or a robot, which has gaits and walks."""
-    from walker_jax.cli.section import is_robot
-
     return isinstance(system, wj.Walker) or is_robot(system)
 
 
@@ -272,10 +221,8 @@ def is_map(system: "wj.System", times: Any) -> bool:
 
 def in_words(outcome: str, system: "wj.System") -> str:
     """Write the name of an outcome in words; only a walker walks."""
-    from walker_jax.systems.outcomes import outcome_in_words
-
     goes_on = outcome == "STRIDE" and not is_walker(system)
-    return "goes on" if goes_on else outcome_in_words(outcome)
+    return "goes on" if goes_on else lib.outcome_in_words(outcome)
 
 
 def listed(numbers: Iterable[Any], form: str = ".6f") -> str:

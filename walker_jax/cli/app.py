@@ -8,6 +8,7 @@ from importlib import import_module
 
 import click
 
+from walker_jax.cli import library as lib
 from walker_jax.cli.commands import QUIET, SETTINGS, Command, meant, refusals
 from walker_jax.cli.help_page import list_page
 from walker_jax.cli.information import COMPLETION, LIST_WALKERS, VERSION
@@ -15,19 +16,9 @@ from walker_jax.cli.options import shown
 from walker_jax.refusals import WrongUse
 
 NAMES = (
-    *("walk", "explain", "gait", "bifurcation", "chart", "explore", "basin", "boundary", "viable"),
-    *(
-        "prove",
-        "robustness",
-        "fall",
-        "continuation",
-        "optimise",
-        "sweep",
-        "fit",
-        "export",
-        "reproduce",
-    ),
-)
+    "walk explain gait bifurcation chart explore basin boundary viable prove robustness fall "
+    "continuation optimise sweep fit export reproduce"
+).split()
 """The commands; `basin` is in `basin_command.py`."""
 
 
@@ -75,9 +66,7 @@ def resume_notes(interruption: BaseException) -> list[str]:
     notes = getattr(interruption, "__notes__", [])
     if not notes:
         return []
-    from walker_jax.storage import RESUME_HINT  # loaded already, as it left the notes
-
-    hints = [note for note in notes if note.startswith(RESUME_HINT)]
+    hints = [note for note in notes if note.startswith(lib.storage.RESUME_HINT)]
     return [hint.replace("without overwrite", "without --overwrite", 1) for hint in hints]
 
 

@@ -2,17 +2,17 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import (
     WALKING,
     Output,
     Pieces,
     Stopwatch,
     Terms,
+    check_picture,
     in_words,
     listed,
     points_listed,
@@ -21,25 +21,9 @@ from walker_jax.cli.answers import (
     terms_of,
 )
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import (
-    Axis,
-    Choice,
-    Group,
-    Number,
-    axis_option,
-    number,
-    option,
-    place,
-    refuse,
-    whole,
-)
-from walker_jax.cli.section import PHIDOT, SlicedWindow, check_section
+from walker_jax.cli.options import Axis, Choice, Group, option, refuse
+from walker_jax.cli.section import PHIDOT, SlicedWindow, check_section, grid_of
 from walker_jax.refusals import WrongUse
-
-if TYPE_CHECKING:
-    import xarray
-
-    from walker_jax.basins.basin_summary import Tally
 
 UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 """Units of the sizes of basins."""
@@ -48,36 +32,13 @@ UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 class BasinWindow(SlicedWindow):
     """A window of two dimensions or three, sheared or plain."""
 
-    at_phidot: float | None = number(None, "A slice of such a section (default: at the gait).")
-    thetadot: Axis | None = axis_option(
-        "The plain section: thetadot in the place of --sum.", excludes=("sum",)
+    at_phidot: float | None = option(None, "A slice of such a section (default: at the gait).")
+    thetadot: Axis | None = option(
+        None, "The plain section: thetadot in the place of --sum.", excludes=("sum",)
     )
-    phidot: Axis | None = axis_option(
-        f"{PHIDOT}: a grid of three dimensions.", excludes=("at_phidot",)
+    phidot: Axis | None = option(
+        None, f"{PHIDOT}: a grid of three dimensions.", excludes=("at_phidot",)
     )
-
-    def check(self, walker: "wj.System") -> None:
-        check_section(walker, self.axis)
-        super().check(walker)
-
-    def whole(self, walker: "wj.System", axes: dict[str, Any]) -> dict[str, Any]:
-        """Return the axes; on a three-dimensional section, missing ones cover the whole section.
-
-        For a slice they stay as they are.
-        """
-        from walker_jax.basins.windows import whole_section
-
-        known = whole_section(walker)
-        if self.axis or self.at_phidot is not None or known is None:
-            return axes
-        return {name: known[name] if axis is None else axis for name, axis in axes.items()}
-
-    def own_axes(self, walker: "wj.System") -> dict[str, Any]:
-        axes: dict[str, Any] = {"theta": self.theta}
-        axes |= {"sum": self.sum} if self.thetadot is None else {"thetadot": self.thetadot}
-        if "phidot" in walker.section:
-            axes["phidot"] = self.at_phidot if self.phidot is None else self.phidot
-        return axes
 
 
 class Method(Group, theme="Method"):
@@ -86,25 +47,24 @@ class Method(Group, theme="Method"):
         "How (default: cell-map for walkers, direct for other systems and for slices).",
         type=Choice("cell-map", "direct"),
     )
-    strides: int | None = whole(None, "Strides at most, direct only (default: 200).")
-    levels: int | None = whole(
+    strides: int | None = option(None, "Strides at most, direct only (default: 200).")
+    levels: int | None = option(
         None,
         "Halve boundary cells this many times: area or volume with its error.",
         least=0,
         most=8,
     )
-    seed: int | None = whole(None, "Seed of random numbers, --levels only (default: 0).", least=0)
-    zoom: float | None = number(
+    seed: int | None = option(None, "Seed of random numbers, --levels only (default: 0).", least=0)
+    zoom: float | None = option(
         None, "A window on the boundary, narrowed by this factor, up to 1e14.", excludes=("levels",)
     )
     near: tuple[float, float] | None = option(
         None,
         "Zoom to the boundary's point nearest to this one.",
-        type=click.Tuple([Number(), Number()]),
         metavar="X Y",
     )
-    animate: Path | None = place("Where a film of the zoom goes, .gif or .mp4.")
-    frames: int = whole(120, "Pictures of the film.", least=2)
+    animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
+    frames: int = option(120, "Pictures of the film.", least=2)
 
     def check(self, window: BasinWindow) -> None:
         """Refuse options that need another option, which is not given."""
@@ -159,28 +119,27 @@ def is_slice(axes: dict[str, Any]) -> bool:
     ),
     time="Five seconds for the paper's grid, and a second for each further million cells.",
 )
-def basin(
-    walker: "wj.System", window: BasinWindow, asked: Method, pieces: Pieces, output: Output
-) -> None:
+def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Pieces, output: Output):
     """Compute and draw the basin of attraction of a walker's gait.
 
     The default is the basin of the simplest walker in the window of Schwab and Wisse (2001), Figure
     4. For another walker the window is around its gait. With --levels a
     section of three dimensions is taken whole. The same command resumes an interrupted run.
     """
-    from walker_jax.basins.basin_summary import summarise_basin, tally
-
     asked.check(window)
+    check_section(walker, window.axis)
     axes, cluster = window.axes(walker, 3 if asked.zoom is None else 2), pieces.cluster
     if asked.levels is not None:
         if cluster is not None:
             raise WrongUse(
                 "--workers and --scheduler are for pieces, not for --levels: leave them out"
             )
-        axes = window.whole(walker, axes)
+        known = lib.whole_section(walker)
+        if known is not None and not window.axis and window.at_phidot is None:
+            axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
     request = request_for("basin", walker, axes=axes, **asked.settings(walker, window, axes))
     shots, film = request | {"frames": asked.frames}, asked.animate
-    output.check_film(film, shots)
+    check_picture(film, shots, overwrite=output.overwrite, film=True)
     data = output.find(request)
     kept = f"taken from {output.out}, computed before" if data is not None else ""
     resumed = not kept and output.out.exists() and not output.overwrite
@@ -191,54 +150,49 @@ def basin(
     output.draw(draw_basin(walker, data, request), request)
     if film is not None:
         draw_film(walker, data, shots, film)
-    counts = tally(data)
+    counts, terms = lib.tally(data), terms_of(walker)
     answer = slope_of(request["walker"]) | {"method": data.attrs["method"]}
-    answer |= summarise_basin(data, counts)
+    answer |= lib.summarise_basin(data, counts)
     answer |= {"seconds": seconds, "walker": request["walker"]}
     if resumed:
         kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
     lines = [*basin_in_words(walker, data, answer, counts, request)]
-    lines.append(f"  {kept or effort(data, answer, counts, terms_of(walker))}")
-    lines.append(f"  {next_step(answer, request, terms_of(walker))}")
-    output.tell(answer, lines, film=film)
+    lines.append(f"  {kept or effort(data, answer, counts, terms)}")
+    lines.append(f"  {next_step(answer, request, terms)}")
+    return answer, [*lines, output.places(film)]
 
 
 def compute(
     walker: "wj.System", request: dict, output: Output, cluster: int | str | None
-) -> "xarray.Dataset":
+) -> "lib.xarray.Dataset":
     """Compute the data set of a request, resuming an interrupted run."""
-    import numpy as np
-
-    from walker_jax import storage
-    from walker_jax.basins.windows import fill_around_gait, grid_along
-    from walker_jax.execution.progress import bar
-
-    with bar(f"search for a {terms_of(walker).cycle}", True):
-        grid = grid_along(fill_around_gait(walker, request["axes"]))
+    with lib.bar(f"search for a {terms_of(walker).cycle}", True):
+        grid = grid_of(walker, request["axes"])
     strides = {name: request[name] for name in ("strides",) if name in request}
     if "levels" in request:
         how = {"seed": request["seed"], "progress": True, **strides}
-        with storage.rewritable(output.out, request) as save, bar("basin", True):
+        with lib.storage.rewritable(output.out, request) as save, lib.bar("basin", True):
             return save(wj.refine(walker, grid, request["levels"], **how))
     if "zoom" in request:
         near: Any = request["near"]
         if near is not None:
-            near = np.asarray(grid.origin) + np.asarray(grid.shear) @ np.array(near)
+            near = lib.numpy.asarray(grid.origin) + lib.numpy.asarray(grid.shear) @ near
         grid = grid.zoom(wj.boundary_point(walker, grid, near, **strides), request["zoom"])
-    how = {"cluster": cluster, "progress": True, **strides, **output.place(request)}
-    with bar("basin", True):
+    how = {"cluster": cluster, **strides, **output.place(request)}
+    with lib.bar("basin", True):
         return wj.basin(walker, grid, request["method"], **how)
 
 
-def draw_basin(walker: "wj.System", data: "xarray.Dataset", request: dict):
+def draw_basin(walker: "wj.System", data: "lib.xarray.Dataset", request: dict):
     """Draw a basin in two or three dimensions, a zoom together with its surroundings."""
-    from walker_jax import figures
-    from walker_jax.basins.windows import fill_around_gait, grid_along
-
+    figures = wj.figures
     if "zoom" in request and data["fate"].ndim == 2:
-        axes = fill_around_gait(walker, request["axes"])
-        fewer = {name: coarsen(axis) for name, axis in axes.items()}
-        around = wj.basin(walker, grid_along(fewer), "direct", strides=request["strides"])
+        axes = lib.fill_around_gait(walker, request["axes"])
+        for name, axis in axes.items():
+            if not isinstance(axis, float):
+                low, high, count = axis
+                axes[name] = low, high, max(2, count // 2)
+        around = wj.basin(walker, lib.grid_along(axes), "direct", strides=request["strides"])
         return figures.zoomed_basin(figures.thin(data), around)
     if "run_fate" in data:
         return figures.volume(data)
@@ -246,41 +200,31 @@ def draw_basin(walker: "wj.System", data: "xarray.Dataset", request: dict):
     return draw_cells(figures.thin(data))
 
 
-def coarsen(axis: Any) -> Any:
-    """Halve the number of cells of a range, for a map around a window; keep a single value."""
-    if isinstance(axis, float):
-        return axis
-    low, high, count = axis
-    return low, high, max(2, count // 2)
-
-
-def draw_film(walker: "wj.System", data: "xarray.Dataset", shots: dict, film: Path) -> None:
+def draw_film(walker: "wj.System", data: "lib.xarray.Dataset", shots: dict, film: Path) -> None:
     """Save the film of a zoom to the middle of a basin's data set."""
-    from walker_jax import figures, storage
-    from walker_jax.basins.windows import fill_around_gait, grid_along
-
-    grid, centre = grid_along(fill_around_gait(walker, shots["axes"])), data.attrs["origin"]
+    grid, centre = grid_of(walker, shots["axes"]), data.attrs["origin"]
     how: Any = {"frames": shots["frames"], "strides": shots["strides"], "progress": True}
     shown = wj.zoom(walker, grid, shots["zoom"], centre, **how)
-    figures.zoom_film(shown, film, signature=storage.signature(shots), progress=True)
+    wj.figures.zoom_film(shown, film, signature=lib.storage.signature(shots), progress=True)
 
 
 def basin_in_words(
-    walker: "wj.System", data: "xarray.Dataset", answer: dict, counts: "Tally", request: dict
+    walker: "wj.System",
+    data: "lib.xarray.Dataset",
+    answer: dict,
+    counts: "lib.Tally",
+    request: dict,
 ) -> Iterator[str]:
     """Write the answer of `basin`."""
-    from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units
-    from walker_jax.walkers.parameters import write_description
-
-    yield f"Basin of attraction, {write_description(request['walker'])}, {answer['method']}"
+    yield f"Basin of attraction, {lib.write_description(request['walker'])}, {answer['method']}"
     if "zoom" in request:
         centre = listed(data.attrs["origin"], ".17g")
         yield f"  window {request['zoom']:g} times as narrow, around ({centre})"
-    fixed = fixed_coordinates(data)
+    fixed = lib.fixed_coordinates(data)
     if fixed:
         yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
     measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
-    unit = UNITS[measure] if has_known_units(data) else ""
+    unit = UNITS[measure] if lib.has_known_units(data) else ""
     terms = terms_of(walker)
     yield from sizes_in_words(answer, measure, unit, terms, zoomed="zoom" in request)
     yield from fates_in_words(answer["fates"], walker)
@@ -304,7 +248,7 @@ def next_step(answer: dict, request: dict, terms: Terms = WALKING) -> str:
     return f"{share:.2%} of these starts converge to an attractor: {then}."
 
 
-def effort(data: "xarray.Dataset", answer: dict, counts: "Tally", terms: Terms) -> str:
+def effort(data: "lib.xarray.Dataset", answer: dict, counts: "lib.Tally", terms: Terms) -> str:
     """Write the number of strides and the time they took."""
     made = answer["cells"] if answer["method"] == "cell-map" else counts.strides
     made = int(data["strides_made"]) if "strides_made" in data else made

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Ranged, hyphenated, number, option, underscored, whole
+from walker_jax.cli.options import Ranged, hyphenated, option, underscored
 from walker_jax.refusals import WrongUse
 from walker_jax.walkers.parameter_table import KNEED_SLOPE, SLOPE
 
@@ -28,19 +29,17 @@ def help_of_end(which: str, end: int) -> str:
 
 class Branches(Ranged, theme="Branches"):
     over: str = option("slope", "The parameter that changes, from --from to --to.")
-    low: float | None = number(None, help_of_end("Lowest", 0), "--from")
-    high: float | None = number(None, help_of_end("Highest", 1), "--to")
-    period_max: int = whole(8, "Longest period of the gaits that are followed.", most=64)
-    strides: int = whole(3000, "Strides after which a walker counts as walking for ever.")
+    low: float | None = option(None, help_of_end("Lowest", 0), "--from")
+    high: float | None = option(None, help_of_end("Highest", 1), "--to")
+    period_max: int = option(8, "Longest period of the gaits that are followed.", most=64)
+    strides: int = option(3000, "Strides after which a walker counts as walking for ever.")
     normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more.")
 
     def range(self, walker: "wj.System") -> tuple[str, float, float]:
         """Return the parameter that changes, and its lowest and highest values."""
-        from walker_jax.walkers.parameters import check_parameter, span_of
-
         over, low, high = underscored(self.over), self.low, self.high
-        check_parameter(walker, over)
-        if usual := span_of(type(walker), over):
+        lib.check_parameter(walker, over)
+        if usual := lib.span_of(type(walker), over):
             low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
         if low is None or high is None:
             missing = "--from" if low is None else "--to"
@@ -58,42 +57,33 @@ class Branches(Ranged, theme="Branches"):
     ),
     time="Half a minute.",
 )
-def bifurcation(walker: "wj.System", asked: Branches, output: Output) -> None:
+def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
-    from walker_jax.gaits.gait_summary import summarise_bifurcations
-    from walker_jax.walkers.parameters import (
-        Parameter,
-        described_by,
-        with_parameter,
-        write_description,
-    )
-
     over, low, high = asked.range(walker)
-    how: dict[str, Any] = {"period_max": asked.period_max, "strides": asked.strides}
+    how: Any = {"period_max": asked.period_max, "strides": asked.strides}
     how |= {"normal_forms": True} if asked.normal_forms else {}
-    walker = with_parameter(walker, over, low)
-    about: dict[str, Any] = {"over": over, "range": [low, high]}
-    request = request_for("bifurcation", walker, without=[over], **about, **how)
+    walker = lib.with_parameter(walker, over, low)
+    asked_for = {"over": over, "range": [low, high], **how}
+    request = request_for("bifurcation", walker, without=[over], **asked_for)
     compute = lambda: wj.bifurcation_diagram(walker, over, (low, high), progress=True, **how)
     data = output.produce(request, compute, "bifurcations")
-    answer = summarise_bifurcations(data)
-    units = {one.name: f" {one.unit}".rstrip() for one in described_by(walker, Parameter)}
+    answer = lib.summarise_bifurcations(data)
+    units = {one.name: f" {one.unit}".rstrip() for one in lib.described_by(walker, lib.Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
     terms = terms_of(walker)
-    title = f"{terms.cycle.title()}s of {write_description(request['walker'], '')}, {span}"
-    output.tell(answer, [title, *bifurcations_in_words(answer, over, asked.strides, terms)])
+    title = f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
+    words = bifurcations_in_words(answer, over, asked.strides, terms)
+    return answer, [title, *words, output.places()]
 
 
 def bifurcations_in_words(answer: dict, over: str, strides: int, terms: Terms) -> Iterator[str]:
     """Write the answer of `bifurcation`."""
-    from walker_jax.gaits.gait_summary import value_key
-
     for key, title in TITLES.items():
         if key == "neimark_sackers" and not answer[key]:
             continue
         yield f"  {title.format(terms.cycle)}:{'' if answer[key] else ' none'}"
         for event in answer[key]:
-            at = event[value_key(over)]
+            at = event[lib.value_key(over)]
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
             told = f", {event['criticality']}" if "criticality" in event else ""
             yield f"    period {periods} at {at:.12f}, ({listed(event['state'])}){told}"

@@ -4,14 +4,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, in_words, points_listed, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, whole
-from walker_jax.cli.section import SlicedWindow
+from walker_jax.cli.options import Group, option
+from walker_jax.cli.section import SlicedWindow, grid_of
 
 
 class Measures(Group, theme="Measures"):
-    strides: int = whole(500, "Strides at most.")
+    strides: int = option(500, "Strides at most.")
 
 
 @command(
@@ -19,7 +20,7 @@ class Measures(Group, theme="Measures"):
     examples=("boundary", "boundary --slope 0.009 --out steep.zarr"),
     time="Half a minute.",
 )
-def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, output: Output) -> None:
+def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, output: Output):
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
 
     A region is a set of starts that fall alike, or that converge to one attractor. The basin
@@ -30,25 +31,17 @@ def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, outp
     such as a saddle, are the states to which the boundary leads. The picture has the stable
     manifolds of the saddles. The default window is that of the command basin.
     """
-    from walker_jax.basins.windows import fill_around_gait, grid_along
-    from walker_jax.stability.boundaries import summarise_boundary
-
     axes, strides = window.axes(walker), measures.strides
     request = request_for("boundary", walker, axes=axes, strides=strides)
-
-    def compute():
-        grid = grid_along(fill_around_gait(walker, axes))
-        return wj.boundary(walker, grid, strides=strides, progress=True)
-
-    answer = summarise_boundary(output.produce(request, compute, "boundary"))
-    output.tell({"walker": request["walker"]} | answer, boundary_in_words(walker, answer))
+    compute = lambda: wj.boundary(walker, grid_of(walker, axes), strides=strides, progress=True)
+    answer = lib.summarise_boundary(output.produce(request, compute, "boundary"))
+    words = [*boundary_in_words(walker, answer), output.places()]
+    return {"walker": request["walker"]} | answer, words
 
 
 def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
     """Write the answer of `boundary`."""
-    from walker_jax.walkers.parameters import describe_in_words
-
-    yield f"Boundary between fates and attractors, {describe_in_words(walker)}"
+    yield f"Boundary between fates and attractors, {lib.describe_in_words(walker)}"
     yield f"  basin entropy {answer['basin_entropy']:.5f} (0: one fate or attractor in each box)"
     entropy = answer["boundary_entropy"]
     if entropy["value"] is not None:

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, whole
+from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
 from walker_jax.cli.section import check_start, start_option, state_from
 from walker_jax.refusals import WrongUse
 
@@ -15,16 +16,14 @@ from walker_jax.refusals import WrongUse
 class Chart(Group, theme="Chart"):
     over: dict[str, Axis] = named("A parameter, its ends and number of cells: give two.", RANGE)
     start: dict[str, float] = start_option()
-    period_max: int = whole(4, "Longest period of which curves are followed.", most=64)
-    strides: int = whole(1000, "Strides before the period is read.")
+    period_max: int = option(4, "Longest period of which curves are followed.", most=64)
+    strides: int = option(1000, "Strides before the period is read.")
 
     def check(self, system: "wj.System") -> None:
         """Refuse all but the ranges of two parameters, which hold the system's own values."""
-        from walker_jax.walkers.parameters import check_parameter, value_of
-
         for name, (low, high, count) in self.over.items():
-            check_parameter(system, name, low, high)
-            own, typed = float(value_of(system, name)), hyphenated(name)
+            lib.check_parameter(system, name, low, high)
+            own, typed = float(lib.value_of(system, name)), hyphenated(name)
             if not low <= own <= high:
                 ends = f"{typed}={low:g}:{high:g}:{count}"
                 raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
@@ -42,34 +41,30 @@ class Chart(Group, theme="Chart"):
     ),
     time="Half a minute; a minute for walkers with mass on their legs.",
 )
-def chart(walker: "wj.System", asked: Chart, output: Output) -> None:
+def chart(walker: "wj.System", asked: Chart, output: Output):
     """Chart two parameters: curves of bifurcations, and the periods of attractors between them.
 
     The gait is followed from the walker's own values of both, which the ranges must hold.
     """
-    from walker_jax.gaits.gait_summary import summarise_chart
-    from walker_jax.gaits.selection import select_gaits
-
     asked.check(walker)
     check_start(walker, asked.start)
     bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
-    how: Any = {"cells": [count for *_, count in asked.over.values()]}
-    how |= {"period_max": asked.period_max, "strides": asked.strides}
+    cells = [count for *_, count in asked.over.values()]
+    how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}
     begin = state_from(walker, asked.start) if asked.start else None
     start = None if begin is None else begin.tolist()
     over = {name: list(ends) for name, ends in asked.over.items()}
     request = request_for("chart", walker, start=start, over=over, **how)
 
     def compute():
-        (gait, *_) = select_gaits(walker, guess=begin, instead="try another --start")
-        cells = tuple(how["cells"])
-        return wj.chart(walker, bounds, gait, progress=True, **how | {"cells": cells})
+        gait, *_ = lib.selection.select_gaits(walker, guess=begin, instead="try another --start")
+        return wj.chart(walker, bounds, gait, progress=True, **how)
 
-    answer = summarise_chart(output.produce(request, compute, "chart"))
+    answer = lib.summarise_chart(output.produce(request, compute, "chart"))
     about = request["walker"]
     title = f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
     lines = [title, *chart_in_words(answer, [*bounds], terms_of(walker))]
-    output.tell({"walker": about, "parameters": [*bounds]} | answer, lines)
+    return {"walker": about, "parameters": [*bounds]} | answer, [*lines, output.places()]
 
 
 def chart_in_words(answer: dict, names: list[str], terms: Terms) -> Iterator[str]:

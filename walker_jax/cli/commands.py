@@ -2,6 +2,7 @@
 
 import difflib
 import inspect
+import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
@@ -10,20 +11,23 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from walker_jax.cli import library as lib
+from walker_jax.cli.answers import jsonable
 from walker_jax.cli.help_page import help_page
 from walker_jax.cli.options import Group, Option, name_of, options_of, shown, underscored
-from walker_jax.cli.walker_options import Chosen, choose
+from walker_jax.cli.walker_options import choose
 from walker_jax.refusals import WrongUse
 
 
 def silence(ctx: Any, param: Any, requested: bool) -> None:
     """Show no progress from now on, if that is requested."""
     if requested:
-        from walker_jax.execution.progress import be_quiet
-
-        be_quiet()
+        lib.be_quiet()
 
 
+JSON = Option(
+    ["as_json", "--json"], theme="Output", default=False, help="Print the answer as JSON."
+)
 QUIET = Option(
     ["--quiet"],
     theme="Output",
@@ -38,27 +42,32 @@ SETTINGS = {"help_option_names": ["-h", "--help"]}
 class Command(click.Command):
     """A command, on a walker or other system or on none, with groups of options.
 
-    `run` is called with the system, if the command takes `walkers`, and with the groups.
+    `run` is called with the system, if the command takes `walkers`, and with the groups, and
+    returns its answer, for JSON, and the lines that say it in words. An instance in the place of a
+    group has other defaults. With `opening`, walkers have the values with which the explorer opens
+    them. `examples` and `time`, which the command takes, are for its help.
     """
 
     allow_extra_args = True  # they are refused here
 
     def __init__(
         self,
-        run: Callable[..., None],
+        run: Callable[..., Any],
         groups: Sequence[Any],
         *,
         examples: Sequence[str],
         time: str,
-        walkers: bool,
-        systems: bool,
-        opening: bool,
+        walkers: bool = True,
+        systems: bool = True,
+        opening: bool = False,
+        answers: bool = True,
     ):
         paragraphs = inspect.cleandoc(run.__doc__ or "").split("\n\n")
+        own = [one for group in groups for one in options_of(group)]
         super().__init__(
             run.__name__,
             SETTINGS,
-            params=[*(one for group in groups for one in options_of(group)), QUIET],
+            params=[*own, *[JSON] * answers, QUIET],
             help="\n\n".join(" ".join(one.split()) for one in paragraphs),
         )
         self.run, self.groups, self.examples, self.time = run, groups, examples, time
@@ -75,84 +84,69 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         with refusals(ctx):
             if self.walkers:
-                ctx.obj = self.choose(ctx, args)
-                self.refuse_clash(ctx)
+                try:
+                    ctx.obj = choose(args, systems=self.systems, opening=self.opening)
+                except WrongUse:
+                    if not ctx.resilient_parsing:  # as for completion in a shell
+                        raise
+                refuse_clash(self.get_params(ctx))
             super().parse_args(ctx, args)
-        if not ctx.resilient_parsing:  # as for completion in a shell
-            self.refuse_extra(ctx)
-            self.refuse_both(ctx)
+        if not ctx.resilient_parsing:
+            refuse_extra(ctx)
+            refuse_both(ctx)
         return ctx.args
 
-    def choose(self, ctx: click.Context, args: list[str]) -> Chosen | None:
-        """Return the walker that the arguments name, which must have parameters of other names."""
-        try:
-            return choose(args, systems=self.systems, opening=self.opening)
-        except WrongUse:
-            if ctx.resilient_parsing:
-                return None
-            raise
-
-    def refuse_clash(self, ctx: click.Context) -> None:
-        """Refuse a walker that has a parameter of the name of an option of the command."""
-        flags = flags_of(self.get_params(ctx))
-        for flag in flags:
-            if flags.count(flag) > 1:
-                name = underscored(flag.removeprefix("--"))
-                raise WrongUse(f"{flag} is an option of the command: rename the parameter {name}")
-
-    def refuse_extra(self, ctx: click.Context) -> None:
-        """Refuse an argument that belongs to no option; suggest the option that may be meant."""
-        for first in ctx.args[:1]:
-            similar = difflib.get_close_matches(
-                f"--{first}", flags_of(self.get_params(ctx)), cutoff=0.8
-            )
-            instead = meant(similar) or help_of(ctx)
-            raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
-
-    def refuse_both(self, ctx: click.Context) -> None:
-        """Refuse two options that exclude each other."""
-        given = {
-            str(one.name): one
-            for one in self.get_params(ctx)
-            if ctx.get_parameter_source(str(one.name)) is ParameterSource.COMMANDLINE
-        }
-        for one in given.values():
-            for other in getattr(one, "excludes", ()):
-                if other in given:
-                    both = f"{name_of(one)} and {name_of(given[other])}"
-                    raise WrongUse(f"{both} exclude each other: give one of them")
-
     def invoke(self, ctx: click.Context) -> None:
-        from walker_jax.cli.startup import configure_jax  # loads JAX
-
-        configure_jax()
+        lib.configure_jax()
         groups = []
         for group in self.groups:
             kind = group if isinstance(group, type) else type(group)
             groups.append(kind(**{one.name: ctx.params[one.name] for one in fields(kind)}))
-        ranged = next((one.ranged for one in groups if hasattr(one, "ranged")), None)
-        own = [ctx.obj.build(ctx.params, ranged)] if self.walkers else []
-        self.run(*own, *groups)
+        over = next((one.ranged for one in groups if hasattr(one, "ranged")), ())
+        own = [ctx.obj.build(ctx.params, *over)] if self.walkers else []
+        answer, lines = self.run(*own, *groups) or (None, ())
+        if ctx.params.get("as_json"):
+            print(json.dumps(jsonable(answer), allow_nan=False))
+        else:
+            print(*lines, sep="\n", end="\n" * bool(lines))
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write(help_page(self, ctx, formatter.width) + "\n")
 
 
-def command(
-    *groups: Group | type[Group],
-    examples: Sequence[str],
-    time: str,
-    walkers: bool = True,
-    systems: bool = True,
-    opening: bool = False,
-) -> Callable[[Callable[..., None]], Command]:
-    """Declare a command: its groups of options, examples for its help, and the time it takes.
+def command(*groups: Group | type[Group], **about: Any) -> Callable[[Callable[..., Any]], Command]:
+    """Declare a command with these groups of options, and settings of `Command`."""
+    return lambda run: Command(run, groups, **about)
 
-    An instance in the place of a group has other defaults. By default a command is about a walker
-    or another system. With `opening`, walkers have the values with which the explorer opens them.
-    """
-    about = {"walkers": walkers, "systems": systems, "opening": opening}
-    return lambda run: Command(run, groups, examples=examples, time=time, **about)
+
+def refuse_clash(params: Iterable[click.Parameter]) -> None:
+    """Refuse a walker that has a parameter of the name of an option of the command."""
+    flags = flags_of(params)
+    for flag in flags:
+        if flags.count(flag) > 1:
+            name = underscored(flag.removeprefix("--"))
+            raise WrongUse(f"{flag} is an option of the command: rename the parameter {name}")
+
+
+def refuse_extra(ctx: click.Context) -> None:
+    """Refuse an argument that belongs to no option; suggest the option that may be meant."""
+    for first in ctx.args[:1]:
+        flags = flags_of(ctx.command.get_params(ctx))
+        similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
+        instead = meant(similar) or help_of(ctx)
+        raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
+
+
+def refuse_both(ctx: click.Context) -> None:
+    """Refuse two options that exclude each other."""
+    source = lambda one: ctx.get_parameter_source(str(one.name))
+    params = ctx.command.get_params(ctx)
+    given = {one.name: one for one in params if source(one) is ParameterSource.COMMANDLINE}
+    for one in given.values():
+        for other in getattr(one, "excludes", ()):
+            if other in given:
+                both = f"{name_of(one)} and {name_of(given[other])}"
+                raise WrongUse(f"{both} exclude each other: give one of them")
 
 
 @contextmanager

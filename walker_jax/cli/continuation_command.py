@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Group, Named, hyphenated, option, whole
+from walker_jax.cli.options import RANGE, Group, Named, hyphenated, option
 from walker_jax.cli.section import Region, asked_of
 from walker_jax.cli.sweep_command import values_of
 from walker_jax.refusals import WrongUse
@@ -18,9 +19,9 @@ DEFAULT = "slope", (0.002, 0.02, 37)
 
 class Continuation(Group, theme="Continuation"):
     over: Any = option("slope=0.002:0.02:37", "Values of a parameter.", type=Named(RANGE))
-    samples: int = whole(100_000, "Starts in the region.")
-    strides: int = whole(500, "Strides at most.")
-    seed: int = whole(0, "Of the starts.", least=0)
+    samples: int = option(100_000, "Starts in the region.")
+    strides: int = option(500, "Strides at most.")
+    seed: int = option(0, "Of the starts.", least=0)
 
 
 @command(
@@ -31,36 +32,27 @@ class Continuation(Group, theme="Continuation"):
     ),
     time="A minute or two for the example.",
 )
-def continuation(walker: "wj.System", asked: Continuation, region: Region, output: Output) -> None:
+def continuation(walker: "wj.System", asked: Continuation, region: Region, output: Output):
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.
 
     A gait keeps its number along its branch: it is born and it ends at folds and period doublings.
     """
-    from walker_jax.stability.basin_fractions import summarise_fractions
-    from walker_jax.walkers.parameters import check_parameter
-
     if asked.over == DEFAULT and "slope" not in walker.spans:
         raise WrongUse(
             f"--over is required: a parameter of the system and its values, NAME={RANGE}"
         )
     ((name, values),) = values_of(dict([asked.over])).items()
-    check_parameter(walker, name, *values)
     how: Any = {"samples": asked.samples, "strides": asked.strides, "seed": asked.seed}
     grid = region.grid(walker)
-    about_axes = {"over": {name: values}, "axes": asked_of(grid)}
-    request = request_for("continuation", walker, without=[name], **about_axes, **how)
-    data = output.produce(
-        request,
-        lambda: wj.continue_basins(walker, name, values, grid, progress=True, **how),
-        "basin_fractions",
-    )
-    answer, about = summarise_fractions(data), request["walker"]
-    ends = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
-    lines = [
-        f"Attractors of {about['name']}, {ends}",
-        *attractors_in_words(answer, terms_of(walker)),
-    ]
-    output.tell({"walker": about, "parameter": name} | answer, lines)
+    asked_for = {"over": {name: values}, "axes": asked_of(grid), **how}
+    request = request_for("continuation", walker, without=[name], **asked_for)
+    compute = lambda: wj.continue_basins(walker, name, values, grid, progress=True, **how)
+    answer = lib.summarise_fractions(output.produce(request, compute, "basin_fractions"))
+    about = request["walker"]
+    title = f"{about['name']}, {hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
+    words = attractors_in_words(answer, terms_of(walker))
+    lines = [f"Attractors of {title}", *words, output.places()]
+    return {"walker": about, "parameter": name} | answer, lines
 
 
 def attractors_in_words(answer: dict, terms: Terms) -> Iterator[str]:

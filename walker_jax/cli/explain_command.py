@@ -3,13 +3,14 @@
 import re
 
 import walker_jax as wj
-from walker_jax.cli.answers import Json, in_words, terms_of
+from walker_jax.cli import library as lib
+from walker_jax.cli.answers import in_words, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.section import Start, begin_at
 
 
 @command(
-    *(Start, Json),
+    Start,
     examples=(
         "explain --theta 0.3 --thetadot -0.1",
         "explain --walker kneed",
@@ -17,23 +18,20 @@ from walker_jax.cli.section import Start, begin_at
     ),
     time="3 s, of a kneed walker 20 s.",
 )
-def explain(walker: "wj.System", start: Start, form: Json) -> None:
+def explain(walker: "wj.System", start: Start):
     """Say why the stride from one start ends as it does, and whether a model fits together.
 
     Mode by mode: which guards rose through zero, when, and whether that counted; how near the
     others came; the least values of conditions. Lines with ! say what does not fit together. By
     default the start is that of the gait.
     """
-    from walker_jax.walkers.parameters import describe_walker
-    from walker_jax.walking import explanation
-
-    found = explanation.explain(walker, begin_at(walker, start.coordinates(walker)))
+    found = lib.explain(walker, begin_at(walker, start.coordinates(walker)))
     known = found.name == "STRIDE"
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
     ]
     answer = {
-        "walker": describe_walker(walker),
+        "walker": lib.describe_walker(walker),
         "start": found.start,
         "outcome": found.name,
         "modes": modes,
@@ -50,14 +48,8 @@ def explain(walker: "wj.System", start: Start, form: Json) -> None:
     if found.complaints and found.name != "OUTSIDE":
         several = "first " * (len(found.complaints) > 1)
         next_step = f"mend what the {several}line with ! says, and explain again"
-    lines = [with_words(str(found), walker), f"Next: {next_step}."]
-    form.tell(answer, lines)
-
-
-def with_words(text: str, walker: "wj.System") -> str:
-    """Write an explanation with words in the places of the names of outcomes."""
-    from walker_jax.systems.outcomes import Outcome
-
-    text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", text)
-    text = re.sub(rf"\bleads to ({'|'.join(Outcome.__members__)})\b", r"the end: \1", text)
-    return re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)
+    # Words in the places of the names of outcomes.
+    text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", str(found))
+    text = re.sub(rf"\bleads to ({'|'.join(wj.Outcome.__members__)})\b", r"the end: \1", text)
+    text = re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)
+    return answer, [text, f"Next: {next_step}."]

@@ -3,15 +3,16 @@
 from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, option, option_of, shown, whole
-from walker_jax.cli.section import axes_option, check_ranges, named_axes
+from walker_jax.cli.options import Group, option, option_of, shown
+from walker_jax.cli.section import axes_option, named_axes
 from walker_jax.refusals import WrongUse
 
 
 class Page(Group, theme="Page"):
     axis: dict[str, Any] = axes_option()
-    port: int = whole(0, "Port of the server; 0 for a free one.", least=0, most=65535)
+    port: int = option(0, "Port of the server; 0 for a free one.", least=0, most=65535)
     host: str = option("127.0.0.1", "The interface; any but this machine's own lets others in.")
     browser: bool = option(True, "Whether to open the page.", "--browser/--no-browser")
 
@@ -36,6 +37,7 @@ class Page(Group, theme="Page"):
     ),
     time="A few seconds until the page opens.",
     opening=True,
+    answers=False,
 )
 def explore(walker: "wj.System", page: Page) -> None:
     """Explore basins in a browser: drag the slope, watch the basin; click a start, watch it walk.
@@ -47,24 +49,16 @@ def explore(walker: "wj.System", page: Page) -> None:
     default over the gait_region. Walkers in space have no tab of bifurcations, nor have systems
     without a gait_region.
     """
-    from walker_jax.basins.windows import grid_along
-    from walker_jax.explorer.offers import flag_of, offer
-    from walker_jax.explorer.server import run_server
-    from walker_jax.systems.hybrid_system import has_ground
-    from walker_jax.systems.system import numbers_of
-    from walker_jax.walkers.parameters import chosen_options
-
     page.check_host()
-    if page.axis and has_ground(walker):
+    if page.axis and lib.has_ground(walker):
         raise WrongUse("--axis is for systems: the page shows a walker in the plane about its gait")
-    axes = named_axes(walker, page.axis) if page.axis else {}
+    axes = named_axes(walker, page.axis, most=len(walker.section)) if page.axis else {}
     if axes:
-        check_ranges(axes, len(axes))
-        grid_along(axes)  # raises for wrong ends
-    offered = offer(walker, axes)
-    flag_of(offered.kind)  # raises for code that worker processes cannot import
-    for name in chosen_options(walker):
+        lib.grid_along(axes)  # raises for wrong ends
+    offered = lib.offer(walker, axes)
+    lib.flag_of(offered.kind)  # raises for code that worker processes cannot import
+    for name in lib.chosen_options(walker):
         raise WrongUse(f"{option_of(name)} must be left out: the page knows parameters alone")
-    own = numbers_of(walker)
+    own = lib.numbers_of(walker)
     values = {one.name: float(own[one.name]) for one in offered.parameters}
-    run_server(page.host, page.port, offered, values, browser=page.browser)
+    lib.server.run_server(page.host, page.port, offered, values, browser=page.browser)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Files
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, argument, option
@@ -33,21 +34,19 @@ class Places(Group, theme="Places"):
     time="A second.",
     walkers=False,
 )
-def export(places: Places, units: InUnits, files: Files) -> None:
+def export(places: Places, units: InUnits, files: Files):
     """Copy a data set that another command has left to a file for other programs.
 
     The ending of the file says which: NetCDF, CSV, LaTeX or MATLAB. A table has a row for each
     point of the dimensions that most variables have, or that the variable of --rows has. Variables
     say their units, with --units those of SI.
     """
-    from walker_jax import storage
-    from walker_jax.walkers.units import with_units
-
     data, file, chosen = places.data, places.file, units.chosen
-    convert = with_units if chosen is None else chosen.convert
+    convert = lib.with_units if chosen is None else chosen.convert
     how = {"overwrite": files.overwrite, "rows": places.rows, "convert": convert}
-    copied = storage.export(data, file, **how)
+    copied = lib.storage.export(data, file, **how)
     answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
-    lines = [f"{data}: {', '.join(answer['variables'])}"]
-    lines.append(f"  {file}: {PROGRAMS[file.suffix]}")
-    files.tell(answer, lines)
+    return answer, [
+        f"{data}: {', '.join(answer['variables'])}",
+        f"  {file}: {PROGRAMS[file.suffix]}",
+    ]

@@ -3,17 +3,15 @@
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import walker_jax as wj
-from walker_jax.cli.answers import Files, draw, request_for
+from walker_jax.cli import library as lib
+from walker_jax.cli.answers import Files, check_picture, draw, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Choice, Group, number, option, place, whole
+from walker_jax.cli.options import Choice, Group, option
 from walker_jax.cli.walk_command import FRAME_INTERVAL
 from walker_jax.refusals import WrongUse
-
-if TYPE_CHECKING:
-    from walker_jax.stability.probable_falls import ProbableFall
 
 CONVERGED = 1e-6
 """Residual (rad) above which the answer warns that the search has not converged."""
@@ -24,10 +22,10 @@ STEPS = 2e-4
 class Disturbances(Group, theme="Disturbances"):
     """Standard deviations of the disturbances in each stride."""
 
-    ground: float | None = number(None, f"Standard deviation of steps (default: {STEPS}).", least=0)
-    tilt: float = number(0.0, "Standard deviation of changes of the slope, rad.", least=0)
-    push: float = number(0.0, "Standard deviation of pushes, changes of thetadot.", least=0)
-    strides: int = whole(12, "Number of disturbed strides.", most=32)
+    ground: float | None = option(None, f"Standard deviation of steps (default: {STEPS}).", least=0)
+    tilt: float = option(0.0, "Standard deviation of changes of the slope, rad.", least=0)
+    push: float = option(0.0, "Standard deviation of pushes, changes of thetadot.", least=0)
+    strides: int = option(12, "Number of disturbed strides.", most=32)
     way: str | None = option(
         None,
         "The fall that counts (default: any).",
@@ -44,8 +42,8 @@ class Disturbances(Group, theme="Disturbances"):
 
 
 class Pictures(Group, theme="Output"):
-    figure: Path | None = place("Where a picture goes.")
-    animate: Path | None = place("Where a film of the fall goes, on steps alone.")
+    figure: Path | None = option(None, "Where a picture goes.")
+    animate: Path | None = option(None, "Where a film of the fall goes, on steps alone.")
 
 
 @command(
@@ -58,69 +56,63 @@ class Pictures(Group, theme="Output"):
     time="Half a minute.",
     systems=False,
 )
-def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Files) -> None:
+def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Files):
     """Find the most probable fall: the least disturbances that topple the walker.
 
     Under slight disturbances nearly all falls are like this one, or with --way all of that kind.
     The mean number of strides until such a fall follows from its action.
     """
-    from walker_jax.execution.progress import bar
-    from walker_jax.walkers.model import check_planar
-
-    check_planar(walker)
+    lib.check_planar(walker)
     deviations, figure, film = asked.deviations(), pictures.figure, pictures.animate
     way = None if asked.way is None else wj.Outcome[asked.way.upper()]
     about = {"deviations": list(deviations), "strides": asked.strides, "way": way}
     request = request_for("fall", walker, **about)
-    files.check_figure(figure, request)
+    check_picture(figure, request, overwrite=files.overwrite)
     if film is not None and (deviations.slope or deviations.push):
         raise WrongUse("--animate is for steps alone: leave out --tilt and --push")
-    files.check_film(film, request)
-    with bar("search for falls", True):
+    check_picture(film, request, overwrite=files.overwrite, film=True)
+    with lib.bar("search for falls", True):
         found = wj.most_probable_fall(walker, deviations, strides=asked.strides, outcome=way)
     if figure is not None:
-        from walker_jax import figures
-
-        draw(figures.probable_fall(found, walker), figure, request)
+        draw(wj.figures.probable_fall(found, walker), figure, request)
     if film is not None:
         draw_film(walker, found, film, request)
-    answer: dict[str, Any] = {"walker": request["walker"], "deviations": deviations._asdict()}
-    answer |= {name: getattr(found, name) for name in ("action", "disturbances", "strides")}
-    answer |= {"outcome": found.outcome.name, "residual": found.residual}
-    answer |= {"mean_strides": found.mean_strides(), "actions": found.actions}
-    answer["log_mean_strides"] = found.log_mean_strides()
+    answer: dict[str, Any] = {
+        "walker": request["walker"],
+        "deviations": deviations._asdict(),
+        "action": found.action,
+        "disturbances": found.disturbances,
+        "strides": found.strides,
+        "outcome": found.outcome.name,
+        "residual": found.residual,
+        "mean_strides": found.mean_strides(),
+        "actions": found.actions,
+        "log_mean_strides": found.log_mean_strides(),
+    }
     lines = [*fall_in_words(walker, found, deviations, chosen=way is not None)]
     places = {"picture": figure, "film": film}
     lines += [f"{name} {place}" for name, place in places.items() if place is not None]
-    files.tell(answer, lines)
+    return answer, lines
 
 
-def draw_film(walker: "wj.Walker", found: "ProbableFall", place: Path, request: dict) -> None:
+def draw_film(walker: "wj.Walker", found: "lib.ProbableFall", place: Path, request: dict) -> None:
     """Save the film of this fall, on steps just above the least ones; the highest one is slowed."""
-    import numpy as np
-
-    from walker_jax import figures, storage
-    from walker_jax.stability.disturbances import BEYOND
-
-    heights = np.zeros(found.strides + 1)
-    disturbed = BEYOND[0] * found.disturbances[: len(heights), 0]
+    heights = lib.numpy.zeros(found.strides + 1)
+    disturbed = lib.BEYOND[0] * found.disturbances[: len(heights), 0]
     heights[: len(disturbed)] = disturbed
     begin = wj.find_gait(walker).states[0]
     motion = wj.motion(walker, begin, len(heights), step=FRAME_INTERVAL, ground=heights)
-    decisive = int(np.abs(heights).argmax())
-    signature = storage.signature(request)
-    figures.film(motion, place, slow=decisive, signature=signature, progress=True)
+    decisive = int(lib.numpy.abs(heights).argmax())
+    signature = lib.storage.signature(request)
+    wj.figures.film(motion, place, slow=decisive, signature=signature, progress=True)
 
 
 def fall_in_words(
-    walker: "wj.Walker", found: "ProbableFall", deviations: "wj.Disturbance", *, chosen: bool
+    walker: "wj.Walker", found: "lib.ProbableFall", deviations: "wj.Disturbance", *, chosen: bool
 ) -> Iterator[str]:
     """Write the answer of `fall`."""
-    from walker_jax.systems.outcomes import outcome_in_words
-    from walker_jax.walkers.parameters import describe_in_words
-
-    yield f"Most probable fall, {describe_in_words(walker)}"
-    words = outcome_in_words(found.outcome.name)
+    yield f"Most probable fall, {lib.describe_in_words(walker)}"
+    words = lib.outcome_in_words(found.outcome.name)
     yield f"  {words} after {found.strides} strides; action {found.action:.6g}"
     mean, falls = found.mean_strides(), "that" if chosen else "a"
     rare = f"{mean:.4g}"

@@ -32,7 +32,7 @@ def parts(command: Any, ctx: click.Context, width: int, *, whole: bool) -> Itera
     for theme, options in (described, *others) if whole else (described,):
         yield section(theme, ((as_typed(one), meaning(one)) for one in options), width)
     if not whole:
-        names = (f"{theme}: {', '.join(map(flags_of, options))}" for theme, options in others)
+        names = (f"{theme}: {', '.join(map(written, options))}" for theme, options in others)
         yield "\n".join(fill(line, width, 2) for line in names)
         yield fill(f"walker-jax {command.name} --help describes these.", width)
     yield from (fill(text, width) for text in more)
@@ -85,10 +85,10 @@ def as_typed(param: Any) -> str:
     """Write an option as it is typed, with the placeholder of its value."""
     if isinstance(param, click.Argument):
         return str(param.metavar)
-    return flags_of(param) if param.is_flag else f"{flags_of(param)} {param.metavar}"
+    return written(param) if param.is_flag else f"{written(param)} {param.metavar}"
 
 
-def flags_of(param: Any) -> str:
+def written(param: Any) -> str:
     """Write the names of an option, the short one first."""
     return "/".join([", ".join(sorted(param.opts, key=len)), *param.secondary_opts])
 

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from walker_jax.cli import library as lib
 from walker_jax.cli.options import Option, option_of
 from walker_jax.refusals import WrongUse
 
@@ -40,13 +41,7 @@ def versions() -> Iterator[str]:
     import llvmlite
     import llvmlite.binding as llvm
 
-    from walker_jax.cli.startup import find_devices  # loads JAX, which takes a second
-    from walker_jax.execution.tiles import cores
-    from walker_jax.kernels import machine
-    from walker_jax.kernels.gpu import in_words
-    from walker_jax.kernels.object_cache import cache_folder
-
-    devices = find_devices()
+    devices, machine = lib.find_devices(), lib.machine
     target, _ = machine.processor() if not machine.switched_off() else ("none", "")
     packages = [f"{name} {version(name)}" for name in PACKAGES]
     packages += [f"llvmlite {llvmlite.__version__} (LLVM {llvm.llvm_version_info[0]})"]
@@ -56,16 +51,16 @@ def versions() -> Iterator[str]:
     features = llvm.get_host_cpu_features()
     known = ("sse2", "avx", "avx2", "fma", "avx512f", "neon")
     vectors = " ".join(name for name in known if features.get(name)) or "no vectors"
-    yield f"  processor {processor_name()}, {cores()} cores; {vectors}"
+    yield f"  processor {processor_name()}, {lib.cores()} cores; {vectors}"
     yield f"  devices {', '.join(f'{one.platform} ({one.device_kind})' for one in devices)}"
     if machine.switched_off():
         yield f"  kernels are switched off, by {machine.VARIABLE}"
     elif devices[0].platform != "cpu":
-        yield f"  kernels are {in_words()}"
+        yield f"  kernels are {lib.gpu.in_words()}"
     else:
         named = f", by {machine.VARIABLE}" * (machine.setting() not in ("", "cpu"))
         yield f"  kernels are in use, compiled for {target}{named}"
-    yield f"  compiled programs are kept in {cache_folder() or 'no folder'}"
+    yield f"  compiled programs are kept in {lib.cache_folder() or 'no folder'}"
 
 
 def processor_name() -> str:
@@ -80,34 +75,28 @@ def processor_name() -> str:
 
 def walkers() -> Iterator[str]:
     """Yield all walkers and systems with their parameters, also of other packages."""
-    from walker_jax.systems.family import SYSTEMS  # loads JAX, as do the next imports
-    from walker_jax.walkers.family import WALKERS
-    from walker_jax.walkers.references import installed_walkers, load_installed
-
-    for name, kind in WALKERS.items():
+    for name, kind in lib.WALKERS.items():
         yield from describe(name, kind)
-    for name, point in installed_walkers().items():
+    for name, point in lib.installed_walkers().items():
         package = point.dist.name if point.dist else point.module
         try:
-            yield from describe(f"{name} (of {package})", load_installed(point))
+            yield from describe(f"{name} (of {package})", lib.load_installed(point))
         except WrongUse as error:
             yield f"{name} (of {package}): {error}"
-    for name, kind in SYSTEMS.items():
+    for name, kind in lib.SYSTEMS.items():
         yield from describe(f"--system {name}", kind)
 
 
 def describe(name: str, kind: type) -> Iterator[str]:
     """Yield what a walker is, its section and its parameters."""
-    from walker_jax.walkers.parameters import options, parameters, trees
-
     yield f"{name}: {(kind.__doc__ or kind.__name__).strip().splitlines()[0]}"
     yield f"  section ({', '.join(kind.section)})"
-    for one in parameters(kind):
+    for one in lib.parameters(kind):
         about = ", ".join(filter(None, (one.meaning, one.bounds())))
         default = "required" if math.isnan(one.default) else f"{one.default:g}"
         yield f"  {option_of(one.name):18} {one.unit:17} {default:<8} {about}"
-    yield from (f"  {option_of(one.name):18} FILE" for one in trees(kind))
-    yield from (f"  {option_of(one.name):44} {one.meaning}" for one in options(kind))
+    yield from (f"  {option_of(one.name):18} FILE" for one in lib.trees(kind))
+    yield from (f"  {option_of(one.name):44} {one.meaning}" for one in lib.options(kind))
 
 
 STARTUP = {"bash": ".bashrc", "zsh": ".zshrc", "fish": ".config/fish/config.fish"}

@@ -5,29 +5,17 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import Any, TypeGuard
 
 import click
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import (
-    Group,
-    Number,
-    hyphenated,
-    named,
-    number,
-    option,
-    underscored,
-    whole,
-)
+from walker_jax.cli.options import Group, Number, hyphenated, named, option, underscored
 from walker_jax.cli.section import Volume, asked_of
 from walker_jax.refusals import ComputationFailed, WrongUse
-
-if TYPE_CHECKING:
-    import xarray
-
 
 SAVED_EVERY = 2.0
 """Seconds between saves of the trace; a save takes a tenth of a second. The end is saved too."""
@@ -54,23 +42,13 @@ class Problem(Group, theme="Problem"):
         None, "Greatest value of one of them; one limit.", **LIMIT
     )
 
-    def limits(self) -> dict[str, dict[str, float]]:
-        """Return the limits, by the arguments of `optimise`."""
-        given = {"at_least": self.at_least, "at_most": self.at_most}
-        return {
-            side: {} if limit is None else {hyphenated(limit[0]): limit[1]}
-            for side, limit in given.items()
-        }
-
     def bounds(self, walker: "wj.System") -> dict[str, tuple[float, float]]:
         """Return the bounds of the free parameters."""
-        from walker_jax.walkers.parameters import check_parameter
-
         names = [*map(underscored, self.over)]
         if not names:
             raise WrongUse("--over is required: a parameter that is free, such as slope")
         for name in names:
-            check_parameter(walker, name)
+            lib.check_parameter(walker, name)
             if name not in self.bound:
                 typed = hyphenated(name)
                 raise WrongUse(f"--bound is required for {typed}: {typed}=LO:HI")
@@ -82,23 +60,20 @@ class Problem(Group, theme="Problem"):
 
 
 class Search(Group, theme="Search"):
-    starts: int = whole(3, "Walkers to start from: the one given, and others.")
-    levels: int | None = whole(
+    starts: int = option(3, "Walkers to start from: the one given, and others.")
+    levels: int | None = option(
         None, "Refinement at both ends (default: 4; of volumes 2).", least=0, most=8
     )
-    strides: int = whole(200, "Strides a walker is followed for.")
-    scan: int = whole(15, "Values of each parameter at which the objective is drawn.", least=0)
-    seed: int = whole(0, "Seed of the random starts.", least=0)
-
-
-class Budget(Group, theme="Search"):
-    seconds: float | None = number(
+    strides: int = option(200, "Strides a walker is followed for.")
+    scan: int = option(15, "Values of each parameter at which the objective is drawn.", least=0)
+    seed: int = option(0, "Seed of the random starts.", least=0)
+    seconds: float | None = option(
         None, "End with the best after these; run again to go on.", above=0
     )
 
 
 @command(
-    *(Problem, Volume, Search, Budget, Output(Path("optimum.zarr"))),
+    *(Problem, Volume, Search, Output(Path("optimum.zarr"))),
     examples=(
         "optimise --over slope --bound slope=0.001:0.02",
         "optimise --walker spring --over hip-stiffness --bound hip-stiffness=0:20",
@@ -106,83 +81,67 @@ class Budget(Group, theme="Search"):
     time="Half a minute for the area over a slope, an hour for more parameters; fewer --starts and "
     "--scan 0 shorten it.",
 )
-def optimise(
-    walker: "wj.System",
-    problem: Problem,
-    region: Volume,
-    search: Search,
-    budget: Budget,
-    output: Output,
-) -> None:
+def optimise(walker: "wj.System", problem: Problem, region: Volume, search: Search, output: Output):
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
 
     Measurements are saved as they are made: the same command resumes an interrupted run. The
     picture shows the ascent, and the basins before and after.
     """
-    from walker_jax import figures
-    from walker_jax.design.problem import default_levels
-    from walker_jax.design.results import summarise_optimum
-
     names = problem.objective or ("area",)
-    bounds, limits = problem.bounds(walker), problem.limits()
+    bounds, limits = problem.bounds(walker), {}
+    for side, limit in {"at_least": problem.at_least, "at_most": problem.at_most}.items():
+        limits[side] = {} if limit is None else {hyphenated(limit[0]): limit[1]}
     weights, how = objective_of(names), {**vars(search)}
+    seconds = how.pop("seconds")
     if search.levels is None:
-        how["levels"] = default_levels(weights)
+        how["levels"] = lib.default_levels(weights)
     grid = region.grid(walker)
     asked: Any = {"bounds": bounds, "objective": weights, "axes": asked_of(grid), **limits, **how}
     request = request_for("optimise", walker, **asked)
     data = output.find(request)
     if not is_done(data):
-        how |= {"grid": grid, "progress": True, "seconds": budget.seconds, **limits}
+        how |= {"grid": grid, "progress": True, "seconds": seconds, **limits}
         data = computed(partial(wj.optimise, walker, bounds, weights, **how), output, request)
     notes = data["note"].values.tolist()
     if not data["found"]:
         raise ComputationFailed(f"no start leads anywhere: {'; '.join(dict.fromkeys(notes))}")
-    output.draw(figures.optimum(data), request)
-    answer = summarise_optimum(data)
+    output.draw(wj.figures.optimum(data), request)
+    answer = lib.summarise_optimum(data)
     lines = [*optimum_in_words(walker, answer, " + ".join(names))]
     lines += [f"  a start led nowhere: {note}" for note in notes if note]
-    output.tell(answer | {"walker": request["walker"]}, lines)
+    return answer | {"walker": request["walker"]}, [*lines, output.places()]
 
 
-def is_done(data: "xarray.Dataset | None") -> "TypeGuard[xarray.Dataset]":
+def is_done(data: "lib.xarray.Dataset | None") -> "TypeGuard[lib.xarray.Dataset]":
     """Return whether there is an optimum of a complete run, not interrupted and not out of time."""
     return data is not None and "found" in data and not data.get("out_of_time", False)
 
 
 def computed(
-    compute: "Callable[..., xarray.Dataset]", output: Output, request: dict
-) -> "xarray.Dataset":
+    compute: "Callable[..., lib.xarray.Dataset]", output: Output, request: dict
+) -> "lib.xarray.Dataset":
     """Compute the optimum and save its trace as it grows; no other process may write there."""
-    from walker_jax import storage
-    from walker_jax.execution.progress import bar
-
-    out, overwrite = output.out, output.overwrite
-    with storage.rewritable(out, request) as save:
-        known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
-        if known is not None and is_done(known):
+    with lib.storage.rewritable(output.out, request) as save:
+        known = output.saved(request)  # another run may just have ended
+        if is_done(known):
             return known
-        kept, latest, saved = known is not None, None, -math.inf
+        begun, unsaved, saved_at = known is not None, None, -math.inf
 
-        def keep(trace: "xarray.Dataset") -> None:
-            nonlocal latest
-            latest = trace
-            if time.monotonic() - saved > SAVED_EVERY:
-                save_latest()
+        def keep(trace: "lib.xarray.Dataset", every: float = SAVED_EVERY) -> None:
+            nonlocal begun, unsaved, saved_at
+            unsaved = trace
+            if time.monotonic() - saved_at > every:
+                save(trace)
+                begun, unsaved, saved_at = True, None, time.monotonic()
 
-        def save_latest() -> None:
-            nonlocal kept, latest, saved
-            if latest is not None:
-                save(latest)
-                kept, latest, saved = True, None, time.monotonic()
-
-        with storage.resumable(out, lambda: kept, overwrite=overwrite):
-            with bar("optimise", True):
-                try:
-                    return save(compute(known=known, keep=keep))
-                except BaseException:
-                    save_latest()
-                    raise
+        resumable = lib.storage.resumable(output.out, lambda: begun, overwrite=output.overwrite)
+        with resumable, lib.bar("optimise", True):
+            try:
+                return save(compute(known=known, keep=keep))
+            except BaseException:
+                if unsaved is not None:
+                    keep(unsaved, every=0.0)
+                raise
 
 
 def objective_of(texts: tuple[str, ...]) -> str | dict[str, float]:
@@ -205,16 +164,13 @@ def objective_of(texts: tuple[str, ...]) -> str | dict[str, float]:
 
 def optimum_in_words(walker: "wj.System", answer: dict, objective: str) -> Iterator[str]:
     """Write the answer of `optimise`."""
-    from walker_jax.design.results import ENDS
-    from walker_jax.walkers.parameters import describe_in_words
-
-    yield f"{objective}, {describe_in_words(walker)}"
-    for end in ENDS:
+    yield f"{objective}, {lib.describe_in_words(walker)}"
+    for end in lib.ENDS:
         values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())
         exact, error = answer["exact"][end], answer["exact_error"][end]
         yield f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else "")
-    yield from (f"  {end}: {answer['note'][end]}" for end in ENDS if answer["note"][end])
-    before, after = (answer["exact"][end] for end in ENDS)
+    yield from (f"  {end}: {answer['note'][end]}" for end in lib.ENDS if answer["note"][end])
+    before, after = (answer["exact"][end] for end in lib.ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
     yield f"  a change of {after - before:+.4g}{factor}"
     bounded = ", ".join(answer["at_bound"])

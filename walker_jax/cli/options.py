@@ -3,25 +3,30 @@
 They stand in groups, the themes of the help. A command is given one object for each of its groups:
 
     class Search(Group, theme="Search"):
-        period: int = whole(1, "Strides in a cycle.")
+        period: int = option(1, "Strides in a cycle.")
+
+The annotation says how a value is read: a number of type `int` is at least 1, unless `least` says
+otherwise.
 
 This module loads without JAX, as do all modules of commands.
 """
 
 import dataclasses
 import operator
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from math import isfinite
 from pathlib import Path
-from typing import Any, ClassVar, dataclass_transform
+from types import UnionType
+from typing import Any, ClassVar, dataclass_transform, get_args
 
 import click
-from click.shell_completion import CompletionItem
 
+from walker_jax.cli import library as lib
 from walker_jax.refusals import Refusal, WrongUse
 
 LONGEST = 60
 """Most characters of a value that are shown."""
+BOUNDS = "least", "most", "above"
 HOLDS = {"at least": operator.ge, "at most": operator.le, "above": operator.gt}
 
 
@@ -77,11 +82,25 @@ class Whole(Number):
 
     name, noun, read = "N", "a whole number", int
 
+    def __init__(self, least: float | None = 1, most: float | None = None):
+        super().__init__(least, most)
+
 
 RANGE = "LO:HI:N"
 """Ends of a range, and its number of values."""
 Axis = tuple[float, float, int]
 """Ends of an axis, and its number of cells."""
+
+
+class Ends(click.Tuple):
+    """The ends of an axis, and its number of cells."""
+
+    def __init__(self):
+        super().__init__([Number(), Number(), Whole(least=None)])
+
+    @property
+    def name(self) -> str:
+        return RANGE.replace(":", " ")
 
 
 class Choice(click.Choice):
@@ -98,16 +117,8 @@ class Choice(click.Choice):
         return value
 
 
-class Place(click.ParamType):
-    """A place on disk."""
-
-    name = "FILE"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Path:
-        return Path(value)
-
-    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        return [CompletionItem(incomplete, type="file")]
+FILE = click.Path(path_type=Path, readable=False)
+FILE.name = "FILE"
 
 
 def text(value: str) -> str:
@@ -166,35 +177,16 @@ def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str,
 
 
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
-    """Make an option of a group, with settings of `Option`; a name follows from its field."""
+    """Make an option of a group, with settings of `Option` and bounds of `Number`.
+
+    The annotation of its field says how a value is read; without `flags`, the field names it.
+    """
     return dataclasses.field(default=default, metadata={"flags": flags, "help": help, **settings})
-
-
-def number(default: Any, help: str, *flags: str, **settings: Any) -> Any:
-    """Make an option for a number, with the bounds of `Number`."""
-    bounds = {name: settings.pop(name, None) for name in ("least", "most", "above")}
-    return option(default, help, *flags, type=Number(**bounds), **settings)
-
-
-def whole(default: Any, help: str, least: int = 1, most: int | None = None, **more: Any) -> Any:
-    """Make an option for a whole number between bounds."""
-    return option(default, help, type=Whole(least, most), **more)
-
-
-def place(help: str) -> Any:
-    """Make an option for a place on disk, by default none."""
-    return option(None, help, type=Place())
 
 
 def named(help: str, *forms: str, **settings: Any) -> Any:
     """Make an option that may be given for several names; its value is a dictionary of them."""
     return option((), help, type=Named(*forms), multiple=True, callback=collect, **settings)
-
-
-def axis_option(help: str, **settings: Any) -> Any:
-    """Make an option for the ends of an axis and its number of cells."""
-    kinds = [Number(), Number(), Whole()]
-    return option(None, help, type=click.Tuple(kinds), metavar="LO HI N", **settings)
 
 
 def argument(metavar: str, help: str) -> Any:
@@ -230,21 +222,29 @@ class Ranged(Group):
 
     theme = "Range"
     over: str = option("slope", "The parameter.")
-    low: float | None = number(None, "Lowest value.", "--from")
-    high: float | None = number(None, "Highest.", "--to")
+    low: float | None = option(None, "Lowest value.", "--from")
+    high: float | None = option(None, "Highest.", "--to")
 
     @property
-    def ranged(self) -> tuple[str, float | None] | None:
+    def ranged(self) -> tuple[()] | tuple[str, float | None]:
         """The parameter and its lowest value, if it has a range."""
         return underscored(self.over), self.low
 
     def check(self, walker: Any, low: float, high: float) -> None:
         """Refuse values that the parameter cannot have, and a range that does not rise."""
-        from walker_jax.walkers.parameters import check_parameter
-
-        check_parameter(walker, underscored(self.over), low, high)
+        lib.check_parameter(walker, underscored(self.over), low, high)
         if not low < high:
             raise WrongUse(f"--from {low:g} must be below --to {high:g}")
+
+
+READ: dict[Any, Callable[..., click.ParamType]] = {
+    int: Whole,
+    float: Number,
+    tuple[float, float]: lambda: click.Tuple([Number(), Number()]),
+    Axis: Ends,
+    Path: lambda: FILE,
+}
+"""How values are read, by the annotations of fields; other values are texts."""
 
 
 def options_of(group: Any) -> list[click.Parameter]:
@@ -253,12 +253,16 @@ def options_of(group: Any) -> list[click.Parameter]:
     for field in dataclasses.fields(group):
         settings = {"theme": group.theme, **field.metadata}
         if "flags" not in settings:
-            one = click.Argument([field.name], type=Place(), metavar=settings["metavar"])
+            one = click.Argument([field.name], type=FILE, metavar=settings["metavar"])
             vars(one).update(theme=group.theme, help=settings["help"])
             found.append(one)
             continue
         flags = settings.pop("flags") or [option_of(field.name)]
         settings["default"] = getattr(group, field.name)
+        kind, *_ = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
+        if kind in READ and "type" not in settings:
+            bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
+            settings["type"] = READ[kind](**bounds)
         found.append(Option([field.name, *flags], **settings))
     return found
 

@@ -5,20 +5,21 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, number, whole
-from walker_jax.cli.section import SlicedWindow
+from walker_jax.cli.options import Group, option
+from walker_jax.cli.section import SlicedWindow, grid_of
 
 
 class Theorem(Group, theme="Theorem"):
-    radius: float | None = number(
+    radius: float | None = option(
         None,
         "Radius of a disc about the gait, in (theta, thetadot), instead of a window.",
         excludes=("theta", "sum", "at_phidot", "axis"),
         above=0,
     )
-    levels: int = whole(12, "Halve undecided cells this many times.", least=0)
+    levels: int = option(12, "Halve undecided cells this many times.", least=0)
 
 
 @command(
@@ -31,7 +32,7 @@ class Theorem(Group, theme="Theorem"):
     time="Half a minute for the first example, most of it to compile.",
     systems=False,
 )
-def prove(walker: "wj.System", asked: Theorem, window: SlicedWindow, output: Output) -> None:
+def prove(walker: "wj.System", asked: Theorem, window: SlicedWindow, output: Output):
     """Prove that all starts near a gait walk for ever, or which of a window do.
 
     Arithmetic with rigorous bounds carries cells of starts from stride to stride, until all of a
@@ -40,31 +41,25 @@ def prove(walker: "wj.System", asked: Theorem, window: SlicedWindow, output: Out
     of its starts that walk for ever; --levels 4 is then enough for a picture. What is interrupted
     is resumed by the same command.
     """
-    from walker_jax.basins.windows import fill_around_gait, grid_along
-    from walker_jax.proofs.basin_proofs import summarise_proof
-    from walker_jax.proofs.provable import check_provable
-
-    check_provable(walker)
+    lib.check_provable(walker)
     radius = asked.radius
     axes = window.axes(walker) if radius is None else {}
     request = request_for("prove", walker, radius=radius, axes=axes, levels=asked.levels)
 
     def compute():
-        region = grid_along(fill_around_gait(walker, axes)) if radius is None else radius
-        how: Any = {"levels": asked.levels, "progress": True, **output.place(request)}
+        region = grid_of(walker, axes) if radius is None else radius
+        how: Any = {"levels": asked.levels, **output.place(request)}
         return wj.prove_basin(walker, region, **how)
 
     data = output.produce(request, compute, "proof", kept=True)
-    answer = {"walker": request["walker"]} | summarise_proof(data)
-    output.tell(answer, proof_in_words(walker, answer))
+    answer = {"walker": request["walker"]} | lib.summarise_proof(data)
+    return answer, [*proof_in_words(walker, answer), output.places()]
 
 
 def proof_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
     """Write the theorem, or the bounds that are proved."""
-    from walker_jax.walkers.parameters import describe_in_words
-
     cells = answer["cells"]
-    yield f"Proof, {describe_in_words(walker)}"
+    yield f"Proof, {lib.describe_in_words(walker)}"
     if answer["radius"] and answer["all_walk"]:
         yield f"  theorem: every start within {answer['radius']:.9g} of the gait walks for ever"
     else:

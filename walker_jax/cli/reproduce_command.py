@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Files, Stopwatch
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, Place, option
+from walker_jax.cli.options import Group, option
 
 
 class Report(Group, theme="Output"):
-    out: Path = option(Path("report"), "Where the report goes.", type=Place(), metavar="FOLDER")
+    out: Path = option(Path("report"), "Where the report goes.", metavar="FOLDER")
     quick: bool = option(False, "With fewer cells and slopes, without exact areas.")
 
 
@@ -18,16 +19,14 @@ class Report(Group, theme="Output"):
     time="Forty seconds; with --quick less.",
     walkers=False,
 )
-def reproduce(report: Report, files: Files) -> None:
+def reproduce(report: Report, files: Files):
     """Reproduce the paper of Schwab and Wisse (2001): every figure and number, in a report.
 
     The same command resumes an interrupted run.
     """
-    from walker_jax.paper import reproduction
-
     clock, page = Stopwatch(), report.out / "report.html"
     how = {"quick": report.quick, "overwrite": files.overwrite, "progress": True}
-    numbers = reproduction.reproduce(report.out, **how)
+    numbers = lib.reproduction.reproduce(report.out, **how)
     answer = {"report": str(page), "numbers": [number._asdict() for number in numbers]}
     differ = [number for number in numbers if not number.agrees]
     agree = f"{len(numbers) - len(differ)} of {len(numbers)} numbers agree"
@@ -35,5 +34,4 @@ def reproduce(report: Report, files: Files) -> None:
     for one in differ:
         printed = f"printed {one.printed}, ours {one.ours}"
         lines.append(f"  {one.where}, {one.what}: {printed}. {one.why}")
-    lines.append(f"  report {page}")
-    files.tell(answer | {"seconds": clock.seconds()}, lines)
+    return answer | {"seconds": clock.seconds()}, [*lines, f"  report {page}"]

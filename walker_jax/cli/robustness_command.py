@@ -5,37 +5,25 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import WALKING, Output, Terms, listed, request_for, slope_of, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import (
-    Axis,
-    Group,
-    Ranged,
-    axis_option,
-    hyphenated,
-    number,
-    option,
-    refuse,
-    underscored,
-    whole,
-)
+from walker_jax.cli.options import Axis, Group, Ranged, hyphenated, option, refuse, underscored
 from walker_jax.cli.section import Region, asked_of, axes_of_region, check_section
 from walker_jax.refusals import WrongUse
 
 
 class Table(Ranged, theme="Slopes"):
     over: str = option("slope", "The parameter of a table, with --from and --to.")
-    low: float | None = number(None, "Lowest slope, or value, of a table.", "--from")
-    count: int | None = whole(None, "Rows of the table (default: 20).", least=2, most=10_000)
+    low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
+    count: int | None = option(None, "Rows of the table (default: 20).", least=2, most=10_000)
 
     @property
-    def ranged(self) -> tuple[str, float | None] | None:
-        return None if self.low is None else super().ranged
+    def ranged(self) -> tuple[()] | tuple[str, float | None]:
+        return () if self.low is None else super().ranged
 
     def values(self, walker: "wj.System") -> list[float] | None:
         """Return the values of the parameter; None without a table."""
-        from walker_jax.walkers.parameters import space_decimals
-
         if (self.low is None) != (self.high is None):
             raise WrongUse("--from and --to are for a table: give both or none")
         if self.low is None or self.high is None:
@@ -43,13 +31,13 @@ class Table(Ranged, theme="Slopes"):
             refuse("is for a table: give --from and --to too", count=self.count, over=over)
             return None
         self.check(walker, self.low, self.high)
-        return space_decimals(self.low, self.high, self.count or 20)
+        return lib.space_decimals(self.low, self.high, self.count or 20)
 
 
 class BasinRegion(Region):
-    theta: Axis | None = axis_option("Stance angle, rad (default: 0 0.7854 200).")
-    sum: Axis | None = axis_option(
-        "theta + thetadot (simplest: -0.12 0.06 200, else -1.1 0.1 800)."
+    theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.7854 200).")
+    sum: Axis | None = option(
+        None, "theta + thetadot (simplest: -0.12 0.06 200, else -1.1 0.1 800)."
     )
 
     def grid(self, walker: "wj.System") -> "wj.Grid | None":
@@ -57,38 +45,33 @@ class BasinRegion(Region):
 
         The default for other systems is the region of their gaits.
         """
-        from walker_jax.basins.windows import grid_along
-
         grid = super().grid(walker)
         if type(walker).basin_region is not wj.System.basin_region:
             return grid
         check_section(walker, self.axis)
-        return grid or grid_along(axes_of_region(walker))
+        return grid or lib.grid_along(axes_of_region(walker))
 
 
 class Measures(Group, theme="Measures"):
-    levels: int = whole(4, "Halve boundary cells this many times.", least=0, most=8)
-    disturbances: float = number(
+    levels: int = option(4, "Halve boundary cells this many times.", least=0, most=8)
+    disturbances: float = option(
         0.1, "Largest disturbance for basin stability, as a share of the gait's state.", above=0
     )
-    strides: int = whole(500, "Strides in which a walker may come back.")
-    ground: float | None = number(
+    strides: int = option(500, "Strides in which a walker may come back.")
+    ground: float | None = option(
         None, "Standard deviation of steps of rough ground: how long walks last there.", least=0
     )
-    seed: int = whole(0, "Seed of random numbers.", least=0)
+    seed: int = option(0, "Seed of random numbers.", least=0)
 
     def settings(self, walker: "wj.System") -> dict[str, Any]:
         """Return the arguments of the library's `robustness`."""
-        from walker_jax.design.evaluation import check_starts
-        from walker_jax.systems.hybrid_system import has_ground
-
-        if not has_ground(walker):
+        if not lib.has_ground(walker):
             plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
             refuse(plane, ground=self.ground)
         given = {name: value for name, value in vars(self).items() if value is not None}
         picture = walker.picture()
         if picture is not None and picture.axes == 3:
-            given["check"] = check_starts(walker, exact=True)
+            given["check"] = lib.check_starts(walker, exact=True)
         return given
 
 
@@ -103,7 +86,7 @@ class Measures(Group, theme="Measures"):
 )
 def robustness(
     walker: "wj.System", table: Table, region: BasinRegion, measures: Measures, output: Output
-) -> None:
+):
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
     The measures: the basin's area; the least disturbance from which the walker does not return to
@@ -111,9 +94,6 @@ def robustness(
     disturbances that it survives; the dimension of the boundary; and on rough ground the mean
     number of strides until it falls.
     """
-    from walker_jax.stability.robustness_fields import summarise_robustness
-    from walker_jax.walkers.parameters import write_description
-
     name, values = underscored(table.over), table.values(walker)
     how, grid = measures.settings(walker), region.grid(walker)
     asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
@@ -123,26 +103,20 @@ def robustness(
     measure = lambda: wj.robustness(walker, grid, progress=True, **over, **how)
     data = output.produce(request, measure, picture)
     about = request["walker"]
+    at = [slope_of(about)] if values is None else [{name: value} for value in values]
+    parts = [data] if values is None else [data.isel({name: i}) for i in range(len(values))]
+    rows = [*map(lib.summarise_robustness, parts, at)]
+    shown = {key: value for key, value in about.items() if key not in at[0]}
+    lines = [f"Robustness, {lib.write_description(shown)}"]
+    for row, place in zip(rows, at, strict=True):
+        where = "".join(f"{hyphenated(key)} {value:g}: " for key, value in place.items())
+        lines += measures_in_words(row, where, terms_of(walker))
     if values is None:
-        at = slope_of(about)
-        answer: dict[str, Any] = summarise_robustness(data, at)
-        rows, places = [answer], [f"slope {value:g}: " for value in at.values()] or [""]
-        about = {key: value for key, value in about.items() if key not in at}
+        answer, advice = rows[0], "--from and --to show how these depend on a parameter"
     else:
-        rows = [
-            summarise_robustness(data.isel({name: i}), {name: value})
-            for i, value in enumerate(values)
-        ]
         answer = {"slopes" if name == "slope" else "values": rows}
-        places = [f"{hyphenated(name)} {value:g}: " for value in values]
-    lines = [f"Robustness, {write_description(about)}"]
-    for row, place in zip(rows, places, strict=True):
-        lines += measures_in_words(row, place, terms_of(walker))
-    if values is None:
-        lines.append("  --from and --to show how these depend on a parameter.")
-    else:
-        lines.append("  walker-jax optimise searches for the best between these values.")
-    output.tell({"walker": request["walker"]} | answer, lines)
+        advice = "walker-jax optimise searches for the best between these values"
+    return {"walker": about} | answer, [*lines, f"  {advice}.", output.places()]
 
 
 def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator[str]:
@@ -200,12 +174,10 @@ def returns_in_words(survived: dict, gait: dict, terms: Terms) -> Iterator[str]:
 
 def disturbance_in_words(disturbance: dict, terms: Terms) -> str:
     """Write a least disturbance."""
-    from walker_jax.systems.outcomes import outcome_in_words
-
     end = "leads to another motion"
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"
     if disturbance["failure"] != "STRIDE":
         after = f"after {disturbance['strides']} {terms.step}s"
-        end = f"{outcome_in_words(disturbance['failure'])} {after}"
+        end = f"{lib.outcome_in_words(disturbance['failure'])} {after}"
     return f"{disturbance['size']:.8f} along ({listed(disturbance['direction'], '.4f')}): {end}"

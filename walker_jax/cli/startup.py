@@ -1,18 +1,13 @@
 """Settings of JAX for the commands."""
 
-import atexit
 import os
-from contextlib import suppress
-from pathlib import Path
 
 import jax
 
 from walker_jax.kernels.object_cache import private_folder
-from walker_jax.kernels.private_files import FILE_MODE, is_own, is_private
+from walker_jax.kernels.private_files import FOLDER_MODE
 from walker_jax.refusals import ComputationFailed
 
-SUFFIXES = "-cache", "-atime"
-"""Suffixes of JAX's files."""
 PLATFORMS = "JAX_PLATFORMS", "JAX_PLATFORM_NAME"
 """Variables that choose JAX's devices, the present one and the old one."""
 
@@ -38,37 +33,22 @@ def find_devices() -> list:
 
 
 def keep_compiled() -> None:
-    """Keep what XLA compiles in a folder beside the kernels, so that the next start is fast."""
+    """Keep what XLA compiles in a folder beside the kernels, so that the next start is fast.
+
+    Nobody else may enter the folder, as JAX checks neither the owner nor the mode of its files.
+    """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     try:
         folder = private_folder("xla-programs", make=True)
         if folder is None or not os.access(folder, os.W_OK):
             return
-        remove_foreign(folder)
+        modes = hasattr(os, "geteuid")  # Windows has none
+        if modes and folder.stat().st_mode & ~FOLDER_MODE & 0o777:  # others may have written there
+            folder.chmod(FOLDER_MODE)
+            for program in (*folder.glob("*-cache"), *folder.glob("*-atime")):
+                program.unlink(missing_ok=True)
     except OSError:
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-    atexit.register(close_to_others, folder)
-
-
-def programs(folder: Path) -> list[Path]:
-    """Return JAX's files in a folder."""
-    return [path for path in folder.iterdir() if path.name.endswith(SUFFIXES)]
-
-
-def remove_foreign(folder: Path) -> None:
-    """Remove programs that others may have written, as JAX checks neither owner nor mode."""
-    for path in programs(folder):
-        with suppress(FileNotFoundError):  # another process removed it
-            if not is_private(path.lstat()):
-                path.unlink()
-
-
-def close_to_others(folder: Path) -> None:
-    """Let nobody else read or write the programs; JAX writes them with the mode of the umask."""
-    with suppress(OSError):  # the folder may be gone
-        for path in programs(folder):
-            if is_own(path.lstat()) and not path.is_symlink():
-                path.chmod(FILE_MODE)

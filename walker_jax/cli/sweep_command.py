@@ -2,18 +2,15 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Pieces, Terms, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Axis, Group, named, option, whole
+from walker_jax.cli.options import RANGE, Axis, Group, named, option
 from walker_jax.cli.section import Volume, asked_of
 from walker_jax.refusals import WrongUse
-
-if TYPE_CHECKING:
-    import pandas
-
 
 GAIT = "total_area", "total_area_error", "gait_period", "multiplier", "speed", "failed"
 SHOWN = *GAIT, "least_disturbance", "least_fall", "step_down", "step_down_fall"
@@ -22,11 +19,11 @@ SHOWN = *GAIT, "least_disturbance", "least_fall", "step_down", "step_down_fall"
 
 class Combinations(Group, theme="Combinations"):
     over: dict[str, Axis] = named("Values of a parameter; give it again for others.", RANGE)
-    levels: int = whole(2, "Levels of refinement of the areas.", least=0)
-    check: int = whole(500_000, "Starts that check each area.", least=0)
+    levels: int = option(2, "Levels of refinement of the areas.", least=0)
+    check: int = option(500_000, "Starts that check each area.", least=0)
     robust: bool = option(False, "All numbers of `robustness` too; half a minute each.")
-    strides: int = whole(200, "Strides at most.")
-    seed: int = whole(0, "Seed of random numbers.", least=0)
+    strides: int = option(200, "Strides at most.")
+    seed: int = option(0, "Seed of random numbers.", least=0)
 
 
 @command(
@@ -37,34 +34,26 @@ class Combinations(Group, theme="Combinations"):
     ),
     time="Some seconds for each combination, half a minute with --robust.",
 )
-def sweep(
-    walker: "wj.System", asked: Combinations, region: Volume, pieces: Pieces, output: Output
-) -> None:
+def sweep(walker: "wj.System", asked: Combinations, region: Volume, pieces: Pieces, output: Output):
     """Compute basins, gaits and areas over one or more parameters, all combinations of them.
 
     Results are saved as they are computed: the same command resumes an interrupted run. The picture
     shows the area over the first two parameters.
     """
-    import numpy as np
-
-    from walker_jax.design.results import tabulate_sweep
-    from walker_jax.design.sweeps import check_values
-
     values = values_of(asked.over)
     if not values:
         raise WrongUse("--over is required: a parameter and its values, such as slope=0.002:0.01:5")
-    check_values(walker, {name: np.array(given) for name, given in values.items()})
     grid = region.grid(walker)
     how: Any = vars(asked) | {"over": values}
     request = request_for("sweep", walker, without=values, axes=asked_of(grid), **how)
-    how |= {"cluster": pieces.cluster, "progress": True, **output.place(request)}
+    how |= {"cluster": pieces.cluster, **output.place(request)}
     data = output.produce(request, lambda: wj.sweep(walker, grid=grid, **how), "sweep", kept=True)
-    rows = tabulate_sweep(data, [*values])
+    rows = lib.tabulate_sweep(data, [*values])
     answer = {"walker": request["walker"], "points": rows.to_dict(orient="records")}
-    output.tell(answer, rows_in_words(rows, [*values], terms_of(walker)))
+    return answer, [*rows_in_words(rows, [*values], terms_of(walker)), output.places()]
 
 
-def rows_in_words(rows: "pandas.DataFrame", names: list[str], terms: Terms) -> Iterator[str]:
+def rows_in_words(rows: Any, names: list[str], terms: Terms) -> Iterator[str]:
     """Write the table of `sweep` over these parameters, and its notes."""
     shown = [name for name in (*names, *SHOWN) if name in rows]
     yield rows[shown].map("{:.6g}".format).to_string(index=False)
@@ -85,11 +74,8 @@ def rows_in_words(rows: "pandas.DataFrame", names: list[str], terms: Terms) -> I
 
 def values_of(over: Mapping[str, Axis]) -> dict[str, list[float]]:
     """Return the values of each parameter that --over names, as many as a sweep can have."""
-    from walker_jax.design.sweeps import MAX_COMBINATIONS
-    from walker_jax.walkers.parameters import space_decimals
-
     for name, (low, high, count) in over.items():
-        if count > MAX_COMBINATIONS:
+        if count > lib.MAX_COMBINATIONS:
             given = f"{name.replace('_', '-')}={low:g}:{high:g}:{count}"
-            raise WrongUse(f"--over {given} must have N of at most {MAX_COMBINATIONS}")
-    return {name: space_decimals(*ends) for name, ends in over.items()}
+            raise WrongUse(f"--over {given} must have N of at most {lib.MAX_COMBINATIONS}")
+    return {name: lib.space_decimals(*ends) for name, ends in over.items()}

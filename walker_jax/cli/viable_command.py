@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Pieces, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option, whole
-from walker_jax.cli.section import Window
+from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
+from walker_jax.cli.section import Window, grid_of
 from walker_jax.refusals import WrongUse
 
 
@@ -19,23 +20,21 @@ class Actions(Group, theme="Actions"):
         RANGE,
     )
     no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
-    levels: int = whole(
+    levels: int = option(
         0, "Halve cells between the bounds this many times: narrows the bounds.", least=0, most=8
     )
 
     def check(self, walker: "wj.System") -> None:
         """Refuse actions that are no parameters of the walker, or that it cannot have."""
-        from walker_jax.systems.system import numbers_of
-        from walker_jax.walkers.parameters import check_parameter
-
         if not self.action:
             example = "--action push-off=0:0.1:16"
             raise WrongUse(f"--action NAME={RANGE} is required, such as {example}")
+        known = lib.numbers_of(walker)
         for name, (low, high, _) in self.action.items():
-            if name not in (known := numbers_of(walker)):
+            if name not in known:
                 names = ", ".join(map(hyphenated, known))
                 raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
-            check_parameter(walker, name, low, high)
+            lib.check_parameter(walker, name, low, high)
 
 
 @command(
@@ -47,9 +46,7 @@ class Actions(Group, theme="Actions"):
     ),
     time="Half a minute for the first example.",
 )
-def viable(
-    walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, output: Output
-) -> None:
+def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, output: Output):
     """Compute how large the basin could be: from where some choice of actions walks for ever.
 
     Before each stride a controller chooses a value for each --action, such as the push-off. The
@@ -58,9 +55,6 @@ def viable(
     counted too. The window must hold all coordinates of the section: of two, its default is that of
     the command basin; of three, --axis gives each, and the picture is the slice in the middle.
     """
-    from walker_jax.basins.windows import fill_around_gait, grid_along
-    from walker_jax.control.viability import summarise_viability
-
     asked.check(walker)
     if len(walker.section) > 2 and not window.axis:
         section = ", ".join(walker.section)
@@ -72,21 +66,17 @@ def viable(
         raise WrongUse("--levels narrows the bounds: leave out --no-bounds")
     how: Any = {"bounds": not asked.no_bounds, "levels": asked.levels}
     request = request_for("viable", walker, axes=axes, actions=actions, **how)
-    how |= {"cluster": pieces.cluster, "progress": True, **output.place(request)}
+    how |= {"cluster": pieces.cluster, **output.place(request)}
 
-    def compute():
-        return wj.viable(walker, grid_along(fill_around_gait(walker, axes)), actions, **how)
-
+    compute = lambda: wj.viable(walker, grid_of(walker, axes), actions, **how)
     data = output.produce(request, compute, "viability", kept=True)
-    answer = {"walker": request["walker"], "actions": actions} | summarise_viability(data)
-    output.tell(answer, kernel_in_words(walker, answer))
+    answer = {"walker": request["walker"], "actions": actions} | lib.summarise_viability(data)
+    return answer, [*kernel_in_words(walker, answer), output.places()]
 
 
 def kernel_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
     """Write the answer of `viable`."""
-    from walker_jax.walkers.parameters import describe_in_words
-
-    yield f"Viability kernel, {describe_in_words(walker)}"
+    yield f"Viability kernel, {lib.describe_in_words(walker)}"
     ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in answer["actions"].items()]
     yield f"  actions: {', '.join(ranges)}"
     between = ""

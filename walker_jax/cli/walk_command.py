@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import walker_jax as wj
-from walker_jax.cli.answers import Files, in_words, is_map, request_for, terms_of
+from walker_jax.cli import library as lib
+from walker_jax.cli.answers import Files, check_picture, in_words, is_map, request_for, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, number, place, refuse, whole
+from walker_jax.cli.options import Group, option, refuse
 from walker_jax.cli.section import Start, begin_at, has_own_options, has_plane
-from walker_jax.cli.unit_options import InUnits, Sizes
+from walker_jax.cli.unit_options import InUnits
 from walker_jax.refusals import WrongUse
 
 PAPER_START = {"theta": 0.2, "thetadot": -0.21645}
@@ -20,20 +21,18 @@ FRAME_INTERVAL = 0.15
 
 
 class Walk(Group, theme="Walk"):
-    strides: int = whole(9, "Strides at most.", most=1_000_000)
-    ground: float | None = number(None, "Standard deviation of the steps of rough ground.", least=0)
-    seed: int = whole(0, "Seed of random numbers.", least=0)
-    animate: Path | None = place(
-        "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
+    strides: int = option(9, "Strides at most.", most=1_000_000)
+    ground: float | None = option(None, "Standard deviation of the steps of rough ground.", least=0)
+    seed: int = option(0, "Seed of random numbers.", least=0)
+    animate: Path | None = option(
+        None, "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
     )
 
     def heights(self) -> Any:
         """Return the heights of the steps of rough ground, if it is rough."""
-        import numpy as np
-
         if self.ground is None:
             return None
-        return self.ground * np.random.default_rng(self.seed).normal(size=self.strides)
+        return self.ground * lib.numpy.random.default_rng(self.seed).normal(size=self.strides)
 
 
 @command(
@@ -46,7 +45,7 @@ class Walk(Group, theme="Walk"):
     ),
     time="A few seconds; a film half a minute.",
 )
-def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: Files) -> None:
+def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: Files):
     """Walk from one start, stride by stride, until a failure.
 
     With --ground each foothold is higher or lower than the one before, at random. States are full
@@ -56,68 +55,61 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
     film shows the walker, about as fast as one with legs of one metre, and its trajectory in the
     basin.
     """
-    import numpy as np
-
-    from walker_jax import storage
-    from walker_jax.execution.progress import bar
-    from walker_jax.systems.hybrid_system import has_ground
-    from walker_jax.systems.outcomes import name_of_outcome
-    from walker_jax.walkers.model import State, moves_like
-
-    if not has_ground(walker):
+    if not lib.has_ground(walker):
         other = f"not for {walker.label()}: leave it out"
         refuse(f"is for walkers in the plane, {other}", ground=asked.ground)
         if walker.picture() is None:
             refuse(f"is for walkers, {other}", animate=asked.animate)
-    given, sizes = start.coordinates(walker), units.of(walker)
-    if moves_like(walker, wj.SimplestWalker):
+    given = start.coordinates(walker)
+    units.check(walker)
+    if lib.moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
     rough = asked.ground is not None
     ground = {"ground": asked.ground, "seed": asked.seed} if rough else {}
     request = request_for("walk", walker, start=given, strides=asked.strides, **ground)
-    files.check_film(asked.animate, request)
-    with bar("walk", True):
+    check_picture(asked.animate, request, overwrite=files.overwrite, film=True)
+    with lib.bar("walk", True):
         begin = begin_at(walker, given)
         made = wj.walk(walker, begin, asked.strides, ground=asked.heights())
-    outcomes = np.asarray(made.outcomes)
+    outcomes = lib.numpy.asarray(made.outcomes)
     if outcomes[0] == wj.Outcome.OUTSIDE:
         refuse_start(walker, begin)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, asked.strides)
-    names = State._fields if rough else walker.section
+    names = lib.State._fields if rough else walker.section
     answer: dict[str, Any] = {
-        "states": sizes.states(np.asarray(made.states)[: completed + 1], names),
-        "outcomes": [name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()],
-        "times": sizes.times(np.asarray(made.times)[:count]),
-        **sizes.named,
+        "states": units.states(lib.numpy.asarray(made.states)[: completed + 1], names),
+        "outcomes": [
+            lib.name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()
+        ],
+        "times": units.times(lib.numpy.asarray(made.times)[:count]),
+        **units.named,
     }
     if asked.animate is not None:
-        draw_film(walker, begin, asked, asked.animate, storage.signature(request))
-    lines = [*walk_in_words(walker, answer, names, sizes, rough=rough)]
+        draw_film(walker, begin, asked, asked.animate, lib.storage.signature(request))
+    lines = [*walk_in_words(walker, answer, names, units, rough=rough)]
     lines += [f"film {asked.animate}"] * (asked.animate is not None)
-    files.tell(answer, lines)
+    return answer, lines
 
 
 def draw_film(walker: "wj.System", begin: Any, asked: Walk, place: Path, signature: str) -> None:
     """Save the film of a walk."""
-    from walker_jax import figures
-    from walker_jax.basins.windows import film_window
-
     how: Any = {"step": FRAME_INTERVAL, "ground": asked.heights()}
     motion, data = wj.motion(walker, begin, asked.strides, **how), None
     if has_plane(walker):
-        data = wj.basin(walker, film_window(walker, begin), "direct", progress=True)
-    figures.film(motion, place, data, signature=signature, progress=True)
+        data = wj.basin(walker, lib.film_window(walker, begin), "direct", progress=True)
+    wj.figures.film(motion, place, data, signature=signature, progress=True)
 
 
 def walk_in_words(
-    walker: "wj.System", answer: dict, names: Sequence[str], sizes: Sizes, *, rough: bool
+    walker: "wj.System", answer: dict, names: Sequence[str], units: InUnits, *, rough: bool
 ) -> Iterator[str]:
     """Write a line for each stride; the steps of a map have no time."""
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
     heads = "  ".join(f"{name:>10}" for name in names)
     timeless, step = is_map(walker, answer["times"]), terms_of(walker).step
-    yield from sizes.said
+    if units.chosen:
+        yield "Angles in rad, rates in rad/s, times in s."
     yield f"{step}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
     strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
     for i, (state, name, duration) in enumerate(strides, start=1):

@@ -5,22 +5,20 @@ system, is loaded for its parameters.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
+import walker_jax as wj
+from walker_jax.cli import library as lib
 from walker_jax.cli.information import LIST_WALKERS
 from walker_jax.cli.options import Number, Option, name_of, option_of, underscored
 from walker_jax.refusals import WrongUse
 from walker_jax.systems.parameter import Option as Check
 from walker_jax.systems.parameter import Parameter
 from walker_jax.walkers.parameter_table import DESCRIBED, OPENING
-
-if TYPE_CHECKING:
-    from walker_jax.systems.system import System
-    from walker_jax.walkers.parameters import Tree
 
 DEFAULT = "simplest"
 """Default walker of all commands."""
@@ -31,16 +29,12 @@ THEME: Any = {"theme": "Walker", "default": None}
 
 def walkers_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
     """Return the walkers whose names begin so, other packages' too, for completion in a shell."""
-    from walker_jax.walkers.references import installed_walkers
-
-    return [name for name in (*DESCRIBED, *installed_walkers()) if name.startswith(incomplete)]
+    return [name for name in (*DESCRIBED, *lib.installed_walkers()) if name.startswith(incomplete)]
 
 
 def systems_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
     """Return the systems whose names begin so, for completion in a shell."""
-    from walker_jax.systems.family import SYSTEMS
-
-    return [name for name in SYSTEMS if name.startswith(incomplete)]
+    return [name for name in lib.SYSTEMS if name.startswith(incomplete)]
 
 
 WALKER = Option(
@@ -105,41 +99,31 @@ class Chosen(NamedTuple):
         reason = f"{flag} is not a parameter of {self.name}, which has {', '.join(own) or 'none'}"
         return reason if kinds else ""
 
-    def build(
-        self, given: Mapping[str, Any], ranged: tuple[str, float | None] | None = None
-    ) -> "System":
+    def build(self, given: Mapping[str, Any], over: str = "", low: float | None = None) -> Any:
         """Build the walker, with defaults for the parameters that are not given.
 
-        A parameter that is `ranged`, with its lowest value, must not be given as well.
+        A parameter `over` which a command goes has its lowest value, and must not be given as well.
         """
-        from walker_jax.walkers.family import WALKERS
-        from walker_jax.walkers.parameters import with_values
-
-        kind = WALKERS[self.name] if self.kind is None else self.kind
-        made = dict(self.values(given, *(ranged or ("", None))))
-        return kind(**made) if isinstance(kind, type) else with_values(kind, made)
-
-    def values(
-        self, given: Mapping[str, Any], over: str, low: float | None
-    ) -> Iterator[tuple[str, Any]]:
-        """Yield the value of each parameter and check; the lowest one of the parameter `over`."""
+        made: dict[str, Any] = {}
         for one in self.described:
             value, option = given.get(PREFIX + one.name), option_of(one.name)
             if isinstance(one, Check):
-                if value:
-                    yield one.name, one.convert(value)
-            elif isinstance(one, Parameter):
-                if one.name == over:
-                    if value is not None:
-                        raise WrongUse(f"{option} is not for this command: give --from and --to")
-                    if low is None and math.isnan(one.default):
-                        raise WrongUse(f"--from is required: the range of {option[2:]}")
-                    value = low
-                if value is None and math.isnan(one.default):
-                    raise WrongUse(f"{option} is required: {self.name} has no default for it")
-                yield one.name, one.convert(one.default if value is None else value)
-            else:
-                yield one.name, read_tree(one, value)
+                made |= {one.name: one.convert(value)} if value else {}
+                continue
+            if not isinstance(one, Parameter):
+                made[one.name] = read_tree(one, value)
+                continue
+            if one.name == over:
+                if value is not None:
+                    raise WrongUse(f"{option} is not for this command: give --from and --to")
+                if low is None and math.isnan(one.default):
+                    raise WrongUse(f"--from is required: the range of {option[2:]}")
+                value = low
+            if value is None and math.isnan(one.default):
+                raise WrongUse(f"{option} is required: {self.name} has no default for it")
+            made[one.name] = one.convert(one.default if value is None else value)
+        kind = lib.WALKERS[self.name] if self.kind is None else self.kind
+        return kind(**made) if isinstance(kind, type) else lib.with_values(kind, made)
 
 
 def option_for(one: Any) -> Option:
@@ -176,52 +160,33 @@ def choose(args: Sequence[str], *, systems: bool, opening: bool = False) -> Chos
 
 def load(name: str, system: str | None) -> Chosen:
     """Load the system of this name, or else the walker."""
-    from walker_jax.cli.startup import configure_jax  # loads JAX
-
-    configure_jax()
-    from walker_jax.robots.files import is_robot_file
-    from walker_jax.walkers.parameters import options, parameters_of, trees
-    from walker_jax.walkers.references import find_system, find_walker
-
+    lib.configure_jax()
+    robot = system is None and lib.is_robot_file(name)
     try:
-        if system is None and is_robot_file(name):
-            return load_robot(name)
-        kind = find_walker(name) if system is None else find_system(system)
+        if robot:
+            kind = wj.robot(name)
+        else:
+            kind = lib.find_walker(name) if system is None else lib.find_system(system)
     except WrongUse as error:
-        raise WrongUse(f"--{error}") from error
-    more = (*trees(kind), *options(kind)) if isinstance(kind, type) else ()
-    described = [*parameters_of(kind), *more]
-    return Chosen(name if system is None else system, described, kind, system is not None)
+        file = f"walker {name}: " if robot else ""
+        raise WrongUse(f"--{file}{error}") from error
+    more = (*lib.trees(kind), *lib.options(kind)) if isinstance(kind, type) else ()
+    described = [*lib.parameters_of(kind), *more]
+    return Chosen(system or name, described, kind, system=robot or system is not None)
 
 
-def load_robot(name: str) -> Chosen:
-    """Load the robot of an MJCF or URDF file; its numbers are the defaults."""
-    from walker_jax.robots.robot_files import robot
-    from walker_jax.walkers.parameters import parameters_of
-
-    try:
-        kind = robot(name)
-    except WrongUse as error:
-        raise WrongUse(f"walker {name}: {error}") from error
-    return Chosen(name, [*parameters_of(kind)], kind, system=True)
-
-
-def read_tree(tree: "Tree", file: str | None) -> Any:
+def read_tree(tree: "lib.Tree", file: str | None) -> Any:
     """Return the numbers of an array or a tree from a file, or its default."""
-    import equinox as eqx
-
-    from walker_jax.systems.trees import make_static
-
     option = option_of(tree.name)
     if tree.default is MISSING:
         raise WrongUse(
             f"{option} needs a default of {tree.name} in its class, to tell the shapes in a file"
         )
-    like = make_static(tree.default, tree.name)
+    like = lib.make_static(tree.default, tree.name)
     if file is None:
         return like
     try:
-        return eqx.tree_deserialise_leaves(file, like)
+        return lib.tree_deserialise_leaves(file, like)
     except (Exception, SystemExit) as error:  # whatever NumPy makes of a file
         reason = " ".join(str(error).split())
         raise WrongUse(f"{option} {file} must be a file of such numbers: {reason}") from error

@@ -12,23 +12,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from walker_jax.design.measures import Measure
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.derivatives import GaitPull
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.integrator import Integrator, integrator_of
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.disturbances import BEYOND
+from walker_jax.stability.disturbed_falls import pull_walks
 from walker_jax.stability.probable_falls import most_probable_fall
 from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.choices import Choice, numbers_chosen, values_of
 from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walking.disturbed import (
-    Disturbance,
-    follow_disturbed,
-    follow_disturbed_margins,
-)
+from walker_jax.walking.disturbed import Disturbance
 from walker_jax.walking.pulling import pull_back
 
 
@@ -62,50 +57,24 @@ def fall_gradient(
     x = jnp.asarray(gait.states[0])
     integrator = integrator_of(x.dtype, tolerance).in_dtype(x.dtype)
     same = in_dtype(walker, x.dtype, jnp.asarray)
+
+    def pull(rows: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return derivatives of walks from the gait, by numbers, start and disturbances."""
+        start = jnp.stack(same.lift(x))
+        by_walker, by_state, by_rows = pull_walks(same, start, rows, change, integrator)
+        more, by_x = jax.vmap(lambda by: pull_back(lift, same, x, by))(by_state)
+        by_numbers = values_of(by_walker, names) + values_of(more, names)
+        return by_numbers.reshape(len(rows), -1 if names else 0), *map(np.asarray, (by_x, by_rows))
+
+    lift = lambda walker, x: jnp.stack(walker.lift(x))
     even = np.zeros((max(0, fall.strides + 1 - len(fall.disturbances)), 3))
     rows = np.concatenate([fall.disturbances, even])[: fall.strides + 1]
-    for beyond in BEYOND:
-        last = jnp.asarray(fall.states[-1]), jnp.asarray(beyond * rows[-1], x.dtype)
-        by_walker, (by_state, by_row) = pull_fall(same, integrator, *last)
-        if np.isfinite(np.asarray(by_state)).all():
-            break
-    by_scale, by_numbers = float(np.asarray(by_row) @ rows[-1]), values_of(by_walker, names)
-    for state, row in [*zip(fall.states, rows[:-1], strict=False)][::-1]:
-        given = jnp.asarray(state), jnp.asarray(row, x.dtype), by_state
-        by_walker, (by_state, by_row) = pull_step(same, integrator, *given)
-        by_scale += float(np.asarray(by_row) @ row)
-        by_numbers = by_numbers + values_of(by_walker, names)
-    lift = lambda walker, x: jnp.stack(walker.lift(x))
-    by_walker, by_state = pull_back(lift, same, x, by_state)
-    by_numbers = by_numbers + values_of(by_walker, names)
-    by_gait = GaitPull(walker, gait, names, tolerance)
-    none = np.zeros(len(gait.states)), np.zeros(len(x), complex)
-    by_numbers = by_numbers + by_gait.pull(np.asarray(by_state)[None], *none)
-    return Measure(fall.action, -2 * fall.action * by_numbers / by_scale)
-
-
-@jax.jit
-def pull_fall(
-    walker: Walker, integrator: Integrator, state: Float[Array, " full"], row: Float[Array, " 3"]
-) -> tuple[Any, tuple]:
-    """Compute derivatives of the margin of a disturbed stride that fails; NaN where it does not."""
-    margin = lambda walker, given: (
-        follow_disturbed_margins(walker, given[0], Disturbance(*given[1]), integrator).failed
-    )
-    failing = lambda found: jnp.where(jnp.isnan(found), found, 1)
-    return pull_back(margin, walker, (state, row), failing)
-
-
-@jax.jit
-def pull_step(
-    walker: Walker,
-    integrator: Integrator,
-    state: Float[Array, " full"],
-    row: Float[Array, " 3"],
-    change: Float[Array, " full"],
-) -> tuple[Any, tuple]:
-    """Compute derivatives by walker, start and disturbance, given those by a stride's end."""
-    end = lambda walker, given: (
-        follow_disturbed(walker, given[0], Disturbance(*given[1]), integrator).state
-    )
-    return pull_back(end, walker, (state, row), change)
+    tried = BEYOND[:, None, None] * rows
+    by_numbers, by_x, by_rows = pull(tried, np.zeros((len(tried), len(x))))
+    first = int(by_rows.any(axis=(1, 2)).argmax())  # that falls: others have no derivatives
+    by_scale = float(np.sum(by_rows[first] * rows)) or np.nan
+    # The gait solves x = S(x, p), so the start changes by dx = (I - S_x)^-1 S_p dp.
+    by_p, jacobian, _ = pull(np.zeros((len(x), 1, 3)), np.eye(len(x)))
+    of_gait = np.linalg.solve((np.eye(len(x)) - jacobian).T, by_x[first])
+    by_all = by_numbers[first] + of_gait @ by_p
+    return Measure(fall.action, -2 * fall.action * by_all / by_scale)

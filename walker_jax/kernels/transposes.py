@@ -1,6 +1,7 @@
 """Reverse mode of kernels: the Jacobian column by column, or the adjoint of a program."""
 
 import math
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import ad
 
-from walker_jax.kernels.primitive import kernel_p, replace_some
+from walker_jax.kernels.ffi import CELLS_PER_PIECE
+from walker_jax.kernels.primitive import cells_shape, kernel_p, replace_some
 from walker_jax.kernels.program import Program, apply_settings, is_real
 
 FEWEST_FOR_ADJOINT = 16
@@ -20,6 +22,10 @@ simplest walker a column takes 2.3 strides, the adjoint 2.1 for 4 numbers and 2.
 longer to compile. But forward mode shortens steps by the direction itself, not by the rate of a
 derivative in all directions, and drops derivatives of branches that are not taken.
 """
+
+MOST_SUMMED = 2**20
+"""Most numbers, 8 MiB, of the results of a group of cells that are summed; but a group has cells
+for every core."""
 
 
 def pull_back(cotangents, *operands, program: Program, mapped: tuple[int, ...]):
@@ -96,17 +102,73 @@ def call_adjoint(adjoint: Program, point: Sequence, cotangents: Sequence, mapped
     assert adjoint.adjoint_of is not None
     (_, by, _), count, cells = adjoint.adjoint_of, len(point), max(mapped)
     over = (*mapped[:count], *[cells] * len(cotangents))
+    shared = [not mapped[count + i] for i in range(len(by))]
+    axes = [0 if one else cells for one in shared]
 
     def of_direction(*cotangents):
-        return kernel_p.bind(*point, *cotangents, program=adjoint, mapped=over)
+        return call_and_sum(adjoint, [*point, *cotangents], over, shared)
 
     if cotangents[0].shape[cells] == 1:
         parts = of_direction(*(jnp.squeeze(ct, cells) for ct in cotangents))
-        parts = [jnp.expand_dims(part, cells) for part in parts]
-    else:
-        parts = jax.vmap(of_direction, cells, cells)(*cotangents)
-    shared = [i for i in range(len(by)) if not mapped[count + i]]
-    return [part.sum(axis=range(cells)) if i in shared else part for i, part in enumerate(parts)]
+        return list(map(jnp.expand_dims, parts, axes))
+    return jax.vmap(of_direction, cells, axes)(*cotangents)
+
+
+def call_and_sum(program: Program, operands: Sequence, mapped, shared: Sequence[bool]) -> list:
+    """Call a program, and sum its `shared` results over all cells.
+
+    Results as long as the weights of a network, for each of many cells, would be written to memory
+    and read from there. So cells are computed in groups, whose results fit in a cache.
+    """
+
+    def call(*operands, mapped):
+        parts = kernel_p.bind(*operands, program=program, mapped=mapped)
+        axes = range(max(mapped))
+        return [x.sum(axes) if one else x for x, one in zip(parts, shared, strict=True)]
+
+    cells = cells_shape(operands, mapped)
+    sizes = [math.prod(x.shape) for x, one in zip(program.results, shared, strict=True) if one]
+    count, size = groups_of(math.prod(cells), sum(sizes))
+    if count == 1:
+        return call(*operands, mapped=mapped)
+    along = [i for i, axes in enumerate(mapped) if axes]
+    over = tuple(min(1, axes) for axes in mapped)
+    flat = [operands[i].reshape(-1, *operands[i].shape[len(cells) :]) for i in along]
+    of_some = lambda some: call(*replace_some(operands, along, some), mapped=over)
+    first = math.prod(cells) - (count - 1) * size
+    # Cells of a group lie apart: so devices among which cells are divided have a part of each.
+    split = lambda x: jnp.moveaxis(x[first:].reshape(size, count - 1, *x.shape[1:]), 1, 0)
+
+    def add(totals, some):
+        parts = of_some(some)
+        pairs = [*zip(totals, parts, shared, strict=True)]
+        return [a + b if one else a for a, b, one in pairs], [
+            None if one else x for _, x, one in pairs
+        ]
+
+    begun = of_some([x[:first] for x in flat])
+    totals, others = jax.lax.scan(add, begun, list(map(split, flat)))
+
+    def joined(begun, x):
+        x = jnp.moveaxis(x, 0, 1).reshape(size * (count - 1), *x.shape[2:])
+        return jnp.concatenate([begun, x]).reshape(*cells, *x.shape[1:])
+
+    pairs = zip(totals, others, shared, strict=True)
+    return [total if one else joined(total, x) for total, x, one in pairs]
+
+
+def groups_of(cells: Any, numbers: int) -> tuple[int, int]:
+    """Return the number of groups of cells whose results are summed, and the size of all but one.
+
+    There is one group of all cells on other devices than a CPU, where cells are divided by hand,
+    and in an export, where their number may be a symbol.
+    """
+    alone = jax.default_backend() != "cpu" or not jax.sharding.get_abstract_mesh().empty
+    if alone or not isinstance(cells, int) or not numbers:
+        return 1, cells
+    least = CELLS_PER_PIECE[0] * (os.cpu_count() or 1)
+    count = max(1, cells // max(least, MOST_SUMMED // numbers))
+    return count, cells // count
 
 
 def pull_back_adjoint(cotangents, operands, wanted: list[int], program: Program, mapped) -> list:

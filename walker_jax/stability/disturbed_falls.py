@@ -1,7 +1,9 @@
 """Sequences of disturbances that topple a walker, and the gradient of their boundary."""
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.systems.trees import in_dtype
+from walker_jax.walkers.choices import MANY
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import (
     Disturbance,
@@ -25,8 +28,8 @@ from walker_jax.walking.disturbed import (
 from walker_jax.walking.iteration import Targets, distances
 from walker_jax.walking.scan import Walked, scan_strides
 
-PULLED_BACK = 64
-"""Number of walks whose derivatives are computed in one call."""
+PULLED_BACK = 8
+"""Number of walks whose derivatives are computed in one call: a search asks for a few at a time."""
 
 
 class DisturbedWalks(NamedTuple):
@@ -100,13 +103,19 @@ class DisturbedWalks(NamedTuple):
     def pull_back(
         self, rows: Float[np.ndarray, "n strides 3"], change: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n strides 3"]:
-        """Call `pull_back` in batches of one size, so that one program is compiled."""
+        """Call `pull_walks` in batches of one size, so that one program is compiled.
+
+        The program of a walker with many parameters differentiates by these too: `fall_gradient`
+        needs the same one.
+        """
         walker, integrator = self.arrays()
+        real = eqx.filter(walker, eqx.is_inexact_array_like)
+        by_walker = sum(map(np.size, jax.tree.leaves(real))) >= MANY
         slopes = np.empty_like(rows)
         for first in range(0, len(rows), PULLED_BACK):
             batch = np.minimum(np.arange(first, first + PULLED_BACK), len(rows) - 1)
             given = walker, self.start, rows[batch], change[batch], integrator
-            slopes[batch] = pull_back(*given)
+            slopes[batch] = pull_walks(*given, by_walker=by_walker)[-1]
         return slopes
 
 
@@ -133,21 +142,23 @@ def walk_disturbed_on(
     return scan_strides(step, start, limit, stop)[0]
 
 
-@jax.jit
-def pull_back(
+@partial(jax.jit, static_argnames="by_walker")
+def pull_walks(
     walker: Walker,
     start: Float[Array, " full"],
     rows: Float[Array, "n strides 3"],
     change: Float[Array, "n section"],
     integrator: Integrator,
-) -> Float[Array, "n strides 3"]:
-    """Compute derivatives of n margins by the disturbances before them.
+    *,
+    by_walker: bool = True,
+) -> tuple[Any, Float[Array, "n full"], Float[Array, "n strides 3"]]:
+    """Compute derivatives of n walks' margins by the walker, their start and the disturbances.
 
-    The margin is that of the failing stride. If a later stride fails, its derivative `change` by
-    the state on the section is given.
+    The margin is that of the failing stride. If no stride fails, the derivative `change` by the
+    last state on the section is given. Those by the walker are None unless asked for.
     """
 
-    def margin(rows: Float[Array, "strides 3"], change: Float[Array, " section"]) -> Scalar:
+    def margin(walker: Walker, start: Any, rows: Any, change: Float[Array, " section"]) -> Scalar:
         def step(now: tuple, number: Int[Array, ""]) -> Stride:
             state, disturbance = now[0], Disturbance(*rows[number])
             found = follow_disturbed_margins(walker, state, disturbance, integrator)
@@ -161,4 +172,12 @@ def pull_back(
         later = walker.project(walker.state(*end.state[0])) @ change
         return jnp.where(end.outcome == Outcome.STRIDE, later, margins[end.strides])
 
-    return jax.vmap(jax.grad(margin))(rows, change)
+    real, exact = eqx.partition(walker, eqx.is_inexact_array)
+    own, fixed = (real, exact) if by_walker else (None, walker)
+
+    def pull(rows: Float[Array, "strides 3"], change: Float[Array, " section"]) -> tuple:
+        number = lambda own, start, rows: margin(eqx.combine(own, fixed), start, rows, change)
+        return jax.grad(number, (0, 1, 2))(own, start, rows)
+
+    by_own, by_start, by_rows = jax.vmap(pull)(rows, change)
+    return eqx.combine(by_own, exact) if by_walker else None, by_start, by_rows

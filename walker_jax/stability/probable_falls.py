@@ -12,11 +12,13 @@ nearest to no disturbance at all (`nearest_points`). Such a sequence ends in eac
 same chance, the chance to be beyond this boundary. This gives the prefactor too.
 """
 
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from walker_jax.checks import (
     WrongUse,
@@ -28,6 +30,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.gaits.cycles import Gait
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.disturbed_falls import DisturbedWalks
 from walker_jax.stability.gait_mapper import mapper_of_gait
@@ -200,10 +203,8 @@ def describe(walks: DisturbedWalks, found: list[NearestPoint], unit: float) -> P
     first = int(walks.falls(ends).argmax())
     (walker, integrator), made = walks.arrays(), int(ends.strides[first])
     rows = walks.rows(tried[first : first + 1])[0]
-    rows = np.concatenate([rows, np.zeros((made, 3))])
-    given = jnp.asarray(rows, walks.start.dtype)
-    step = lambda x, i: follow_disturbed(walker, x, Disturbance(*given[i]), integrator)
-    _, states = scan_strides(step, walks.start, made, record=lambda stride: stride.state)
+    rows = np.concatenate([rows, np.zeros((made, 3))]).astype(walks.start.dtype)
+    states = states_between(walker, walks.start, rows, integrator, made)
     return ProbableFall(
         (best.length / unit) ** 2 / 2,
         walks.rows(w[None])[0],
@@ -214,3 +215,16 @@ def describe(walks: DisturbedWalks, found: list[NearestPoint], unit: float) -> P
         best.flatness,
         best.residual,
     )
+
+
+@partial(jax.jit, static_argnames="made")
+def states_between(
+    walker: Walker,
+    start: Float[Array, " full"],
+    rows: Float[Array, "strides 3"],
+    integrator: Integrator,
+    made: int,
+) -> Float[Array, "made full"]:
+    """Return the states after each of the strides made, given the disturbances in each."""
+    step = lambda x, i: follow_disturbed(walker, x, Disturbance(*rows[i]), integrator)
+    return scan_strides(step, start, made, record=lambda stride: stride.state)[1]

@@ -181,7 +181,9 @@ def follow_phase_times(
     course, ends = follow_graph(walker, modes, begun, integrator, add, dict.fromkeys(modes, none))
     made = end_course(walker, modes, course)
     walks = made.outcome == Outcome.STRIDE  # or a later stride's failure, known at its end
-    return jnp.stack([nan_unless(~is_last | walks, time) for time, is_last in ends.values()])
+    # By name, as loops of JAX sort the keys.
+    each = (ends[name] for name in modes)
+    return jnp.stack([nan_unless(~is_last | walks, time) for time, is_last in each])
 
 
 Ends = dict[str, tuple[Scalar, Bool[Array, ""]]]
