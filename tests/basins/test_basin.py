@@ -395,7 +395,7 @@ def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
 def test_pieces_are_all_cells_one_after_the_other(small_pieces, shape):
     block = methods.block_shape(shape)
-    place = storage.Pieces(Path(), Path(), None, shape[: len(block)], block, None, (), ())
+    place = storage.Pieces(Path(), None, shape[: len(block)], block, None, (), ())
     grid = wj.Grid({str(i): (0, 1, n) for i, n in enumerate(shape)}, np.eye(len(shape)))
     parts = [methods.block_at(grid, place, i) for i in range(place.count)]
     assert [i for part in parts for i in range(grid.size)[part.cells]] == [*range(grid.size)]
