@@ -5,8 +5,8 @@ the code that computed it. Each is used again only while the code is the same, w
 
 - for a function, its code, defaults and closure, and the globals it reads, in modules too;
 - for a class, its bases and attributes;
-- for an object made of functions, such as a bound method, those functions;
-- for containers, arrays and plain values, their contents.
+- for containers, arrays and plain values, their contents;
+- for any other object, its type and all its state, as pickle takes it; without state, itself.
 
 All this holds for a user's own code; code of Python, of this package or installed counts by name.
 `Describer` serves programs of this process, `StoreDescriber` stores, `ReachedCode` traces on disk.
@@ -14,9 +14,11 @@ All this holds for a user's own code; code of Python, of this package or install
 
 import ast
 import contextlib
+import dataclasses
 import dis
 import functools
 import hashlib
+import inspect
 import os
 import re
 import secrets
@@ -32,6 +34,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from walker_jax.state_of_objects import DERIVED, has_no_state, state_of
+
 PACKAGE = __name__.partition(".")[0]
 USED = "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy", "llvmlite"
 """Packages whose version a program depends on."""
@@ -44,21 +48,17 @@ LARGEST = 2**16
 """Bytes of the largest array that is compared by its values; a larger one equals only itself."""
 MOST = 4096
 """Size of each cache of descriptions: of codes, trees, modules and files."""
-PARTS = "__wrapped__ __func__ __self__ fget func args keywords fn fun jvp fwd bwd".split()
-"""Attributes that hold the parts of an object made of functions."""
-DERIVED = set(
-    "__dict__ __weakref__ __doc__ _abc_impl __annotations__ __module__ __annotate_func__ "
-    "__annotations_cache__ __static_attributes__ __firstlineno__ __dataclass_params__ "
-    "__parameters__ __orig_bases__".split()
-)
-"""Attributes of classes that Python derives from the others, or from the lines of a file."""
+ALONE = np.ndarray | jax.Array | dataclasses.Field
+"""Types that count as themselves in a process: large arrays, and what a class is made with."""
 DEFINED = types.FunctionType | type
-STATE = OrderedDict, ContextVar
-"""Types of variables on which no result depends: caches, and values for a call alone."""
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 token_of_process = functools.cache(secrets.token_hex)
 """Identifies this process, for objects that cannot be described in another one."""
+
+
+class Cache(OrderedDict):
+    """A dictionary of this package that saves time alone: no result depends on it."""
 
 
 class FunctionByCode:
@@ -84,7 +84,8 @@ class FunctionByCode:
 class Describer:
     """Describes code so that, within a process, equal descriptions mean the same code."""
 
-    largest = LARGEST
+    here = True
+    """Whether descriptions serve this process alone, where an object may stand for itself."""
 
     def __init__(self):
         self.found: list[Any] = []
@@ -105,16 +106,17 @@ class Describer:
         if isinstance(value, types.CodeType):
             return hash_of_code(value)
         if isinstance(value, types.CellType):
-            with contextlib.suppress(ValueError):  # the cell may be empty
-                return self.words(value.cell_contents)
-            return ()
-        if isinstance(value, tuple):
-            kind = None if type(value) is tuple else self.words(type(value))
-            return kind, *map(self.words, value)
+            try:
+                inside = value.cell_contents
+            except ValueError:  # the cell is empty
+                return ()
+            return self.words(inside)
+        if type(value) is tuple:
+            return "tuple", *map(self.words, value)
         if type(value) in (set, frozenset):
             in_order = sorted(value, key=lambda one: ADDRESS.sub("", repr(one)))
             return "set", *map(self.words, in_order)
-        if (values := values_in(value, self.largest)) is not None:
+        if (values := values_in(value, LARGEST if self.here else sys.maxsize)) is not None:
             return values
         self.found.append(value)
         return self.numbers.setdefault(id(value), len(self.found) - 1)
@@ -128,20 +130,28 @@ class Describer:
             return self.describe_function(value)
         if isinstance(value, type):
             return self.describe_class(value)
-        name, parts = getattr(value, "__qualname__", None), parts_of(value)
-        own = is_own(home_of(type(value)))
-        if isinstance(value, types.ModuleType) or (name and not parts and not own):
+        if isinstance(value, types.ModuleType):
             return self.name(value)
-        if own or not parts:
-            return self.describe_thing(value), *map(self.words, parts)
-        return self.words(type(value)), name, *map(self.words, parts)
+        return self.describe_object(value)
+
+    def describe_object(self, value: Any) -> Hashable:
+        """Describe an object by its state; within a process, one without any stands for itself."""
+        state = state_of(value)
+        if isinstance(state, str):
+            return self.name(value), state
+        kind = self.words(type(value))
+        if state is None or (self.here and (isinstance(value, ALONE) or has_no_state(state))):
+            return kind, self.itself(value)
+        return kind, *map(self.words, state)
 
     def describe_function(self, function: types.FunctionType) -> Hashable:
         closure = self.words(function.__closure__)
-        if not self.opens(function):
-            return self.name(function), closure
         more = function.__defaults__, function.__kwdefaults__, vars(function) or None
-        return self.describe_code(function), closure, *map(self.words, more)
+        if self.opens(function):
+            return self.describe_code(function), closure, *map(self.words, more)
+        made = function.__code__.co_flags & inspect.CO_NESTED  # at run time, with any defaults
+        names = self.name(function), function.__code__.co_qualname  # a wrapper has another's name
+        return names, closure, *map(self.words, more[:2] if made else ())
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
         read = ((name, self.words(value)) for name, value in globals_of(function).items())
@@ -161,19 +171,12 @@ class Describer:
         """Return the name by which a definition counts; within a process, the object itself."""
         return FunctionByCode(definition, id(definition))
 
-    def describe_thing(self, value: Any) -> Hashable:
+    def itself(self, value: Any) -> Hashable:
         """Return the object, or any other that it is equal to, within a process."""
         with contextlib.suppress(Exception):  # a user's `__hash__` may raise
             hash(value)
-            return self.words(type(value)), value
-        return self.words(type(value)), self.name(value)
-
-
-def parts_of(value: Any) -> list[Any]:
-    """Return the parts of an object that is made of functions; none of any other."""
-    parts = [getattr(value, name, None) for name in PARTS]
-    made = any(part is not None for part in parts)
-    return parts if made and any(map(callable, (value, *parts))) else []
+            return value
+        return self.name(value)
 
 
 def values_in(value: Any, largest: int) -> Hashable:
@@ -202,7 +205,8 @@ def hash_of_code(code: types.CodeType) -> str:
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
     """Return the globals that a function reads, also as attributes of modules.
 
-    Left out are installed modules, which do not change, and what this package keeps in `STATE`.
+    Left out are installed modules, which do not change, and what this package keeps in a `Cache`
+    or, for a call alone, in a `ContextVar`.
     """
     found, own, inside = {}, is_own(home_of(function)), names_used(function.__code__)
     read = names_used(function.__code__, *READING) if own else inside
@@ -213,7 +217,7 @@ def globals_of(function: types.FunctionType) -> dict[str, Any]:
                 changes = is_own(value) or top_of(value) == PACKAGE
                 if changes and all(vars(value) is not one for _, one, _ in spaces):
                     spaces.append((f"{place}{name}.", vars(value), inside))
-            elif own or not isinstance(value, STATE):
+            elif not isinstance(value, Cache if own else Cache | ContextVar):
                 found[f"{place}{name}"] = value
     return found
 
@@ -300,7 +304,7 @@ def code_fingerprint(kind: type, parts: tuple = ()) -> str:
 class StoreDescriber(Describer):
     """Describes code for other processes: by its files, as loaded, or else by its parts."""
 
-    largest = sys.maxsize
+    here = False
 
     def __init__(self, kind: type = object):
         super().__init__()
@@ -320,7 +324,7 @@ class StoreDescriber(Describer):
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
         if self.add_file_of(function):  # where several functions may have one name
-            return self.name(function), max(map(str, function.__code__.co_positions()))
+            return self.name(function), hash_of_code(function.__code__)
         for name in names_used(function.__code__, "IMPORT_NAME"):
             for path in located(Path(), name.split(".")):
                 self.add_file(path.absolute(), Path.cwd())
@@ -331,12 +335,8 @@ class StoreDescriber(Describer):
         in_file = "<locals>" not in kind.__qualname__ and self.add_file_of(kind)
         return self.name(kind) if in_file else super().describe_class(kind)
 
-    def describe_thing(self, value: Any) -> Hashable:
-        """Describe an object as pickle does; without a pickle, it equals nothing elsewhere."""
-        try:
-            return self.words(value.__reduce_ex__(2))
-        except Exception:  # a user's `__reduce_ex__` may raise
-            return token_of_process(), id(value)
+    def itself(self, value: Any) -> Hashable:
+        return token_of_process(), id(value)
 
     def add_file_of(self, definition: Any) -> bool:
         """Add the file of a definition that is described; return whether there is one."""
@@ -361,7 +361,7 @@ class StoreDescriber(Describer):
                     self.add_file(other, root)
 
 
-kept: OrderedDict[Path, tuple[object, bytes]] = OrderedDict()
+kept: Cache = Cache()
 """Contents of files, and the spec of their modules at that time: a file in use may be edited."""
 
 

@@ -1,7 +1,6 @@
 import os
 import subprocess
 import sys
-from collections import OrderedDict
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ from timers import AtOnce
 import walker_jax as wj
 from walker_jax.execution import tiles
 from walker_jax.execution.tiles import CALL_SHAPES, KERNEL_CALL_CELLS, compact_order, map_cells
+from walker_jax.identity import Cache
 from walker_jax.kernels import program as of_program
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
@@ -100,7 +100,7 @@ def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, sta
     walker = wj.SimplestWalker(0.004)
     found = wj.strides(walker, starts)
     monkeypatch.setattr(of_program, "Compiled", no_kernel)
-    monkeypatch.setattr(of_program, "programs", OrderedDict())
+    monkeypatch.setattr(of_program, "programs", Cache())
     expected = wj.strides(walker, starts)
     np.testing.assert_array_equal(found.outcome, expected.outcome)
     np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
@@ -112,7 +112,7 @@ def test_an_option_that_xla_lacks_is_left_out(monkeypatch):
     options = {"xla_cpu_prefer_vector_width": 256, "xla_no_such_option": 1}
     monkeypatch.setitem(tiles.COMPILER_OPTIONS, "cpu", options)
     monkeypatch.setattr(of_program, "Compiled", no_kernel)
-    monkeypatch.setattr(of_program, "programs", OrderedDict())
+    monkeypatch.setattr(of_program, "programs", Cache())
     cells = np.arange(5.0)
     found = map_cells(lambda shared, cell: shared + cell**2, (3.0, cells))
     np.testing.assert_array_equal(found, 3 + cells**2)

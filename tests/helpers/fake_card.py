@@ -9,7 +9,6 @@ be given is seen here, and what it would compute; not what NVIDIA's driver makes
 import ctypes
 import re
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -19,6 +18,7 @@ import jax
 import pytest
 from jax.interpreters import mlir
 
+from walker_jax.identity import Cache
 from walker_jax.kernels import ffi, gpu, launcher, primitive, program, ptx
 from walker_jax.kernels.handler import VERSION
 from walker_jax.kernels.machine import hash_source, load_program
@@ -213,7 +213,7 @@ def a_card() -> Iterator[Card]:
         patch.setattr(launcher, "LAUNCH", launch)
         patch.setattr(ptx, "ptx_of", ptx_of)
         patch.setattr(ptx, "load_or_compile", lambda name, compile: compile())
-        patch.setattr(program, "programs", OrderedDict())
+        patch.setattr(program, "programs", Cache())
         patch.setattr(ffi, "registrations", {})
         patch.setattr(ffi, "register", lambda name, _, *more: register(name, "cpu", *more))
         patch.setattr(jax.ffi, "ffi_lowering", ffi_lowering)

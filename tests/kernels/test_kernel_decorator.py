@@ -1,6 +1,5 @@
 """Functions of a user's own as kernels: their arguments, and why they have no kernel."""
 
-from collections import OrderedDict
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +16,7 @@ from jax import lax
 
 import walker_jax as wj
 from walker_jax.checks import NoKernelWarning, WrongUse, warn_once
+from walker_jax.identity import Cache
 from walker_jax.kernels import kernel, machine, machine_code, program, why_not
 
 
@@ -328,7 +328,7 @@ def test_a_kernel_is_compiled_once_for_all_calls(monkeypatch):
 
     load = machine_code.load_program
     monkeypatch.setattr(machine_code, "load_program", counted)
-    monkeypatch.setattr(program, "programs", OrderedDict())
+    monkeypatch.setattr(program, "programs", Cache())
     cell = kernel(lambda x, n: x * n + 0.25, static_argnames="n")
     for x in (1.0, 2.0):
         assert cell(x, 3) == cell(x, n=3) == 3 * x + 0.25

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import threading
-from collections import OrderedDict
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from jax.sharding import AxisType, NamedSharding
 from jax.sharding import PartitionSpec as P
 from turns import AS, BOTH, RNG, XS, A, X, assert_same, by_loop, number, unrolled
 
+from walker_jax.identity import Cache
 from walker_jax.kernels import ffi, handler, kernel
 from walker_jax.kernels import program as of_program
 
@@ -276,7 +276,7 @@ def test_the_right_buffers_are_not():
 def test_xla_computes_where_its_interface_is_unknown(monkeypatch):
     """That is told once."""
     monkeypatch.setattr(ffi, "VERSION", (0, 10**6))
-    monkeypatch.setattr(of_program, "programs", OrderedDict())
+    monkeypatch.setattr(of_program, "programs", Cache())
     ffi.available.cache_clear()
     try:
         with pytest.warns(RuntimeWarning, match="more slowly") as told:

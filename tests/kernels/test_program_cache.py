@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import sys
-from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
+from walker_jax.identity import Cache
 from walker_jax.integrators import integrator, roots, taylor
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_steps import Taylor
@@ -31,7 +31,7 @@ START = np.array([0.2, -0.2])
 @pytest.fixture(autouse=True)
 def programs(monkeypatch):
     """None in memory, and those of other tests afterwards."""
-    monkeypatch.setattr(program, "programs", OrderedDict())
+    monkeypatch.setattr(program, "programs", Cache())
 
 
 @pytest.fixture

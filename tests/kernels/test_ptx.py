@@ -2,7 +2,6 @@
 
 import ctypes
 import itertools
-from collections import OrderedDict
 from types import SimpleNamespace
 
 import jax
@@ -15,6 +14,7 @@ from jax.interpreters import mlir
 from threads_of_cards import DTYPES, PTXAS, check_assembly, closed_of, elementary, ptx_of
 
 import walker_jax as wj
+from walker_jax.identity import Cache
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import ffi, gpu, kernel, launcher, machine, object_cache, primitive, ptx
 from walker_jax.kernels import program as of_program
@@ -169,7 +169,7 @@ def test_ptx_of_floats(function, dtype, tmp_path):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path))
-    monkeypatch.setattr(of_program, "programs", OrderedDict())
+    monkeypatch.setattr(of_program, "programs", Cache())
     return tmp_path
 
 

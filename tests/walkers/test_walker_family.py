@@ -1,7 +1,5 @@
 """All walkers: wrong parameters, derivatives, and one walker among many."""
 
-from collections import OrderedDict
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +18,7 @@ from walker_jax import (
     UpperBodyWalker,
 )
 from walker_jax.gaits.cycles import linearise
+from walker_jax.identity import Cache
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import program
 from walker_jax.walkers.parameters import parameters
@@ -146,7 +145,7 @@ def test_one_walker_is_as_many_that_are_equal():
 
 @pytest.mark.slow
 def test_strides_are_compiled_once_for_all_kinds_of_numbers(monkeypatch):
-    monkeypatch.setattr(program, "programs", OrderedDict())
+    monkeypatch.setattr(program, "programs", Cache())
     xs = np.array([GAIT["state"]])
     wj.strides(SimplestWalker(0.009), xs)
     count = len(program.programs)

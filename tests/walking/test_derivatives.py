@@ -1,7 +1,5 @@
 """Strides, walks, gaits and margins under JAX's transformations, of all walkers."""
 
-from collections import OrderedDict
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +16,7 @@ from walker_jax import (
     SpringWalker,
     UpperBodyWalker,
 )
+from walker_jax.identity import Cache
 from walker_jax.kernels import primitive, program
 from walker_jax.walkers.parameters import parameters
 
@@ -162,7 +161,7 @@ def test_second_derivatives_of_what_fails_are_nan():
 
 @pytest.mark.slow
 def test_derivatives_of_what_fails_are_nan_without_kernels(monkeypatch):
-    monkeypatch.setattr(program, "programs", OrderedDict())
+    monkeypatch.setattr(program, "programs", Cache())
     monkeypatch.setenv("WALKER_JAX_KERNELS", "off")
     gradient = jax.grad(lambda z: of_numbers(SimplestWalker, "stride")(z)[0])
     starts = [STARTS[SimplestWalker][1], *FAILING.values()]

@@ -12,12 +12,12 @@ import contextlib
 import hashlib
 import os
 import tempfile
-from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 
 import platformdirs
 
+from walker_jax.identity import Cache
 from walker_jax.kernels.private_files import (
     FILE_MODE,
     is_private,
@@ -37,7 +37,7 @@ SUFFIX = ".kernel"
 """Suffix of every file in the folder, temporary ones included."""
 CHECKSUM_BYTES = 32
 """Length of the checksum at the start of a file: 256 bits, as for SHA-256."""
-unseen: OrderedDict[Path, int] = OrderedDict()
+unseen: Cache = Cache()
 """Bytes that this process has written to a folder since it looked at it."""
 
 

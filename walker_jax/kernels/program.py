@@ -9,7 +9,6 @@ import contextlib
 import functools
 import itertools
 import math
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from jax.core import ShapedArray
 from jax.extend.core import jaxpr_as_fun, jaxprs_in_params
 
 from walker_jax.checks import NoKernelWarning, WrongUse, is_traced, warn_once
-from walker_jax.identity import sha256_of
+from walker_jax.identity import Cache, sha256_of
 from walker_jax.kernels import machine
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
 from walker_jax.kernels.directions import mapping_directions
@@ -278,7 +277,7 @@ def is_real(aval) -> bool:
     return jnp.issubdtype(aval.dtype, jnp.floating)
 
 
-programs: OrderedDict = OrderedDict()
+programs: Cache = Cache()
 """Program and tree of the results, by function, shapes, types, settings and state of user code."""
 MODES = {
     "jax_enable_x64": jax.enable_x64,

@@ -7,7 +7,7 @@ of the code. They are found by a hash of all that a trace depends on:
 - the function, the shapes and types of its arguments, and the static parts of these;
 - the settings of JAX under which it is traced;
 - the code of this package that it reaches, and all that this reads but caches and values for a call
-  alone (`identity.STATE`), as it is in this process: what is replaced at run time is traced anew;
+  alone, as it is in this process: what is replaced at run time is traced anew;
 - the package's source files, as they were when loaded, and the versions of the packages it uses.
 
 Functions and classes of other packages, including a user's own walkers, are traced in each process.
@@ -22,6 +22,7 @@ import sys
 import types
 from collections.abc import Callable, Hashable, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -39,6 +40,7 @@ from walker_jax.identity import (
     Describer,
     FunctionByCode,
     home_of,
+    is_known_module,
     is_own,
     sha256_of,
     top_of,
@@ -98,7 +100,7 @@ class ReachedCode(Describer):
     the source files.
     """
 
-    largest = sys.maxsize
+    here = False
 
     def opens(self, definition: Any) -> bool:
         home = home_of(definition)
@@ -107,10 +109,12 @@ class ReachedCode(Describer):
     def name(self, definition: Any) -> Hashable:
         return tuple(getattr(definition, f"__{name}__", None) for name in ("module", "qualname"))
 
-    def describe_thing(self, value: Any) -> Hashable:
-        if is_own(home_of(type(value))):
+    def describe_object(self, value: Any) -> Hashable:
+        return None if isinstance(value, Path) else super().describe_object(value)
+
+    def itself(self, value: Any) -> Hashable:
+        if not is_known_module(home_of(type(value))):
             raise Unknown
-        return self.words(type(value))
 
 
 def statics_of(structure: Any) -> list[Any]:
