@@ -183,8 +183,9 @@ def lyapunov_exponents(
     known = found[np.isfinite(found)]
     if len(known):
         top = max(float(known.max()), 0.05)
-        ax.set_ylim(max(float(known.min()), -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
-        ax.set_xlim(value.min(), value.max())
+        deepest = min(float(known.min()), 0.0)
+        ax.set_ylim(max(deepest, -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
+        set_range(ax, data)
     positive = value[found[:, 0] > 2 * errors[:, 0]]
     note = (
         f"the first is above zero from {positive[0]:.5f}" if len(positive) else "none is above zero"

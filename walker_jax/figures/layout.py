@@ -136,7 +136,7 @@ def figure_of(ax: Axes) -> Figure:
 
 def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """Return the outer edges of equal cells."""
-    half = (centres[-1] - centres[0]) / (len(centres) - 1) / 2
+    half = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) / 2 or 0.5
     return float(centres[0] - half), float(centres[-1] + half)
 
 
