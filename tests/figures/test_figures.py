@@ -180,7 +180,8 @@ def test_values_of_a_sweep_may_come_in_any_order():
     data = swept(3, 2)
     ax, turned = map(figures.sweep, (data, data.isel(slope=[2, 0, 1], hip_stiffness=[1, 0])))
     meshes: Any = (ax.collections[0], turned.collections[0])
-    np.testing.assert_array_equal(*(np.ma.filled(one.get_array(), -1) for one in meshes))
+    one, other = (np.ma.filled(mesh.get_array(), -1) for mesh in meshes)
+    np.testing.assert_array_equal(one, other)
     assert ax.get_xlim() == turned.get_xlim() and ax.get_ylim() == turned.get_ylim()
 
 
