@@ -358,10 +358,12 @@ def places_near(
     """Return places in a range, 0.09 of it apart, as near as may be to ascending heights."""
     from scipy.optimize import isotonic_regression
 
+    if not len(heights):
+        return heights
     gap = 0.09 * (high - low)
     away = gap * np.arange(len(heights))
     nearest = isotonic_regression(heights - away).x
-    return np.clip(nearest, low + gap / 2, high - gap / 2 - away.max(initial=0)) + away
+    return np.clip(nearest, low + gap / 2, high - gap / 2 - away.max()) + away
 
 
 def set_range(ax: Axes, data: xr.Dataset) -> None:
