@@ -28,7 +28,8 @@ def test_the_action_changes_with_slope_and_spring(strides):
     )
 
 
-@pytest.mark.parametrize("strides", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("strides", [1, 2])
 def test_the_action_changes_with_all_weights_of_a_network(strides):
     """By a difference along a direction in which all change; the gait changes too."""
     how = {"strides": strides, "directions": 8 * strides**2}

@@ -176,6 +176,21 @@ def test_the_area_over_one_parameter_has_its_error():
     assert "3 basins" in (note := ax.texts[0].get_text()) and "1 failed" in note
 
 
+def test_values_of_a_sweep_may_come_in_any_order():
+    data = swept(3, 2)
+    ax, turned = map(figures.sweep, (data, data.isel(slope=[2, 0, 1], hip_stiffness=[1, 0])))
+    meshes: Any = (ax.collections[0], turned.collections[0])
+    one, other = (np.ma.filled(mesh.get_array(), -1) for mesh in meshes)
+    np.testing.assert_array_equal(one, other)
+    assert ax.get_xlim() == turned.get_xlim() and ax.get_ylim() == turned.get_ylim()
+
+
+def test_the_zero_line_is_shown_below_exponents_that_are_positive():
+    data = with_exponents()
+    ax = figures.lyapunov_exponents(data.assign(exponents=abs(data["exponents"]) + 0.2))
+    assert ax.get_ylim()[0] <= 0
+
+
 def test_the_area_over_two_parameters_is_a_colour():
     ax = figures.sweep(swept(3, 2))
     collections: Any = ax.collections

@@ -110,13 +110,13 @@ def main(kind: str, folder: Path, every: int = 1) -> int:
     warnings.simplefilter("error")
     first = {
         "pieces": lambda path: None,
-        "overwrite": lambda path: storage.save(OTHER, path, OLD),
-        "save": lambda path: storage.save(OTHER, path, OLD),
+        "overwrite": lambda path: storage.save(OTHER, path, OLD, overwrite=True),
+        "save": lambda path: storage.save(OTHER, path, OLD, overwrite=True),
     }[kind]
     killed = {
         "pieces": run,
         "overwrite": partial(run, overwrite=True),
-        "save": lambda path: storage.save(WHOLE, path, NEW),
+        "save": lambda path: storage.save(WHOLE, path, NEW, overwrite=True),
     }[kind]
     again = saved_again if kind == "save" else go_on
     bad, operation, code = 0, 0, KILLED

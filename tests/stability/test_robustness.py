@@ -65,13 +65,13 @@ def test_a_push_that_changes_the_speed_alone(gait, least):
     assert scaled.size == pytest.approx(found.size / abs(state[1]))
 
 
-@pytest.mark.slow
 def test_a_thin_finger_of_falls_is_met_at_another_slope():
     """Within 99.99 % of it every start is proved to walk for ever (docs/proofs.md, Theorem 2)."""
     found = least_disturbance(wj.SimplestWalker(slope=0.009))
     assert found.size == pytest.approx(0.00225558, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_the_least_disturbance_by_another_solver(gait):
     expected = least_disturbance(WALKER, gait, along=[0, 1])
     found = least_disturbance(WALKER, gait, along=[0, 1], solver=diffrax.Dopri8())

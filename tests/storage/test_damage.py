@@ -110,7 +110,7 @@ def saved(path: Path, **given: Any) -> xr.Dataset:
         {"fate": ("x", np.arange(5, dtype=np.int8)), "note": ("x", WORDS), "area": 0.1},
         coords={"x": np.linspace(0, 1, 5)},
     )
-    return storage.save(data.assign(given), path, REQUEST)
+    return storage.save(data.assign(given), path, REQUEST, overwrite=True)
 
 
 @pytest.mark.parametrize("change", [(b"attributes", b"Attributes"), (b'"group"', b'"froup"')])

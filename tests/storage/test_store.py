@@ -47,7 +47,7 @@ def test_another_request_is_refused_unless_told_to_overwrite(tmp_path, data):
         storage.find(path, {**REQUEST, "slope": 0.005})
     assert storage.find(path, {**REQUEST, "slope": 0.005}, overwrite=True) is None
     assert storage.find(path, REQUEST) is not None  # nothing was touched
-    storage.save(data * 2, path, {**REQUEST, "slope": 0.005})
+    storage.save(data * 2, path, {**REQUEST, "slope": 0.005}, overwrite=True)
     replaced = storage.load(path)
     assert replaced is not None and replaced.fate.values.tolist() == [0, 2, 4, 6, 8]
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
@@ -83,7 +83,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, data, monkeypatch):
     written = storage.save(data, path, REQUEST)
     monkeypatch.setattr(xr.Dataset, "to_zarr", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        storage.save(data * 2, path, REQUEST)
+        storage.save(data * 2, path, REQUEST, overwrite=True)
     found = storage.find(path, REQUEST)
     assert found is not None and found.identical(written)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
@@ -325,7 +325,7 @@ def test_a_link_is_another_name_of_a_place(tmp_path, data):
     link.symlink_to("a.zarr")
     storage.save(data, link, REQUEST)
     assert link.is_symlink() and storage.find(path, REQUEST) is not None
-    storage.save(data * 2, link, REQUEST)
+    storage.save(data * 2, link, REQUEST, overwrite=True)
     found = storage.find(path, REQUEST)
     assert found is not None and found["fate"].values.tolist() == [0, 2, 4, 6, 8]
     with begun(path, overwrite=True):
@@ -372,7 +372,7 @@ def test_what_comes_in_the_way_is_left_and_so_is_the_new(tmp_path, data, monkeyp
 
     with between_the_old_and_the_new(monkeypatch, other):
         with pytest.raises(storage.StoreConflict, match="came in the way"):
-            storage.save(data * 2, path, REQUEST)
+            storage.save(data * 2, path, REQUEST, overwrite=True)
     assert (path / "mine").exists()
     kept = [storage.load(tmp_path / ".a.zarr.walker-jax" / name) for name in ("old", "new")]
     assert [one is not None for one in kept] == [True, True]
@@ -380,6 +380,34 @@ def test_what_comes_in_the_way_is_left_and_so_is_the_new(tmp_path, data, monkeyp
     path.rmdir()
     found = storage.find(path, REQUEST)
     assert found is not None and found["fate"].values.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_what_has_come_while_it_was_computed_is_kept(tmp_path, data):
+    path = tmp_path / "a.zarr"
+    assert storage.find(path, REQUEST) is None
+    storage.save(data, path, REQUEST)  # by another run
+    found = storage.save(data * 2, path, REQUEST)
+    assert found["fate"].values.tolist() == [0, 1, 2, 3, 4]
+    with pytest.raises(storage.StoreConflict, match="holds another result"):
+        storage.save(data, path, {**REQUEST, "slope": 0.005})
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    with pytest.raises(storage.StoreConflict, match="is not a data set"):
+        storage.save(data, mine, REQUEST, overwrite=True)
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_a_folder_of_others_with_the_name_of_scratch_is_left(tmp_path, data, link):
+    theirs = tmp_path / ("theirs" if link else ".a.zarr.walker-jax")
+    theirs.mkdir()
+    (theirs / "old").touch()
+    if link:
+        (tmp_path / ".a.zarr.walker-jax").symlink_to(theirs)
+    path = tmp_path / "a.zarr"
+    assert storage.find(path, REQUEST) is None
+    with pytest.raises(storage.StoreConflict, match="in the way: move it away"):
+        storage.save(data, path, REQUEST)
+    assert [one.name for one in theirs.iterdir()] == ["old"] and not path.exists()
 
 
 def test_a_run_goes_on_with_the_blocks_that_it_was_begun_with(tmp_path, monkeypatch):
@@ -520,7 +548,7 @@ def test_an_interruption_between_old_and_new_loses_neither(tmp_path, data, monke
 
     with between_the_old_and_the_new(monkeypatch, interrupt):
         with pytest.raises(KeyboardInterrupt):
-            storage.save(data * 2, path, REQUEST)
+            storage.save(data * 2, path, REQUEST, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
     there = storage.load(path)
     assert there is not None and there.fate.values.tolist() == [0, 1, 2, 3, 4]
@@ -538,7 +566,7 @@ def test_a_data_set_goes_to_netcdf_as_it_is(tmp_path, data):
         assert there["fate"].attrs["flag_values"].tolist() == [0, 1]
     with pytest.raises(storage.StoreConflict, match=r"a\.nc exists"):
         storage.export(path, file)
-    storage.save(data * 2, path, REQUEST)
+    storage.save(data * 2, path, REQUEST, overwrite=True)
     storage.export(path, file, overwrite=True)
     with xr.open_dataset(file, engine="h5netcdf") as there:
         assert there["fate"].values.tolist() == [0, 2, 4, 6, 8]

@@ -125,7 +125,8 @@ class Output(Group, theme="Output"):
         if data is None:
             with lib.bar(request["command"], True):
                 data = compute()
-            data = data if kept else lib.storage.save(data, self.out, request)
+            how = {"overwrite": self.overwrite}
+            data = data if kept else lib.storage.save(data, self.out, request, **how)
         self.draw(getattr(wj.figures, picture)(data), request)
         return data
 

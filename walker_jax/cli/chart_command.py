@@ -49,7 +49,7 @@ def chart(walker: "wj.System", asked: Chart, output: Output):
     asked.check(walker)
     check_start(walker, asked.start)
     bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
-    cells = [count for *_, count in asked.over.values()]
+    cells = tuple(count for *_, count in asked.over.values())
     how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}
     begin = state_from(walker, asked.start) if asked.start else None
     start = None if begin is None else begin.tolist()

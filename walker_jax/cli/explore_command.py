@@ -50,7 +50,7 @@ def explore(walker: "wj.System", page: Page) -> None:
     without a gait_region.
     """
     page.check_host()
-    if page.axis and lib.has_ground(walker):
+    if page.axis and lib.is_planar(walker):
         raise WrongUse("--axis is for systems: the page shows a walker in the plane about its gait")
     axes = named_axes(walker, page.axis, most=len(walker.section)) if page.axis else {}
     if axes:

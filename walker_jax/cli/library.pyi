@@ -55,7 +55,6 @@ from walker_jax.stability.disturbances import BEYOND as BEYOND
 from walker_jax.stability.probable_falls import ProbableFall as ProbableFall
 from walker_jax.stability.robustness_fields import summarise_robustness as summarise_robustness
 from walker_jax.systems.family import SYSTEMS as SYSTEMS
-from walker_jax.systems.hybrid_system import has_ground as has_ground
 from walker_jax.systems.outcomes import name_of_outcome as name_of_outcome
 from walker_jax.systems.outcomes import outcome_in_words as outcome_in_words
 from walker_jax.systems.system import code_of as code_of
@@ -64,6 +63,7 @@ from walker_jax.systems.trees import make_static as make_static
 from walker_jax.walkers.family import WALKERS as WALKERS
 from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import check_planar as check_planar
+from walker_jax.walkers.model import is_planar as is_planar
 from walker_jax.walkers.model import moves_like as moves_like
 from walker_jax.walkers.parameters import Parameter as Parameter
 from walker_jax.walkers.parameters import Tree as Tree

@@ -65,7 +65,7 @@ class Measures(Group, theme="Measures"):
 
     def settings(self, walker: "wj.System") -> dict[str, Any]:
         """Return the arguments of the library's `robustness`."""
-        if not lib.has_ground(walker):
+        if not lib.is_planar(walker):
             plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
             refuse(plane, ground=self.ground)
         given = {name: value for name, value in vars(self).items() if value is not None}

@@ -55,7 +55,7 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
     film shows the walker, about as fast as one with legs of one metre, and its trajectory in the
     basin.
     """
-    if not lib.has_ground(walker):
+    if not lib.is_planar(walker):
         other = f"not for {walker.label()}: leave it out"
         refuse(f"is for walkers in the plane, {other}", ground=asked.ground)
         if walker.picture() is None:

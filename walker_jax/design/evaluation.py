@@ -17,10 +17,9 @@ from walker_jax.design.tolerances import evaluate_over
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.stability.rays import DENSE
-from walker_jax.systems.hybrid_system import has_ground
 from walker_jax.systems.system import System
 from walker_jax.walkers.choices import MANY
-from walker_jax.walkers.model import check_planar
+from walker_jax.walkers.model import check_planar, is_planar
 
 STEP_SIZES = (0.1, 0.03, 0.01, 0.003)
 """Step sizes of each stage, in places."""
@@ -161,7 +160,7 @@ def area_settings(problem: Problem, grid: Grid, stage: int) -> AreaSettings:
 
 def check_starts(walker: System, exact: bool) -> int:
     """Return how many starts correct an area: more at the ends, where it is to be `exact`."""
-    return (CHECK_STARTS if has_ground(walker) else CHECK_STARTS_IN_SPACE)[exact]
+    return (CHECK_STARTS if is_planar(walker) else CHECK_STARTS_IN_SPACE)[exact]
 
 
 def evaluate_disturbance(

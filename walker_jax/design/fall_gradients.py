@@ -71,7 +71,8 @@ def fall_gradient(
     rows = np.concatenate([fall.disturbances, even])[: fall.strides + 1]
     tried = BEYOND[:, None, None] * rows
     by_numbers, by_x, by_rows = pull(tried, np.zeros((len(tried), len(x))))
-    first = int(by_rows.any(axis=(1, 2)).argmax())  # that falls: others have no derivatives
+    known = np.isfinite(by_rows).all(axis=(1, 2))
+    first = int((known & by_rows.any(axis=(1, 2))).argmax())  # that falls: others have zeros
     by_scale = float(np.sum(by_rows[first] * rows)) or np.nan
     # The gait solves x = S(x, p), so the start changes by dx = (I - S_x)^-1 S_p dp.
     by_p, jacobian, _ = pull(np.zeros((len(x), 1, 3)), np.eye(len(x)))

@@ -66,9 +66,9 @@ from walker_jax.execution.threads import side_by_side
 from walker_jax.fitting.results import Fit
 from walker_jax.grids import Grid
 from walker_jax.stability.slices import default_region
-from walker_jax.systems.hybrid_system import has_ground
 from walker_jax.systems.system import System
 from walker_jax.walkers.choices import MANY, Choice
+from walker_jax.walkers.model import is_planar
 
 ATTRACTED = -1
 """Stands for a fate, in `fate_start` and `fate_optimum`, where the walker converges."""
@@ -352,7 +352,7 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation, hurrie
     margin = np.maximum(1, (high - low) // 20)
     low, high = np.maximum(low - margin, 0), np.minimum(high + margin, shape)
     spacing = np.asarray(rough[0].grid.spacing)
-    shown_cells = VIEW_CELLS if has_ground(problem.walker) else VIEW_CELLS_IN_SPACE
+    shown_cells = VIEW_CELLS if is_planar(problem.walker) else VIEW_CELLS_IN_SPACE
     shown_cells = min(shown_cells, HURRIED_VIEW_CELLS) if hurried else shown_cells
     axes = {
         name: (float(start + first * width), float(start + last * width), shown_cells)

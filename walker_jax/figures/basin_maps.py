@@ -153,7 +153,7 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     for ax, slope, cells, area in zip(panels.flat, slopes, images, areas, strict=False):
         regions.show_image(ax, cells, extent)
         ax.set_title(f"slope {slope:g} rad", **TITLE, fontsize="medium", pad=16)
-        note = text.area_phrase(data, area) if area else "no basin of attraction"
+        note = text.area_phrase(data, area) if area > 0 else "no basin of attraction"
         ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
     layout.name_outer_axes(panels, len(slopes), x, y)
     layout.figure_legend(panels.flat, map(regions.patch_of, found))

@@ -183,8 +183,9 @@ def lyapunov_exponents(
     known = found[np.isfinite(found)]
     if len(known):
         top = max(float(known.max()), 0.05)
-        ax.set_ylim(max(float(known.min()), -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
-        ax.set_xlim(value.min(), value.max())
+        deepest = min(float(known.min()), 0.0)
+        ax.set_ylim(max(deepest, -DEEPEST * max(top, 0.5)) * 1.05, 1.25 * top)
+        set_range(ax, data)
     positive = value[found[:, 0] > 2 * errors[:, 0]]
     note = (
         f"the first is above zero from {positive[0]:.5f}" if len(positive) else "none is above zero"
@@ -357,10 +358,12 @@ def places_near(
     """Return places in a range, 0.09 of it apart, as near as may be to ascending heights."""
     from scipy.optimize import isotonic_regression
 
+    if not len(heights):
+        return heights
     gap = 0.09 * (high - low)
     away = gap * np.arange(len(heights))
     nearest = isotonic_regression(heights - away).x
-    return np.clip(nearest, low + gap / 2, high - gap / 2 - away.max(initial=0)) + away
+    return np.clip(nearest, low + gap / 2, high - gap / 2 - away.max()) + away
 
 
 def set_range(ax: Axes, data: xr.Dataset) -> None:

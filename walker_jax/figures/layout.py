@@ -136,7 +136,7 @@ def figure_of(ax: Axes) -> Figure:
 
 def cell_edges(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """Return the outer edges of equal cells."""
-    half = (centres[-1] - centres[0]) / (len(centres) - 1) / 2
+    half = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) / 2 or 0.5
     return float(centres[0] - half), float(centres[-1] + half)
 
 
@@ -255,11 +255,12 @@ def in_columns(handles: Sequence[Artist], inches: float) -> dict[str, Any]:
 def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:
     """Put a legend at the left, below all axes of a figure, under a note.
 
-    It has what is labelled on some of the axes, and then the given signs, each label once.
+    It has what is labelled on some of the axes, each label once, and then the given signs.
     """
     axes = [*axes]
     labelled = chain(*(ax.get_legend_handles_labels()[0] for ax in axes))
-    handles = [*{one.get_label(): one for one in (*labelled, *signs)}.values()]
+    named = {one.get_label(): one for one in labelled}
+    handles = [*named.values(), *(one for one in signs if one.get_label() not in named)]
     figure = figure_of(axes[0])
     wide = figure.get_figwidth()
     above: Any = in_lines(note, wide, "legend.fontsize") or None

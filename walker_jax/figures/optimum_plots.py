@@ -191,7 +191,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
 def basin_note(data: xr.Dataset, side: str) -> str:
     """Return the area of a basin, if it is known, and its slice, if it is in one."""
     area, fixed = results.area_at(data, side), results.slice_coordinates(data)
-    words = [text.area_phrase(data, area)] if area else []
+    words = [text.area_phrase(data, area)] if area is not None and area > 0 else []
     return "; ".join([*words, *([text.slice_phrase(fixed)] if fixed else [])])
 
 

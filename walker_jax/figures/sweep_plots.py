@@ -30,20 +30,21 @@ def sweep(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     ax = axes_for(ax, style, 7, 4.8)
     others = [str(name) for name in data["total_area"].dims[2:]]
     sizes = data[["total_area", "total_area_error"]].isel(dict.fromkeys(others, 0))
+    sizes = sizes.sortby(list(sizes["total_area"].dims))  # values may come in any order
     area, error = sizes["total_area"], sizes["total_area_error"]
     solid = data["fate"].ndim == data["total_area"].ndim + 3
     words = text.VOLUME_LABEL if solid else text.AREA_LABEL
     words = words if has_known_units(data) else words.partition(" (")[0]
     x, y, bars = str(area.dims[0]), words, []
     if area.ndim == 1:
-        ax.errorbar(data[x], area, error, fmt="o-", ms=5, color=BASINS[0], capsize=3)
-        layout.show_from_zero(ax, data[x].values.astype(float))
+        ax.errorbar(area[x], area, error, fmt="o-", ms=5, color=BASINS[0], capsize=3)
+        layout.show_from_zero(ax, area[x].values.astype(float))
     else:
         y = str(area.dims[1])
-        image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
+        image = ax.pcolormesh(area[x], area[y], area.T, cmap="viridis", rasterized=True)
         bars = [layout.figure_of(ax).colorbar(image, ax=ax, label=words).ax]
         if min(area.shape) > 1:  # cells at the ends reach beyond the values
-            ax.set(xlim=data[x].values[[0, -1]], ylim=data[y].values[[0, -1]])
+            ax.set(xlim=area[x].values[[0, -1]], ylim=area[y].values[[0, -1]])
     fixed = text.parameter_values({name: float(data[name][0]) for name in others})
     shape = " × ".join(map(str, data["total_area"].shape))
     failed = int(data["failed"].sum())

@@ -88,12 +88,12 @@ def basin_note(data: xr.Dataset) -> str:
     fixed = fixed_coordinates(data)
     note += f"\n{slice_phrase(fixed)}" if fixed else ""
     area = total_area(data)
-    return note if data["fate"].ndim != 2 or area == 0 else f"{note}; {area_phrase(data, area)}"
+    return note if data["fate"].ndim != 2 or not area > 0 else f"{note}; {area_phrase(data, area)}"
 
 
 def with_error(value: float, error: float) -> str:
     """Format a number to the digits that its standard error leaves, with that error."""
-    if not error > 0:
+    if not 0 < error < math.inf:
         return f"{value:.4g}"
     digits = max(0, 1 - math.floor(math.log10(error)))
     return f"{value:.{digits}f} ± {error:.{digits}f}"

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize, to_hex
 
+from walker_jax.basins.cell_classes import total_area
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.figures import regions
@@ -101,7 +102,7 @@ def capturability(
     regions.show_image(ax, regions.paint(found, viable.shape), extent)
     for (words, basin), look in zip(around.items(), LINES, strict=False):
         cells, _ = middle_plane(basin, "attractor")
-        named = f"{words}: {sum(basin.attrs['area']):.3g}", *look
+        named = f"{words}: {total_area(basin):.3g}", *look
         draw_boundary(ax, named, cells["attractor"].values >= 0, extent)
     note, patches = actions_in_words(data) + place, map(regions.patch_of, found)
     return finish(ax, style, walker_title(data), note, x=x, y=y, legend=patches)

@@ -19,6 +19,8 @@ from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome, failures_of
 
+NEAREST = 1e-6
+"""Least margin around the end of a walk, which may stay at one point."""
 TRAJECTORY = "#f2b632"
 """Colour of a trajectory in a basin, visible on dark and on pale ground."""
 
@@ -94,7 +96,7 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
         for k in range(first, last):
             write_number(ax, k + 1, (x[k], y[k]))
     ends = [np.array([values.min(), values.max()]) for values in (x[half:], y[half:])]
-    left, low = (both + 0.3 * np.ptp(both) * np.array([-1, 1]) for both in ends)
+    left, low = (both + max(0.3 * np.ptp(both), NEAREST) * np.array([-1, 1]) for both in ends)
     close.set(xlim=left, ylim=low)
     note = f"starts {half + 1} to {len(x)}, and the attractor"
     finish(close, {}, "Enlarged", note, x=axes[0], y="")

@@ -12,31 +12,24 @@ from walker_jax.proofs.enclosures import ROUNDING, Space, exactly
 from walker_jax.systems.system import System, arrays_of
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.powered import PoweredWalker
-from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walkers.spring import SpringWalker
 
 FIXED_METHODS = (
     *("phases", "during_stride", "project", "feasible", "exchange_legs", "equations"),
-    *("section", "lift", "contact", "is_ahead", "falls", "margin"),
+    *("section", "lift", "contact", "is_ahead", "falls", "margin", "modes"),
     *("begin", "launch", "may_launch"),
 )
 """Methods that a walker must not override, because proofs assume more of them than their values:
 another form of the same, that the swing foot is on the ground at the start, that no start has
 fallen."""
-
-SWINGS = AbstractMasslessFootWalker, SimplestWalker, SpringWalker, PoweredWalker
-"""Classes whose `modes` the proofs follow. They add to one another only what is known of them."""
 OWN_DERIVATIVES = {"custom_jvp_call", "custom_vjp_call", "call_hi_primitive", "stop_gradient"}
 """Primitives whose derivatives may be set by hand, or are zero."""
 
 
 def check_provable(walker: System) -> AbstractMasslessFootWalker:
     """Return the walker in float64; refuse a walker whose strides the proofs do not cover."""
-    same = lambda name, kind: getattr(type(walker), name, None) is getattr(kind, name)
-    fixed = all(same(name, AbstractMasslessFootWalker) for name in FIXED_METHODS)
-    known = isinstance(walker, AbstractMasslessFootWalker)
-    if not (known and fixed and any(same("modes", kind) for kind in SWINGS)):
+    kind = AbstractMasslessFootWalker
+    fixed = all(getattr(type(walker), one, None) is getattr(kind, one) for one in FIXED_METHODS)
+    if not (isinstance(walker, AbstractMasslessFootWalker) and fixed):
         raise WrongUse(
             "walker must be a SimplestWalker, SpringWalker or PoweredWalker, or of a derived class "
             f"that changes only equations, not {type(walker).__name__}",

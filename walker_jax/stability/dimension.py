@@ -24,8 +24,8 @@ from walker_jax.fractals.dimensions import (
 )
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.systems.hybrid_system import has_ground
 from walker_jax.systems.system import System
+from walker_jax.walkers.model import is_planar
 
 DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
 """Distances of starts whose fates are compared, as shares of the lengths of a grid's axes."""
@@ -39,7 +39,7 @@ uncertain, and the distances are shorter than a cell of the default slice."""
 
 def comparisons(walker: System) -> dict[str, Any]:
     """Return the distances and pairs with which `robustness` compares starts of a walker."""
-    if has_ground(walker):
+    if is_planar(walker):
         return {"distances": DISTANCES, "pairs": PAIRS}
     return {"distances": DISTANCES_IN_SPACE, "pairs": PAIRS_IN_SPACE}
 

@@ -41,10 +41,9 @@ from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
 from walker_jax.stability.time_to_fall import steps_to_fall
 from walker_jax.systems.angles import turns_of
-from walker_jax.systems.hybrid_system import has_ground
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.model import check_planar
+from walker_jax.walkers.model import check_planar, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 WALKS, WALK_LIMIT = 1000, 2000
@@ -186,7 +185,7 @@ def measure_gait(
         return rolled, nearest, fall, stability
 
     def by_steps_down() -> tuple[LeastStepDown, LeastStepDown]:
-        if not has_ground(walker):
+        if not is_planar(walker):
             return NO_STEP_DOWN, NO_STEP_DOWN
         planar = check_planar(walker)
         down = fall = least_step_down(planar, gait, **about)

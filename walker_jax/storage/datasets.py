@@ -83,10 +83,17 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
     return None
 
 
-def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
-    """Write a data set at `path`, replacing any that is there, and return it as written."""
+def save(
+    data: "xarray.Dataset", path: Path, request: dict, *, overwrite: bool = False
+) -> "xarray.Dataset":
+    """Write a data set at `path`, and return it as written.
+
+    What has come there while it was computed is kept: the same result is returned, anything else
+    raises `StoreConflict`, as in `find`.
+    """
     with rewritable(path, request) as save_again:
-        return save_again(data)
+        there = find(path, request, overwrite=overwrite)
+        return save_again(data) if there is None else there
 
 
 @contextmanager
@@ -198,5 +205,6 @@ def export(
         else:
             table = table_of(data, rows)
             csv = file.suffix == ".csv"
-            draft.write_text(table.to_csv(index=False) if csv else as_tex(table))
+            lines = table.to_csv(index=False, lineterminator="\n") if csv else as_tex(table)
+            draft.write_text(lines, encoding="utf-8")
     return data

@@ -69,7 +69,8 @@ def scratch_folder(path: Path) -> Path:
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a file that replaces `path` at the end if all goes well, and is removed otherwise."""
-    draft = path.with_name(f".new.{path.name}")
+    path = resolve_link(path)
+    draft = path.with_name(f".new.{os.getpid()}.{path.name}")
     try:
         with writing(path):
             yield draft

@@ -44,8 +44,9 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
         for _ in range(LOCK_ATTEMPTS):
             try:
                 folder.mkdir(exist_ok=True)
-                lock.acquire()
-                return lock
+                if not folder.is_symlink() and is_scratch(folder):
+                    lock.acquire()
+                    return lock
             except (FileNotFoundError, FileExistsError):  # another run is just removing it
                 continue
             except (filelock.Timeout, PermissionError):  # a run of this user, or of another
@@ -54,6 +55,11 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
                     f"{path} is being written by another run", wait, of="out"
                 ) from None
     raise StoreConflict(f"{path} cannot be written: {folder} is in the way: move it away")
+
+
+def is_scratch(folder: Path) -> bool:
+    """Whether a folder is a run's, which locks it before it puts anything in, not a stranger's."""
+    return not any(folder.iterdir()) or (folder / LOCK_FILE).exists()
 
 
 def move_into_place(folder: Path, path: Path) -> None:

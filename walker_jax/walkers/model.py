@@ -29,7 +29,7 @@ from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.kernels import kernel
-from walker_jax.systems.hybrid_system import HybridSystem, has_ground
+from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.systems.trees import in_dtype, settle
@@ -307,7 +307,7 @@ class Walker(HybridSystem):
 def check_planar(walker: Any) -> Walker:
     """Raise `WrongUse` for walkers without ground, as in space: the theory is for the plane."""
     check_kind("walker", walker, Walker)
-    if not has_ground(walker):
+    if not is_planar(walker):
         raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
     return walker
 

@@ -188,4 +188,5 @@ def mode_shown(mode: Mode, fails: Callable[[str], Bool[Array, ""]]) -> Mode:
         return Guard(value, one.leads_to, at_once=not one.zero_at_start)
 
     violations = map(violation, mode.conditions)
-    return mode._replace(guards=(*guards, *violations), conditions=())
+    guards = (*guards, *violations)
+    return mode._replace(guards=guards, conditions=(), as_smooth=False)
