@@ -2,6 +2,7 @@
 
 import copyreg
 import functools
+import random
 import threading
 import weakref
 from contextvars import ContextVar
@@ -17,12 +18,13 @@ NEW = object().__reduce_ex__(2)[0]
 LOCK = type(threading.RLock())
 """Type of the lock of a cached property."""
 JIT = type(jax.numpy.sin)
+"""Type of a jitted function."""
 JITTED = "fun", "static_argnums", "static_argnames", "global_cache_key"
 """What a jitted function holds, but for its place in a file and what it has compiled."""
 DERIVED = set(
     "__dict__ __weakref__ __doc__ _abc_impl __annotations__ __module__ __annotate_func__ "
     "__annotations_cache__ __static_attributes__ __firstlineno__ __dataclass_params__ "
-    "__parameters__ __orig_bases__ cache_parameters".split()
+    "__parameters__ __orig_bases__ __slotnames__ cache_parameters".split()
 )
 """Attributes that Python derives from the others, or from the lines of a file."""
 
@@ -41,11 +43,15 @@ def state_of(value: Any) -> tuple | str | None:
         return (value(),)
     if isinstance(value, JIT):
         return tuple(map(value.__getstate__().get, JITTED))
+    if value is random.getrandbits.__self__:  # anybody's draw would change it
+        return "random"
     if isinstance(value, LOCK):
         return ("a lock",)
     try:
         reduce = copyreg.dispatch_table.get(type(value))
         state: Any = reduce(value) if reduce else value.__reduce_ex__(2)
+        if isinstance(state, tuple):  # an iterator over a list holds that list alone
+            return *state[:3], *(items and [*items] for items in state[3:5])
     except Exception:  # a user's `__reduce_ex__` may raise
         compiled = callable(value) or hasattr(value, "__objclass__")
         named = compiled and not hasattr(value, "__dict__")
@@ -57,4 +63,4 @@ def state_of(value: Any) -> tuple | str | None:
 
 def has_no_state(state: tuple) -> bool:
     """Return whether pickle makes the object again from its class alone."""
-    return state[0] is NEW and len(state[1]) == 1 and state[2] is None
+    return state[0] is NEW and len(state[1]) == 1 and all(one is None for one in state[2:])

@@ -1,12 +1,14 @@
 """Objects are identified by all that they hold, and not by the functions that they hold alone."""
 
+import copyreg
 import functools
 import importlib
 import os
+import random
 import subprocess
 import sys
 import weakref
-from collections import OrderedDict, defaultdict
+from collections import OrderedDict, defaultdict, deque
 from contextvars import ContextVar
 from pathlib import Path
 from types import FunctionType, SimpleNamespace
@@ -87,6 +89,10 @@ def with_attribute(scale):
     return made
 
 
+class Several(list):
+    pass
+
+
 class Named(tuple):
     scale: float
 
@@ -113,6 +119,8 @@ PAIRS = {
     "getter": lambda other: property(with_more if other else times),
     "subclass of property": lambda other: tuned(2.0 if other else 3.0),
     "class method": lambda other: classmethod(with_more if other else times),
+    "subclass of list": lambda other: Several([2.0 if other else 3.0]),
+    "queue": lambda other: deque([2.0 if other else 3.0]),
     "subclass of tuple": lambda other: named(2.0 if other else 3.0),
     "cached": lambda other: with_attribute(2.0 if other else 3.0),
     "cached property": lambda other: functools.cached_property(with_more if other else times),
@@ -227,6 +235,18 @@ def test_tables_of_the_package_count_and_caches_do_not():
         reading(HoldsNothing())
 
 
+def test_draws_of_random_numbers_change_no_other_code():
+    """As of beartype, whose functions hold `random.getrandbits`."""
+    of = lambda: (FunctionByCode(random.random), code_fingerprint(object, (random.random,)))
+    before = of()
+    random.random()
+    assert of() == before
+    mine = random.Random(1).random
+    drawn = FunctionByCode(mine)
+    mine()
+    assert FunctionByCode(mine) != drawn
+
+
 class HoldsNothing:
     def __reduce_ex__(self, protocol):
         raise TypeError("not to be pickled")
@@ -240,3 +260,13 @@ def test_errors_within_a_closure_are_no_empty_cell():
     held = {Loud(), 1}
     with pytest.raises(ValueError, match="no words"):
         FunctionByCode(lambda: held)
+
+
+def test_a_class_is_the_same_after_its_objects_were_pickled():
+    class Own:
+        __slots__ = ("scale",)
+
+    before = code_fingerprint(Own), FunctionByCode(Own)
+    copyreg._slotnames(Own)  # pyright: ignore[reportAttributeAccessIssue] # as pickle does
+    assert "__slotnames__" in vars(Own)
+    assert (code_fingerprint(Own), FunctionByCode(Own)) == before

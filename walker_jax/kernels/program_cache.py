@@ -7,7 +7,7 @@ of the code. They are found by a hash of all that a trace depends on:
 - the function, the shapes and types of its arguments, and the static parts of these;
 - the settings of JAX under which it is traced;
 - the code of this package that it reaches, and all that this reads but caches and values for a call
-  alone, as it is in this process: what is replaced at run time is traced anew;
+  alone (`globals_of`), as it is in this process: what is replaced at run time is traced anew;
 - the package's source files, as they were when loaded, and the versions of the packages it uses.
 
 Functions and classes of other packages, including a user's own walkers, are traced in each process.
@@ -22,7 +22,6 @@ import sys
 import types
 from collections.abc import Callable, Hashable, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -110,7 +109,9 @@ class ReachedCode(Describer):
         return tuple(getattr(definition, f"__{name}__", None) for name in ("module", "qualname"))
 
     def describe_object(self, value: Any) -> Hashable:
-        return None if isinstance(value, Path) else super().describe_object(value)
+        if top_of(home_of(type(value))) in ("llvmlite", "pathlib"):
+            return None  # they keep their texts once asked, and paths are of one machine
+        return super().describe_object(value)
 
     def itself(self, value: Any) -> Hashable:
         if not is_known_module(home_of(type(value))):
