@@ -27,7 +27,7 @@ from unchecked import unchecked
 from wrong_uses import MODULES, names, prepare
 
 import walker_jax as wj
-from walker_jax.checks import ComputationFailed
+from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.cli import app, main
 
 
@@ -117,8 +117,7 @@ def names_in(use: str) -> set[str]:
         command = use.removeprefix(LINE).split()[0]
         if command not in app.NAMES:
             return known
-        loaded = app.load(command)
-        options = loaded.get_params(click.Context(loaded, **loaded.context_settings))
+        options = options_for(use)
         return known | {name for one in options for name in (*one.opts, *words_in(one.metavar))}
     for name in re.findall(rf"\b(?:wj\.|(?=(?:{'|'.join(vars(HOMES))})\b))([\w.]+)\(", use):
         known |= {*inspect.signature(operator.attrgetter(name)(HOMES)).parameters}
@@ -127,19 +126,43 @@ def names_in(use: str) -> set[str]:
     return known
 
 
+def options_for(use: str) -> list[click.Parameter]:
+    """The options of a command line's command, with those of its walker, if that can be read."""
+    name, *arguments = shlex.split(use.removeprefix(LINE))
+    loaded = app.load(name)
+    try:
+        context = loaded.make_context(name, arguments, resilient_parsing=True)
+    except WrongUse:
+        context = click.Context(loaded, **loaded.context_settings)
+    return loaded.get_params(context)
+
+
 REQUESTED = {"request", "tile", "tiles", "cells", "level", "at", "rectangles", "start"}
 """Fields that requests of the page have."""
 
 
 @pytest.mark.parametrize("use", TABLE)
 def test_wrong_use_is_told_what_to_do_in_one_line(told, use):
-    """One short line, which names the argument."""
+    """One short line, which names the argument, and no option that the command does not have."""
     message, _, failed = told[use]
     assert message == TABLE[use]
     whole = message.removesuffix("...")  # the mark of a value that was cut
     assert len(f"walker-jax: {message}") < 200 and not whole.endswith((".", " "))
     words = re.findall(r"[\w-]+", message.partition(", not ")[0])
     assert failed or names_in(use) & {*words}
+
+
+def options_in(text: str) -> set[str]:
+    """The options that a text names."""
+    return {*re.findall(r"(?<![\w-])-[\w-]+", text)}
+
+
+def test_commands_name_no_options_that_they_do_not_have(told):
+    lines = [use for use in TABLE if use.startswith(LINE) and use.split()[2] in app.NAMES]
+    for use in lines:
+        known = {flag for one in options_for(use) for flag in (*one.opts, *one.secondary_opts)}
+        known |= {"--help", "--list-walkers", *options_in(use)}
+        assert options_in(told[use].message) <= known, use
 
 
 def test_every_error_of_the_package_has_a_row_or_a_test(told):
