@@ -336,7 +336,7 @@ def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
         raise WrongUse(f"{name}={short(axis)}: low must be below high")
     if count < 1:
         raise WrongUse(f"{name}={short(axis)}: the count of cells must be positive")
-    if (high - low) / count < np.finfo(float).tiny:
+    if (high - low) / min(count, MAX_SIZE) < np.finfo(float).tiny:
         raise WrongUse(
             f"{name}={short(axis)}: the cells are narrower than numbers can be apart: "
             "lower the count"

@@ -107,15 +107,33 @@ def test_a_host_that_cannot_be_one_is_refused(run):
         assert run("explore", "--no-browser", "--host", host) == (2, "", f"walker-jax: {must}\n")
 
 
+def test_options_exclude_others_that_there_are():
+    """Some command has both, the option and the one that it excludes."""
+    declared, met = set(), set()
+    for name in app.NAMES:
+        params = app.load(name).params
+        declared |= {(one.name, other) for one in params for other in getattr(one, "excludes", ())}
+        met |= {(one.name, other.name) for one in params for other in params}
+    assert declared and declared <= met
+
+
 @pytest.mark.parametrize(
-    ("shell", "file"),
-    [("bash", ".bashrc"), ("zsh", ".zshrc"), ("fish", ".config/fish/config.fish")],
+    ("shell", "file", "own"),
+    [
+        ("bash", ".bashrc", b"# caf\xe9, in Latin-1\r\nalias l=ls"),
+        ("zsh", ".zshrc", b""),
+        ("fish", ".config/fish/config.fish", None),  # nor is there a folder
+    ],
 )
-def test_completion_is_a_line_in_the_file_of_a_shell(run, tmp_path, monkeypatch, shell, file):
+def test_completion_is_a_line_in_the_file_of_a_shell(run, tmp_path, monkeypatch, shell, file, own):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("SHELL", f"/bin/{shell}")
+    if own is not None:
+        (tmp_path / file).write_bytes(own)
     assert run("--install-completion") == run("--install-completion")
-    assert (tmp_path / file).read_text().count(f"_WALKER_JAX_COMPLETE={shell}_source") == 1
+    text = (tmp_path / file).read_bytes()
+    assert text.startswith(own or b"") and text.count(b"\n") == (own or b"").count(b"\n") + 2
+    assert text.count(f"_WALKER_JAX_COMPLETE={shell}_source".encode()) == 1
     monkeypatch.setenv("SHELL", "/bin/csh")
     code, out, err = run("--install-completion")
     assert (code, out) == (2, "") and err.endswith("one of bash, zsh, fish, not in csh\n")

@@ -48,7 +48,22 @@ def test_a_file_gives_a_slope_with_its_error(run, file):
     assert code == 0 and f"slope {slope['value']:.8g} +- {slope['error']:.2g}" in said
 
 
+def test_columns_are_named_as_they_are_in_the_file(run, file):
+    """A column of times has another unit, and its name a hyphen; those of angles have colons."""
+    times, rows = "time-ms,leg:stance,leg:hip,leg", file.read_text().splitlines()[1:]
+    cells = [row.split(",", 1) for row in rows]
+    file.write_text("\n".join([times, *(f"{1000 * float(t):.12g},{one}" for t, one in cells)]))
+    line = ["fit", str(file), "--slope", "0.0095", "--parameters", "slope", "--strikes", "leg"]
+    line += ["--time", "time-ms", "--unit", "time-ms=ms", "--column", "theta=leg:stance"]
+    line += ["--column", "phi=leg:hip", "--unit", "theta=deg", "--unit", "phi=deg", "--json"]
+    code, said, err = run(*line)
+    assert (code, err) == (0, "")
+    slope = json.loads(said)["parameters"]["slope"]
+    assert abs(slope["value"] - 0.009) < 4 * slope["error"] < 2e-3
+
+
 def test_degrees_are_told(run, file):
     line = ["fit", str(file), "--parameters", "slope", "--slope", "0.0095"]
     code, out, err = run(*line, "--column", "theta=stance")
-    assert (code, out) == (2, "") and "must be in rad, but theta reaches 11." in err
+    assert (code, out) == (2, "") and "--column must be in rad, but theta reaches 11." in err
+    assert err.endswith(": give --unit, such as deg for theta\n")

@@ -185,7 +185,7 @@ def test_values_of_a_sweep_may_come_in_any_order():
     assert ax.get_xlim() == turned.get_xlim() and ax.get_ylim() == turned.get_ylim()
 
 
-def test_the_zero_line_is_shown_below_exponents_that_are_positive():
+def test_the_zero_line_is_shown_below_positive_exponents():
     data = with_exponents()
     ax = figures.lyapunov_exponents(data.assign(exponents=abs(data["exponents"]) + 0.2))
     assert ax.get_ylim()[0] <= 0

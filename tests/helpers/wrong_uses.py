@@ -358,8 +358,13 @@ class Scaled(wj.System):
 
 many = Scaled(np.ones(3))
 """
+RECORDED = """time-ms,a:b,hip
+0,0.2,0.1
+100,0.1,0.3
+200,0,0.2
+"""
 OWN = {"mine.py": MINE, "own_maps.py": OWN_MAPS, "own_many.py": OWN_MANY}
-FILES = {**OWN, "broken.py": "x = 1 / 0"} | dict.fromkeys(
+FILES = {**OWN, "broken.py": "x = 1 / 0", "walk.csv": RECORDED} | dict.fromkeys(
     ("empty.py", "my.walker.py", "numpy.py", "taken", "taken.nc", "taken.png", BLOCK), ""
 )
 

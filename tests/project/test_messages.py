@@ -15,6 +15,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -27,8 +28,9 @@ from unchecked import unchecked
 from wrong_uses import MODULES, names, prepare
 
 import walker_jax as wj
-from walker_jax.checks import ComputationFailed
+from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.cli import app, main
+from walker_jax.cli.walker_options import choose
 
 
 def rows_of(file: str) -> list[list[str]]:
@@ -68,6 +70,26 @@ def files() -> set[str]:
     return {str(path) for path in Path().rglob("*") if "__pycache__" not in path.parts}
 
 
+def options_in(text: str) -> set[str]:
+    """The options that a text names."""
+    return {*re.findall(r"(?<![\w-])--[a-z][\w-]*", text)}
+
+
+def known_options(use: str) -> set[str]:
+    """The options of a command line's command and of its walker, and those that are typed."""
+    name, *arguments = [*shlex.split(use.removeprefix(LINE)), ""]
+    if name not in app.NAMES:
+        return {"--help", *options_in(use)}
+    command = app.load(name)
+    context = click.Context(command, **command.context_settings)
+    with suppress(WrongUse):  # those of the default walker, if there is none of that name
+        context.obj = choose(arguments, systems=command.systems)
+    flags = {
+        flag for one in command.get_params(context) for flag in (*one.opts, *one.secondary_opts)
+    }
+    return {"--help", "--list-walkers", *flags, *options_in(use)}
+
+
 class Told(NamedTuple):
     """The message of a wrong use."""
 
@@ -76,6 +98,8 @@ class Told(NamedTuple):
     """The statements that raise it."""
     failed: bool
     """Whether the computation failed, though the use was right."""
+    invented: set[str]
+    """The options it names that the command does not have."""
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +113,9 @@ def told(tmp_path_factory) -> Iterator[dict[str, Told]]:
         for use in TABLE:
             error = error_of(use, known)
             failed = isinstance(error, ComputationFailed)
-            answers[use] = Told(message_of(use, error), sites_behind(error), failed)
+            message = message_of(use, error)
+            invented = options_in(message) - known_options(use) if use.startswith(LINE) else set()
+            answers[use] = Told(message, sites_behind(error), failed, invented)
         assert files() == before, "a wrong use writes nothing"
     yield answers
 
@@ -133,9 +159,9 @@ REQUESTED = {"request", "tile", "tiles", "cells", "level", "at", "rectangles", "
 
 @pytest.mark.parametrize("use", TABLE)
 def test_wrong_use_is_told_what_to_do_in_one_line(told, use):
-    """One short line, which names the argument."""
-    message, _, failed = told[use]
-    assert message == TABLE[use]
+    """One short line, which names the argument, and no option that there is not."""
+    message, _, failed, invented = told[use]
+    assert message == TABLE[use] and not invented
     whole = message.removesuffix("...")  # the mark of a value that was cut
     assert len(f"walker-jax: {message}") < 200 and not whole.endswith((".", " "))
     words = re.findall(r"[\w-]+", message.partition(", not ")[0])

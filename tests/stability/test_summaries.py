@@ -91,9 +91,19 @@ def test_where_no_gait_is_found_what_makes_it_needless_is_named():
         selection.select_gaits(WALKER, 1, np.array([0.2, -0.4]))
 
 
+class Around(wj.SimplestWalker):
+    """A walker whose region lies around its gait, as that of a robot does."""
+
+    def basin_region(self, gait):
+        return wj.Grid.plain(theta=(0, gait()[0], 9), thetadot=(gait()[1], 0, 9))
+
+
 def test_a_command_names_the_options_that_make_a_gait_needless():
     from walker_jax.cli.options import message_of
 
+    with pytest.raises(wj.ComputationFailed) as error:
+        windows.window_of_basin(Around(0.5))
+    assert message_of(error.value).endswith("give --axis, or another --slope")
     with pytest.raises(wj.ComputationFailed) as error:
         selection.require_gait(wj.SimplestWalker(0.5), ("theta", "sum"))
     assert message_of(error.value).endswith("give --theta, --sum, or another --slope")

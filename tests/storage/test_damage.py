@@ -192,6 +192,20 @@ def test_damage_is_named_and_what_is_damaged_may_be_replaced(tmp_path, how):
     assert [place.name for place in tmp_path.iterdir()] == ["a.zarr"]
 
 
+@pytest.mark.parametrize("link", [False, True])
+def test_a_folder_of_others_with_the_name_of_scratch_is_left(tmp_path, link):
+    theirs = tmp_path / ("theirs" if link else ".a.zarr.walker-jax")
+    theirs.mkdir()
+    (theirs / "old").touch()
+    if link:
+        (tmp_path / ".a.zarr.walker-jax").symlink_to(theirs)
+    path = tmp_path / "a.zarr"
+    assert storage.find(path, REQUEST) is None
+    with pytest.raises(storage.StoreConflict, match="in the way: move it away"):
+        saved(path)
+    assert [one.name for one in theirs.iterdir()] == ["old"] and not path.exists()
+
+
 def test_what_may_not_be_of_this_package_is_never_replaced(tmp_path):
     path = tmp_path / "a.zarr"
     saved(path)

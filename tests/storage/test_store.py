@@ -396,20 +396,6 @@ def test_what_has_come_while_it_was_computed_is_kept(tmp_path, data):
         storage.save(data, mine, REQUEST, overwrite=True)
 
 
-@pytest.mark.parametrize("link", [False, True])
-def test_a_folder_of_others_with_the_name_of_scratch_is_left(tmp_path, data, link):
-    theirs = tmp_path / ("theirs" if link else ".a.zarr.walker-jax")
-    theirs.mkdir()
-    (theirs / "old").touch()
-    if link:
-        (tmp_path / ".a.zarr.walker-jax").symlink_to(theirs)
-    path = tmp_path / "a.zarr"
-    assert storage.find(path, REQUEST) is None
-    with pytest.raises(storage.StoreConflict, match="in the way: move it away"):
-        storage.save(data, path, REQUEST)
-    assert [one.name for one in theirs.iterdir()] == ["old"] and not path.exists()
-
-
 def test_a_run_goes_on_with_the_blocks_that_it_was_begun_with(tmp_path, monkeypatch):
     path = tmp_path / "a.zarr"
     with begun(path) as place:

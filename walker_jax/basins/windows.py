@@ -62,7 +62,7 @@ def window_of_basin(system: System) -> dict[str, Any] | None:
 
     None where there is no such region, or it is not along coordinates.
     """
-    region = system.basin_region(lambda: require_gait(system, system.section).states[0])
+    region = system.basin_region(lambda: require_gait(system, ["axis"]).states[0])
     if region is None or not {*region.names} <= {*system.section}:
         return None
     ends = zip(region.names, region.lower, region.upper, region.shape, strict=True)

@@ -64,12 +64,14 @@ class Method(Group, theme="Method"):
         metavar="X Y",
     )
     animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
-    frames: int = option(120, "Pictures of the film.", least=2)
+    frames: int | None = option(None, "Pictures of the film (default: 120).", least=2)
 
     def check(self, window: BasinWindow) -> None:
         """Refuse options that need another option, which is not given."""
         if self.levels is None:
             refuse("is for --levels alone: give it too", seed=self.seed)
+        if self.animate is None:
+            refuse("is for --animate: give it too", frames=self.frames)
         if self.zoom is None:
             refuse("is for a --zoom: give it too", near=self.near, animate=self.animate)
         elif window.phidot is not None and (self.near is not None or self.animate is not None):
@@ -138,7 +140,7 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
         if known is not None and not window.axis and window.at_phidot is None:
             axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
     request = request_for("basin", walker, axes=axes, **asked.settings(walker, window, axes))
-    shots, film = request | {"frames": asked.frames}, asked.animate
+    shots, film = request | {"frames": asked.frames or 120}, asked.animate
     check_picture(film, shots, overwrite=output.overwrite, film=True)
     data = output.find(request)
     kept = f"taken from {output.out}, computed before" if data is not None else ""

@@ -14,9 +14,17 @@ from click.core import ParameterSource
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import jsonable
 from walker_jax.cli.help_page import help_page
-from walker_jax.cli.options import Group, Option, name_of, options_of, shown, underscored
+from walker_jax.cli.options import (
+    Group,
+    Option,
+    name_of,
+    option_for_argument,
+    options_of,
+    shown,
+    underscored,
+)
 from walker_jax.cli.walker_options import choose
-from walker_jax.refusals import WrongUse
+from walker_jax.refusals import Refusal, WrongUse
 
 
 def silence(ctx: Any, param: Any, requested: bool) -> None:
@@ -104,7 +112,13 @@ class Command(click.Command):
             groups.append(kind(**{one.name: ctx.params[one.name] for one in fields(kind)}))
         over = next((one.ranged for one in groups if hasattr(one, "ranged")), ())
         own = [ctx.obj.build(ctx.params, *over)] if self.walkers else []
-        answer, lines = self.run(*own, *groups) or (None, ())
+        try:
+            answer, lines = self.run(*own, *groups) or (None, ())
+        except Refusal as error:  # arguments that no option sets keep their names
+            known = {name_of(one) for one in self.get_params(ctx)}
+            typed = lambda argument: option_for_argument(argument).split()[-1]
+            error.arguments = [one for one in error.arguments if typed(one) in known]
+            raise
         if ctx.params.get("as_json"):
             print(json.dumps(jsonable(answer), allow_nan=False))
         else:

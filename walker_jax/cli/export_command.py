@@ -5,7 +5,7 @@ from pathlib import Path
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Files
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Group, argument, option
+from walker_jax.cli.options import Group, argument, option, refuse
 from walker_jax.cli.unit_options import InUnits
 
 PROGRAMS = {
@@ -14,6 +14,7 @@ PROGRAMS = {
     ".csv": "a table, with units in brackets",
     ".tex": r"a table for \input, with the package booktabs",
 }
+TABLES = ".csv", ".tex"
 
 
 class Places(Group, theme="Places"):
@@ -43,6 +44,8 @@ def export(places: Places, units: InUnits, files: Files):
     """
     data, file, chosen = places.data, places.file, units.chosen
     convert = lib.with_units if chosen is None else chosen.convert
+    if file.suffix not in TABLES:
+        refuse(f"is for tables, {' and '.join(TABLES)}: leave it out", rows=places.rows)
     how = {"overwrite": files.overwrite, "rows": places.rows, "convert": convert}
     copied = lib.storage.export(data, file, **how)
     answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}

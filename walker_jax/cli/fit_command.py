@@ -7,7 +7,7 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Choice, Group, argument, named, option, underscored
+from walker_jax.cli.options import Choice, Group, argument, named, option, refuse, underscored
 from walker_jax.refusals import WrongUse
 
 
@@ -43,7 +43,7 @@ class How(Group, theme="Fit"):
     )
     skip: float = option(0.0, "Leave out samples so soon after a heel strike.", least=0)
     bootstrap: int = option(0, "Fits to resampled steps, for intervals.", least=0)
-    seed: int = option(0, "Seed of random numbers.", least=0)
+    seed: int | None = option(None, "Seed of the resampling (default: 0).", least=0)
 
 
 @command(
@@ -62,11 +62,14 @@ def fit(walker: "wj.System", recorded: Recorded, how: How, output: Output):
     """
     if not how.parameters:
         raise WrongUse("--parameters must name one parameter or more, not none")
-    given: Any = vars(how) | {"parameters": [*map(underscored, how.parameters)]}
+    if not how.bootstrap:
+        refuse("is for --bootstrap alone: give it too", seed=how.seed)
+    names = [*map(underscored, how.parameters)]
+    given: Any = vars(how) | {"parameters": names, "seed": how.seed or 0}
     columns: Any = {name: getattr(recorded, name) for name in ("time", "strikes", "experiment")}
-    recordings = wj.read_recordings(
-        recorded.file, recorded.column or None, units=recorded.unit, **columns
-    )
+    time = recorded.time  # as it is in the file, unlike names of coordinates
+    units = {time if one == underscored(time) else one: of for one, of in recorded.unit.items()}
+    recordings = wj.read_recordings(recorded.file, recorded.column or None, units=units, **columns)
     numbers = [(one.time, one.strikes, *one.values.values()) for one in recordings]
     digest = lib.sha256_of(b"".join(one.tobytes() for row in numbers for one in row))
     request = request_for("fit", walker, recordings=digest, **given)

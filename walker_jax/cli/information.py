@@ -116,9 +116,9 @@ def completion() -> Iterator[str]:
         line = "_WALKER_JAX_COMPLETE=SHELL_source walker-jax | source"
     place, line = Path.home() / STARTUP[shell], line.replace("SHELL", shell)
     place.parent.mkdir(parents=True, exist_ok=True)
-    before = place.read_text() if place.exists() else ""
-    if line not in before:
-        place.write_text(f"{before}\n{line}\n")
+    if not place.exists() or line.encode() not in place.read_bytes():
+        with place.open("a") as file:
+            file.write(f"\n{line}\n")
     yield f"{place} now has the line {line}: new shells complete walker-jax"
 
 

@@ -14,7 +14,7 @@ This module loads without JAX, as do all modules of commands.
 import dataclasses
 import operator
 from collections.abc import Callable, Iterable
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from types import UnionType
 from typing import Any, ClassVar, dataclass_transform, get_args
@@ -72,7 +72,7 @@ class Number(click.ParamType):
         if not all(HOLDS[word](number, bound) for word, bound in self.bounds.items()):
             bounds = " and ".join(f"{word} {bound}" for word, bound in self.bounds.items())
             raise WrongUse(f"{name_of(param)} must be {bounds}, not {shown(str(value))}")
-        if not isfinite(number):
+        if not -inf < number < inf:  # isfinite overflows for an integer of many digits
             raise WrongUse(f"{name_of(param)} must be finite, not {number}")
         return number
 
@@ -143,14 +143,16 @@ class Named(click.ParamType):
     kinds |= {"COLUMN": text, "UNIT": unit}
 
     def __init__(self, *forms: str):
-        self.forms = {form.count(":"): form.split(":") for form in forms}
+        self.forms = {form.count(":") + 1: form.split(":") for form in forms}
+        self.worded = forms[0] in ("COLUMN", "UNIT")
         self.name = " or ".join(f"NAME={form}" for form in forms)
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, Any]:
         option = name_of(param)
         name, _, text = value.partition("=")
+        parts = [text] if self.worded else text.split(":")  # a word may have colons of its own
         try:
-            pairs = zip(self.forms.get(text.count(":"), ()), text.split(":"), strict=True)
+            pairs = zip(self.forms.get(len(parts), ()), parts, strict=True)
             numbers: Any = tuple(self.kinds[word](number) for word, number in pairs)
         except ValueError:
             raise WrongUse(f"{option} must be {self.name}, not {value}") from None
@@ -280,9 +282,17 @@ REWORDED = {
     "grid": "--axis",
     "region": "--radius",
     "cells": "the N of --over",
-    "file": "FILE",
+    "phidot": "--at-phidot",
+    "columns": "--column",
+    "units": "--unit",
+    **dict.fromkeys(("file", "source", "recordings"), "FILE"),
 }
 """Arguments of the library with options of other names."""
+
+
+def option_for_argument(argument: str) -> str:
+    """Return what sets an argument of the library on the command line."""
+    return REWORDED.get(argument) or option_of(argument)
 
 
 def message_of(error: Refusal) -> str:
@@ -292,5 +302,5 @@ def message_of(error: Refusal) -> str:
     for argument in error.arguments:
         places = [i for i, word in enumerate(words) if word.rstrip(",:;") == argument]
         for i in places[-1:]:
-            words[i] = words[i].replace(argument, REWORDED.get(argument) or option_of(argument))
+            words[i] = words[i].replace(argument, option_for_argument(argument))
     return ": ".join([*before, " ".join(words)])

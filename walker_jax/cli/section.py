@@ -4,7 +4,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.options import RANGE, Axis, Group, named, option, refuse
+from walker_jax.cli.options import RANGE, Axis, Group, named, option, option_of, refuse
 from walker_jax.refusals import WrongUse
 
 PHIDOT = "Rate between the legs, on sections that have it"
@@ -84,7 +84,7 @@ class Region(Section, theme="Region"):
 
     theta: Axis | None = option(None, "Stance angle, rad (default: all).")
     sum: Axis | None = option(None, "theta + thetadot.")
-    at_phidot: float | None = option(None, f"{PHIDOT}: a slice there (else at the gait).")
+    at_phidot: float | None = option(None, f"{PHIDOT}: a slice there, of --theta and --sum.")
 
     def grid(self, walker: "wj.System") -> "wj.Grid | None":
         """Return the grid of these axes; None if no axes are given."""
@@ -173,13 +173,12 @@ def named_axes(walker: "wj.System", given: dict[str, Any], most: int | None = No
 
 def begin_at(walker: "wj.System", given: dict[str, float]) -> "lib.numpy.ndarray":
     """Return the state with these coordinates, or the gait's if none are given."""
-    instead = walker.section if has_own_options(walker) else ["--start NAME=VALUE"]
-    state = (
-        state_from(walker, given)
-        if given
-        else lib.selection.require_gait(walker, instead).states[0]
-    )
-    return lib.numpy.asarray(state)
+    if given:
+        return state_from(walker, given)
+    own = ", ".join(map(option_of, walker.section))
+    instead = f"give {own if has_own_options(walker) else '--start NAME=VALUE'}"
+    (gait,) = lib.selection.select_gaits(walker, instead=instead)
+    return lib.numpy.asarray(gait.states[0])
 
 
 def state_from(walker: "wj.System", given: dict[str, float]) -> "lib.numpy.ndarray":

@@ -23,7 +23,7 @@ FRAME_INTERVAL = 0.15
 class Walk(Group, theme="Walk"):
     strides: int = option(9, "Strides at most.", most=1_000_000)
     ground: float | None = option(None, "Standard deviation of the steps of rough ground.", least=0)
-    seed: int = option(0, "Seed of random numbers.", least=0)
+    seed: int | None = option(None, "Seed of the ground (default: 0).", least=0)
     animate: Path | None = option(
         None, "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
     )
@@ -32,7 +32,7 @@ class Walk(Group, theme="Walk"):
         """Return the heights of the steps of rough ground, if it is rough."""
         if self.ground is None:
             return None
-        return self.ground * lib.numpy.random.default_rng(self.seed).normal(size=self.strides)
+        return self.ground * lib.numpy.random.default_rng(self.seed or 0).normal(size=self.strides)
 
 
 @command(
@@ -60,12 +60,14 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
         refuse(f"is for walkers in the plane, {other}", ground=asked.ground)
         if walker.picture() is None:
             refuse(f"is for walkers, {other}", animate=asked.animate)
+    if asked.ground is None:
+        refuse("is for --ground alone: give it too", seed=asked.seed)
     given = start.coordinates(walker)
     units.check(walker)
     if lib.moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
     rough = asked.ground is not None
-    ground = {"ground": asked.ground, "seed": asked.seed} if rough else {}
+    ground = {"ground": asked.ground, "seed": asked.seed or 0} if rough else {}
     request = request_for("walk", walker, start=given, strides=asked.strides, **ground)
     check_picture(asked.animate, request, overwrite=files.overwrite, film=True)
     with lib.bar("walk", True):

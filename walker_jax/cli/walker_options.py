@@ -87,6 +87,8 @@ class Chosen(NamedTuple):
     def foreign(self, flag: str) -> str:
         """Explain an option that only other walkers have; return an empty text for any other."""
         name = underscored(flag.removeprefix("--"))
+        if name in {one.name for one in self.described}:
+            return ""  # its own, misspelt
         kinds = {
             walker: type(one)
             for walker, described in DESCRIBED.items()

@@ -15,7 +15,7 @@ from walker_jax.checks import WrongUse, short
 from walker_jax.explorer.offers import Offer, window_of
 from walker_jax.explorer.subjects import Subject, whole
 from walker_jax.gaits.search import search_gait
-from walker_jax.gaits.selection import require_gait
+from walker_jax.gaits.selection import select_gaits
 from walker_jax.grids import Grid, axes_around
 from walker_jax.robots.robots import Robot, ends_around
 from walker_jax.systems.system import has_gait_region
@@ -105,7 +105,7 @@ def first_state(offered: Offer) -> tuple[float, ...]:
     """Return the first state of the default gait; without a gait, the middle of the window."""
     walker = offered.build(offered.defaults)
     if offered.has_film:
-        gait = require_gait(walker, ["another walker"])
+        (gait,) = select_gaits(walker, instead="give another walker")
     elif not has_gait_region(walker) or not (gait := search_gait(walker)).found:
         return tuple((low + high) / 2 for low, high in window_of(offered).values())
     return tuple(np.asarray(gait.states[0]).tolist())

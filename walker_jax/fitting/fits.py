@@ -188,11 +188,11 @@ def noise_of_strikes(
     """Return the noise of heel strikes: given, or that of rounding to the time between samples."""
     names = *columns, "time"
     if unknown := [name for name in noise if name not in names]:
-        raise WrongUse(f"noise must be of {', '.join(names)}, not of {unknown[0]!r}")
+        raise WrongUse(f"noise must be of {', '.join(names)}, not of {unknown[0]!r}", of="noise")
     for name, value in noise.items():
         check_number("noise", value)
         if not 0 < value < np.inf:
-            raise WrongUse(f"noise must be finite and above 0, not {value} for {name}")
+            raise WrongUse(f"noise must be finite and above 0, not {value} for {name}", of="noise")
     between = np.concatenate([np.diff(one.time) for one in recordings])
     return float(noise.get("time", np.median(between) / np.sqrt(12)))
 

@@ -64,18 +64,21 @@ def read_recordings(
 
     def read(table: Mapping[str, Any]) -> Recording:
         """Read one experiment."""
-        column = lambda name: numbers(name, table[check_name(table, name)])
+        column = lambda name, of="columns": numbers(name, table[check_name(table, name, of)])
         measured = lambda name, of: column(of) * unit_of(sizes, name)
-        at, stance, legs = measured(time, time), 0, strikes if isinstance(strikes, str) else None
+        stance, legs = 0, strikes if isinstance(strikes, str) else None
+        at = column(time, "time") * unit_of(sizes, time)
         if legs is not None:
-            ends, stance = strikes_at_changes(at, column(legs))
+            ends, stance = strikes_at_changes(at, column(legs, "strikes"))
         else:
             ends = None if strikes is None else numbers("strikes", strikes) * unit_of(sizes, time)
         left = [one for one in table if one not in {time, legs, experiment, *inputs}]
         named = left if columns is None else columns
         named = dict(named) if isinstance(named, Mapping) else {one: one for one in named}
         if unknown := [*({*sizes} - {*named, *inputs, time})]:
-            raise WrongUse(f"units must be of columns that are read, not of {unknown[0]!r}")
+            raise WrongUse(
+                f"units must be of columns that are read, not of {unknown[0]!r}", of="units"
+            )
         values = {name: measured(name, of) for name, of in named.items()}
         return make_recording(at, values, ends, {one: measured(one, one) for one in inputs}, stance)
 
@@ -88,7 +91,7 @@ def split(table: Mapping[str, Any], experiment: str | None) -> Iterator[dict[str
     if experiment is None:
         yield columns
         return
-    which = columns[check_name(columns, experiment)]
+    which = columns[check_name(columns, experiment, "experiment")]
     _, first = np.unique(which, return_index=True)
     for value in which[np.sort(first)]:
         yield {name: one[which == value] for name, one in columns.items()}
@@ -100,14 +103,18 @@ def unit_of(units: Mapping[str, str | float], name: str) -> float:
     if isinstance(unit, str) and unit in UNITS:
         return UNITS[unit]
     if not is_number(unit) or not np.isfinite(unit) or unit == 0:
-        raise WrongUse(f"units must be numbers or {', '.join(UNITS)}, not {short(unit)}")
+        raise WrongUse(
+            f"units must be numbers or {', '.join(UNITS)}, not {short(unit)}", of="units"
+        )
     return float(unit)
 
 
-def check_name(table: Mapping[str, Any], name: str) -> str:
-    """Raise `WrongUse` for a column that is not there."""
+def check_name(table: Mapping[str, Any], name: str, argument: str) -> str:
+    """Raise `WrongUse` for a column that is not there, which an argument names."""
     if name not in table:
-        raise WrongUse(f"columns must be among {', '.join(table)}, not {short(name)}", of="columns")
+        raise WrongUse(
+            f"{argument} must be among {', '.join(table)}, not {short(name)}", of=argument
+        )
     return name
 
 

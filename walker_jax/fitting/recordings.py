@@ -85,9 +85,9 @@ def make_recording(
         largest = np.nanmax(np.abs(one))
         if name in ANGLES and largest > LARGEST_ANGLE:
             raise WrongUse(
-                f"columns must be in rad, but {name} reaches {largest:.4g}: give its unit, such as "
-                f"units={{{name!r}: 'deg'}}",
-                of="columns",
+                f"columns must be in rad, but {name} reaches {largest:.4g}: give units, such as "
+                f"deg for {name}",
+                of="columns units",
             )
     given = {name: check_column(name, one, len(time)) for name, one in (inputs or {}).items()}
     at = find_strikes(time, known) if strikes is None else numbers("strikes", strikes)
@@ -106,7 +106,8 @@ def check_time(time: Float[np.ndarray, "..."]) -> Float[np.ndarray, " samples"]:
         i = back[0] + 1
         raise WrongUse(
             f"time must grow, but goes from {time[i - 1]:.6g} to {time[i]:.6g} at sample {i}: "
-            "several experiments in one file need experiment="
+            "several experiments in one file need experiment",
+            of="time experiment",
         )
     return time
 

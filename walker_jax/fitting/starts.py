@@ -62,9 +62,9 @@ def first_starts(
     starts, ranks = map(np.asarray, points_of_section(places, system, jnp.asarray(aims)))
     if ranks.max() < len(system.section):
         raise WrongUse(
-            f"starts must be given: {', '.join(columns)} and their rates tell no point of the "
-            f"section, {', '.join(system.section)}",
-            of="starts",
+            f"columns must tell a point of the section, {', '.join(system.section)}, unlike "
+            f"{', '.join(columns)} and their rates: add some, or give starts to walker_jax.fit",
+            of="columns",
         )
     return starts
 
@@ -129,6 +129,6 @@ def check_feasible(
         middle = ", ".join(f"{value:.3g}" for value in np.median(starts, axis=0))
         raise WrongUse(
             f"recordings must begin steps of {system.label()}: none walks from its recorded start, "
-            f"such as ({middle}); check signs and units, or give starts",
+            f"such as ({middle}); check signs and units, or give starts to walker_jax.fit",
             of="recordings",
         )
