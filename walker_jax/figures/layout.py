@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.patches import Patch
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import offset_copy
 
@@ -255,12 +256,15 @@ def in_columns(handles: Sequence[Artist], inches: float) -> dict[str, Any]:
 def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "") -> None:
     """Put a legend at the left, below all axes of a figure, under a note.
 
-    It has what is labelled on some of the axes, each label once, and then the given signs.
+    It has what is labelled on some of the axes, each label once, and then the given signs of other
+    labels, each label and colour once.
     """
     axes = [*axes]
     labelled = chain(*(ax.get_legend_handles_labels()[0] for ax in axes))
     named = {one.get_label(): one for one in labelled}
-    handles = [*named.values(), *(one for one in signs if one.get_label() not in named)]
+    colour = lambda one: str(one.get_facecolor() if isinstance(one, Patch) else one.get_color())
+    others = {(one.get_label(), colour(one)): one for one in signs if one.get_label() not in named}
+    handles = [*named.values(), *others.values()]
     figure = figure_of(axes[0])
     wide = figure.get_figwidth()
     above: Any = in_lines(note, wide, "legend.fontsize") or None
