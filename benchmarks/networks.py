@@ -67,6 +67,8 @@ SMALLER = {"walker_jax": 1, "diffrax": 25, "XLA": 100}
 """So many times fewer strides are made and differentiated by slower ways."""
 COMPARED = 40
 """Walks whose gradients are compared."""
+LEAST_STARTS = COMPARED * FEWER * SMALLER["diffrax"]
+"""Starts from which `diffeqsolve` too differentiates as many walks."""
 NETWORKS, ALONE = 256, 8
 """Networks of a population, and of those that walk one by one beside it."""
 
@@ -247,9 +249,11 @@ if __name__ == "__main__":
     }
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--only", nargs="+", choices=[*rows, "population"], help="rows")
-    parser.add_argument("--starts", type=int, default=50_000)
+    parser.add_argument("--starts", type=int, default=LEAST_STARTS)
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS)
     given = parser.parse_args()
+    if given.starts < LEAST_STARTS:
+        parser.error(f"--starts must be at least {LEAST_STARTS}, not {given.starts}")
     print(" " * 17 + "".join(f"{way:>38}" for way in given.ways))
     for row in given.only or [*rows, "population"]:
         if row == "population":

@@ -336,7 +336,8 @@ def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
         raise WrongUse(f"{name}={short(axis)}: low must be below high")
     if count < 1:
         raise WrongUse(f"{name}={short(axis)}: the count of cells must be positive")
-    if (high - low) / min(count, MAX_SIZE) < np.finfo(float).tiny:
+    few = min(count, MAX_SIZE)  # more are refused later, and may be more than a float can tell
+    if (high - low) / few < np.finfo(float).tiny:
         raise WrongUse(
             f"{name}={short(axis)}: the cells are narrower than numbers can be apart: "
             "lower the count"

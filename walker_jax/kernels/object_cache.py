@@ -29,7 +29,8 @@ from walker_jax.kernels.private_files import (
 VARIABLE = "WALKER_JAX_CACHE_DIR"
 """The environment variable that names the folder; if empty, no code is kept."""
 MAX_BYTES = 2**28
-"""Most bytes in the folder, about two thousand programs; the least recently used are removed."""
+"""Bytes above which the least recently used files of the folder are removed, about two thousand
+programs; each process that writes may exceed it by one of `PARTS`."""
 PARTS = 16
 """A process looks at the folder when it first writes there, and then after each so many-th part of
 `MAX_BYTES`, as listing all files at every write would take 20 ms each time."""

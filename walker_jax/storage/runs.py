@@ -31,7 +31,8 @@ def exclusive(path: Path) -> Iterator[Path]:
         yield folder
     finally:
         try:
-            clean_up(folder, path)
+            with writing(path):
+                clean_up(folder, path)
             shutil.rmtree(folder, ignore_errors=True)
         finally:
             lock.release()
@@ -58,7 +59,7 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
 
 
 def is_scratch(folder: Path) -> bool:
-    """Whether a folder is a run's, which locks it before it puts anything in, not a stranger's."""
+    """Return whether a folder is a run's, which locks it before it puts anything in."""
     return not any(folder.iterdir()) or (folder / LOCK_FILE).exists()
 
 

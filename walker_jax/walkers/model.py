@@ -305,7 +305,7 @@ class Walker(HybridSystem):
 
 
 def check_planar(walker: Any) -> Walker:
-    """Raise `WrongUse` for walkers without ground, as in space: the theory is for the plane."""
+    """Raise `WrongUse` for walkers in space, where the theory holds in the plane only."""
     check_kind("walker", walker, Walker)
     if not is_planar(walker):
         raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
