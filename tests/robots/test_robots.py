@@ -1,6 +1,7 @@
 """Robots from files against the package's own walkers of the same masses and lengths."""
 
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +32,16 @@ def test_a_file_is_the_walker_of_its_masses(name):
     assert np.abs(found.states - as_robot(gait.states)).max() < 1e-11
     assert np.abs(found.multipliers - gait.multipliers).max() < 1e-9
     assert np.abs(found.step_times * UNIT - gait.step_times).max() < 1e-11
+
+
+@pytest.mark.parametrize("sides", [("a", "b"), ("front", "rear"), ("1", "2")])
+def test_legs_share_numbers_whatever_their_sides_are_called(sides, tmp_path):
+    text = (FILES / "compass.xml").read_text()
+    for side, own in zip(("left", "right"), sides, strict=True):
+        text = re.sub(rf"{side}_(\w+)", rf"\1_{own}", text)
+    (tmp_path / "compass.xml").write_text(text)
+    other, robot = wj.robot(tmp_path / "compass.xml"), wj.robot(FILES / "compass.xml")
+    assert other.parameters == robot.parameters and other.section == robot.section
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +25,8 @@ class Reader:
         self.mujoco, self.plane, self.tree, self.sides = mujoco, plane, tree, sides
         self.model, self.data, self.ledger = plane.model, plane.data, Ledger()
         self.joints = [int(self.model.dof_jntid[dof]) for dof in tree.dofs]
+        self.twins = {name: pair for pair in self.pairs_of_names() for name in pair}
+        """Names of a part of the first side and of its like on the other, by each of them."""
         top = tree.above(sides.legs[0][0])[-1]
         self.base = plane.flat(self.data.xanchor[self.joints[top]])
         """The point of the base, in the pose of the file."""
@@ -46,19 +50,54 @@ class Reader:
             bent = [links[i].joint for i in leg if links[i].bends]
             if len(bent) > 1:
                 raise WrongUse(f"path has legs with the knees {' and '.join(bent)}: one may lock")
-        return Machine(
+        made = Machine(
             name, links, order, mirror, masses, (feet[0], feet[1]), legs, actuators, size
         )
+        self.check_sides(made)
+        return made
+
+    def check_sides(self, machine: Machine) -> None:
+        """Raise `WrongUse` where a body or an actuator has no like on the other side."""
+        masses = [(one.link, one.place, one.mass, one.inertia) for one in machine.masses]
+        motors = [(one.link, abs(one.gear), one.gain, one.kp, one.kv) for one in machine.actuators]
+        for left in self.sides.left:
+            both = left, self.sides.mirror[left]
+            for what, parts in (("bodies", masses), ("actuators", motors)):
+                first, other = ([part[1:] for part in parts if part[0] == link] for link in both)
+                if first != other:
+                    names = " and ".join(joint_name(self.model, self.tree, one) for one in both)
+                    raise WrongUse(f"path must have two like legs: other {what} hang on {names}")
+
+    def pairs_of_names(self) -> Iterator[tuple[str, str]]:
+        """Yield the names of each part of the first side, and of its like on the other."""
+        numbers = {joint: link for link, joint in enumerate(self.joints)}
+        acting = enumerate(map(int, self.model.actuator_trnid[:, 0]))
+        acted = {i: numbers[joint] for i, joint in acting if joint in numbers}
+        for kind, links in {"joint": numbers, "body": self.tree.of_body, "actuator": acted}.items():
+            each: dict[int, list[str]] = {}
+            for part, link in links.items():
+                each.setdefault(link, []).append(name_in(self.model, kind, part))
+            for one in self.sides.left:
+                pair = each.get(one, []), each.get(self.sides.mirror[one], [])
+                yield from zip(*pair, strict=False)
+        yield self.sides.feet[0].name, self.sides.feet[1].name
 
     def paired(self, name: str, link: int) -> str:
-        """Return the name that a part of a link and that of its mirror image share."""
-        if link == BASE or self.sides.mirror[link] == link:
-            return without_side(name)[0] if without_side(name)[1] is None else name
-        return without_side(name)[0] if without_side(name)[1] is not None else self.of_left(name)
+        """Return the name that a part of a link and that of its mirror image share.
 
-    def of_left(self, name: str) -> str:
-        """Return a plain name without the number at its end, as of leg_1 and leg_2."""
-        return without_side(name)[0].rstrip("0123456789").rstrip("_") or "part"
+        It has no word for the side; or no number at its end, as of leg_1 and leg_2; or the words
+        that are in both names, as of leg_a and leg_b; if there are none, it is the first side's.
+        """
+        plain, side = without_side(name)
+        if link == BASE or self.sides.mirror[link] == link:
+            return plain if side is None else name
+        if side is not None:
+            return plain
+        pair = self.twins.get(name, (name, name))
+        first, other = (without_side(one)[0].rstrip("0123456789").rstrip("_") for one in pair)
+        words = [re.split(r"_+", one) for one in (first, other)]
+        shared = [a for a, b in zip(*words, strict=False) if a == b]
+        return "_".join(shared) or first or "part"
 
     def role(self, link: int) -> str:
         """Return the prefix of a link's names: which leg it is on as the stride begins."""
