@@ -86,11 +86,16 @@ def cover(name, count):
     return f"| {name} | {', '.join(names)} | {count} | {shares} | {spread} | {times} |"
 
 
+def clocks() -> np.ndarray:
+    """Return the time, and that of the processor, in which threads that wait spin."""
+    return np.array([time.perf_counter(), time.process_time()])
+
+
 def compare(steps):
-    """Print the processor times of one fit, and of SciPy's with differences on the same residuals.
+    """Print times of one fit, and of SciPy's with differences on the same residuals.
 
     Neither includes compilation; SciPy begins where the starts of steps are fitted already. Of a
-    fit it is the median of several, as threads that wait for a processor count while they spin.
+    fit they are medians of several.
     """
     walker, names, columns, spacing = CASES["simplest"]
     motion = make_motion(walker, columns, spacing, steps)
@@ -99,22 +104,23 @@ def compare(steps):
     asked = with_values(walker, {"slope": 1.1 * walker.slope}), recordings, names
     found, spent = wj.fit(*asked, noise=noise), []  # compiles
     for _ in range(9):
-        begun = time.process_time()
+        begun = clocks()
         found = wj.fit(*asked, noise=noise)
-        spent.append(time.process_time() - begun)
-    ours = float(np.median(spent))
+        spent.append(clocks() - begun)
+    ours = np.median(spent, axis=0)
     posed = found.problem
     assert posed is not None
     flat, unflatten = ravel_pytree(posed.begun)
     residuals = jax.jit(lambda at, data: all_residuals(posed.layout, unflatten(at), data))
     by_hand = lambda at: np.asarray(residuals(at, posed.data))
     by_hand(np.asarray(flat))
-    begun = time.process_time()
+    begun = clocks()
     other = least_squares(by_hand, np.asarray(flat), x_scale="jac")
-    theirs = time.process_time() - begun
+    theirs = clocks() - begun
     cost = found.data.attrs["sum_of_squares"]
-    print(f"{steps} steps, {len(flat)} unknowns, {len(other.fun)} residuals: {ours:.2f} s;")
-    print(f"SciPy {theirs:.2f} s, {theirs / ours:.0f} times as long;", end=" ")
+    print(f"{steps} steps, {len(flat)} unknowns, {len(other.fun)} residuals")
+    for name, a, b in zip(("clock", "processor"), ours, theirs, strict=True):
+        print(f"{name}: {a:.2f} s; SciPy {b:.2f} s, {b / a:.0f} times as long")
     print(f"sums of squares {cost:.6f} and {2 * other.cost:.6f}")
 
 

@@ -17,26 +17,26 @@ in the same repeat (median, least and greatest). `wrong` counts outcomes that di
 reference. Then comes a heavier job: walkers from a million cells of the same window, each followed
 until it falls or is within 1e-6 of the gait, by this project and by heyoka.
 
-The answer: 16 ms on two cores, a tenth of heyoka's time and less than a hundredth of what diffrax
-alone takes. The row `jit(vmap(stride))` is newer than the table below: it takes as long as the
-first (0.87 times, 0.58 to 1.23, in three repeats on a busy machine).
+The answer: 18 to 26 ms on two cores, a tenth of heyoka's time and less than a hundredth of what
+diffrax alone takes.
 
-    2 cores, AMD EPYC; jax 0.10.2, diffrax 0.7.2, heyoka 7.13.2; 50000 strides, 5 repeats
+    2 cores, Intel Xeon; jax 0.10.2, diffrax 0.7.2, heyoka 7.13.2; 50000 strides, 5 repeats
                                       seconds strides/s       times as long  compile   error wrong
-    walker_jax, 1e-11                   0.016 3,159,884             1 (1-1)      0.7   3e-09     0
-    walker_jax, 1e-12, its own          0.016 3,130,518   1.02 (0.937-1.17)      0.0   2e-10     0
-    heyoka, batches of 8, 1e-11         0.224   223,415      13.7 (10.7-15)      2.9   3e-09     0
-    heyoka, batches of 16, 1e-11        0.159   315,047    10.7 (7.18-10.9)      0.2   3e-09     0
-    heyoka, batches of 32, 1e-11        0.149   334,622    9.83 (6.86-10.9)      0.2   3e-09     0
-    vmap(diffeqsolve), Dopri8, 1e-12    6.996     7,147       430 (383-592)      5.2   5e-09     8
-    the same, batches of 1000           3.075    16,261       192 (143-221)      5.2   5e-09     9
-    vmap(diffeqsolve), Tsit5, 1e-11     7.476     6,688       467 (347-599)      4.9   5e-09     1
-    scipy, DOP853, 1e-11, one core     84.312       593   5,350 (3,920-8,340)      0.0   3e-10     1
+    walker_jax, 1e-11                   0.026 1,902,679             1 (1-1)      0.8   9e-09     0
+    walker_jax, 1e-12, its own          0.027 1,859,873   1.02 (0.901-1.52)      0.0   8e-10     0
+    jit(vmap(stride)), 1e-11            0.018 2,849,792 0.683 (0.635-0.765)      0.0   9e-09     0
+    heyoka, batches of 8, 1e-11         0.333   149,940    12.6 (9.02-16.6)      3.2   3e-09     0
+    heyoka, batches of 16, 1e-11        0.254   196,710      10.3 (7.23-12)      0.6   3e-09     0
+    heyoka, batches of 32, 1e-11        0.249   200,816      9.75 (7.35-12)      0.9   3e-09     0
+    vmap(diffeqsolve), Dopri8, 1e-12    8.819     5,669       335 (287-409)      6.0   5e-09     8
+    the same, batches of 1000           4.439    11,264       176 (132-220)      6.1   5e-09     9
+    vmap(diffeqsolve), Tsit5, 1e-11    11.007     4,543       465 (334-575)      5.4   5e-09     1
+    scipy, DOP853, 1e-11, one core    127.754       391 4,861 (3,789-7,767)      0.0   3e-10     1
 
     A basin of 1000 x 1000 cells, followed directly; 3 repeats
                                       seconds strides/s       times as long    walk
-    walker_jax, 1e-11                    1.02 2,721,751             1 (1-1)   60392
-    heyoka, batches of 16, 1e-11         8.76   315,657     8.9 (5.34-8.97)   60392
+    walker_jax, 1e-11                    1.47  1,882,950              1 (1-1)   60392
+    heyoka, batches of 16, 1e-11        14.04    196,902      9.4 (8.91-9.67)   60392
 """
 
 import argparse

@@ -24,7 +24,7 @@ from walker_jax.fitting.residuals import (
 TOLERANCE = 1e-3
 """Last change of the unknowns, in their standard deviations with all others fixed. The next one,
 which is not made, would be a hundredth or so; rounding errors leave some 1e-5."""
-FIRST_TOLERANCE = 3.0
+FIRST_TOLERANCE = 30.0
 """The same for steps that are fitted apart, whose result is a first guess."""
 FIRST_DAMPING = 1e-8
 """Damping that a search begins with, over the squared length of each column of the Jacobian: next
