@@ -119,7 +119,7 @@ def unreachable(cluster):
 
 
 ANSWERS = {
-    "least_disturbance": LeastDisturbance(
+    "least_disturbance_if_any": LeastDisturbance(
         0.002, np.array([0.6, 0.8]), np.array([0.16, -0.15]), 0, wj.Outcome.FORWARD, 6
     ),
     "least_step_down": LeastStepDown(0.001, np.zeros(4), 0, wj.Outcome.FORWARD, 6),
