@@ -135,7 +135,7 @@ def climb(trace, run, stage, place):
     return Climb(row, row, True)
 
 
-def measured(problem, stage, values, gait_of, **_):
+def measured(problem, stage, values, *_, **__):
     gradient, of_measures = np.ones(len(values)), np.zeros(len(problem.measures))
     return Evaluation(
         -1, stage, values, float(values.sum()), 0.0, gradient, 0 * gradient, of_measures, 0
@@ -270,8 +270,8 @@ def test_any_command_line_ends_in_order(bench, arguments):
     check(bench, arguments, Counter())
 
 
-STOPPED = {"reproduce", "bifurcation", "continuation", "explore"}
-"""For which nothing stands in, and the page, which gives no answer."""
+STOPPED = {"reproduce", "bifurcation", "chart", "continuation", "explore", "fall", "fit"}
+"""For which nothing stands in, and the page, which gives no answer; a fit needs recordings."""
 
 
 @pytest.mark.slow
@@ -281,7 +281,7 @@ def test_every_command_answers(bench):
     for name in (one for one in COMMANDS if one not in STOPPED):
         for more in tables.get(name, [[]]):
             code, out, err, lost, _ = run([name, *GOOD.get(name, []), *more, "--json"])
-            assert (code, err, lost) == (0, "", []), name
+            assert (code, err, lost) == (0, "", []), (name, err)
             assert json.loads(out), name
 
 
