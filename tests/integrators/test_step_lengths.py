@@ -458,6 +458,31 @@ def test_variables_whose_errors_are_relative_to_themselves():
     assert proportional_variables(flies, (1.0, 0.5)) is None
 
 
+class OneArray(wj.HybridSystem):
+    """Decays for a unit of time; its state is one array of two numbers."""
+
+    scales: Any = None
+
+    section = ("y",)
+
+    def lift(self, x):
+        return jnp.stack([x[0], 0 * x[0]])
+
+    def project(self, state):
+        return state[:1]
+
+    def modes(self):
+        field = lambda s: jnp.stack([-s[0], 1 + 0 * s[1]])
+        ends = wj.Guard(lambda s: s[1] - 1, wj.SECTION)
+        return {"decay": wj.Mode(field, (ends,), scales=self.scales)}
+
+
+@pytest.mark.parametrize("scales", [None, jnp.array([1.0, 1e-3])])
+def test_a_state_that_is_one_array_has_a_size_for_each_number(scales):
+    made = wj.strides(OneArray(scales), np.array([[0.5], [1e-9]]))
+    np.testing.assert_allclose(made.state[:, 0], [0.5 / np.e, 1e-9 / np.e], rtol=1e-11)
+
+
 @pytest.mark.parametrize("width", [64, 128])
 def test_numbers_of_large_arrays_are_not_examined_one_by_one(width, monkeypatch):
     """Numbers that grow by a network are found all the same: their own factor shows it."""

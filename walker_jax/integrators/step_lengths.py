@@ -215,7 +215,7 @@ def largest_coefficient(series: PyTree, k: int, counted: PyTree | None = None) -
 
 def relative_size(series: PyTree, k: int, sizes: PyTree, counted: PyTree | None = None) -> Scalar:
     """Return the largest k-th coefficient, relative to |y| or to each variable's own size."""
-    if eqx.is_array(sizes):
+    if eqx.is_array(sizes) and sizes.ndim == 0:  # not those of a state that is one array
         return largest_coefficient(series, k, counted) / sizes
     ratio = lambda c, size: [c[k] / size]
     return largest_coefficient(jax.tree.map(ratio, series, sizes, is_leaf=is_list), 0, counted)
