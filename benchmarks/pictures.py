@@ -45,7 +45,8 @@ COMMANDS = {
     "knees.png": "python $BENCHMARKS/knees.py knees",
     "predictors.png": "python $BENCHMARKS/predictors.py",
     "space.png": "python $BENCHMARKS/space.py --picture space.png",
-    "scaling.png": "python $BENCHMARKS/scaling.py --figure scaling.png",
+    "scaling.png": "python $BENCHMARKS/scaling.py --printed --figure scaling.png",
+    "capturability.png": "python $BENCHMARKS/viability.py --picture capturability.png",
     "explorer.gif": "python $BENCHMARKS/explorer_film.py explorer.gif",
 }
 COMMANDS |= dict.fromkeys(
@@ -55,7 +56,7 @@ COMMANDS |= dict.fromkeys(
 SPRING = "spring.png"
 PAGES = {
     page: re.findall(r'savefig\("(\w+\.png)"', (DOCS / page).read_text())
-    for page in ("gallery.md", "charts.md", "viability.md")
+    for page in ("gallery.md", "charts.md")
 }
 PAGES["charts.md"][0] = "chart.png"  # its program saves it as SPRING
 PAGES["gallery.md"] = [f"gallery/{name}" for name in PAGES["gallery.md"]]
@@ -67,8 +68,8 @@ def digest(text: str | bytes) -> str:
     return hashlib.sha256(text if isinstance(text, bytes) else text.encode()).hexdigest()[:16]
 
 
-def code_of(path: str | Path) -> str:
-    """Return the code of a file, without what documents it."""
+def code_of(path: str) -> str:
+    """Return the code of a module, without what documents it."""
     source = Path(path).read_text()
     lines = source.splitlines()
     for node in ast.walk(ast.parse(source)):
@@ -95,7 +96,7 @@ def lines_of(name: str) -> str:
         return "\n".join(c.source for c in read(name).cells if c.cell_type == "code")
     if name in COMMANDS:
         scripts = re.findall(r"\$BENCHMARKS/(\w+\.py)", COMMANDS[name])
-        return "\n".join([COMMANDS[name], *(code_of(BENCHMARKS / one) for one in scripts)])
+        return "\n".join([COMMANDS[name], *((BENCHMARKS / one).read_text() for one in scripts)])
     (page,) = (page for page, pictures in PAGES.items() if name in pictures)
     file = SPRING if name == "chart.png" else Path(name).name
     (saved,) = (one for one in programs(page) if f'savefig("{file}"' in one)
