@@ -4,16 +4,19 @@
     python benchmarks/pictures.py basin.png gallery.md  # these; for a page, all that it draws
     python benchmarks/pictures.py --look knees.png      # it stays as it is, after a look at it
 
-docs/pictures.json keeps digests of each picture: of the colours and signs that all pictures share,
-of the lines that draw it, and of itself. Where one of them differs, a test of the gallery says that
-the picture is out of date. Notebooks keep their pictures in themselves.
+docs/pictures.json keeps digests of each picture: of the colours, signs, words and layout that all
+pictures share, of the lines that draw it, those of its benchmark too, and of itself. Where one of
+them differs, a test of the gallery says that the picture is out of date. Notebooks keep their
+pictures in themselves.
 """
 
 import argparse
+import ast
 import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -21,9 +24,10 @@ from pathlib import Path
 
 import nbformat
 
-from walker_jax.figures import style
+from walker_jax.figures import layout, style, text
 
 ROOT = Path(__file__).resolve().parents[1]
+BENCHMARKS = ROOT / "benchmarks"
 DOCS, KEPT = ROOT / "docs", ROOT / "docs" / "pictures.json"
 BIPED = "figures.modes(wj.systems.SpringMassBiped()).figure.savefig('modes.png')"
 COMMANDS = {
@@ -41,7 +45,8 @@ COMMANDS = {
     "knees.png": "python $BENCHMARKS/knees.py knees",
     "predictors.png": "python $BENCHMARKS/predictors.py",
     "space.png": "python $BENCHMARKS/space.py --picture space.png",
-    "scaling.png": "python $BENCHMARKS/scaling.py --figure scaling.png",
+    "scaling.png": "python $BENCHMARKS/scaling.py --printed --figure scaling.png",
+    "capturability.png": "python $BENCHMARKS/viability.py --picture capturability.png",
     "explorer.gif": "python $BENCHMARKS/explorer_film.py explorer.gif",
 }
 COMMANDS |= dict.fromkeys(
@@ -51,7 +56,7 @@ COMMANDS |= dict.fromkeys(
 SPRING = "spring.png"
 PAGES = {
     page: re.findall(r'savefig\("(\w+\.png)"', (DOCS / page).read_text())
-    for page in ("gallery.md", "charts.md", "viability.md")
+    for page in ("gallery.md", "charts.md")
 }
 PAGES["charts.md"][0] = "chart.png"  # its program saves it as SPRING
 PAGES["gallery.md"] = [f"gallery/{name}" for name in PAGES["gallery.md"]]
@@ -63,9 +68,21 @@ def digest(text: str | bytes) -> str:
     return hashlib.sha256(text if isinstance(text, bytes) else text.encode()).hexdigest()[:16]
 
 
+def code_of(path: str) -> str:
+    """Return the code of a module, without what documents it."""
+    source = Path(path).read_text()
+    lines = source.splitlines()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str):
+            for number in range(node.lineno - 1, node.end_lineno or node.lineno):
+                lines[number] = ""
+    return "\n".join(line for line in lines if line.strip() and not line.strip().startswith("#"))
+
+
 def look() -> str:
-    """Return the colours, signs and lines that all pictures share."""
-    return digest(repr({name: value for name, value in vars(style).items() if name.isupper()}))
+    """Return a digest of the colours, signs, words and layout that all pictures share."""
+    shared = repr({name: value for name, value in vars(style).items() if name.isupper()})
+    return digest("\n".join([shared, *(code_of(str(one.__file__)) for one in (text, layout))]))
 
 
 def programs(page: str) -> list[str]:
@@ -78,7 +95,8 @@ def lines_of(name: str) -> str:
     if name.endswith(".ipynb"):
         return "\n".join(c.source for c in read(name).cells if c.cell_type == "code")
     if name in COMMANDS:
-        return COMMANDS[name]
+        scripts = re.findall(r"\$BENCHMARKS/(\w+\.py)", COMMANDS[name])
+        return "\n".join([COMMANDS[name], *((BENCHMARKS / one).read_text() for one in scripts)])
     (page,) = (page for page, pictures in PAGES.items() if name in pictures)
     file = SPRING if name == "chart.png" else Path(name).name
     (saved,) = (one for one in programs(page) if f'savefig("{file}"' in one)
@@ -121,17 +139,26 @@ def out_of_date() -> dict[str, list[str]]:
     return found
 
 
+def drawn_with(name: str) -> list[str]:
+    """Return all pictures that a picture's command or page draws, or a page, with itself."""
+    if name in COMMANDS:
+        return [one for one, command in COMMANDS.items() if command == COMMANDS[name]]
+    pages = (own for page, own in PAGES.items() if name == page or name in own)
+    return next(pages, [name])
+
+
 def draw(name: str) -> None:
-    """Draw a picture, all those of a page, or those of a notebook, in their places."""
+    """Draw a picture, and all that its command or page draws, or those of a notebook."""
     if name.endswith(".ipynb"):
         subprocess.run([sys.executable, ROOT / "notebooks" / "run.py", ROOT / name], check=True)
     elif name in COMMANDS:
         with tempfile.TemporaryDirectory() as folder:
             paths = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-            paths |= {"PYTHONPATH": str(ROOT), "BENCHMARKS": str(ROOT / "benchmarks")}
+            paths |= {"PYTHONPATH": str(ROOT), "BENCHMARKS": str(BENCHMARKS)}
             run = {"shell": True, "cwd": folder, "env": os.environ | paths, "check": True}
             subprocess.run(COMMANDS[name], **run)
-            os.replace(Path(folder) / Path(name).name, DOCS / name)
+            for one in drawn_with(name):
+                shutil.copy(Path(folder) / one, DOCS / one)
     else:
         page = name if name in PAGES else next(p for p, own in PAGES.items() if name in own)
         os.chdir(DOCS / "gallery" if page == "gallery.md" else DOCS)
@@ -147,12 +174,16 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="pictures, pages or notebooks; by default, all")
     parser.add_argument("--look", action="store_true", help="keep them as they are")
     asked = parser.parse_args()
-    for name in asked.names or [*COMMANDS, *PAGES, *every_picture()]:
+    done: set[str] = set()
+    for name in asked.names or every_picture():
+        if name in done:
+            continue
         if not asked.look:
             draw(name)
         kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
-        for one in PAGES.get(name, [name]):
+        for one in [name] if asked.look and name not in PAGES else drawn_with(name):
             kept[one] = digests_of(one)
+            done.add(one)
         KEPT.write_text(json.dumps(dict(sorted(kept.items())), indent=1) + "\n")
         print(name, flush=True)
 

@@ -3,7 +3,8 @@
 The one-stride map (the image of each cell's centre) is computed on ever finer grids over the
 paper's window, in a process for each: strides per second, and peak memory beyond that of a process
 with a map of a hundred cells. The result itself takes 4 bytes a cell. Then the command `walker-jax
-basin` runs from a new cache directory, and again. `--figure` draws the first table.
+basin` runs from a new cache directory, and again. `--figure` draws the first table; with
+`--printed`, the one below, without a measurement.
 
 The answer: strides per second do not fall, and memory is 12 bytes a cell.
 
@@ -19,6 +20,7 @@ The answer: strides per second do not fall, and memory is 12 bytes a cell.
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -73,11 +75,14 @@ def main():
     parser = argparse.ArgumentParser(description="Time and memory, as work grows.")
     parser.add_argument("--largest", type=float, default=1e8, help="cells at most")
     parser.add_argument("--figure", type=Path, help="where a picture goes")
+    parser.add_argument("--printed", action="store_true", help="draw the table of the header")
     parser.add_argument("--measure", type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.measure:
         print(json.dumps(measure(args.measure)))
         return
+    if args.printed:
+        return draw(printed_rows(), args.figure)
     rows = []
     print(f"{'cells':>12}{'seconds':>9}{'strides/s':>12}{'MiB':>8}{'bytes a cell':>14}")
     for cells in SIZES:
@@ -100,21 +105,34 @@ def main():
         draw(rows, args.figure)
 
 
+def printed_rows() -> list[dict]:
+    """Return the rows of the table in the header."""
+    table = re.findall(r"^ +([\d,]+) +([\d.]+) +[\d,]+ +(\d+) +[\d.]+$", __doc__ or "", re.M)
+    return [
+        {"cells": int(cells.replace(",", "")), "seconds": float(time), "bytes": int(size) * 2**20}
+        for cells, time, size in table
+    ]
+
+
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
+
+    from walker_jax.figures.style import BASINS, OTHERS, TITLE
 
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     cells = [row["cells"] for row in rows]
     speeds = [row["cells"] / row["seconds"] / 1e6 for row in rows]
-    above.plot(cells, speeds, "o-", color="#0072b2")
-    above.set(ylabel="million strides\nper second", ylim=(0, 1.15 * max(speeds)))
+    above.plot(cells, speeds, "o-", color=BASINS[0])
+    above.set(ylabel="millions a second", ylim=(0, 1.15 * max(speeds)))
+    above.set_title("Strides per second", **TITLE)
     seen = [row for row in rows if row["bytes"] > 4 * row["cells"]]  # above the earlier peak
     peaks = [row["bytes"] / 2**20 for row in seen]
-    below.plot([row["cells"] for row in seen], peaks, "o-", color="#0072b2", label="peak")
+    below.plot([row["cells"] for row in seen], peaks, "o-", color=BASINS[0], label="peak")
     result = [4 * row["cells"] / 2**20 for row in rows]
-    below.plot(cells, result, "--", color="#767676", label="the result itself")
-    below.set(xscale="log", yscale="log", xlabel="cells", ylabel="memory, MiB")
+    below.plot(cells, result, "--", color=OTHERS, label="the result itself")
+    below.set(xscale="log", yscale="log", xlabel="cells", ylabel="MiB")
+    below.set_title("Memory", **TITLE)
     below.legend(frameon=False)
     for ax in (above, below):
         ax.spines[["top", "right"]].set_visible(False)

@@ -145,8 +145,7 @@ def draw(path: str) -> None:
         "linear feedback": wj.basin(linear_feedback(walker, data, grid, coarse), grid),
         "policy": wj.basin(wj.Policy(walker, data), grid, "direct"),
     }
-    ax = figures.capturability(data, basins, title=False)
-    ax.figure.get_figure(root=True).savefig(path, dpi=200)
+    figures.capturability(data, basins).figure.savefig(path, dpi=150)
 
 
 def make_grid(axes: dict, finer: float = 1) -> wj.Grid:

@@ -171,6 +171,20 @@ def test_undecided_cells_are_a_class_of_their_own(charted):
     assert not np.allclose(image[0, 2], image[0, 0])
 
 
+def test_a_point_that_two_curves_share_is_drawn_once(charted):
+    """Curves of folds and of doublings both have a fold-flip, for instance."""
+    from walker_jax import figures
+
+    count = charted.sizes["special"]
+    shared = charted.isel(special=[*range(count), 0])
+    words = lambda data: [one.get_text() for one in figures.chart(data).figure.findobj(Text)]
+    assert count > 1 and words(shared) == words(charted)
+    shared["special_value"].values[-1, 0] += 0.1
+    apart = words(shared)
+    assert f"{count + 1} codimension-two points" in ", ".join(apart)
+    assert len(apart) == len(words(charted)) + 1
+
+
 def test_a_chart_without_curves_is_kept(tmp_path):
     """And drawn: of a gait that is stable all over the bounds."""
     from walker_jax import figures

@@ -4,6 +4,7 @@ import inspect
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -161,6 +162,16 @@ def test_search_finds_the_words_that_people_type():
     text = " ".join(" ".join(page.read_text().split()) for page in (ROOT / "docs").glob("*.md"))
     missing = [one for one in " ".join(SEARCHED.split()).split(", ") if one not in text]
     assert not missing
+
+
+@pytest.mark.parametrize("address", ["", "https://example.org/walkers"])
+def test_the_site_links_to_a_repository_from_one_variable(address):
+    hook: dict[str, Any] = {}
+    exec((ROOT / "docs" / "hooks" / "repository.py").read_text(), hook)
+    config = hook["on_config"](SimpleNamespace(extra={"repository": address}, nav=[]))
+    links = [{"Repository": address}, {"Issues": f"{address}/issues"}]
+    assert config.nav == ([{"Source": links}] if address else [])
+    assert '  repository: "' in (ROOT / "mkdocs.yml").read_text()
 
 
 def test_every_public_function_is_in_a_table_or_the_glossary():

@@ -4,12 +4,13 @@ import json
 import re
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import pytest
 
 from walker_jax import figures
-from walker_jax.figures import style
+from walker_jax.figures import style, text
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "gallery.md"
@@ -64,3 +65,19 @@ def test_another_palette_makes_pictures_out_of_date(pictures, monkeypatch):
     found = pictures.out_of_date()
     assert {*found} == {*pictures.every_picture()}
     assert found["basin.png"] == ["look", "lines"] and found["walk.gif"] == ["look"]
+
+
+def test_another_benchmark_makes_its_pictures_out_of_date(pictures, monkeypatch, tmp_path):
+    copied = Path(copytree(pictures.BENCHMARKS, tmp_path / "benchmarks"))
+    changed = copied / "transients.py"
+    monkeypatch.setattr(pictures, "BENCHMARKS", copied)
+    changed.write_text(changed.read_text().replace("figsize=(9,", "figsize=(8,"))
+    found = pictures.out_of_date()
+    assert found == {f"{name}.png": ["lines"] for name in ("crisis", "leaves", "saddle")}
+
+
+def test_other_words_above_pictures_make_all_out_of_date(pictures, monkeypatch, tmp_path):
+    other = tmp_path / "text.py"
+    other.write_text(Path(text.__file__).read_text().replace('"slope (rad)"', '"slope"'))
+    monkeypatch.setattr(text, "__file__", str(other))
+    assert pictures.out_of_date() == {one: ["look"] for one in pictures.every_picture()}

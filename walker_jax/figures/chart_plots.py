@@ -40,6 +40,8 @@ CIRCLES: dict[str, Any] = {"marker": "o", "ms": 3, "mfc": "white", "mew": 0.9}
 """Circles along the subcritical part of a curve."""
 SPECIAL: dict[str, Any] = {"marker": "D", "ms": 5.5, "mfc": "white", "mec": INK, "mew": 1.2}
 """Markers of points of codimension two."""
+SAME_POINT = 1e-3
+"""Distance, as a share of the axes, within which two points of a kind are one."""
 
 
 def chart(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:
@@ -53,10 +55,11 @@ def chart(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> D
     ax = axes_for(ax, style, 7, 5.8)
     extent = (*cell_edges(data["first"].values), *cell_edges(data["second"].values))
     handles: list[Any] = [*draw_cells(ax, data, extent), *draw_lines(ax, data)]
-    draw_special(ax, data, style.get("labels", True))
+    special = special_points(data)
+    draw_special(ax, special, float(data["first"].mean()), style.get("labels", True))
     ax.set(xlim=extent[:2], ylim=extent[2:])
     x, y = data["parameter"].values.tolist()
-    counts = {"curve": data.sizes["line"], "codimension-two point": data.sizes["special"]}
+    counts = {"curve": data.sizes["line"], "codimension-two point": len(special)}
     title = f"{walker_title(data)}: {x.replace('_', ' ')} and {y.replace('_', ' ')}"
     note = ", ".join(count_noun(n, noun) for noun, n in counts.items() if n)
     return finish(ax, style, title, note, x=x, y=y, legend=handles)
@@ -127,13 +130,26 @@ def draw_lines(ax: Axes, data: xr.Dataset) -> list[Line2D]:
     ]
 
 
-def draw_special(ax: Axes, data: xr.Dataset, labels: bool) -> None:
-    """Draw the points of codimension two, with their names."""
-    values, middle = data["special_value"].values, data["first"].values.mean()
-    ax.plot(*values.T, zorder=7, ls="", **SPECIAL)
+def special_points(data: xr.Dataset) -> list[tuple[str, np.ndarray]]:
+    """Return kinds and places of points of codimension two; one that two curves share, once."""
+    apart = SAME_POINT * np.array([np.ptp(data[axis].values) for axis in ("first", "second")])
+    found: list[tuple[str, np.ndarray]] = []
+    kinds = words_in(data, "special_kind")
+    for kind, place in zip(kinds, data["special_value"].values, strict=True):
+        if not any(kind == one and (abs(place - at) < apart).all() for one, at in found):
+            found.append((kind, place))
+    return found
+
+
+def draw_special(
+    ax: Axes, special: list[tuple[str, np.ndarray]], middle: float, labels: bool
+) -> None:
+    """Draw the points of codimension two, with their names on the side of the middle."""
     look: Any = {"textcoords": "offset points", "fontsize": SMALL, "zorder": 8}
     look["bbox"] = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8}
-    names = words_in(data, "special_kind") if labels else []
-    for name, (x, y) in zip(names, values.tolist(), strict=labels):
-        shift, side = ((-7, 4), "right") if x > middle else ((7, 4), "left")
-        ax.annotate(name.removesuffix(" resonance"), (x, y), shift, ha=side, **look)
+    for kind, place in special:
+        ax.plot(*place, zorder=7, ls="", **SPECIAL)
+        shift, side = ((-7, 4), "right") if place[0] > middle else ((7, 4), "left")
+        at = float(place[0]), float(place[1])
+        if labels:
+            ax.annotate(kind.removesuffix(" resonance"), at, shift, ha=side, **look)

@@ -36,7 +36,7 @@ def modes(system: HybridSystem, found: Explanation | None = None) -> DrawnAxes:
     ax = axes_for(None, {}, 2.2 * columns, 3.0 + 0.8 * rows)
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(-0.8, rows + 0.6))
     ax.axis("off")
-    ax.set_title(f"modes of {system.label()}", loc="left", fontweight="bold")
+    ax.set_title(f"Modes of {system.label()}", loc="left", fontweight="bold")
     boxes = {name: ax.text(*place, name, ha="center", va="center", bbox=BOX, color=INK)
              for name, place in places.items()}  # fmt: skip
     figure_of(ax).draw_without_rendering()  # for the sizes of the boxes

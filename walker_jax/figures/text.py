@@ -20,7 +20,10 @@ SYMBOLS = {
     "sum": r"$\theta + \dot{\theta}$",
     "theta": r"$\theta$",
     "thetadot": r"$\dot{\theta}$",
+    "phi": r"$\varphi$",
     "phidot": r"$\dot{\varphi}$",
+    "yawdot": "rate of yaw",
+    "leandot": "rate of lean",
 }
 AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
