@@ -4,7 +4,6 @@ The attribute `request` of a data set holds, as JSON, what was asked for. The sa
 result again; any other request is refused the place, unless it is told to overwrite.
 """
 
-from walker_jax.storage.datasets import export as export
 from walker_jax.storage.datasets import find as find
 from walker_jax.storage.datasets import load as load
 from walker_jax.storage.datasets import open_dataset as open_dataset
@@ -23,3 +22,4 @@ from walker_jax.storage.places import write_text as write_text
 from walker_jax.storage.requests import check_picture as check_picture
 from walker_jax.storage.requests import request_in as request_in
 from walker_jax.storage.requests import signature as signature
+from walker_jax.storage.tables import export as export
