@@ -19,7 +19,6 @@ import contextlib
 import dis
 import functools
 import hashlib
-import inspect
 import os
 import re
 import sys
@@ -120,9 +119,10 @@ class Describer:
             return "dict", *((self.words(key), self.words(value[key])) for key in value)
         if isinstance(value, types.CellType):
             try:
-                return self.words(value.cell_contents)
+                inside = value.cell_contents
             except ValueError:  # the cell is empty
                 return ()
+            return self.words(inside)
         if isinstance(value, types.CodeType):
             return hash_of_code(value)
         if isinstance(value, types.FunctionType):
@@ -148,13 +148,11 @@ class Describer:
         more = function.__defaults__, function.__kwdefaults__, vars(function) or None
         if self.opens(function):
             return self.describe_code(function), closure, *map(self.words, more)
-        names = self.name(function), function.__code__.co_qualname  # a wrapper has another's name
-        if (
-            function.__code__.co_name == "<lambda>"
-            or function.__code__.co_flags & inspect.CO_NESTED
-        ):
-            return names, hash_of_code(function.__code__), closure, *map(self.words, more[:2])
-        return names, closure
+        code = function.__code__
+        names = self.name(function), code.co_qualname  # a wrapper has another's name
+        made = "<" in code.co_qualname  # a lambda, or defined within a function
+        parts = (hash_of_code(code), *map(self.words, more[:2])) if made else ()
+        return names, closure, *parts
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
         read = ((name, self.words(value)) for name, value in globals_of(function).items())

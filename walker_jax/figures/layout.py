@@ -14,6 +14,7 @@ from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cbook import is_math_text
+from matplotlib.container import Container
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch
@@ -221,7 +222,11 @@ def width_of(text: str, size: str, weight: Any = "normal") -> float:
 
 
 def in_lines(text: str, inches: float, size: str, weight: Any = "normal") -> str:
-    """Break a text into lines of a width: none within a formula, nor within a phrase that fits."""
+    """Break a text into lines of a width: none within a formula, nor within a phrase that fits.
+
+    Matplotlib's own `wrap` fills the whole figure, over other axes, and does nothing in notebooks,
+    which save with `bbox_inches="tight"`.
+    """
     lines = []
     for paragraph in text.split("\n"):
         line = ""
@@ -238,7 +243,7 @@ def in_lines(text: str, inches: float, size: str, weight: Any = "normal") -> str
     return "\n".join(lines).replace(NO_BREAK, " ")
 
 
-def in_columns(handles: Sequence[Artist], inches: float) -> dict[str, Any]:
+def in_columns(handles: Sequence[Artist | Container], inches: float) -> dict[str, Any]:
     """Return signs, labels and number of columns of a legend of a width; break longer labels.
 
     A legend of many lines has two columns at least.
