@@ -2,6 +2,12 @@
 
 The attribute `request` of a data set holds, as JSON, what was asked for. The same request finds its
 result again; any other request is refused the place, unless it is told to overwrite.
+
+A run reserves its place by a lock in a hidden folder beside it (`runs`), writes there, and renames
+the whole into place (`datasets`), or writes piece by piece and completes it at the end (`pieces`).
+Chunks and metadata have checksums (`checksums`), which readers check (`reading`); what fails is
+named, and may be overwritten if it is still known as a data set of this package (`damage`).
+`schema` has the kinds of data sets, and `tables` copies them for other programs.
 """
 
 from walker_jax.storage.datasets import find as find
