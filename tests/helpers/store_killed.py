@@ -126,6 +126,8 @@ def main(kind: str, folder: Path, every: int = 1) -> int:
         killed(path)
 
     def check(path: Path) -> None:
+        # Before anything is tidied, readers find the old data set or the new one.
+        assert kind == "pieces" or storage.load(path) is not None
         found = again(path)
         assert found.drop_attrs(deep=False).identical(WHOLE.drop_attrs(deep=False)), found
         left = [place.name for place in path.parent.iterdir()]
