@@ -68,7 +68,7 @@ def saved_again(path: Path) -> xr.Dataset:
     assert there is not None
     wanted = {canonical_json(OLD): OTHER, canonical_json(NEW): WHOLE}[there.attrs["request"]]
     assert there.drop_attrs(deep=False).identical(wanted)
-    return storage.save(WHOLE, path, NEW)
+    return storage.save(WHOLE, path, NEW, overwrite=True)
 
 
 def dying_at(operation: int) -> None:
