@@ -1,32 +1,32 @@
-"""Identity of code: whether a function, a class or a value is the same as before.
+"""Code is the same while its parts are the same; installed code counts by its name.
 
-A compiled program depends on its functions as they were when JAX traced them, a stored result on
-the code that computed it. Each is used again only while the code is the same, which means:
+The parts are
 
-- for a function, its code, defaults and closure, and the globals it reads, in modules too;
-- for a class, its bases and attributes;
-- for containers, arrays and plain values, their contents;
-- for any other object, its type and all its state, as pickle takes it; without state, itself.
+- of a function, its code, defaults and closure, and the globals it reads, in modules too;
+- of a class, its bases and attributes;
+- of containers, arrays and plain values, their contents;
+- of any other object, its type and all its state, as pickle takes it; without state, itself.
 
-All this holds for a user's own code; code of Python, of this package or installed counts by name.
-`Describer` serves programs of this process, `StoreDescriber` stores, `ReachedCode` traces on disk.
+Installed code is that of Python, of this package and of other packages. What it makes at run time,
+such as a lambda, has no name of its own, and counts by its code, defaults and closure.
+
+A compiled program depends on its functions as they were when JAX traced them, and is used again
+while they are the same (`FunctionByCode`). Stores and traces on disk are so while the code of
+another process is the same: `fingerprints` and `kernels.program_cache` describe it for them.
 """
 
-import ast
 import contextlib
-import dataclasses
 import dis
 import functools
 import hashlib
-import inspect
 import os
 import re
-import secrets
 import sys
 import types
 from collections import OrderedDict
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable
 from contextvars import ContextVar
+from dataclasses import Field
 from importlib.machinery import all_suffixes
 from pathlib import Path
 from typing import Any
@@ -48,13 +48,11 @@ LARGEST = 2**16
 """Bytes of the largest array that is compared by its values; a larger one equals only itself."""
 MOST = 4096
 """Size of each cache of descriptions: of codes, trees, modules and files."""
-ALONE = np.ndarray | jax.Array | dataclasses.Field
+ALONE = np.ndarray | jax.Array | Field
 """Types that count as themselves in a process: large arrays, and what a class is made with."""
 DEFINED = types.FunctionType | type
 READING = "LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
-token_of_process = functools.cache(secrets.token_hex)
-"""Identifies this process, for objects that cannot be described in another one."""
 
 
 class Cache(OrderedDict):
@@ -98,34 +96,35 @@ class Describer:
         return words, *map(self.describe_found, self.found)  # the list grows meanwhile
 
     def words(self, value: Any) -> Hashable:
-        """Return a hashable form of a value, or the number of its description."""
+        """Return a hashable form of a plain value or array, or the number of a description."""
         if type(value) in PLAIN:
-            return None if value is None else (type(value).__name__, repr(value))
-        if id(value) in self.numbers:
-            return self.numbers[id(value)]
-        if isinstance(value, types.CodeType):
-            return hash_of_code(value)
+            return type(value).__name__, repr(value)
+        if (values := values_in(value, LARGEST if self.here else sys.maxsize)) is not None:
+            return values
+        if type(value) is tuple:  # inline, as equal ones may be one object in another process
+            return "tuple", *map(self.words, value)
+        if id(value) not in self.numbers:
+            self.numbers[id(value)] = len(self.found)
+            self.found.append(value)
+        return self.numbers[id(value)]
+
+    def describe_found(self, value: Any) -> Hashable:
+        kind = type(value)
+        if kind is list:
+            return "list", *map(self.words, value)
+        if kind in (set, frozenset):
+            in_order = sorted(value, key=lambda one: ADDRESS.sub("", repr(one)))
+            return "set", *map(self.words, in_order)
+        if kind in (dict, types.MappingProxyType):
+            return "dict", *((self.words(key), self.words(value[key])) for key in value)
         if isinstance(value, types.CellType):
             try:
                 inside = value.cell_contents
             except ValueError:  # the cell is empty
                 return ()
             return self.words(inside)
-        if type(value) is tuple:
-            return "tuple", *map(self.words, value)
-        if type(value) in (set, frozenset):
-            in_order = sorted(value, key=lambda one: ADDRESS.sub("", repr(one)))
-            return "set", *map(self.words, in_order)
-        if (values := values_in(value, LARGEST if self.here else sys.maxsize)) is not None:
-            return values
-        self.found.append(value)
-        return self.numbers.setdefault(id(value), len(self.found) - 1)
-
-    def describe_found(self, value: Any) -> Hashable:
-        if type(value) is list:
-            return "list", *map(self.words, value)
-        if type(value) in (dict, types.MappingProxyType):
-            return "dict", *((self.words(key), self.words(value[key])) for key in value)
+        if isinstance(value, types.CodeType):
+            return hash_of_code(value)
         if isinstance(value, types.FunctionType):
             return self.describe_function(value)
         if isinstance(value, type):
@@ -149,9 +148,11 @@ class Describer:
         more = function.__defaults__, function.__kwdefaults__, vars(function) or None
         if self.opens(function):
             return self.describe_code(function), closure, *map(self.words, more)
-        made = function.__code__.co_flags & inspect.CO_NESTED  # at run time, with any defaults
-        names = self.name(function), function.__code__.co_qualname  # a wrapper has another's name
-        return names, closure, *map(self.words, more[:2] if made else ())
+        code = function.__code__
+        names = self.name(function), code.co_qualname  # a wrapper has another's name
+        made = "<" in code.co_qualname  # a lambda, or defined within a function
+        parts = (hash_of_code(code), *map(self.words, more[:2])) if made else ()
+        return names, closure, *parts
 
     def describe_code(self, function: types.FunctionType) -> Hashable:
         read = ((name, self.words(value)) for name, value in globals_of(function).items())
@@ -198,8 +199,8 @@ def hash_of_code(code: types.CodeType) -> str:
     """Hash what a code object does, wherever it stands in its file."""
     names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
     counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
-    words = code.co_code, code.co_exceptiontable, names, counts, Describer().words(code.co_consts)
-    return sha256_of(words)
+    constants = Describer().describe(code.co_consts)
+    return sha256_of((code.co_code, code.co_exceptiontable, names, counts, constants))
 
 
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
@@ -285,116 +286,3 @@ def is_known_file(path: Path) -> bool:
 def holds_packages(folder: Path) -> bool:
     """Return whether a folder holds installed packages, rather than one project."""
     return folder == STANDARD or any(folder.glob("*.dist-info"))
-
-
-def code_fingerprint(kind: type, parts: tuple = ()) -> str:
-    """Hash the code of a system's class, and other parts, such as the function of a map.
-
-    The hash is empty for a class of the package without other parts. It covers the files of the
-    class and its bases, and their imports from the same folder or package, as loaded; without a
-    file, the functions and what they use. It does not cover data in other files.
-    """
-    describer = StoreDescriber(kind)
-    if not describer.bases and not parts:
-        return ""
-    described = describer.describe(*describer.bases, *parts)
-    return sha256_of([described, sorted(describer.sources.items())])[:16]  # alike once in 2^64
-
-
-class StoreDescriber(Describer):
-    """Describes code for other processes: by its files, as loaded, or else by its parts."""
-
-    here = False
-
-    def __init__(self, kind: type = object):
-        super().__init__()
-        self.bases = [one for one in kind.__mro__ if not is_known_module(home_of(one))]
-        self.sources: dict[str, bytes] = {}
-        """Contents of files, by their paths from the folder that holds their module or package."""
-        for one in self.bases:
-            self.add_file_of(one)
-
-    def opens(self, definition: Any) -> bool:
-        return super().opens(definition) or definition in self.bases
-
-    def name(self, definition: Any) -> Hashable:
-        self.add_file_of(definition)
-        name = getattr(definition, "__qualname__", None)
-        return name, getattr(home_of(definition), "__name__", None)
-
-    def describe_code(self, function: types.FunctionType) -> Hashable:
-        if self.add_file_of(function):  # where several functions may have one name
-            return self.name(function), hash_of_code(function.__code__)
-        for name in names_used(function.__code__, "IMPORT_NAME"):
-            for path in located(Path(), name.split(".")):
-                self.add_file(path.absolute(), Path.cwd())
-        return super().describe_code(function)
-
-    def describe_class(self, kind: type) -> Hashable:
-        """Name a class of a file; describe a class that a function makes, which depends on more."""
-        in_file = "<locals>" not in kind.__qualname__ and self.add_file_of(kind)
-        return self.name(kind) if in_file else super().describe_class(kind)
-
-    def itself(self, value: Any) -> Hashable:
-        return token_of_process(), id(value)
-
-    def add_file_of(self, definition: Any) -> bool:
-        """Add the file of a definition that is described; return whether there is one."""
-        home = home_of(definition)
-        path = file_of(home) if self.opens(definition) else None
-        if home is not None and path is not None:
-            self.add_file(path, root_of(home, path))
-        return path is not None
-
-    def add_file(self, path: Path, root: Path) -> None:
-        """Add a file, and what it imports from below the root; if installed, from its package."""
-        name, own = path.relative_to(root).as_posix(), path.relative_to(root).with_suffix("").parts
-        if name in self.sources or is_known_file(path):
-            return
-        self.sources[name] = source = read_loaded(path)
-        imports = imports_in(source) if path.suffix == ".py" else []
-        for level, words in [(0, own), *imports]:  # importing a module imports its packages
-            base = path.parents[level - 1] if level else root
-            within = level > 0 or words[0] == own[0] or not holds_packages(root)
-            if within and base.is_relative_to(root):
-                for other in located(base, words):
-                    self.add_file(other, root)
-
-
-kept: Cache = Cache()
-"""Contents of files, and the spec of their modules at that time: a file in use may be edited."""
-
-
-def read_loaded(path: Path) -> bytes:
-    """Return a module's file as it was at its last loading, or at the first call after that."""
-    modules = ((str(getattr(one, "__file__", "")), one) for one in [*sys.modules.values()])
-    same = (one for file, one in modules if file.endswith(path.name) and Path(file) == path)
-    module = next(same, None)
-    loaded = getattr(module, "__spec__", None) or module  # reloading makes another spec
-    if loaded is None or path not in kept or kept[path][0] is not loaded:
-        kept[path] = loaded, path.read_bytes()
-    return kept[path][1]
-
-
-@functools.lru_cache(MOST)
-def imports_in(source: bytes) -> list[tuple[int, Sequence[str]]]:
-    """Return all imports of a program: the dots before a name, and the parts of the name."""
-    found: list[tuple[int, Sequence[str]]] = []
-    with contextlib.suppress(SyntaxError, ValueError):  # such a file cannot be imported either
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.Import):
-                found += [(0, one.name.split(".")) for one in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                stem = node.module.split(".") if node.module else []
-                found += [(node.level, [*stem, one.name]) for one in node.names]
-    return found
-
-
-def located(folder: Path, words: Sequence[str]) -> Iterator[Path]:
-    """Yield the files that an import from a folder runs; the name may end within a module."""
-    for word in words:
-        for path in (folder / word / "__init__.py", folder / f"{word}.py"):
-            if path.is_file():
-                yield path
-                break
-        folder /= word

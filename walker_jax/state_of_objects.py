@@ -1,26 +1,25 @@
-"""The state of an object: all that it holds, as pickle takes it."""
+"""The state of an object is all that pickle takes of it; a few types, listed here, state their own.
+
+Classes and functions have other descriptions, as `identity` says.
+"""
 
 import copyreg
 import functools
 import random
 import threading
 import weakref
+from collections.abc import Callable
 from contextvars import ContextVar
 from typing import Any
 
 import jax
 
 HOLDERS = property, classmethod, staticmethod, type(functools.cache(len))
-"""Types of objects that hold functions, and that pickle does not take."""
-HELD = "__wrapped__", "fget", "fset", "fdel"
-NEW = object().__reduce_ex__(2)[0]
-"""The function by which pickle makes an object of a class."""
-LOCK = type(threading.RLock())
-"""Type of the lock of a cached property."""
-JIT = type(jax.numpy.sin)
-"""Type of a jitted function."""
+"""Types of objects that hold functions."""
 JITTED = "fun", "static_argnums", "static_argnames", "global_cache_key"
 """What a jitted function holds, but for its place in a file and what it has compiled."""
+NEW = object().__reduce_ex__(2)[0]
+"""The function by which pickle makes an object of a class."""
 DERIVED = set(
     "__dict__ __weakref__ __doc__ _abc_impl __annotations__ __module__ __annotate_func__ "
     "__annotations_cache__ __static_attributes__ __firstlineno__ __dataclass_params__ "
@@ -29,24 +28,32 @@ DERIVED = set(
 """Attributes that Python derives from the others, or from the lines of a file."""
 
 
+def functions_held(value: Any) -> tuple:
+    """Return the functions that a property or a decorated method holds, and its attributes."""
+    attributes = getattr(value, "__dict__", {})
+    added = {name: attributes[name] for name in attributes if name not in DERIVED}
+    held = "__wrapped__", "fget", "fset", "fdel"
+    return *(getattr(value, name, None) for name in held), added
+
+
+UNPICKLED: dict[Any, Callable[[Any], tuple]] = {
+    HOLDERS: functions_held,
+    type(jax.numpy.sin): lambda jitted: tuple(map(jitted.__getstate__().get, JITTED)),
+    jax.tree_util.PyTreeDef: lambda tree: (tree.node_data(), tree.children()),
+    ContextVar: lambda variable: (variable.name, variable.get(None)),
+    weakref.ref: lambda reference: (reference(),),
+    type(threading.RLock()): lambda lock: ("a lock",),  # of a cached property
+}
+"""Types that pickle refuses or takes by another state, with the state that counts."""
+
+
 def state_of(value: Any) -> tuple | str | None:
     """Return the state of an object; if pickle takes no more, its name; None if it is unknown."""
-    if isinstance(value, HOLDERS):
-        attributes = getattr(value, "__dict__", {})
-        added = {name: attributes[name] for name in attributes if name not in DERIVED}
-        return *(getattr(value, name, None) for name in HELD), added
-    if isinstance(value, jax.tree_util.PyTreeDef):
-        return value.node_data(), value.children()
-    if isinstance(value, ContextVar):
-        return value.name, value.get(None)
-    if isinstance(value, weakref.ref):
-        return (value(),)
-    if isinstance(value, JIT):
-        return tuple(map(value.__getstate__().get, JITTED))
     if value is random.getrandbits.__self__:  # anybody's draw would change it
         return "random"
-    if isinstance(value, LOCK):
-        return ("a lock",)
+    for kind, state_that_counts in UNPICKLED.items():
+        if isinstance(value, kind):
+            return state_that_counts(value)
     try:
         reduce = copyreg.dispatch_table.get(type(value))
         state: Any = reduce(value) if reduce else value.__reduce_ex__(2)

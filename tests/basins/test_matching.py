@@ -12,8 +12,8 @@ from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.labels import Label
 from walker_jax.basins.matching import match_cycles, number_alike
+from walker_jax.fingerprints import code_fingerprint
 from walker_jax.gaits.cycles import cycle_distance
-from walker_jax.identity import code_fingerprint
 from walker_jax.stability import basin_fractions
 from walker_jax.stability.basin_fractions import Found, assemble, summarise_fractions
 from walker_jax.storage.schema import check_dataset

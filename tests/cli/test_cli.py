@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import jax
 import numpy as np
 import pytest
@@ -389,6 +390,11 @@ def test_help_begins_with_examples_and_is_short(run, name, monkeypatch):
     assert lines[0].startswith(f"walker-jax {name} ") and "Examples:" in lines[:6]
     assert len(lines) <= 60 and max(map(len, lines)) <= 80
     assert not any("None" in line for line in lines)
+    command = app.load(name)
+    described = [one.opts[0] for one in command.params if isinstance(one, click.Option)]
+    page = "\n".join(lines)
+    assert [one for one in described if not re.search(rf"^  (-\w, )?{one}\b", page, re.M)] == []
+    assert f"{name} --help describes" not in " ".join(lines)
 
 
 def test_another_walker_walks_and_is_named(run):

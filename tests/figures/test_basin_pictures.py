@@ -275,3 +275,15 @@ def test_a_zoom_shows_where_its_window_is():
     assert any(note in text.get_text() and "−0.0149999" in text.get_text() for text in right.texts)
     assert right.get_xlabel() == "offset of stance leg angle $\\theta$ (rad)"
     assert left.get_xlabel() == "stance leg angle $\\theta$ (rad)"
+
+
+def test_a_thinned_basin_may_be_thinned_again():
+    data = every_fate()
+    once = figures.thin(figures.thin(data, 8), 4)
+    nx, ny = data["fate"].shape
+    assert max(once["fate"].shape) <= 4 and list(once.attrs["shape"]) == [nx, ny]
+    kept = once["fate"].size * once.attrs["thinned"]
+    assert abs(kept / data["fate"].size - 1) < 0.5
+    assert figures.thin(once).attrs == once.attrs
+    said = [one.get_text() for one in figures.basin(once).texts]
+    assert any(f"{nx} × {ny} cells" in one for one in said)

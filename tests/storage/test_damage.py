@@ -19,7 +19,7 @@ from zarr.codecs import Crc32cCodec, GzipCodec
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import NotWritten
-from walker_jax.storage import datasets, schema
+from walker_jax.storage import reading, schema
 from walker_jax.storage.damage import CHECKSUMS, VERSION, Damaged, is_own_dataset, name_damage
 
 REQUEST = {"command": "basin", "slope": 0.004}
@@ -290,7 +290,7 @@ def test_another_schema_is_refused_and_can_be_replaced(tmp_path, version):
 
 
 def test_a_large_data_set_is_checked_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(datasets, "LAZY_FROM_BYTES", 0)
+    monkeypatch.setattr(reading, "LAZY_FROM_BYTES", 0)
     path = tmp_path / "a.zarr"
     saved(path)
     damage(path / "fate/c/0", "flip")

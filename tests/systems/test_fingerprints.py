@@ -20,14 +20,12 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
+from walker_jax.fingerprints import StoreDescriber, code_fingerprint, imports_in
 from walker_jax.identity import (
     FOLDER,
     FunctionByCode,
-    StoreDescriber,
-    code_fingerprint,
     hash_of_code,
     holds_packages,
-    imports_in,
     root_of,
     values_in,
 )
@@ -265,7 +263,7 @@ def test_a_session_is_described_alike_in_another_process(fingerprint):
     )
     program = f"""
 import walker_jax as wj
-from walker_jax.identity import StoreDescriber
+from walker_jax.fingerprints import StoreDescriber
 names = {{"__name__": "console", "wj": wj}}
 exec({source!r}, names)
 found = StoreDescriber().describe(names["helper"], names["Inner"], names["W"].impact)

@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from walker_jax.identity import Cache, FunctionByCode, code_fingerprint
+from walker_jax.fingerprints import code_fingerprint
+from walker_jax.identity import Cache, FunctionByCode
 from walker_jax.kernels.program_cache import ReachedCode, Unknown
 
 INSTALLED = """
@@ -40,6 +41,9 @@ class Slotted:
 
 def by_default(scale):
     return lambda x, size=scale: size * x
+
+def shifted(down):
+    return (lambda x: x - 1) if down else (lambda x: x + 1)
 
 def doubled(f):
     @functools.wraps(f)
@@ -181,6 +185,7 @@ def test_objects_of_installed_packages_are_all_that_they_hold(installed):
         assert one == again and one[0] != other[0] and one[1] != other[1]
     pairs = [
         (installed.by_default(2.0), installed.by_default(3.0)),
+        (installed.shifted(True), installed.shifted(False)),
         (installed.doubled(times), installed.halved(times)),
         (installed.doubled(times), installed.doubled(with_more)),
     ]

@@ -15,7 +15,7 @@ from networks import NetworkWalker, Pushed, network, pushed
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.walker_options import read_tree
-from walker_jax.identity import code_fingerprint
+from walker_jax.fingerprints import code_fingerprint
 from walker_jax.proofs.provable import check_provable
 from walker_jax.systems.system import arrays_of, code_of, numbers_of
 from walker_jax.systems.trees import LARGEST, is_many, select

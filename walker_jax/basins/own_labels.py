@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.basins.attractor import Attractor, all_motions
 from walker_jax.checks import WrongUse, check_whole, short
-from walker_jax.identity import code_fingerprint
+from walker_jax.fingerprints import code_fingerprint
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import orbits

@@ -124,9 +124,9 @@ def is_slice(axes: dict[str, Any]) -> bool:
 def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Pieces, output: Output):
     """Compute and draw the basin of attraction of a walker's gait.
 
-    The default is the basin of the simplest walker in the window of Schwab and Wisse (2001), Figure
-    4. For another walker the window is around its gait. With --levels a
-    section of three dimensions is taken whole. The same command resumes an interrupted run.
+    The default is the window of Schwab and Wisse (2001), Figure 4; for another walker the window is
+    around its gait. With --levels a section of three dimensions is taken whole. The same command
+    resumes an interrupted run.
     """
     asked.check(window)
     check_section(walker, window.axis)

@@ -8,20 +8,20 @@ import click
 
 COLUMN = 21
 """Width of the column of options; their meanings stand beside it."""
-WIDTH, LINES = 80, 60
-"""A page of a terminal; a walker of many parameters leaves no room there for all else."""
+MANY = 6
+"""Parameters of a walker that leave no room for all else on a page of a terminal."""
 OF_WALKERS = {"theta", "thetadot", "sum", "phidot", "at_phidot", "guess"}
 """Options for coordinates that only walkers have: the help of other systems leaves them out."""
 
 
 def help_page(command: Any, ctx: click.Context, width: int) -> str:
-    """Write the help of a command; one longer than a page of a terminal is shortened."""
-    page = lambda width, whole: "\n\n".join(parts(command, ctx, width, whole=whole))
-    return page(width, page(WIDTH, True).count("\n") < LINES)
+    """Write the help of a command."""
+    return "\n\n".join(parts(command, ctx, width))
 
 
-def parts(command: Any, ctx: click.Context, width: int, *, whole: bool) -> Iterator[str]:
-    """Yield the parts of the help; unless `whole`, options after the first theme are named."""
+def parts(command: Any, ctx: click.Context, width: int) -> Iterator[str]:
+    """Yield the parts of the help; beside a walker of many parameters, other options are named."""
+    whole = ctx.obj is None or len(ctx.obj.described) < MANY
     first, *more = command.help.split("\n\n")
     arguments = [str(one.metavar) for one in command.params if isinstance(one, click.Argument)]
     yield " ".join(["walker-jax", command.name, *arguments, "[OPTIONS]"])

@@ -34,12 +34,12 @@ from walker_jax.execution.tiles import cores as cores
 from walker_jax.explorer import server as server
 from walker_jax.explorer.offers import flag_of as flag_of
 from walker_jax.explorer.offers import offer as offer
+from walker_jax.fingerprints import code_fingerprint as code_fingerprint
 from walker_jax.gaits import selection as selection
 from walker_jax.gaits.gait_summary import summarise_bifurcations as summarise_bifurcations
 from walker_jax.gaits.gait_summary import summarise_chart as summarise_chart
 from walker_jax.gaits.gait_summary import summarise_gait as summarise_gait
 from walker_jax.gaits.gait_summary import value_key as value_key
-from walker_jax.identity import code_fingerprint as code_fingerprint
 from walker_jax.identity import sha256_of as sha256_of
 from walker_jax.kernels import gpu as gpu
 from walker_jax.kernels import machine as machine

@@ -16,8 +16,8 @@ from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.area_gradients import Density, density_at
 from walker_jax.design.measures import GAIT_MEASURES, GaitFunction
 from walker_jax.design.tolerances import Tolerances
+from walker_jax.fingerprints import code_fingerprint
 from walker_jax.grids import Grid
-from walker_jax.identity import code_fingerprint
 from walker_jax.systems.system import System
 from walker_jax.walkers.choices import Choice, numbers_chosen, values_of
 from walker_jax.walkers.parameters import check_parameter, describe_source, with_values

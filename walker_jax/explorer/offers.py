@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, is_number
-from walker_jax.identity import code_fingerprint
+from walker_jax.fingerprints import code_fingerprint
 from walker_jax.robots.robot_files import path_of
 from walker_jax.robots.robots import Robot
 from walker_jax.systems.family import SYSTEMS

@@ -164,7 +164,8 @@ def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
     """Return at most `most` rows and columns of a large basin: enough for a picture."""
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
     thinned = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
-    return thinned.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
+    whole = data.attrs.get("shape", list(data["fate"].shape))  # it may be thinned already
+    return thinned.assign_attrs(shape=whole, thinned=share_drawn(data) * math.prod(over.values()))
 
 
 def place_note(data: xr.Dataset, axes: tuple[str, str]) -> str:

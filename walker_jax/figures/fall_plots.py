@@ -17,6 +17,7 @@ from walker_jax.figures.layout import (
     DrawnAxes,
     Style,
     axes_for,
+    check_style,
     figure_of,
     figure_title,
     finish,
@@ -50,7 +51,7 @@ FAINTEST = 1e-6
 
 
 def probable_fall(
-    fall: ProbableFall, walker: Walker | None = None, *, title: bool | str = True
+    fall: ProbableFall, walker: Walker | None = None, **style: Unpack[Style]
 ) -> Figure:
     """Draw the most probable fall: its disturbances, its path through the section, and its law.
 
@@ -63,26 +64,26 @@ def probable_fall(
 
     - `fall`: what `walker_jax.most_probable_fall` returns.
     - `walker`: what falls, for the title.
-    - `title`: whether to draw one; a string replaces it.
     """
     check_kind("fall", fall, ProbableFall)
+    check_style(style)
     figure = new_figure(9, 7.6)
-    (sequence, actions), (path, law) = figure.subplots(2, 2)
-    draw_sequence(sequence, fall)
-    draw_actions(actions, fall)
-    draw_path(path, fall)
-    draw_law(law, fall)
+    inner: Any = {name: one for name, one in style.items() if name != "title"}
+    for ax, draw in zip(
+        figure.subplots(2, 2).flat, (draw_sequence, draw_actions, draw_path, draw_law), strict=True
+    ):
+        draw(ax, fall, inner)
     words = f"{failure_words(fall.outcome)} after {fall.strides} strides"
-    own = f"The most probable fall: {words}, action {fall.action:.6g}"
+    lines = [f"The most probable fall: {words}, action {fall.action:.6g}"]
     if walker is not None:
         about = {"walker": type(walker).__name__} | attributes_of(walker)
-        own = f"{walker_title(xr.Dataset(attrs=about))}\n{own}"
-    if title:
-        figure_title(figure, title if isinstance(title, str) else own, "large")
+        subtitle = lines if style.get("subtitle", True) else []
+        lines = [walker_title(xr.Dataset(attrs=about)), *subtitle]
+    figure_title(figure, "\n".join(lines), "large", style)
     return figure
 
 
-def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
+def draw_sequence(ax: Axes, fall: ProbableFall, style: Style) -> None:
     """Draw the disturbances of each stride as bars."""
     number = np.arange(1, len(fall.disturbances) + 1)
     kinds = np.flatnonzero(fall.disturbances.any(axis=0))
@@ -92,9 +93,10 @@ def draw_sequence(ax: Axes, fall: ProbableFall) -> None:
         ax.bar(at, fall.disturbances[:, kind], width, color=BASINS[i], label=KINDS[kind])
     ax.axhline(0, color=INK, lw=0.8)
     count_axis(ax)
-    single = len(kinds) == 1
-    y = KINDS[kinds[0]] if single else "disturbance"
-    finish(ax, {"legend": not single}, "Disturbances", x="stride", y=y)
+    y = "disturbance"
+    if len(kinds) == 1:
+        style, y = style | {"legend": False}, KINDS[kinds[0]]
+    finish(ax, style, "Disturbances", x="stride", y=y)
 
 
 def count_axis(ax: Axes) -> None:
@@ -103,16 +105,16 @@ def count_axis(ax: Axes) -> None:
     ax.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
 
 
-def draw_actions(ax: Axes, fall: ProbableFall) -> None:
+def draw_actions(ax: Axes, fall: ProbableFall, style: Style) -> None:
     """Draw the least action of each number of disturbed strides."""
     ax.plot(np.arange(1, len(fall.actions) + 1), fall.actions, "-o", color=BASINS[0], ms=4, lw=1)
     ax.axhline(fall.action, color=OTHERS, lw=0.8, ls=":")
     count_axis(ax)
     ax.set(ylim=(0, 1.1 * np.nanmax(fall.actions[np.isfinite(fall.actions)])))
-    finish(ax, {}, "Action", x="disturbed strides", y="least action")
+    finish(ax, style, "Action", x="disturbed strides", y="least action")
 
 
-def draw_path(ax: Axes, fall: ProbableFall) -> None:
+def draw_path(ax: Axes, fall: ProbableFall, style: Style) -> None:
     """Draw states just after heel strike; open circles come after the last disturbance."""
     places = np.stack([fall.states[:, 0], fall.states[:, 0] + fall.states[:, 2]])
     number = np.arange(len(fall.states))
@@ -129,10 +131,10 @@ def draw_path(ax: Axes, fall: ProbableFall) -> None:
         if some.any():
             ax.plot(*places[:, some], ls="", zorder=3, label=label, **look)
     ax.locator_params(axis="x", nbins=6)
-    finish(ax, {}, "States just after heel strike", x="theta", y="sum")
+    finish(ax, style, "States just after heel strike", x="theta", y="sum")
 
 
-def draw_law(ax: Axes, fall: ProbableFall) -> None:
+def draw_law(ax: Axes, fall: ProbableFall, style: Style) -> None:
     """Draw mean strides to a fall over action / scale^2, and the law without its prefactor."""
     exponent = np.linspace(ROUGHEST, np.log(LONGEST), 60)
     scales = np.sqrt(fall.action / exponent)
@@ -144,8 +146,8 @@ def draw_law(ax: Axes, fall: ProbableFall) -> None:
     above = ax.secondary_xaxis("top", functions=(lambda e: e, lambda e: e))
     ticks = exponent[:: len(exponent) // 4]
     above.set_xticks(ticks, [f"{np.sqrt(fall.action / one):.2g}" for one in ticks])
-    above.set_xlabel("scale of the deviations")
-    finish(ax, {}, "Law", x="action / scale$^2$", y="mean strides to a fall")
+    above.set_xlabel("scale of the deviations" * style.get("labels", True))
+    finish(ax, style, "Law", x="action / scale$^2$", y="mean strides to a fall")
 
 
 def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Style]) -> DrawnAxes:

@@ -14,6 +14,7 @@ from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cbook import is_math_text
+from matplotlib.container import Container
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch
@@ -123,11 +124,16 @@ def axes_for(
     ax: Axes | None, style: Style, width: float | int = 7, height: float | int = 5.4
 ) -> DrawnAxes:
     """Return the given axes, or make those of a new figure, of a size in inches."""
+    check_style(style)
+    return cast(DrawnAxes, new_figure(width, height).add_subplot() if ax is None else ax)
+
+
+def check_style(style: Style) -> None:
+    """Raise `WrongUse` for words around a picture that `Style` lacks."""
     for name in style:
         if name not in Style.__annotations__:
             known = ", ".join(Style.__annotations__)
             raise WrongUse(f"style must be of {known}, not {name}", of="style")
-    return cast(DrawnAxes, new_figure(width, height).add_subplot() if ax is None else ax)
 
 
 def figure_of(ax: Axes) -> Figure:
@@ -192,8 +198,7 @@ def finish(
     for one in beside:
         one.set_ylabel(one.get_ylabel() if style.get("labels", True) else "")
     wide = float(WIDER * ax.bbox.width / figure_of(ax).dpi)
-    own = style.get("title", not printed)
-    title = own if isinstance(own, str) else title * own
+    title = chosen_title(style, title)
     note = in_lines(note, wide, NOTE) if style.get("subtitle", not printed) else ""
     with rc_context(SHEET):
         if note:
@@ -217,7 +222,11 @@ def width_of(text: str, size: str, weight: Any = "normal") -> float:
 
 
 def in_lines(text: str, inches: float, size: str, weight: Any = "normal") -> str:
-    """Break a text into lines of a width: none within a formula, nor within a phrase that fits."""
+    """Break a text into lines of a width: none within a formula, nor within a phrase that fits.
+
+    Matplotlib's own `wrap` fills the whole figure, over other axes, and does nothing in notebooks,
+    which save with `bbox_inches="tight"`.
+    """
     lines = []
     for paragraph in text.split("\n"):
         line = ""
@@ -234,7 +243,7 @@ def in_lines(text: str, inches: float, size: str, weight: Any = "normal") -> str
     return "\n".join(lines).replace(NO_BREAK, " ")
 
 
-def in_columns(handles: Sequence[Artist], inches: float) -> dict[str, Any]:
+def in_columns(handles: Sequence[Artist | Container], inches: float) -> dict[str, Any]:
     """Return signs, labels and number of columns of a legend of a width; break longer labels.
 
     A legend of many lines has two columns at least.
@@ -272,8 +281,16 @@ def figure_legend(axes: Iterable[Axes], signs: Iterable[Artist], note: str = "")
     figure.legend(**in_columns(handles, wide), title=above, **look)
 
 
-def figure_title(figure: Figure, title: str, size: str = "x-large") -> None:
-    """Write a title at the left, above all axes of a figure; none in print."""
-    if page_width.get() is None:
+def chosen_title(style: Style, title: str) -> str:
+    """Return the title of a picture, as its style says; by default none in print."""
+    own = style.get("title", page_width.get() is None)
+    return own if isinstance(own, str) else title * own
+
+
+def figure_title(
+    figure: Figure, title: str, size: str = "x-large", style: Style | None = None
+) -> None:
+    """Write a title at the left, above all axes of a figure."""
+    if title := chosen_title(style or {}, title):
         lines = in_lines(title, 0.97 * figure.get_figwidth(), size, "bold")
         figure.suptitle(lines, x=0.01, ha="left", size=size, weight="bold")

@@ -2,9 +2,14 @@
 
 The attribute `request` of a data set holds, as JSON, what was asked for. The same request finds its
 result again; any other request is refused the place, unless it is told to overwrite.
+
+A run reserves its place by a lock in a hidden folder beside it (`runs`), writes there, and renames
+the whole into place (`datasets`), or writes piece by piece and completes it at the end (`pieces`).
+Chunks and metadata have checksums (`checksums`), which readers check (`reading`); what fails is
+named, and may be overwritten if it is still known as a data set of this package (`damage`).
+`schema` has the kinds of data sets, and `tables` copies them for other programs.
 """
 
-from walker_jax.storage.datasets import export as export
 from walker_jax.storage.datasets import find as find
 from walker_jax.storage.datasets import load as load
 from walker_jax.storage.datasets import open_dataset as open_dataset
@@ -23,3 +28,4 @@ from walker_jax.storage.places import write_text as write_text
 from walker_jax.storage.requests import check_picture as check_picture
 from walker_jax.storage.requests import request_in as request_in
 from walker_jax.storage.requests import signature as signature
+from walker_jax.storage.tables import export as export

@@ -1,54 +1,26 @@
-"""Results on disk: labelled data sets as Zarr, written whole or not at all, or piece by piece.
+"""Data sets that are found, read, and written whole or not at all."""
 
-The attribute `request` of a data set holds, as JSON, what was asked for. The same request finds its
-result again; any other request is refused the place, unless it is told to overwrite. `pieces` has
-the data sets that are written piece by piece.
-"""
-
-import importlib.util
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from walker_jax.checks import WrongUse
-from walker_jax.storage.checksums import (
-    check_chunks,
-    check_metadata,
-    seal,
-    with_checksums,
-)
-from walker_jax.storage.damage import (
-    CHECKSUMS,
-    METADATA,
-    VERSION,
-    Damaged,
-    name_damage,
-)
+from walker_jax.storage.checksums import seal, with_checksums
+from walker_jax.storage.damage import Damaged
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
     StoreConflict,
-    atomic_file,
     check_writable,
-    open_group,
     resolve_link,
     scratch_folder,
     writing,
 )
 from walker_jax.storage.requests import canonical_json, check_request
-from walker_jax.storage.runs import exclusive, move_into_place
-from walker_jax.storage.tables import as_tex, table_of, write_mat
+from walker_jax.storage.runs import exclusive, move_into_place, standing
 
 if TYPE_CHECKING:
     import xarray  # takes half a second to load, which commands without a data set avoid
-
-
-FORMATS = ".nc", ".csv", ".tex", ".mat"
-"""Endings of files to which data sets are copied."""
-LAZY_FROM_BYTES = 2**28
-"""Size (bytes) from which a data set is read when it is used, rather than at once."""
 
 
 def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Dataset | None":
@@ -125,8 +97,6 @@ def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset]
 
 def load(path: Path) -> "xarray.Dataset | None":
     """Return the data set at `path`, or None if there is none; `Damaged` if it is damaged."""
-    with suppress(Exception):  # a run that ends may just be removing arrays
-        return open_dataset(path)
     try:
         return open_dataset(path)
     except Damaged:
@@ -136,80 +106,20 @@ def load(path: Path) -> "xarray.Dataset | None":
 
 
 def open_dataset(path: Path) -> "xarray.Dataset":
-    """Open the data set at `path` in memory; a large or unfinished one is read when it is used."""
-    import xarray
+    """Open the data set at `path` in memory; a large or unfinished one is read when it is used.
 
-    kept = check_metadata(path)
-    with name_damage(path, METADATA):
-        group = open_group(path, "r")
-    with name_damage(path, "it"), warnings.catch_warnings():
-        # Zarr warns of arrays that a run is about to begin.
-        warnings.filterwarnings("ignore", "Object at .* is not recognized")
-        unfinished = bool(group.attrs.get("unfinished"))
-        for name in kept:
-            array = group[name]
-            if not unfinished or array.metadata.dimension_names == (name,):  # which is read at once
-                check_chunks(path, array)
-        data = xarray.open_zarr(path, consolidated=False, chunks=None)
-    data.attrs = {name: one for name, one in data.attrs.items() if name not in (CHECKSUMS, VERSION)}
-    if unfinished:
-        return data
-    data = data.drop_vars(data.variables.keys() - kept)
-    if data.nbytes > LAZY_FROM_BYTES:
-        return data
-    for name, variable in data.variables.items():
-        with name_damage(path, str(name)):
-            variable.load()
-    return data
-
-
-def export(
-    path: Path,
-    file: Path,
-    *,
-    overwrite: bool = False,
-    convert: "Callable[[xarray.Dataset], xarray.Dataset]" = lambda data: data,
-    rows: str | None = None,
-) -> "xarray.Dataset":
-    """Copy the data set at `path` to a file, as its ending says, and return it.
-
-    **Arguments:**
-
-    - `file`: .nc, NetCDF; .mat, MATLAB; .csv or .tex, a table.
-    - `convert`: is given the data set, and returns the one that is written, as in other units.
-    - `rows`: the variable whose dimensions are the rows of a table, as in `table_of`.
-
-    Raises `StoreConflict` if there is another file, or if `path` is not a data set, or a damaged or
-    unfinished one; `ValueError` if nothing can be written, or h5netcdf is not installed.
+    If another run replaces the data set in between, the new one is read; later, using what has not
+    been read yet raises `StoreConflict`.
     """
-    if file.suffix not in FORMATS:
-        raise WrongUse(f"file must end in one of {', '.join(FORMATS)}, not {file}", of="file")
-    if file.suffix == ".nc" and None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
-        raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
-    check_writable(file)
-    if file.exists() and not (overwrite and file.is_file()):
-        hint = ANOTHER_PLACE_OR_OVERWRITE.format("file")
-        raise StoreConflict(f"{file} exists", hint, of="overwrite")
-    try:
-        data = load(path)
-    except Damaged as error:
-        hint = "the command that made it replaces it with overwrite"
-        raise Damaged(*error.args, hint, of="overwrite") from error
-    if data is None:
-        raise StoreConflict(f"{path} is not a data set", "give the place of one")
-    if data.attrs.get("unfinished"):
-        raise StoreConflict(f"{path} is unfinished: the command that began it resumes it")
-    data = convert(data)
-    with atomic_file(file) as draft:
-        if file.suffix == ".nc":
-            small = [name for name in data.variables if data[name].dtype.kind in "iuf"]
-            encoding = {name: {"zlib": True} for name in small}
-            data.to_netcdf(draft, engine="h5netcdf", encoding=encoding)
-        elif file.suffix == ".mat":
-            write_mat(data, draft)
-        else:
-            table = table_of(data, rows)
-            csv = file.suffix == ".csv"
-            lines = table.to_csv(index=False, lineterminator="\n") if csv else as_tex(table)
-            draft.write_text(lines, encoding="utf-8")
-    return data
+    from walker_jax.storage.reading import edition, read_dataset
+
+    while True:
+        place = standing(path)
+        before = place, edition(place)
+        try:
+            data = read_dataset(place)
+            if before == (standing(path), edition(place)):
+                return data
+        except Exception:
+            if before == (standing(path), edition(place)):
+                raise

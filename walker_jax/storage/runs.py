@@ -9,12 +9,19 @@ import filelock
 
 from walker_jax.storage.checksums import check_metadata
 from walker_jax.storage.damage import is_own_array
-from walker_jax.storage.places import ANOTHER_PLACE, StoreConflict, scratch_folder, writing
+from walker_jax.storage.places import (
+    ANOTHER_PLACE,
+    StoreConflict,
+    resolve_link,
+    scratch_folder,
+    writing,
+)
 
 LOCK_FILE = "lock"
 """The file with which a run locks a folder."""
 LOCK_ATTEMPTS = 100
 """Attempts to take a lock that another run is just removing."""
+WAIT = f"wait, or {ANOTHER_PLACE.format('out')}"
 
 
 @contextmanager
@@ -50,10 +57,15 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
                     return lock
             except (FileNotFoundError, FileExistsError):  # another run is just removing it
                 continue
-            except (filelock.Timeout, PermissionError):  # a run of this user, or of another
-                wait = f"wait, or {ANOTHER_PLACE.format('out')}"
+            except filelock.Timeout:
                 raise StoreConflict(
-                    f"{path} is being written by another run", wait, of="out"
+                    f"{path} is being written by another run", WAIT, of="out"
+                ) from None
+            except PermissionError:
+                raise StoreConflict(
+                    f"{path} is reserved by a run of another user, dead or alive, in {folder}",
+                    WAIT,
+                    of="out",
                 ) from None
     raise StoreConflict(f"{path} cannot be written: {folder} is in the way: move it away")
 
@@ -69,6 +81,12 @@ def move_into_place(folder: Path, path: Path) -> None:
         path.rename(folder / "old")
     (folder / "new").rename(path)
     clean_up(folder, path)
+
+
+def standing(path: Path) -> Path:
+    """Return where the data set of `path` stands: aside, between two renames of a run."""
+    old = scratch_folder(resolve_link(path)) / "old"
+    return old if old.exists() and not path.exists() else path
 
 
 def clean_up(folder: Path, path: Path) -> None:

@@ -1,19 +1,83 @@
-"""Data sets for other programs: tables of rows as CSV or LaTeX, and MATLAB's files."""
+"""Data sets for other programs: NetCDF and MATLAB files, and tables of rows as CSV or LaTeX."""
 
+import importlib.util
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from walker_jax.checks import WrongUse
+from walker_jax.storage.damage import Damaged
+from walker_jax.storage.datasets import load
+from walker_jax.storage.places import (
+    ANOTHER_PLACE_OR_OVERWRITE,
+    StoreConflict,
+    atomic_file,
+    check_writable,
+)
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
+FORMATS = ".nc", ".csv", ".tex", ".mat"
+"""Endings of files to which data sets are copied."""
 DIGITS = 6
 """Significant digits of a LaTeX table; CSV has all."""
 ESCAPED = str.maketrans({one: f"\\{one}" for one in "_%&#$"} | {"√": r"$\sqrt{}$", "²": "$^2$"})
 """Characters that LaTeX reads otherwise."""
+
+
+def export(
+    path: Path,
+    file: Path,
+    *,
+    overwrite: bool = False,
+    convert: "Callable[[xarray.Dataset], xarray.Dataset]" = lambda data: data,
+    rows: str | None = None,
+) -> "xarray.Dataset":
+    """Copy the data set at `path` to a file, as its ending says, and return it.
+
+    **Arguments:**
+
+    - `file`: .nc, NetCDF; .mat, MATLAB; .csv or .tex, a table.
+    - `convert`: is given the data set, and returns the one that is written, as in other units.
+    - `rows`: the variable whose dimensions are the rows of a table, as in `table_of`.
+
+    Raises `StoreConflict` if there is another file, or if `path` is not a data set, or a damaged or
+    unfinished one; `ValueError` if nothing can be written, or h5netcdf is not installed.
+    """
+    if file.suffix not in FORMATS:
+        raise WrongUse(f"file must end in one of {', '.join(FORMATS)}, not {file}", of="file")
+    if file.suffix == ".nc" and None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
+        raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
+    check_writable(file)
+    if file.exists() and not (overwrite and file.is_file()):
+        hint = ANOTHER_PLACE_OR_OVERWRITE.format("file")
+        raise StoreConflict(f"{file} exists", hint, of="overwrite")
+    try:
+        data = load(path)
+    except Damaged as error:
+        hint = "the command that made it replaces it with overwrite"
+        raise Damaged(*error.args, hint, of="overwrite") from error
+    if data is None:
+        raise StoreConflict(f"{path} is not a data set", "give the place of one")
+    if data.attrs.get("unfinished"):
+        raise StoreConflict(f"{path} is unfinished: the command that began it resumes it")
+    data = convert(data)
+    with atomic_file(file) as draft:
+        if file.suffix == ".nc":
+            small = [name for name in data.variables if data[name].dtype.kind in "iuf"]
+            encoding = {name: {"zlib": True} for name in small}
+            data.to_netcdf(draft, engine="h5netcdf", encoding=encoding)
+        elif file.suffix == ".mat":
+            write_mat(data, draft)
+        else:
+            table = table_of(data, rows)
+            csv = file.suffix == ".csv"
+            lines = table.to_csv(index=False, lineterminator="\n") if csv else as_tex(table)
+            draft.write_text(lines, encoding="utf-8")
+    return data
 
 
 def table_of(data: "xarray.Dataset", rows: str | None = None) -> "pandas.DataFrame":

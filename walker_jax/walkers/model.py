@@ -23,9 +23,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
+from walker_jax.fingerprints import StoreDescriber
 from walker_jax.grids import Grid, axes_around
 from walker_jax.hybrid.modes import SECTION, Condition, EarlyExit, Guard, Mode
-from walker_jax.identity import StoreDescriber
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.kernels import kernel
@@ -68,9 +68,7 @@ class Walker(HybridSystem):
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)
-        StoreDescriber(
-            cls
-        )  # snapshots its source files, which may be edited while the code is in use
+        StoreDescriber(cls)  # keeps its source files, which may be edited while the code is in use
 
     def __check_init__(self):
         settle(self)

@@ -12,7 +12,8 @@ import numpy as np
 from jax.core import Tracer
 
 from walker_jax.checks import WrongUse, check_kind, short
-from walker_jax.identity import code_fingerprint, sha256_of
+from walker_jax.fingerprints import code_fingerprint
+from walker_jax.identity import sha256_of
 from walker_jax.systems.outcomes import join_names
 from walker_jax.systems.parameter import Described, description
 from walker_jax.systems.parameter import Option as Option

@@ -1,0 +1,73 @@
+"""Reading of a data set: the arrays that have checksums, whose chunks must not change meanwhile.
+
+This module loads xarray and Zarr, which takes half a second; `datasets` imports it to read.
+"""
+
+import warnings
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import xarray
+import zarr
+from zarr.storage import LocalStore
+
+from walker_jax.storage.checksums import check_chunks, check_metadata
+from walker_jax.storage.damage import CHECKSUMS, METADATA, VERSION, damaged, name_damage
+from walker_jax.storage.places import StoreConflict
+
+LAZY_FROM_BYTES = 2**28
+"""Size (bytes) from which a data set is read when it is used, rather than at once."""
+
+
+def edition(path: Path) -> tuple[int, int] | None:
+    """Identify what is at `path`, as whatever replaces or completes a data set writes metadata."""
+    try:
+        found = (path / METADATA).stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
+
+
+class Reading(LocalStore):
+    """The store of a data set: it has some arrays alone, and refuses chunks of another edition."""
+
+    def __init__(self, path: Path, arrays: list[str]):
+        super().__init__(path, read_only=True)
+        self.arrays, self.edition, self.complete = arrays, edition(path), True
+
+    async def list_dir(self, prefix: str) -> AsyncIterator[str]:
+        for name in self.arrays if prefix == "" else ():
+            yield name
+
+    async def get(self, key: str, *args: Any, **options: Any) -> Any:
+        content = await super().get(key, *args, **options)
+        if "/c" in key:  # a chunk
+            if edition(self.root) != self.edition:
+                raise StoreConflict(f"{self.root} was replaced while it was read", "load it again")
+            if content is None and self.complete:  # it would read as zeros
+                raise damaged(self.root, key, "is missing")
+        return content
+
+
+def read_dataset(path: Path) -> xarray.Dataset:
+    """Return the data set at `path`; a large or unfinished one is read when it is used."""
+    kept = check_metadata(path)
+    with name_damage(path, METADATA):
+        store = Reading(path, kept)
+        group = zarr.open_group(store, mode="r")
+        store.complete = not group.attrs.get("unfinished")
+    with name_damage(path, "it"), warnings.catch_warnings():
+        # Zarr warns of arrays that a run removes just now.
+        warnings.filterwarnings("ignore", "Object at .* is not recognized")
+        for name in kept:
+            array: Any = group[name]
+            if store.complete or array.metadata.dimension_names == (name,):  # read at once
+                check_chunks(path, array)
+        data = xarray.open_zarr(store, consolidated=False, chunks=None)
+    data.attrs = {name: one for name, one in data.attrs.items() if name not in (CHECKSUMS, VERSION)}
+    if store.complete and data.nbytes <= LAZY_FROM_BYTES:
+        for name, variable in data.variables.items():
+            with name_damage(path, str(name)):
+                variable.load()
+    return data
