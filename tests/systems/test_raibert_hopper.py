@@ -138,7 +138,7 @@ def test_hopping_is_stable():
 
 
 @pytest.mark.slow
-def test_hopping_is_found_without_a_guess_and_starts_around_it_return():
+def test_hopping_is_found_alone_and_starts_around_it_return():
     gait = wj.find_gait(HOPPER)
     assert gait.stable
     assert_gait(gait, lambda x: stride_by_scipy(x)[0], 1e-3, 1e-7)
