@@ -1,5 +1,6 @@
 """The action of the most probable fall changes as its derivative says."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,14 @@ from networks import NetworkWalker
 import walker_jax as wj
 
 
+@pytest.fixture
+def strict():
+    """JAX's options to find faults, which this long computation passes too."""
+    with jax.debug_nans(True), jax.numpy_rank_promotion("raise"):
+        yield
+
+
+@pytest.mark.usefixtures("strict")
 @pytest.mark.parametrize("strides", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_action_changes_with_slope_and_spring(strides):
     """By differences of actions that are searched for anew."""

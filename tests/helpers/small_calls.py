@@ -183,9 +183,6 @@ CALLS: dict[str, Callable[[], Any]] = {
     "measure fall-action": lambda: wj.measure(
         WALKER, "fall-action", (), gait(), strides=1, directions=2
     ),
-    "measure fall-action of a map": lambda: wj.measure(
-        MAP, "fall-action", (), fixed_point(), strides=1, directions=2
-    ),
     "pareto": lambda: wj.pareto(
         MAP, {"a": (0.1, 0.3)}, ("spectral-radius", place_of), starts=1, points=3, **QUIET
     ),
