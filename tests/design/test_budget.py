@@ -12,7 +12,7 @@ import walker_jax as wj
 from walker_jax import figures
 from walker_jax.cli.optimise_command import optimum_in_words
 from walker_jax.design.budget import Budget
-from walker_jax.design.evaluation import ENDS_STAGE, Evaluation
+from walker_jax.design.evaluation import ENDS_STAGE, HURRIED_ENDS_STAGE, Evaluation
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.results import runs, summarise_optimum
 from walker_jax.execution.tiles import stopping
@@ -72,7 +72,8 @@ def optimum_within(clock, seconds, **options) -> tuple[xr.Dataset, float]:
     """Optimise a walker's slope; return the result, and how long it took."""
     began, clock.begun[:] = clock.now, []
     options = {"grid": FEW, "starts": 1, "progress": False, "seconds": seconds} | options
-    return optimise(WALKER, SLOPES, "speed", **options), clock.now - began
+    options = {"objective": "speed"} | options
+    return optimise(WALKER, SLOPES, **options), clock.now - began
 
 
 @pytest.mark.parametrize("starts", [1, 3])
@@ -128,6 +129,14 @@ def test_ends_scan_and_basins_have_a_third_more(clock, monkeypatch):
         assert found.converged and bool(found.out_of_time) != all(wanted)
         made = (found.stage == -2).sum() == 2, "scan_value" in found, "fate_start" in found
         assert made == wanted and took <= ends + 2 * KERNEL
+
+
+def test_areas_at_the_ends_are_rough_once_time_is_over(clock):
+    hurried, _ = optimum_within(clock, 40.0, objective="area")
+    whole, _ = optimum_within(clock, 1000.0, objective="area")
+    assert HURRIED_ENDS_STAGE in hurried.stage and ENDS_STAGE not in hurried.stage
+    assert hurried.out_of_time and not hurried.converged
+    assert ENDS_STAGE in whole.stage and HURRIED_ENDS_STAGE not in whole.stage
 
 
 def test_results_without_all_their_parts_are_told_and_drawn(clock):

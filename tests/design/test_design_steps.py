@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import walker_jax as wj
 from walker_jax.design import climbs, evaluation, problem
 from walker_jax.design.area_gradients import AreaSettings
-from walker_jax.design.evaluation import ENDS_STAGE, Evaluation
+from walker_jax.design.evaluation import ENDS_STAGE, HURRIED_ENDS_STAGE, Evaluation
 from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
@@ -148,6 +148,14 @@ def test_areas_at_the_ends_have_the_tolerance_of_the_request():
     assert settings(None, ENDS_STAGE) is None
     assert settings(None, 0) == evaluation.AREA_TOLERANCE
     assert settings(1e-9, ENDS_STAGE) == settings(1e-9, 0) == 1e-9
+
+
+def test_areas_at_the_ends_are_those_of_a_climb_if_hurried():
+    of_area = problem_of(WALKER, SLOPES)._replace(grid=FEW, weights={"area": 1.0}, levels=3)
+    settings = lambda stage: evaluation.area_settings(of_area, FEW, stage)
+    levels = [settings(one).levels for one in (ENDS_STAGE, HURRIED_ENDS_STAGE, 0, 2)]
+    assert levels == [3, 2, 0, 2]
+    assert settings(HURRIED_ENDS_STAGE).check == settings(0).check < settings(ENDS_STAGE).check
 
 
 def test_within_their_errors_values_are_not_believed():

@@ -1,5 +1,6 @@
 """The action of the most probable fall changes as its derivative says."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,23 +10,35 @@ from networks import NetworkWalker
 import walker_jax as wj
 
 
-@pytest.mark.parametrize("strides", [1, pytest.param(3, marks=pytest.mark.slow)])
-def test_the_action_changes_with_slope_and_spring(strides):
+@pytest.fixture
+def strict():
+    """JAX's options to find faults, which this long computation passes too."""
+    with jax.debug_nans(True), jax.numpy_rank_promotion("raise"):
+        yield
+
+
+SPRING = wj.SpringWalker, {"slope": 0.004, "hip_stiffness": 0.5}
+
+
+@pytest.mark.usefixtures("strict")
+@pytest.mark.parametrize(
+    ("kind", "values", "strides"),
+    [
+        (wj.SimplestWalker, {"slope": 0.004}, 1),
+        *(pytest.param(*SPRING, strides, marks=pytest.mark.slow) for strides in (1, 3)),
+    ],
+)
+def test_the_action_changes_with_slope_and_spring(kind, values, strides):
     """By differences of actions that are searched for anew."""
     how = {"strides": strides, "directions": 8 * strides**2}
-    values = {"slope": 0.004, "hip_stiffness": 0.5}
-    action = lambda **changed: (
-        wj.most_probable_fall(wj.SpringWalker(**values | changed), **how).action
-    )
-    found = wj.measure(wj.SpringWalker(**values), "fall-action", [*values], **how)
+    action = lambda **changed: wj.most_probable_fall(kind(**values | changed), **how).action
+    found = wj.measure(kind(**values), "fall-action", [*values], **how)
     assert found.value == pytest.approx(action(), rel=1e-12)
     for name, gradient in zip(values, found.gradient, strict=True):
         step = 1e-3 * values[name]
         low, high = (action(**{name: values[name] + side}) for side in (-step, step))
         assert gradient == pytest.approx((high - low) / (2 * step), rel=1e-4)
-    assert np.shape(wj.measure(wj.SpringWalker(**values), "fall-action", (), **how).gradient) == (
-        0,
-    )
+    assert np.shape(wj.measure(kind(**values), "fall-action", (), **how).gradient) == (0,)
 
 
 @pytest.mark.slow

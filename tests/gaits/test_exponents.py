@@ -1,5 +1,7 @@
 """Lyapunov exponents: of maps in closed form, and of the walker against reference values."""
 
+from typing import Any
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -193,6 +195,31 @@ def test_what_is_refused():
         wj.lyapunov(system, np.array([np.nan, 0.1]))
     with pytest.raises(ValueError, match="points must be finite, of shape"):
         wj.fractals.information_dimension(np.full((3, 2), np.nan))
+
+
+class Decaying(wj.HybridSystem):
+    """A place that decays for a time of 1, at the rate 1."""
+
+    section = ("place",)
+
+    def lift(self, x):
+        return {"place": x[0], "time": 0 * x[0]}
+
+    def project(self, state):
+        return state["place"][None]
+
+    def modes(self):
+        field = lambda y: {"place": -y["place"], "time": jnp.ones_like(y["time"])}
+        return {"decay": wj.Mode(field, (wj.Guard(lambda y: y["time"] - 1, wj.SECTION),))}
+
+
+def test_the_solver_of_exponents_may_be_another():
+    """Its error shows: that of the Taylor series is rounding."""
+    short: Any = {"strides": 5, "walks": 2, "settling": 0}
+    of = lambda **how: wj.lyapunov(Decaying(), [0.5], **short, **how).exponents
+    np.testing.assert_allclose(of(), [-1], rtol=0, atol=1e-13)
+    (found,) = of(solver=diffrax.Bosh3(), tolerance=1e-5)
+    assert 1e-10 < abs(found + 1) < 1e-4
 
 
 @pytest.mark.slow

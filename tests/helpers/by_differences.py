@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 import walker_jax as wj
+from walker_jax.walkers.parameters import parameters
 
 
 def stacked(walkers):
@@ -40,6 +41,52 @@ def differences(function, z, steps):
     for factor in (4, 16, 64):
         table = (factor * table[:, 1:] - table[:, :-1]) / (factor - 1)
     return table[:, 0].T
+
+
+def functions_of_modes(system, x):
+    """Values of all functions in a graph of modes, one after the other, from x on.
+
+    Fields, guards and resets are called in the states in which resets lead into the modes, which
+    need not lie on any motion.
+    """
+    modes, values = system.modes(), []
+    entered = {next(iter(modes)): system.lift(x)}
+    for name in entered_in_order(modes):
+        mode, state = modes[name], entered[name]
+        values += jax.tree.leaves(mode.field(state))
+        for guard in mode.guards:
+            values.append(guard.value(state))
+            after = guard.reset(state)
+            if guard.leads_to == wj.SECTION:
+                values += [*system.project(after)]
+            elif guard.leads_to in modes:
+                entered.setdefault(guard.leads_to, after)
+    return jax.numpy.stack([jax.numpy.asarray(one, float) for one in values])
+
+
+def entered_in_order(modes):
+    """Names of modes, each after one that leads to it."""
+    names = [next(iter(modes))]
+    for name in names:
+        names += [
+            one.leads_to
+            for one in modes[name].guards
+            if one.leads_to in modes and one.leads_to not in names
+        ]
+    assert len(names) == len(modes) == len({*names})
+    return names
+
+
+def check_functions_of_modes(kind, x):
+    """Derivatives of all functions by the start and all parameters are those of differences."""
+    names = [one.name for one in parameters(kind)]
+    values = np.array([float(getattr(kind(), name)) for name in names])
+    every = jax.jit(lambda z: functions_of_modes(kind(*z[: len(names)]), z[len(names) :]))
+    z = np.array([*values, *x])
+    found = jax.jit(jax.jacfwd(every))(z)
+    expected = differences(lambda many: np.stack([*map(every, many)]), z, np.full(len(z), 1e-3))
+    assert np.isfinite(found).all() and np.abs(found).max() > 1
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
 
 
 def newton(walker, x, period=1, step=1e-4):

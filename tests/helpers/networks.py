@@ -110,6 +110,18 @@ class Pushed(wj.HybridSystem):
         return {"push": wj.Mode(field, (wj.Guard(lambda y: y.time - 1, wj.SECTION),))}
 
 
-def pushed(gain: Any = 2.0) -> Pushed:
+class Limited(Pushed):
+    """The same between two places, beyond which it fails forward or backward."""
+
+    def modes(self):
+        push = super().modes()["push"]
+        ends = (
+            wj.Guard(lambda y: y.place - 2, "FORWARD"),
+            wj.Guard(lambda y: -y.place, "BACKWARD"),
+        )
+        return {"push": push._replace(guards=(*push.guards, *ends))}
+
+
+def pushed(gain: Any = 2.0, kind: type[Pushed] = Pushed) -> Pushed:
     powers = jnp.array([0.3, -0.2, 0.7])
-    return Pushed({"gain": gain, "powers": powers}, np.array([2, 0, 1]), jnp.array([0.1, 0.4]))
+    return kind({"gain": gain, "powers": powers}, np.array([2, 0, 1]), jnp.array([0.1, 0.4]))

@@ -108,6 +108,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "motion": lambda: wj.motion(WALKER, X, 2, step=0.5),
     "margins": lambda: (wj.margins(WALKER, X), wj.margins(WALKER, np.array([X, FALL]))),
     "explain": lambda: wj.explain(WALKER, FALL),
+    "explain a ball": lambda: wj.explain(wj.systems.BouncingBall(0.4, 0.8), [0.7, 2.3]),
     "find_gait": lambda: wj.find_gait(WALKER),
     "find_gaits": lambda: wj.find_gaits(MAP, 1, PLANE, **QUIET),
     "descend": lambda: wj.descend(MAP, np.array([[[0.6, 0.2]]]), 2),

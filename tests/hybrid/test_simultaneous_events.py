@@ -86,6 +86,12 @@ def test_derivatives_are_those_of_both_events():
         np.testing.assert_allclose(found, expected, atol=atol)
 
 
+def test_runge_kutta_steps_pass_both_events():
+    made = wj.strides(Corner(), starts(), solver=diffrax.Bosh3(), tolerance=1e-9)
+    assert (made.outcome == wj.Outcome.STRIDE).all()
+    np.testing.assert_allclose(made.state, jax.vmap(seen)(starts()), atol=1e-8)
+
+
 @pytest.mark.slow
 def test_derivatives_by_runge_kutta_pass_both_events():
     end = lambda x: wj.stride(Corner(), x, solver=diffrax.Tsit5(), tolerance=1e-9).state

@@ -179,7 +179,9 @@ def change_of_stride(walker, x, direction):
 
 
 @needs_x86
-@pytest.mark.parametrize("name", WALKERS)
+@pytest.mark.parametrize(
+    "name", ["simplest", *(pytest.param(one, marks=pytest.mark.slow) for one in [*WALKERS][1:])]
+)
 def test_both_levels_compute_the_same_bits(folder, all_are_long, name):
     """Strides with their derivatives, from starts that walk and from starts that fall."""
     walker, n = WALKERS[name], 300

@@ -32,12 +32,12 @@ with install_import_hook([f"walker_jax.{room}" for room in sys.argv[2:]], "beart
 LEGS, TRUNK = [0.3, -0.4], [0.3, -0.4, -0.1]
 STARTS = [
     (wj.SimplestWalker(0.01), LEGS),
-    (wj.PoweredWalker(0.01, hip_stiffness=4.0, hip_angle=-0.4, push_off=0.05), LEGS),
     (wj.systems.DuffingOscillator(), LEGS),
     (wj.systems.HenonMap(), LEGS),
 ]
 if sys.argv[1] == "all":
     STARTS += [
+        (wj.PoweredWalker(0.01, hip_stiffness=4.0, hip_angle=-0.4, push_off=0.05), LEGS),
         (wj.UpperBodyWalker(0.01), TRUNK),
         (wj.KneedWalker(0.05, check_lock=True, check_scuffing=True), TRUNK),
         (wj.SpatialWalker(0.07), [0.1, 0.16, 0.33, -0.32, -0.05, -0.51, -0.6]),

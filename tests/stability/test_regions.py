@@ -12,7 +12,7 @@ import walker_jax as wj
 from walker_jax import figures
 from walker_jax.basins.runs import attractors_of, fates_of, label_of
 from walker_jax.cli.boundary_command import boundary_in_words
-from walker_jax.stability.boundaries import label_regions, summarise_boundary
+from walker_jax.stability.boundaries import edge_arrays, label_regions, summarise_boundary
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import OUTCOMES
 
@@ -103,6 +103,23 @@ def test_a_start_on_the_boundary_itself_is_in_no_region():
     grid = wj.Grid.plain(x=(-1.4, 1.4, 41), y=(-1, 1, 12))
     label = label_regions(CUBIC, grid, wj.basin(CUBIC, grid, "direct"))
     assert (label[20] == -1).all() and (np.delete(label, 20, axis=0) >= 0).all()
+
+
+def test_the_manifold_of_a_saddle_is_kept_with_its_edge(monkeypatch):
+    begin = partial(wj.stable_manifold, points=20)
+    monkeypatch.setattr("walker_jax.stability.boundaries.stable_manifold", begin)
+    state = wj.edge_state(CUBIC, [-0.05, 0.1], [0.06, 0.1])
+    other = state._replace(kind="", saddle=None)
+    of_edges = edge_arrays(CUBIC, [(0, 1), (0, 1)], [state, other], None, False)
+    found = {name: values for name, (_, values) in of_edges.items()}
+    assert found["edge_kind"].tolist() == ["saddle", ""]
+    assert found["edge_period"].tolist() == [1, 0]
+    np.testing.assert_allclose(found["edge_saddle"][0, 0], 0, atol=1e-9)
+    np.testing.assert_allclose(found["edge_multipliers"][0, :, 0], [1.5, 0.3], atol=1e-9)
+    curves = found["stable_manifold"]
+    assert curves.shape == (2, 2, 20, 2) and np.isnan(curves[1]).all()
+    np.testing.assert_allclose(curves[0, ..., 0], 0, atol=1e-9)
+    assert np.ptp(curves[0, ..., 1]) > 0.01
 
 
 @pytest.mark.slow

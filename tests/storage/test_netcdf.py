@@ -21,8 +21,8 @@ RETURNING = [
 """Public functions that return a data set."""
 
 
-SLOW = {"boundary", "steps_to_fall by cells", "prove_basin"}
-"""Slow to compile."""
+SLOW = {"boundary", "steps_to_fall by cells", "prove_basin", "robustness"}
+"""Slow to compile, or as good as another one."""
 
 
 @pytest.mark.parametrize(

@@ -96,18 +96,25 @@ def test_the_basin_of_a_gait_on_the_cut_is_that_of_another():
     assert float(found.area[0]) == pytest.approx(2 * TURN, rel=1e-12)
 
 
+def test_derivatives_and_exponents_of_a_rest_on_the_cut():
+    """sin(angle) = -drift / k there; the multipliers are 1 + k cos(angle) and 0.4."""
+    rest = wj.find_gait(circle(), np.array([3.1, 0.1]))
+    by_drift, by_k = (gait_derivatives(circle(), rest, name) for name in ("drift", "k"))
+    np.testing.assert_allclose(by_drift.states, [[2, 0]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_k.states, [[0, 0]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_k.multipliers, [-1, 0], rtol=0, atol=1e-12)
+    found = wj.lyapunov(circle(), np.array([3.0, 0.1]), walks=2)  # from both sides of the cut
+    np.testing.assert_allclose(found.exponents, np.log([0.5, 0.4]), rtol=1e-12)
+
+
 @pytest.mark.slow
-def test_derivatives_and_exponents_of_a_gait_on_the_cut():
+def test_derivatives_of_a_gait_on_the_cut():
     there = wj.find_gait(CUT, [3.1, -0.5])
     found, expected = (
         gait_derivatives(system, gait, "stop") for system, gait in ((CUT, there), (PLAIN, GAIT))
     )
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-12)
-    found = wj.lyapunov(
-        circle(), np.array([3.0, 0.1]), walks=2
-    )  # at rest on the cut, from both sides
-    np.testing.assert_allclose(found.exponents, np.log([0.5, 0.4]), rtol=1e-12)
 
 
 def test_a_branch_goes_on_across_the_cut():

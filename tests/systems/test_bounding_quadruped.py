@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from by_differences import assert_gait, differences
+from by_differences import assert_gait, check_functions_of_modes, differences
+from reference import read_values
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -24,6 +25,8 @@ STARTS = {
 BOUND = np.array([1.0434854760262262, 0.6946417222600052, 0.0])
 """The apex of the gait, which `find_gait` finds from (1.04, 0.7, 0)."""
 RUNS_AT = {"stiffness": 25.4841997961264, "angle": 1.1868238913561442, "energy": 2.27420998980632}
+RUNS = read_values("systems")["slip"]["sets"][0]["fixed_points"]
+"""Those of one leg at these values."""
 
 
 @pytest.fixture(scope="module")
@@ -141,12 +144,13 @@ def test_pronking_is_running_on_one_leg_of_twice_the_stiffness():
         stiffness=k / 2, rear_angle=angle, front_angle=angle, energy=energy
     )
     stride = lambda many: np.column_stack([(made := wj.strides(pronker, many)).state, made.time])
-    for run in wj.find_gaits(wj.systems.SpringMassRunner(**RUNS_AT)):
-        apex, *_ = run.states[0]
-        x = np.array([float(apex), 0.0, 0.0])
-        np.testing.assert_allclose(stride(x[None])[0], [*x, run.step_times[0]], atol=1e-12)
+    apexes = np.array([[one["apex"]] for one in RUNS])
+    times = wj.strides(wj.systems.SpringMassRunner(**RUNS_AT), apexes).time
+    for run, time in zip(RUNS, times, strict=True):
+        x = np.array([run["apex"], 0.0, 0.0])
+        np.testing.assert_allclose(stride(x[None])[0], [*x, time], atol=1e-12)
         jacobian = differences(stride, x, np.full(3, 1e-4))
-        assert jacobian[0, 0] == pytest.approx(float(np.real(run.multipliers[0])), abs=1e-7)
+        assert jacobian[0, 0] == pytest.approx(run["multiplier"], abs=1e-7)
         # A pitch that turns the other way exchanges the pairs, which differ in nothing then.
         np.testing.assert_allclose(jacobian[[0, 3], 1:], 0, atol=1e-7)
 
@@ -166,6 +170,10 @@ def test_derivatives_of_pronking_are_those_of_differences():
         np.testing.assert_allclose(found[[0, 3], 1:], 0, atol=1e-10)
         expected = differences(lambda many: np.stack([*map(stride, many)]), x, np.full(3, 1e-4))
         np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
+
+
+def test_its_functions_have_the_derivatives_of_differences():
+    check_functions_of_modes(wj.systems.BoundingQuadruped, (1.03, 0.7, 0.02))
 
 
 @pytest.mark.slow

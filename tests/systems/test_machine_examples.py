@@ -71,6 +71,7 @@ def period_of_table(x, table):
     return y
 
 
+@pytest.mark.slow
 def test_a_ball_begins_a_period_above_the_table_or_in_it(table):
     table = table["table"]
     starts = np.array([[2.6, -2.8], [0.0, -0.5], [-0.002, -0.3], [-0.004, 0.2], [0.3, 0.1]])

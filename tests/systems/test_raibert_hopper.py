@@ -1,12 +1,13 @@
 """Raibert's hopper, against an integration with SciPy and closed forms of hopping in place."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from by_differences import assert_gait, differences
+from by_differences import assert_gait, differences, newton
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -24,6 +25,8 @@ NAMES = (
     "desired_speed",
 )
 VALUES = {name: float(getattr(HOPPER, name)) for name in NAMES}
+GUESS = 1.4, 0.6
+WEAK = wj.systems.RaibertHopper(damping=4.0, thrust=0.01)
 SLOW = wj.systems.RaibertHopper(thrust=0.2, thrust_rate=0.4)
 """Its foot leaves the ground before the motor has stopped."""
 
@@ -82,13 +85,17 @@ def test_a_stride_is_that_of_another_integration(hopper, start):
     np.testing.assert_allclose(made.time, time, atol=2e-11)
 
 
+@pytest.mark.slow
 def test_the_foot_may_leave_before_the_motor_has_stopped():
     for hopper, extends in ((HOPPER, True), (SLOW, False)):
         times = np.asarray(wj.phase_times(hopper, (1.3, 0.4)))
         assert np.isfinite(times).tolist() == [True, True, True, extends, True]
         assert times[-1] == pytest.approx(float(wj.stride(hopper, (1.3, 0.4)).time), abs=1e-14)
+    times = np.asarray(wj.phase_times(WEAK, (1.001, 0.0)))
+    assert np.isfinite(times).tolist() == [True, True, True, False, False]  # as the motor is still
 
 
+@pytest.mark.slow
 def test_hopping_in_place_is_that_of_linear_equations():
     """Its stance is solved by exponentials of matrices, up to the times at which parts end."""
     k, c, thrust, rate, *_ = VALUES.values()
@@ -122,10 +129,20 @@ def test_without_damping_a_hop_gains_the_work_of_the_motor():
     assert after + forward**2 / 2 - apex - speed**2 / 2 == pytest.approx(work, abs=1e-11)
 
 
-def test_hopping_is_stable_and_starts_around_it_return():
+def test_hopping_is_stable():
+    """By differences of strides."""
+    states, multipliers = newton(HOPPER, GUESS, step=1e-3)
+    assert np.abs(multipliers).max() < 1
+    gait = SimpleNamespace(states=states, multipliers=multipliers)
+    assert_gait(gait, lambda x: stride_by_scipy(x)[0], 1e-3, 1e-7)
+
+
+@pytest.mark.slow
+def test_hopping_is_found_alone_and_starts_around_it_return():
     gait = wj.find_gait(HOPPER)
     assert gait.stable
     assert_gait(gait, lambda x: stride_by_scipy(x)[0], 1e-3, 1e-7)
+    np.testing.assert_allclose(gait.states, wj.find_gait(HOPPER, GUESS).states, atol=1e-11)
     grid = wj.Grid.plain(apex=(0.9, 3.0, 21), speed=(-1.5, 2.5, 20))
     data = wj.basin(HOPPER, grid, "direct")
     apex, speed = gait.states[0]
@@ -142,11 +159,8 @@ def test_derivatives_by_parameters_are_those_of_differences():
 
 
 def test_a_hopper_that_stays_on_the_ground_has_stopped():
-    weak = wj.systems.RaibertHopper(damping=4.0, thrust=0.01)
-    made = wj.stride(weak, (1.001, 0.0))
+    made = wj.stride(WEAK, (1.001, 0.0))
     assert made.outcome == wj.Outcome.STOPPED and np.isnan(made.state).all()
-    times = np.asarray(wj.phase_times(weak, (1.001, 0.0)))
-    assert np.isfinite(times).tolist() == [True, True, True, False, False]  # as the motor is still
 
 
 def test_wrong_uses_are_refused_and_low_starts_are_outside():

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_differences import check_functions_of_modes
+from reference import read_values
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -15,6 +17,8 @@ FASTER = wj.systems.SpringMassBiped(energy=1.25)
 WALKED, FLOWN = (0.94, 0.01), (0.9, 0.03)
 """Starts of the faster one: the other leg lands before the first one leaves, or after a flight."""
 RUNS_AT = {"stiffness": 25.4841997961264, "angle": 1.1868238913561442, "energy": 2.27420998980632}
+RUNS = read_values("systems")["slip"]["sets"][0]["fixed_points"]
+"""Those of one leg at these values."""
 
 
 def event(function, direction):
@@ -99,13 +103,18 @@ def test_walking_is_stable_and_symmetric():
 
 def test_running_is_that_of_one_leg():
     runs = wj.find_gaits(wj.systems.SpringMassBiped(**RUNS_AT))
-    apexes = wj.find_gaits(wj.systems.SpringMassRunner(**RUNS_AT))
+    apexes = np.array([[one["apex"]] for one in RUNS])
+    times = wj.strides(wj.systems.SpringMassRunner(**RUNS_AT), apexes).time
     assert len(runs) == len(apexes) == 2
-    for run, apex in zip(runs, sorted(apexes, key=lambda one: -one.step_times[0]), strict=True):
-        np.testing.assert_allclose(run.step_times, apex.step_times, atol=1e-12)
+    for run, i in zip(runs, np.argsort(-times), strict=True):
+        np.testing.assert_allclose(run.step_times, [times[i]], atol=1e-12)
         one, other = sorted(np.real(run.multipliers), key=abs)
         assert abs(one) < 1e-9
-        assert other == pytest.approx(np.real(apex.multipliers[0]), abs=1e-10)
+        assert other == pytest.approx(RUNS[i]["multiplier"], abs=1e-10)
+
+
+def test_its_functions_have_the_derivatives_of_differences():
+    check_functions_of_modes(wj.systems.SpringMassBiped, (0.94, 0.01))
 
 
 @pytest.mark.slow

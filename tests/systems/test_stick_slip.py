@@ -40,6 +40,7 @@ def test_derivatives_pass_modes_that_are_entered_again(jacobian):
     np.testing.assert_allclose(jacobian(time_of_cycle)(VALUES), expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_second_derivatives_pass_them_too():
     curvature = jax.jacfwd(jax.jacfwd(time_of_cycle))(VALUES)
     np.testing.assert_allclose(curvature, jax.hessian(lambda p: period(*p))(VALUES), rtol=1e-9)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from networks import NAMES, NetworkWalker, by_scalars, network, pushed
+from networks import NAMES, Limited, NetworkWalker, by_scalars, network, pushed
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
@@ -45,6 +45,28 @@ def test_strides_equal_those_by_scalars_to_the_bit():
     assert np.nanmax(abs(free.state - of_network.state)) > 1e-3
 
 
+def test_a_population_of_machines_moves_as_its_members_do(monkeypatch):
+    gains, xs = jnp.array([2.0, 3.0, 1.5]), jnp.asarray(STARTS[:3])
+    machines = jax.vmap(pushed)(gains)
+    one_by_one = [wj.strides(pushed(gain), x[None]) for gain, x in zip(gains, xs, strict=True)]
+    mapped = jax.vmap(wj.stride, in_axes=(0, 0))(machines, xs)
+    for ends in (mapped, wj.strides(machines, xs)):
+        for i, name in enumerate(ends._fields):
+            expected = np.concatenate([one[i] for one in one_by_one])
+            np.testing.assert_array_equal(getattr(ends, name), expected)
+    every = lambda machines: jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None))(machines, xs)
+    several = every(machines)
+    np.testing.assert_array_equal(several.state[2], wj.strides(select(machines, 2), xs).state)
+    real, exact = eqx.partition(machines, eqx.is_inexact_array_like)
+    total = lambda real: every(eqx.combine(real, exact)).state.sum()
+    expected = jax.grad(total)(real)
+    monkeypatch.setattr(primitive, "MOST_COPIED", 0)  # one machine after the other
+    np.testing.assert_array_equal(every(machines).state, several.state)
+    for one, other in zip(*map(jax.tree.leaves, (jax.grad(total)(real), expected)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-13)
+
+
+@pytest.mark.slow
 def test_a_population_walks_as_its_members_do(monkeypatch):
     keys = jax.random.split(jax.random.key(5), 4)
     make = lambda key: NetworkWalker(
@@ -95,6 +117,7 @@ def test_gaits_equal_those_by_scalars():
     np.testing.assert_allclose(by.multipliers, of_scalar.multipliers, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_all_leaves_have_derivatives():
     """Those of a walker by scalars, forward and in reverse, and by differences."""
     x = jnp.asarray(gait().states[0]) + 0.002
@@ -115,15 +138,17 @@ def test_all_leaves_have_derivatives():
 
 def test_gradients_of_many_walks_are_summed_in_groups(monkeypatch):
     """Group by group, the last of other sizes, as all at once; so are those by the starts."""
-    xs = jnp.asarray(gait().states[0] + 0.002 * np.random.default_rng(1).normal(size=(3, 5, 2)))
-    of_both = lambda walker, x: wj.stride(walker, x).state @ jnp.array([0.7, -0.2])
-    total = lambda walker, xs: jnp.sum(
-        jax.vmap(jax.vmap(of_both, (None, 0)), (None, 0))(walker, xs)
+    monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", 1)
+    xs = jnp.asarray(STARTS[:15].reshape(3, 5, 2))
+    real, exact = eqx.partition(pushed(), eqx.is_inexact_array_like)
+    of_both = lambda real, x: (
+        (wj.stride(eqx.combine(real, exact), x).state @ jnp.array([0.7, -0.2])) ** 2
     )
-    at_once = jax.grad(total, (0, 1))(WALKER, xs)
-    one_by_one = [jax.grad(of_both, (0, 1))(WALKER, x) for x in xs.reshape(-1, 2)]
-    by_walker = jax.tree.map(lambda *each: sum(each), *[one for one, _ in one_by_one])
-    expected = by_walker, jnp.stack([x for _, x in one_by_one]).reshape(xs.shape)
+    total = lambda real, xs: jnp.sum(jax.vmap(jax.vmap(of_both, (None, 0)), (None, 0))(real, xs))
+    at_once = jax.grad(total, (0, 1))(real, xs)
+    one_by_one = [jax.grad(of_both, (0, 1))(real, x) for x in xs.reshape(-1, 2)]
+    by_machine = jax.tree.map(lambda *each: sum(each), *[one for one, _ in one_by_one])
+    expected = by_machine, jnp.stack([x for _, x in one_by_one]).reshape(xs.shape)
     calls = []
 
     def in_fours(cells, numbers):
@@ -131,8 +156,8 @@ def test_gradients_of_many_walks_are_summed_in_groups(monkeypatch):
         return 4, 3
 
     monkeypatch.setattr(transposes, "groups_of", in_fours)
-    grouped = jax.grad(total, (0, 1))(WALKER, xs)
-    assert calls == [(15, 18)]  # all numbers of the walker
+    grouped = jax.grad(total, (0, 1))(real, xs)
+    assert calls == [(15, 6)]  # all numbers of the machine
     for found in (at_once, grouped):
         for one, other in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12)
@@ -184,9 +209,62 @@ def test_a_machine_of_tables_solves_its_equation():
     np.testing.assert_allclose(by.force["gain"], c0 / 2 + c1 / 6 + c2 / 12, rtol=1e-14)
     np.testing.assert_allclose(by.force["powers"], [2 / 6, 2 / 12, 2 / 2], rtol=1e-14)
     np.testing.assert_allclose(by.pulls, [0.5, 0.5], rtol=1e-14)
+    back = jax.grad(lambda one: wj.stride(eqx.combine(one, exact), x).state[0])(real)
+    for one, other in zip(*map(jax.tree.leaves, (back, by)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-13)
     many = jax.vmap(pushed)(jnp.array([2.0, 3.0]))
     ends = wj.strides(many, np.tile(x, (2, 1))).state[:, 0]
     np.testing.assert_allclose(ends, [place(2, 0.5), place(3, 0.5)], rtol=1e-15)
+
+
+def test_margins_of_a_machine_of_tables_have_its_derivatives():
+    """In reverse as forward, where it goes on and where it fails either way."""
+    real, exact = eqx.partition(pushed(kind=Limited), eqx.is_inexact_array_like)
+
+    def number(real, x):
+        found = wj.margins(eqx.combine(real, exact), x)
+        known = jnp.stack([found.failed, found.backward, found.forward])
+        return jnp.where(jnp.isnan(known), 0, known) @ jnp.array([1.0, 0.6, -0.3])
+
+    xs = jnp.array([[0.5, -0.4], [1.0, 0.8], [0.2, -1.2]])
+    outcomes = [wj.Outcome(int(one)).name for one in wj.strides(pushed(kind=Limited), xs).outcome]
+    assert outcomes == ["STRIDE", "FORWARD", "BACKWARD"]
+    back, forward = (
+        jax.vmap(along(number, (0, 1)), (None, 0))(real, xs) for along in (jax.grad, jax.jacfwd)
+    )
+    rows = [
+        np.concatenate([np.reshape(one, (3, -1)) for one in jax.tree.leaves(tree)], 1)
+        for tree in (back, forward)
+    ]
+    np.testing.assert_allclose(*rows, rtol=1e-11, atol=1e-13)
+    assert (np.abs(rows[0]).max(axis=1) > 0.01).all()
+
+
+def test_a_machine_of_tables_walks_and_is_explained():
+    """Its speed grows by 2 (c0 + c1/2 + c2/3) + 0.5 in each stride, and its place follows it."""
+    x, gain, rise = np.array([0.2, -0.5]), 2 * (0.7 + 0.15 - 0.2 / 3) + 0.5, 2 * (0.35 + 0.05)
+    rise += 2 * -0.2 / 12 + 0.25
+    made = wj.walk(pushed(), x, 3)
+    expected = [x]
+    for _ in range(3):
+        place, speed = expected[-1]
+        expected.append([place + speed + rise, speed + gain])
+    np.testing.assert_allclose(made.states, expected, rtol=1e-13)
+    half = wj.trajectory(pushed(), x, [0.0, 0.5]).speed
+    np.testing.assert_allclose(half, [-0.5, -0.5 + 0.95 + 2 * (0.0375 - 0.2 / 24)])
+    said = str(wj.explain(pushed(), x))
+    assert "leads to section" in said and "Pushed" in said
+
+
+def test_feedback_keeps_a_network():
+    """Its stride is that of the network's walker on the slope that it sets."""
+    rest, x = np.array([0.2, -0.2]), np.array([[0.21, -0.2]])
+    walker = wj.Feedback(WALKER, rest, {"slope": (0.1, 0.0)}, {"slope": (0.005, 0.02)})
+    of_feedback = wj.strides(walker, x)
+    of_slope = wj.strides(with_parameter(WALKER, "slope", jnp.array(0.01)), x)
+    assert of_feedback.outcome.tolist() == [wj.Outcome.STRIDE]
+    np.testing.assert_allclose(of_feedback.state, of_slope.state, rtol=1e-13)
+    assert eqx.tree_equal(walker.policy, WALKER.policy)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.kernels import program, transposes
 from walker_jax.systems.hybrid_system import HybridSystem
 
-POWERS = [(i, j) for i in range(3) for j in range(2)]
+POWERS = [(1, 0), (0, 1), (1, 1)]
 """Powers of height and velocity in the force, each with a weight."""
 
 
@@ -25,7 +25,7 @@ class Flight(NamedTuple):
 
 
 class Ball(HybridSystem):
-    """A ball in a field with many weights, seen at times 2 apart, some bounces later.
+    """A ball in a field with several weights, seen at times 2 apart, some bounces later.
 
     Rising and falling are modes that are entered again and again. A ball above 2 has escaped.
     """

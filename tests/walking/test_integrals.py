@@ -144,6 +144,7 @@ def test_an_integral_and_a_largest_value_need_two_names():
         wj.integrals(Twice(), X)
 
 
+@pytest.mark.slow
 def test_gaits_have_the_means_of_their_integrals():
     """The block turns back at the same place for any belt: the time is its period alone."""
 

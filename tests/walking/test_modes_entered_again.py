@@ -144,6 +144,7 @@ def test_trajectories_and_times_of_modes_pass_all_flights():
     assert rates == pytest.approx(float(found.v[4]), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_block_sticks_and_slips_again():
     """From the cycle's turn: on a circle about kinetic, then with the belt, and again."""
     system = wj.systems.StickSlip()

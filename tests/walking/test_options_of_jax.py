@@ -27,7 +27,6 @@ SLOW |= {
     "prove_basin",
     "prove_doubling",
     "prove_gait",
-    "robustness",
 }
 """Functions that take seconds to compile."""
 EACH = pytest.mark.parametrize(
@@ -77,9 +76,14 @@ class Sprung(wj.SimplestWalker):
         return free._replace(phidot=free.phidot - self.stiffness * state.phi)
 
 
+class Lively(wj.systems.BouncingBall):
+    """A ball that is traced anew in each process, too."""
+
+
 LEAK = {
-    "stride": lambda walker: wj.stride(walker, START).state[0],
-    "trajectory": lambda walker: wj.trajectory(walker, START, [1.0]).phi[0],
+    "ball": lambda x: wj.stride(Lively(0.4, x), jnp.array([0.7, 2.3])).state[1],
+    "stride": lambda x: wj.stride(Sprung(0.009, x), START).state[0],
+    "trajectory": lambda x: wj.trajectory(Sprung(0.009, x), START, [1.0]).phi[0],
 }
 
 
@@ -92,10 +96,12 @@ def only_new_objects():
     gc.unfreeze()
 
 
-@pytest.mark.parametrize("name", ["stride", pytest.param("trajectory", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["ball", *(pytest.param(one, marks=pytest.mark.slow) for one in [*LEAK][1:])]
+)
 @pytest.mark.usefixtures("only_new_objects")
 def test_no_tracer_is_left_behind_by_derivatives(name):
-    end = lambda stiffness: LEAK[name](Sprung(0.009, stiffness))
+    end = LEAK[name]
     with jax.checking_leaks():
         slope = jax.jacfwd(end)(jnp.array(0.2))
     low, high = (end(jnp.array(0.2 + d)) for d in (-1e-5, 1e-5))

@@ -322,6 +322,12 @@ def test_modes_of_ones_own_are_what_every_function_follows():
     assert (outcome == Outcome.SIDEWAYS).sum() > 20
     for value, known in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(value, known, rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.slow  # test_hooks.py has films, and the rough ground below has steps
+def test_films_and_steps_follow_modes_of_ones_own():
+    other, xs = SpreadByMode(0.01), starts(200)
+    outcome = margins(RULES["within a step"][0], xs).stride.outcome
     first = lambda code: xs[np.flatnonzero(outcome == code)[0]]
     film = wj.motion(other, first(Outcome.SIDEWAYS), 3, step=0.2)
     assert film.outcome.values.tolist() == [Outcome.SIDEWAYS]
