@@ -44,14 +44,17 @@ def test_the_action_changes_with_slope_and_spring(kind, values, strides):
 @pytest.mark.slow
 @pytest.mark.parametrize("strides", [1, 2])
 def test_the_action_changes_with_all_weights_of_a_network(strides):
-    """By a difference along a direction in which all change; the gait changes too."""
+    """By a difference along a direction in which all change; the gait changes too.
+
+    On a steeper slope, of 0.009, the boundary is fractal, and each search finds another edge.
+    """
     how = {"strides": strides, "directions": 8 * strides**2}
-    walker = NetworkWalker(0.009)
+    walker = NetworkWalker(0.004)
     weights, unravel = ravel_pytree(walker.policy)
     towards = np.random.default_rng(0).normal(size=weights.size)
     action = lambda step: (
         wj.most_probable_fall(
-            NetworkWalker(0.009, policy=unravel(weights + step * jnp.asarray(towards))), **how
+            NetworkWalker(0.004, policy=unravel(weights + step * jnp.asarray(towards))), **how
         ).action
     )
     found = wj.measure(walker, "fall-action", lambda one: one.policy, **how)

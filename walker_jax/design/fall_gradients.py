@@ -54,6 +54,8 @@ def fall_gradient(
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     how: Any = {"strides": strides, "directions": directions, "tolerance": tolerance}
     fall = most_probable_fall(check_planar(walker), ground, gait, **how)
+    if not names:
+        return Measure(fall.action, np.zeros(0))
     x = jnp.asarray(gait.states[0])
     integrator = integrator_of(x.dtype, tolerance).in_dtype(x.dtype)
     same = in_dtype(walker, x.dtype, jnp.asarray)
@@ -64,7 +66,7 @@ def fall_gradient(
         by_walker, by_state, by_rows = pull_walks(same, start, rows, change, integrator)
         more, by_x = jax.vmap(lambda by: pull_back(lift, same, x, by))(by_state)
         by_numbers = values_of(by_walker, names) + values_of(more, names)
-        return by_numbers.reshape(len(rows), -1 if names else 0), *map(np.asarray, (by_x, by_rows))
+        return by_numbers, *map(np.asarray, (by_x, by_rows))
 
     lift = lambda walker, x: jnp.stack(walker.lift(x))
     even = np.zeros((max(0, fall.strides + 1 - len(fall.disturbances)), 3))

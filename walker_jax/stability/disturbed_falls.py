@@ -17,7 +17,6 @@ from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.systems.trees import in_dtype
-from walker_jax.walkers.choices import MANY
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import (
     Disturbance,
@@ -103,19 +102,13 @@ class DisturbedWalks(NamedTuple):
     def pull_back(
         self, rows: Float[np.ndarray, "n strides 3"], change: Float[np.ndarray, "n section"]
     ) -> Float[np.ndarray, "n strides 3"]:
-        """Call `pull_walks` in batches of one size, so that one program is compiled.
-
-        The program of a walker with many parameters differentiates by these too: `fall_gradient`
-        needs the same one.
-        """
+        """Call `pull_walks` in batches of one size, so that one program is compiled."""
         walker, integrator = self.arrays()
-        real = eqx.filter(walker, eqx.is_inexact_array_like)
-        by_walker = sum(map(np.size, jax.tree.leaves(real))) >= MANY
         slopes = np.empty_like(rows)
         for first in range(0, len(rows), PULLED_BACK):
             batch = np.minimum(np.arange(first, first + PULLED_BACK), len(rows) - 1)
             given = walker, self.start, rows[batch], change[batch], integrator
-            slopes[batch] = pull_walks(*given, by_walker=by_walker)[-1]
+            slopes[batch] = pull_walks(*given, by_walker=False)[-1]
         return slopes
 
 
