@@ -41,7 +41,7 @@ def disc():
     return wj.prove_basin(WALKER, 0.99 * RADIUS)
 
 
-def test_the_least_disturbance_walks_for_ever(disc):
+def test_the_whole_least_disturbance_is_proved(disc):
     assert disc.attrs["all_walk"] and np.all(disc["proved"] == WALKS)
     assert disc.attrs["radius"] == 0.99 * RADIUS
     low, high = disc.attrs["area_lower"], disc.attrs["area_upper"]
