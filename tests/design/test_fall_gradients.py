@@ -8,6 +8,11 @@ from jax.flatten_util import ravel_pytree
 from networks import NetworkWalker
 
 import walker_jax as wj
+from walker_jax.integrators.integrator import integrator_of
+from walker_jax.kernels import transposes
+from walker_jax.stability.disturbed_falls import pull_walks
+from walker_jax.systems.trees import in_dtype
+from walker_jax.walking.disturbed import follow_disturbed_walk
 
 
 @pytest.fixture
@@ -62,3 +67,23 @@ def test_the_action_changes_with_all_weights_of_a_network(strides):
     by = (8 * (action(1e-3) - action(-1e-3)) - action(2e-3) + action(-2e-3)) / 12e-3
     assert by / found.value == pytest.approx(found.gradient @ towards / found.value, rel=1e-4)
     assert abs(by) > 0.01 * found.value
+
+
+@pytest.mark.slow
+def test_margins_of_disturbed_walks_by_their_adjoint(monkeypatch):
+    """They are those of forward mode, whether the walk falls at once, later or not at all."""
+    walker = in_dtype(wj.SimplestWalker(0.009), np.float64, jnp.asarray)
+    integrator = integrator_of(np.dtype(float), None).in_dtype(np.dtype(float))
+    start = jnp.stack(walker.lift(jnp.asarray(wj.find_gait(walker).states[0])))
+    rows = np.zeros((12, 5, 3))
+    rows[:, 0, 0] = np.linspace(1e-4, 5e-3, 12)
+    given = walker, start, jnp.asarray(rows), jnp.ones((12, 2)), integrator
+    walks = [follow_disturbed_walk(walker, start, jnp.asarray(one), integrator) for one in rows]
+    assert {0, 5} < {int(walk.strides) for walk in walks}
+    found = []
+    for fewest in (1, 10**9):  # the adjoint, and forward mode
+        monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", fewest)
+        jax.clear_caches()
+        found.append(jax.tree.leaves(pull_walks(*given)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)

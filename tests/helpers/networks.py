@@ -111,7 +111,10 @@ class Pushed(wj.HybridSystem):
 
 
 class Limited(Pushed):
-    """The same between two places, beyond which it fails forward or backward."""
+    """The same between two places, beyond which it fails forward or backward.
+
+    It would run if a number fell below zero that is least on the way.
+    """
 
     def modes(self):
         push = super().modes()["push"]
@@ -119,7 +122,9 @@ class Limited(Pushed):
             wj.Guard(lambda y: y.place - 2, "FORWARD"),
             wj.Guard(lambda y: -y.place, "BACKWARD"),
         )
-        return {"push": push._replace(guards=(*push.guards, *ends))}
+        least = lambda y: self.force["gain"] * (y.time - 0.5) ** 2 + y.speed**2 / 10 + 0.01
+        conditions = (wj.Condition(least, "RUNNING"),)
+        return {"push": push._replace(guards=(*push.guards, *ends), conditions=conditions)}
 
 
 def pushed(gain: Any = 2.0, kind: type[Pushed] = Pushed) -> Pushed:

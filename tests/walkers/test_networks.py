@@ -19,6 +19,7 @@ from walker_jax.explorer.offers import offer
 from walker_jax.figures.text import walker_title
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.kernels import primitive, transposes
+from walker_jax.kernels.program import Program
 from walker_jax.storage.places import StoreConflict
 from walker_jax.systems.trees import select
 from walker_jax.walkers.parameters import value_of, with_parameter
@@ -170,9 +171,25 @@ def test_gradients_of_many_walks_are_summed_in_groups(monkeypatch):
     assert transposes.groups_of(1000, 4545) == (1, 1000)
 
 
+@pytest.fixture
+def adjoints(monkeypatch) -> list:
+    """The adjoints that reverse mode asks for, None where forward mode answers in its place."""
+    monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", 1)
+    find, found = Program.adjoint, []
+
+    def record(*about):
+        found.append(find(*about))
+        return found[-1]
+
+    monkeypatch.setattr(Program, "adjoint", record)
+    return found
+
+
 @pytest.mark.slow
-def test_margins_have_derivatives_by_all_weights():
+@pytest.mark.parametrize("width", [4, 16])
+def test_margins_have_derivatives_by_all_weights(adjoints, width):
     """In reverse as forward, where walkers stride, fall either way, or run."""
+    walker = NetworkWalker(0.009, policy=network(0, width))
 
     def number(walker, x):
         found = wj.margins(walker, x)
@@ -182,16 +199,17 @@ def test_margins_have_derivatives_by_all_weights():
     xs = jnp.array(
         [[0.2, -0.2], [0.2, -0.15], [0.35, -0.3], [0.15, -0.28], [0.2, -0.25], [0.5, -1]]
     )
-    outcomes = {wj.Outcome(int(one)).name for one in wj.strides(WALKER, xs).outcome}
+    outcomes = {wj.Outcome(int(one)).name for one in wj.strides(walker, xs).outcome}
     assert outcomes == {"STRIDE", "BACKWARD", "FORWARD", "RUNNING"}
     back, forward = (
-        jax.vmap(along(number, (0, 1)), (None, 0))(WALKER, xs) for along in (jax.grad, jax.jacfwd)
+        jax.vmap(along(number, (0, 1)), (None, 0))(walker, xs) for along in (jax.grad, jax.jacfwd)
     )
     rows = lambda tree: np.concatenate(
         [one.reshape(len(xs), -1) for one in jax.tree.leaves(tree)], 1
     )
     scale = np.abs(rows(forward)).max(axis=1, keepdims=True)
     np.testing.assert_allclose(rows(back) / scale, rows(forward) / scale, rtol=0, atol=1e-10)
+    assert adjoints and None not in adjoints
 
 
 def test_a_machine_of_tables_solves_its_equation():
@@ -217,14 +235,14 @@ def test_a_machine_of_tables_solves_its_equation():
     np.testing.assert_allclose(ends, [place(2, 0.5), place(3, 0.5)], rtol=1e-15)
 
 
-def test_margins_of_a_machine_of_tables_have_its_derivatives():
+def test_margins_of_a_machine_of_tables_have_its_derivatives(adjoints):
     """In reverse as forward, where it goes on and where it fails either way."""
     real, exact = eqx.partition(pushed(kind=Limited), eqx.is_inexact_array_like)
 
     def number(real, x):
         found = wj.margins(eqx.combine(real, exact), x)
-        known = jnp.stack([found.failed, found.backward, found.forward])
-        return jnp.where(jnp.isnan(known), 0, known) @ jnp.array([1.0, 0.6, -0.3])
+        known = jnp.stack([found.failed, found.backward, found.forward, found.running])
+        return jnp.where(jnp.isnan(known), 0, known) @ jnp.array([1.0, 0.6, -0.3, 0.2])
 
     xs = jnp.array([[0.5, -0.4], [1.0, 0.8], [0.2, -1.2]])
     outcomes = [wj.Outcome(int(one)).name for one in wj.strides(pushed(kind=Limited), xs).outcome]
@@ -238,6 +256,7 @@ def test_margins_of_a_machine_of_tables_have_its_derivatives():
     ]
     np.testing.assert_allclose(*rows, rtol=1e-11, atol=1e-13)
     assert (np.abs(rows[0]).max(axis=1) > 0.01).all()
+    assert adjoints and None not in adjoints
 
 
 def test_a_machine_of_tables_walks_and_is_explained():

@@ -10,7 +10,10 @@ import pytest
 import walker_jax as wj
 from walker_jax.hybrid.modes import SECTION, Guard, Mode
 from walker_jax.kernels import program, transposes
+from walker_jax.kernels.reverse import reversing
 from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import make_stride
+from walker_jax.walking.stride import Course, Entry, with_full_state
 
 POWERS = [(1, 0), (0, 1), (1, 1)]
 """Powers of height and velocity in the force, each with a weight."""
@@ -130,6 +133,24 @@ def test_failure_without_a_cotangent_has_no_part():
     assert np.isfinite(leaves(found)).all()
     assert (np.array(leaves(alone))[:, -1] == 0).all()
     np.testing.assert_allclose(leaves(found), np.sum(leaves(alone), axis=1), rtol=1e-12)
+
+
+def test_a_full_state_after_a_failure_has_no_part():
+    """Its cotangent of zero leaves the walk before it zero, although the state itself is NaN."""
+
+    def full(state, outcome):
+        none = jnp.asarray(0.0)
+        stride = make_stride(state[:2], outcome, none)
+        entry = Entry(jnp.asarray(True), Flight(*state))
+        course = Course({SECTION: entry}, none, outcome, outcome, {})
+        with reversing(True):
+            return with_full_state(stride, course).state
+
+    state = jnp.array([0.5, -0.2, 0.1])
+    for outcome, expected in ((0, [1, 2, 3]), (2, [0, 0, 0])):
+        made, pull = jax.vjp(lambda state, now=outcome: full(state, jnp.int8(now)), state)
+        assert np.isnan(made).all() == (outcome != 0)
+        np.testing.assert_array_equal(pull(jnp.array(expected, float))[0], expected)
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Array, Bool, Int, PyTree
 
+from walker_jax.kernels.stored import LONG
 from walker_jax.kernels.tapes import new_tape, read_row, write_row
 
 ROWS = 64
@@ -100,7 +101,7 @@ def with_transposed_turns(
     finding = Traced(lambda start, written: find(start, Writer(written, put)), start, tapes.blank())
     turning = Traced(turn, start, decided)
     reverse = Traced(turn, start, decided, in_reverse=True)
-    count, rows = len(leaves), len(tapes.kinds)
+    count, rows = len(leaves), len(tapes.parts)
     writes = len(jax.tree.unflatten(finding.structure, finding.shapes)[3] or ()) > 0
 
     def found(consts, leaves):
@@ -212,11 +213,19 @@ class ReverseLoop(NamedTuple):
 
 
 class Tapes:
-    """One tape for the numbers of each type in a row."""
+    """Tapes for the numbers in a row: of one type, and short, as a kernel writes from registers."""
 
     def __init__(self, row: list):
         self.row = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in row]
-        self.kinds = list(dict.fromkeys(x.dtype for x in row))
+        self.parts: list[list[int]] = []
+        """Which arrays of the row are on each tape."""
+        for i, x in enumerate(self.row):
+            room = lambda part, x=x: LONG - x.size - sum(self.row[k].size for k in part)
+            same = (one for one in self.parts if self.row[one[0]].dtype == x.dtype)
+            part = next((one for one in same if room(one) > 0), None)
+            if part is None:
+                self.parts.append(part := [])
+            part.append(i)
 
     def blank(self, values: Sequence = ()) -> list[Array]:
         """Return tapes whose rows depend on some values.
@@ -229,18 +238,18 @@ class Tapes:
         return [new_tape(one, ROWS + 1) for one in self.joined(like)]
 
     def joined(self, row: list) -> list[Array]:
-        each = lambda kind: [jnp.ravel(x) for x in row if x.dtype == kind]
-        return [jnp.concatenate(each(kind)) for kind in self.kinds]
+        return [jnp.concatenate([jnp.ravel(row[i]) for i in part]) for part in self.parts]
 
     def write(self, tapes: list, i: Int[Array, ""], row: list) -> list:
         return [write_row(tape, i, x) for tape, x in zip(tapes, self.joined(row), strict=True)]
 
     def read(self, tapes: list, i: Int[Array, ""]) -> list[Array]:
-        found, rows = [], {k: read_row(x, i) for k, x in zip(self.kinds, tapes, strict=True)}
-        for x in self.row:
-            found.append(rows[x.dtype][: x.size].reshape(x.shape))
-            rows[x.dtype] = rows[x.dtype][x.size :]
-        return found
+        found = {}
+        for part, tape in zip(self.parts, tapes, strict=True):
+            numbers = read_row(tape, i)
+            for k in part:
+                found[k], numbers = jnp.split(numbers, [self.row[k].size])
+        return [found[k].reshape(x.shape) for k, x in enumerate(self.row)]
 
 
 def zero_where_unused(function: Callable[..., PyTree], *args: PyTree) -> PyTree:

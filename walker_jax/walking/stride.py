@@ -130,8 +130,9 @@ def follow_stride(
 
 def with_full_state(stride: Stride, course: Course) -> Stride:
     """Return a stride with the full state after its last reset."""
-    state = jnp.stack(jax.tree.leaves(course.entries[SECTION].state))
-    return make_stride(state, stride.outcome, stride.time)
+    full = lambda state, *others: make_stride(jnp.stack(jax.tree.leaves(state)), *others)
+    known = stride.outcome, stride.time
+    return zero_where_unused(full, course.entries[SECTION].state, *known)
 
 
 class Entry(NamedTuple):
