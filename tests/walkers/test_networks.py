@@ -264,7 +264,7 @@ def test_a_machine_of_tables_walks_and_is_explained():
     x, gain, rise = np.array([0.2, -0.5]), 2 * (0.7 + 0.15 - 0.2 / 3) + 0.5, 2 * (0.35 + 0.05)
     rise += 2 * -0.2 / 12 + 0.25
     made = wj.walk(pushed(), x, 3)
-    expected = [x]
+    expected: list = [x]
     for _ in range(3):
         place, speed = expected[-1]
         expected.append([place + speed + rise, speed + gain])
@@ -283,7 +283,7 @@ def test_feedback_keeps_a_network():
     of_slope = wj.strides(with_parameter(WALKER, "slope", jnp.array(0.01)), x)
     assert of_feedback.outcome.tolist() == [wj.Outcome.STRIDE]
     np.testing.assert_allclose(of_feedback.state, of_slope.state, rtol=1e-13)
-    assert eqx.tree_equal(walker.policy, WALKER.policy)
+    assert eqx.tree_equal(vars(walker)["policy"], WALKER.policy)
 
 
 @pytest.mark.slow
