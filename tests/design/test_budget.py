@@ -71,8 +71,8 @@ def clock(monkeypatch):
 def optimum_within(clock, seconds, **options) -> tuple[xr.Dataset, float]:
     """Optimise a walker's slope; return the result, and how long it took."""
     began, clock.begun[:] = clock.now, []
-    options = {"grid": FEW, "starts": 1, "progress": False, "seconds": seconds} | options
-    options = {"objective": "speed"} | options
+    given: dict[str, Any] = {"grid": FEW, "starts": 1, "progress": False, "seconds": seconds}
+    options = given | {"objective": "speed"} | options
     return optimise(WALKER, SLOPES, **options), clock.now - began
 
 
