@@ -71,9 +71,9 @@ def clock(monkeypatch):
 def optimum_within(clock, seconds, **options) -> tuple[xr.Dataset, float]:
     """Optimise a walker's slope; return the result, and how long it took."""
     began, clock.begun[:] = clock.now, []
-    given: dict[str, Any] = {"grid": FEW, "starts": 1, "progress": False, "seconds": seconds}
-    options = given | {"objective": "speed"} | options
-    return optimise(WALKER, SLOPES, **options), clock.now - began
+    given: dict[str, Any] = {"grid": FEW, "starts": 1, "progress": False, "objective": "speed"}
+    given |= {"seconds": seconds} | options
+    return optimise(WALKER, SLOPES, **given), clock.now - began
 
 
 @pytest.mark.parametrize("starts", [1, 3])
