@@ -148,8 +148,8 @@ def draw_special(
     look: Any = {"textcoords": "offset points", "fontsize": SMALL, "zorder": 8}
     look["bbox"] = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.8}
     for kind, place in special:
-        ax.plot(*place, zorder=7, ls="", **SPECIAL)
-        shift, side = ((-7, 4), "right") if place[0] > middle else ((7, 4), "left")
-        at = float(place[0]), float(place[1])
+        x, y = place.tolist()
+        ax.plot(x, y, zorder=7, ls="", **SPECIAL)
+        shift, side = ((-7, 4), "right") if x > middle else ((7, 4), "left")
         if labels:
-            ax.annotate(kind.removesuffix(" resonance"), at, shift, ha=side, **look)
+            ax.annotate(kind.removesuffix(" resonance"), (x, y), shift, ha=side, **look)

@@ -107,7 +107,7 @@ def without_derivatives(function: Callable, start: PyTree, *, once: bool = False
     compute = jax.jit(compute) if once else compute
 
     def constant_function(state):
-        # The closure too, here: reverse mode takes derivatives by what a function closes over.
+        # Stopped here, not outside: reverse mode differentiates by all that a function closes over.
         results = compute(*lax.stop_gradient((closed.consts, jax.tree.leaves(state))))
         return jax.tree.unflatten(jax.tree.structure(shapes), results)
 

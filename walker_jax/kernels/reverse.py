@@ -220,12 +220,13 @@ class Tapes:
         self.parts: list[list[int]] = []
         """Which arrays of the row are on each tape."""
         for i, x in enumerate(self.row):
-            room = lambda part, x=x: LONG - x.size - sum(self.row[k].size for k in part)
-            same = (one for one in self.parts if self.row[one[0]].dtype == x.dtype)
-            part = next((one for one in same if room(one) > 0), None)
-            if part is None:
-                self.parts.append(part := [])
-            part.append(i)
+            for part in self.parts:
+                together = [self.row[k] for k in (*part, i)]
+                if together[0].dtype == x.dtype and sum(one.size for one in together) < LONG:
+                    part.append(i)
+                    break
+            else:
+                self.parts.append([i])
 
     def blank(self, values: Sequence = ()) -> list[Array]:
         """Return tapes whose rows depend on some values.

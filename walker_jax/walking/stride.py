@@ -131,8 +131,7 @@ def follow_stride(
 def with_full_state(stride: Stride, course: Course) -> Stride:
     """Return a stride with the full state after its last reset."""
     full = lambda state, *others: make_stride(jnp.stack(jax.tree.leaves(state)), *others)
-    known = stride.outcome, stride.time
-    return zero_where_unused(full, course.entries[SECTION].state, *known)
+    return zero_where_unused(full, course.entries[SECTION].state, stride.outcome, stride.time)
 
 
 class Entry(NamedTuple):
