@@ -9,7 +9,8 @@ The answer: of 400 intervals for the slope of the simplest walker, 94.2 % hold t
 slope and the foot mass of the walker with point feet 95.8 % and 96.0 %; for the slope and the shank
 mass of the walker with knees 95.0 % and 95.0 %. A fit takes 0.04 s, 0.11 s and 0.4 s of a
 processor, and the longest 0.3 s, 0.4 s and 2.4 s by the clock, on two that eight programs shared.
-SciPy takes 22 to 40 times as long for 120 steps: 44 s to 50 s beside 1.1 s to 2.2 s.
+SciPy takes 34 times as long for 120 steps, 32 s of a processor beside 0.9 s on a quiet machine, and
+22 to 40 times on busy ones.
 
 Usage: python benchmarks/fits.py [simplest compass kneed scipy ...] [fits]
 """
