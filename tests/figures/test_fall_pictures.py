@@ -35,7 +35,7 @@ def test_the_words_of_a_fall_can_be_left_out():
     assert words_of(subtitle=False)[0] == title.split("\n")[0]
     assert not any(words_of(legend=False)[3]) and not any(words_of(labels=False)[2])
     with pytest.raises(ValueError, match="style must be of title, subtitle, legend, labels, not t"):
-        figures.probable_fall(FALL, **{"tilte": True})  # pyright: ignore[reportArgumentType]
+        figures.probable_fall(FALL, **{"tilte": True})  # pyright: ignore[reportArgumentType] (misspelt)
 
 
 def test_a_title_of_ones_own_stays_in_print():

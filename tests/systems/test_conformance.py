@@ -12,10 +12,10 @@ from reference import ROOT
 FOLDER = ROOT / "benchmarks" / "conformance"
 PAGE = ROOT / "docs" / "conformance.md"
 sys.path.insert(0, str(FOLDER))
-import formulas  # noqa: E402
-import make  # noqa: E402
-import run as table  # noqa: E402
-import solvers  # noqa: E402
+import formulas  # noqa: E402 (after the path to it)
+import make  # noqa: E402 (after the path to it)
+import run as table  # noqa: E402 (after the path to it)
+import solvers  # noqa: E402 (after the path to it)
 
 RUNS = [(name, i) for name in formulas.names() for i, _ in enumerate(formulas.read(name)["runs"])]
 ours = solvers.SOLVERS["walker_jax"]

@@ -103,7 +103,9 @@ def test_hopping_in_place_is_that_of_linear_equations():
     after = lambda motor, y, t: (
         expm((equations + motor * np.outer([0, 0, 1, 0], [0, 0, 0, 1])) * t) @ y
     )
-    first = lambda value, low, high: float(brentq(value, low, high, xtol=1e-15))  # pyright: ignore
+    first = lambda value, low, high: float(
+        brentq(value, low, high, xtol=1e-15)  # pyright: ignore[reportArgumentType] (one number)
+    )
 
     def next_apex(apex):
         y = np.array([1, -np.sqrt(2 * (apex - 1)), 0, 1])

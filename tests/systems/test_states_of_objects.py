@@ -89,7 +89,7 @@ def with_attribute(scale):
     def made(x):
         return x
 
-    made.scale = scale  # pyright: ignore[reportAttributeAccessIssue]
+    made.scale = scale  # pyright: ignore[reportAttributeAccessIssue] (as users may)
     return made
 
 

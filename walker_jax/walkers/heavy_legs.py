@@ -123,7 +123,8 @@ def state_with(joints: tuple[str, ...]) -> type:
         raise WrongUse(f"joints must be different names of coordinates, not {joints!r}")
     kind = collections.namedtuple("JointedState", names)
     # No module has the class, so pickle must be told how to make one.
-    kind.__reduce__ = lambda state: (make_state, (joints, tuple(state)))  # pyright: ignore
+    reduce = lambda state: (make_state, (joints, tuple(state)))
+    kind.__reduce__ = reduce  # pyright: ignore[reportAttributeAccessIssue] (as pickle asks)
     return kind
 
 
