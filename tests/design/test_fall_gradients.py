@@ -71,7 +71,7 @@ def test_the_action_changes_with_all_weights_of_a_network(strides):
 
 @pytest.mark.slow
 def test_margins_of_disturbed_walks_by_their_adjoint(monkeypatch):
-    """They are those of forward mode, whether the walk falls at once, later or not at all."""
+    """They are those of forward mode, whether the walk falls early, later or not at all."""
     walker = in_dtype(wj.SimplestWalker(0.009), np.float64, jnp.asarray)
     integrator = integrator_of(np.dtype(float), None).in_dtype(np.dtype(float))
     start = jnp.stack(walker.lift(jnp.asarray(wj.find_gait(walker).states[0])))
@@ -79,7 +79,7 @@ def test_margins_of_disturbed_walks_by_their_adjoint(monkeypatch):
     rows[:, 0, 0] = np.linspace(1e-4, 5e-3, 12)
     given = walker, start, jnp.asarray(rows), jnp.ones((12, 2)), integrator
     walks = [follow_disturbed_walk(walker, start, jnp.asarray(one), integrator) for one in rows]
-    assert {0, 5} < {int(walk.strides) for walk in walks}
+    assert {int(walk.strides) for walk in walks} == {1, 2, 3, 5}
     found = []
     for fewest in (1, 10**9):  # the adjoint, and forward mode
         monkeypatch.setattr(transposes, "FEWEST_FOR_ADJOINT", fewest)
