@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from clocked import Clocked
 
 import walker_jax as wj
 from walker_jax import Outcome
@@ -113,22 +114,13 @@ def test_solvers_that_cannot_follow_a_stride_are_refused(solver):
             call()
 
 
-class Damper(wj.HybridSystem):
-    """y' = -rate (y - cos(t)): a stiff damper that follows a slow motion, for a unit of time."""
+class Damper(Clocked):
+    """y' = -rate (y - cos(t)): a stiff damper that follows a slow motion."""
 
     rate: Any = 1e6
 
-    section = ("y",)
-
-    def lift(self, x):
-        return jnp.stack([x[0], 0 * x[0]])
-
-    def project(self, state):
-        return state[:1]
-
-    def modes(self):
-        field = lambda s: jnp.stack([-self.rate * (s[0] - jnp.cos(s[1])), 1 + 0 * s[1]])
-        return {"flow": wj.Mode(field, (wj.Guard(lambda s: s[1] - 1, wj.SECTION),))}
+    def slope(self, y, t):
+        return -self.rate * (y - jnp.cos(t))
 
 
 @pytest.mark.filterwarnings("ignore::walker_jax.checks.NoKernelWarning")  # its Jacobians have none

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from clocked import Clocked
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -458,28 +459,19 @@ def test_variables_whose_errors_are_relative_to_themselves():
     assert proportional_variables(flies, (1.0, 0.5)) is None
 
 
-class OneArray(wj.HybridSystem):
-    """Decays for a unit of time; its state is one array of two numbers."""
-
+class Decaying(Clocked):
     scales: Any = None
 
-    section = ("y",)
-
-    def lift(self, x):
-        return jnp.stack([x[0], 0 * x[0]])
-
-    def project(self, state):
-        return state[:1]
+    def slope(self, y, t):
+        return -y
 
     def modes(self):
-        field = lambda s: jnp.stack([-s[0], 1 + 0 * s[1]])
-        ends = wj.Guard(lambda s: s[1] - 1, wj.SECTION)
-        return {"decay": wj.Mode(field, (ends,), scales=self.scales)}
+        return {"flow": super().modes()["flow"]._replace(scales=self.scales)}
 
 
 @pytest.mark.parametrize("scales", [None, jnp.array([1.0, 1e-3])])
 def test_a_state_that_is_one_array_has_a_size_for_each_number(scales):
-    made = wj.strides(OneArray(scales), np.array([[0.5], [1e-9]]))
+    made = wj.strides(Decaying(scales), np.array([[0.5], [1e-9]]))
     np.testing.assert_allclose(made.state[:, 0], [0.5 / np.e, 1e-9 / np.e], rtol=1e-11)
 
 

@@ -47,24 +47,8 @@ def test_strides_equal_those_by_scalars_to_the_bit():
 
 
 def test_a_population_of_machines_moves_as_its_members_do(monkeypatch):
-    gains, xs = jnp.array([2.0, 3.0, 1.5]), jnp.asarray(STARTS[:3])
-    machines = jax.vmap(pushed)(gains)
-    one_by_one = [wj.strides(pushed(gain), x[None]) for gain, x in zip(gains, xs, strict=True)]
-    mapped = jax.vmap(wj.stride, in_axes=(0, 0))(machines, xs)
-    for ends in (mapped, wj.strides(machines, xs)):
-        for i, name in enumerate(ends._fields):
-            expected = np.concatenate([one[i] for one in one_by_one])
-            np.testing.assert_array_equal(getattr(ends, name), expected)
-    every = lambda machines: jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None))(machines, xs)
-    several = every(machines)
-    np.testing.assert_array_equal(several.state[2], wj.strides(select(machines, 2), xs).state)
-    real, exact = eqx.partition(machines, eqx.is_inexact_array_like)
-    total = lambda real: every(eqx.combine(real, exact)).state.sum()
-    expected = jax.grad(total)(real)
-    monkeypatch.setattr(primitive, "MOST_COPIED", 0)  # one machine after the other
-    np.testing.assert_array_equal(every(machines).state, several.state)
-    for one, other in zip(*map(jax.tree.leaves, (jax.grad(total)(real), expected)), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-13)
+    gains = jnp.array([2.0, 3.0, 1.5])
+    check_population(jax.vmap(pushed)(gains), list(map(pushed, gains)), monkeypatch)
 
 
 @pytest.mark.slow
@@ -73,21 +57,31 @@ def test_a_population_walks_as_its_members_do(monkeypatch):
     make = lambda key: NetworkWalker(
         0.009, policy=eqx.nn.MLP(2, 1, 4, 1, activation=jnp.tanh, key=key)
     )
-    walkers, xs = eqx.filter_vmap(make)(keys), jnp.asarray(STARTS[:4])
-    one_by_one = [wj.stride(make(key), x) for key, x in zip(keys, xs, strict=True)]
-    mapped = jax.vmap(wj.stride, in_axes=(0, 0))(walkers, xs)
-    for ends in (mapped, wj.strides(walkers, xs)):
+    check_population(eqx.filter_vmap(make)(keys), list(map(make, keys)), monkeypatch)
+
+
+def check_population(population, members, monkeypatch):
+    """Strides and their derivatives are those of the members, side by side and one by one."""
+    xs = jnp.asarray(STARTS[: len(members)])
+    one_by_one = [wj.strides(one, x[None]) for one, x in zip(members, xs, strict=True)]
+    mapped = jax.vmap(wj.stride, in_axes=(0, 0))(population, xs)
+    for ends in (mapped, wj.strides(population, xs)):
         for i, name in enumerate(ends._fields):
-            expected = np.stack([one[i] for one in one_by_one])
+            expected = np.concatenate([one[i] for one in one_by_one])
             np.testing.assert_array_equal(getattr(ends, name), expected)
-    every = lambda walkers: jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None))(walkers, xs)
-    several = every(walkers)
-    np.testing.assert_array_equal(several.state[2], wj.strides(select(walkers, 2), xs).state)
-    total = lambda walkers: every(walkers).time.sum()
-    expected = jax.grad(total)(walkers)
-    monkeypatch.setattr(primitive, "MOST_COPIED", 0)  # one network after the other
-    np.testing.assert_array_equal(every(walkers).state, several.state)
-    for one, other in zip(*map(jax.tree.leaves, (jax.grad(total)(walkers), expected)), strict=True):
+    every = lambda systems: jax.vmap(jax.vmap(wj.stride, (None, 0)), (0, None))(systems, xs)
+    several = every(population)
+    np.testing.assert_array_equal(several.state[2], wj.strides(select(population, 2), xs).state)
+    real, exact = eqx.partition(population, eqx.is_inexact_array_like)
+
+    def total(real):
+        found = every(eqx.combine(real, exact))
+        return found.state.sum() + found.time.sum()
+
+    expected = jax.grad(total)(real)
+    monkeypatch.setattr(primitive, "MOST_COPIED", 0)  # one member after the other
+    np.testing.assert_array_equal(every(population).state, several.state)
+    for one, other in zip(*map(jax.tree.leaves, (jax.grad(total)(real), expected)), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-13)
 
 
