@@ -136,7 +136,7 @@ def fit(
     data = make_data(
         systems[0], each, steps, names, (first, strike_noise), bounds, priors, tolerance
     )
-    begun = first_unknowns(systems[0], layout, columns, data, starts)
+    begun = first_unknowns(systems[0], layout, of_state, data, starts)
     problem = Problem(systems, layout, columns, data, given, begun)
     return fit_of(problem, *search(problem), bootstrap, seed)
 
@@ -274,14 +274,14 @@ def bounds_of(
 def first_unknowns(
     system: HybridSystem,
     layout: Layout,
-    columns: Sequence[str],
+    of_state: Sequence[str],
     data: Data,
     starts: Any,
 ) -> Unknowns:
     """Return where the search begins; a step that fails from its own guess has a typical one."""
     size, steps = len(system.section), data.steps
     if starts is None:
-        guesses = first_starts(system, columns, steps)
+        guesses = first_starts(system, of_state, layout.places, steps)
     else:
         guesses = numbers("starts", starts)
         if guesses.shape not in ((size,), (len(steps.run), size)):

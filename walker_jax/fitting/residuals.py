@@ -233,6 +233,6 @@ def predicted(
 def all_residuals(layout: Layout, unknowns: Unknowns, data: Data) -> Float[Array, " numbers"]:
     """Return a residual for each number, as other programs search with; none is compressed."""
     motion, values = predicted(layout, unknowns, data)
-    off = jnp.where(data.steps.known, (values - data.steps.values) / data.noise, 0)
+    off = jnp.where(data.steps.known, (values - data.steps.values) / data.noise[None, None], 0)
     others = strike_residuals(layout, motion, data), prior(motion, data)
     return jnp.concatenate([standardise(layout.loss, off).reshape(-1), *others])

@@ -21,10 +21,10 @@ from walker_jax.fitting.residuals import (
     step_residuals,
 )
 
-TOLERANCE = 1e-3
-"""Last change of the unknowns, in their standard deviations with all others fixed. The next one,
-which is not made, would be a hundredth or so; rounding errors leave some 1e-5."""
-FIRST_TOLERANCE = 30.0
+TOLERANCE = 1e-7
+"""Last change of any residual, in standard deviations of its noise. Unknowns change last by some
+1e-5 of theirs then, which is what rounding errors leave."""
+FIRST_TOLERANCE = 3.0
 """The same for steps that are fitted apart, whose result is a first guess."""
 FIRST_DAMPING = 1e-8
 """Damping that a search begins with, over the squared length of each column of the Jacobian: next
@@ -78,7 +78,7 @@ def solve(layout: Layout, begun: Unknowns, data: Data) -> Solved:
     lengths = jnp.linalg.norm(slopes, axis=0)
     scale = FIRST_DAMPING**0.5 * jnp.where(lengths > 0, lengths, 1)
     place = lambda z: unflatten(flat + z / scale)
-    tolerance: Any = FIRST_DAMPING**0.5 * jnp.where(data.apart, FIRST_TOLERANCE, TOLERANCE)
+    tolerance: Any = jnp.where(data.apart, FIRST_TOLERANCE, TOLERANCE)
     method = optx.LevenbergMarquardt(ROUNDING, tolerance, linear_solver=lx.Normal(lx.Cholesky()))
     found = optx.least_squares(
         lambda z, _: residuals(layout, place(z), data),
@@ -95,7 +95,7 @@ def solve(layout: Layout, begun: Unknowns, data: Data) -> Solved:
         jnp.sum(last.residual**2),
         found.result == optx.RESULTS.successful,
         found.stats["num_steps"],
-        last.jac.as_matrix() * scale,
+        last.jac.as_matrix() * scale[None],
     )
 
 

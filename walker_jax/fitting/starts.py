@@ -37,27 +37,28 @@ def names_of_state(system: HybridSystem) -> tuple[str, ...]:
 
 def values_at_start(steps: Steps) -> Float[np.ndarray, "2 steps columns"]:
     """Return each column's value and rate at the start of each step, by least squares."""
-    count, _, width = steps.values.shape
-    found = np.full((2, count, width), np.nan)
-    for i in range(count):
-        after = steps.times[i] - steps.begins[i]
-        for k in range(width):
-            known = np.flatnonzero(steps.known[i, :, k])
-            near = known[after[known] <= SHARE * (steps.ends[i] - steps.begins[i])]
-            near = near if len(near) >= FEWEST else known[:FEWEST]
-            degree = 2 if len(near) >= FEWEST else 1
-            powers = after[near][:, None] ** np.arange(degree + 1)
-            found[:, i, k] = np.linalg.lstsq(powers, steps.values[i, near, k], rcond=None)[0][:2]
-    return found
+    shares = (steps.times - steps.begins[:, None]) / (steps.ends - steps.begins)[:, None]
+    near = steps.known & (shares <= SHARE)[..., None]
+    first = steps.known & (steps.known.cumsum(axis=1) <= FEWEST)
+    used = np.where(near.sum(axis=1, keepdims=True) >= FEWEST, near, first)
+    powers = np.where(used, shares[..., None], 0)[..., None] ** np.arange(3) * used[..., None]
+    powers[..., 2] *= used.sum(axis=1, keepdims=True) >= FEWEST
+    solved = np.linalg.pinv(powers.transpose(0, 2, 1, 3))  # steps, columns, powers, samples
+    values = np.where(used, steps.values, 0).transpose(0, 2, 1)
+    value, rate, _ = np.moveaxis(np.einsum("skpt,skt->skp", solved, values), -1, 0)
+    return np.stack([value, rate / (steps.ends - steps.begins)[:, None]])
 
 
 def first_starts(
-    system: HybridSystem, columns: Sequence[str], steps: Steps
+    system: HybridSystem, of_state: Sequence[str], places: tuple[int, ...], steps: Steps
 ) -> Float[np.ndarray, "steps section"]:
-    """Guess starts on the section: columns and their rates are nearest to the recorded ones."""
+    """Guess starts on the section: columns and their rates are nearest to the recorded ones.
+
+    `of_state` names the coordinates of a state, and `places` are those that were recorded.
+    """
     values, rates = values_at_start(steps)
-    check_columns(system, columns, values)
-    places = tuple(map(names_of_state(system).index, columns))
+    columns = [of_state[place] for place in places]
+    check_columns(system, of_state, columns, values)
     aims = np.concatenate([values, rates], axis=1)
     starts, ranks = map(np.asarray, points_of_section(places, system, jnp.asarray(aims)))
     if ranks.max() < len(system.section):
@@ -92,10 +93,13 @@ def points_of_section(
 
 
 def check_columns(
-    system: HybridSystem, columns: Sequence[str], values: Float[np.ndarray, "steps columns"]
+    system: HybridSystem,
+    of_state: Sequence[str],
+    columns: Sequence[str],
+    values: Float[np.ndarray, "steps columns"],
 ) -> None:
     """Raise `WrongUse` where two columns, swapped, are on the section and as named are not."""
-    names, section = names_of_state(system), system.section
+    section = system.section
     if not {name for name in section if not name.endswith("dot")} <= {*columns}:
         return
     lift = jax.vmap(lambda x: jnp.stack(jax.tree.leaves(system.launch(x))))
@@ -103,7 +107,7 @@ def check_columns(
     def off(order: Sequence[str]) -> float:
         known = dict(zip(order, values.T, strict=True))
         x = np.stack([known.get(name, np.zeros(len(values))) for name in section], axis=1)
-        state = dict(zip(names, np.asarray(lift(jnp.asarray(x))).T, strict=True))
+        state = dict(zip(of_state, np.asarray(lift(jnp.asarray(x))).T, strict=True))
         places = [name for name in order if not name.endswith("dot")]
         apart = [state[name] - known[name] for name in places]
         size = [known[name] for name in places]
