@@ -79,6 +79,17 @@ class FunctionByCode:
         return hash(self.state)
 
 
+class Description(tuple):
+    """A description, which computes its hash once: JAX asks for it at each operation of a trace."""
+
+    @functools.cached_property
+    def known_hash(self) -> int:
+        return super().__hash__()
+
+    def __hash__(self) -> int:
+        return self.known_hash
+
+
 class Describer:
     """Describes code so that, within a process, equal descriptions mean the same code."""
 
@@ -90,10 +101,11 @@ class Describer:
         """Objects with their own description; keeping them keeps their ids from being reused."""
         self.numbers: dict[int, int] = {}
 
-    def describe(self, *values: Any) -> tuple[Hashable, ...]:
+    def describe(self, *values: Any) -> Description:
         """Describe values, and then every object that these refer to, once each."""
         words = tuple(map(self.words, values))
-        return words, *map(self.describe_found, self.found)  # the list grows meanwhile
+        # The list grows meanwhile.
+        return Description((words, *map(self.describe_found, self.found)))
 
     def words(self, value: Any) -> Hashable:
         """Return a hashable form of a plain value or array, or the number of a description."""

@@ -37,6 +37,7 @@ from walker_jax.identity import (
     PACKAGE,
     USED,
     Describer,
+    Description,
     FunctionByCode,
     home_of,
     is_known_module,
@@ -53,6 +54,8 @@ OPTIONS = (
     *("jax_threefry_partitionable", "jax_use_direct_linearize", "jax_debug_nans"),
 )
 """Settings of JAX on which a trace may depend, besides those of `program.MODES`."""
+MOST_SHARED = 256
+"""Descriptions of user code that are kept to be shared."""
 code_of_program = jax.make_user_context(None)
 """State of the user code in the program that is being traced (`user_code_states`)."""
 
@@ -133,7 +136,13 @@ def user_code_states(function: Callable, structure: Any) -> tuple[Hashable, ...]
     functions = (function,) if any(map(describer.opens, definitions)) else ()
     held = *classes_of(structure), *static_functions(structure)
     own = *functions, *filter(describer.opens, held)
-    return Describer().describe(*own) if own else ()
+    return shared(Describer().describe(*own)) if own else ()
+
+
+@functools.lru_cache(MOST_SHARED)
+def shared(states: Description) -> Description:
+    """Return one object for all equal descriptions, which then need no comparison."""
+    return states
 
 
 @functools.lru_cache(MOST)
