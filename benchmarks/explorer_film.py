@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 
-SIZE: ViewportSize = {"width": 1200, "height": 680}
+SIZE: ViewportSize = {"width": 1200, "height": 720}
 WIDTH = 900
 """Pixels of the film."""
 COLOURS = 208
