@@ -172,7 +172,8 @@ def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     image = ax.pcolormesh(*places, np.ma.masked_less(sums.T, least), **look)
     mean, error = float(data["mean_strides"]), 1.96 * float(data["mean_strides_error"])
     bar = figure_of(ax).colorbar(image, ax=ax, label="chance of each pixel")
-    note = f"a fall after {with_error(mean, error)} strides on average"
+    number = with_error(mean, error) if mean < 1e6 else f"{mean:.3g} ± {error:.2g}"
+    note = f"a fall after {number} strides on average"
     return finish(ax, style, walker_title(data), note, x="theta", y="sum", beside=[bar.ax])
 
 
