@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 
-SIZE: ViewportSize = {"width": 1200, "height": 680}
+SIZE: ViewportSize = {"width": 1200, "height": 720}
 WIDTH = 900
 """Pixels of the film."""
 COLOURS = 208
@@ -76,6 +76,8 @@ def film(page: Page) -> list[Image.Image]:
     at = page.evaluate("([x, y]) => explorer.map.toScreen(...explorer.map.places([x, y]))", START)
     where = page.locator("#map").bounding_box()
     assert where is not None
+    while page.locator("#fact-multipliers").text_content() == "…":
+        page.wait_for_timeout(100)
     page.mouse.click(where["x"] + at[0], where["y"] + at[1])
     while not page.evaluate("explorer.walk.strides.length"):
         page.wait_for_timeout(20)

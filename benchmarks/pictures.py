@@ -43,7 +43,8 @@ COMMANDS = {
     "modes.png": f'python -c "import walker_jax as wj; from walker_jax import figures; {BIPED}"',
     "rough.gif": "python $BENCHMARKS/rough_film.py rough.gif",
     "knees.png": "python $BENCHMARKS/knees.py knees",
-    "predictors.png": "python $BENCHMARKS/predictors.py",
+    "predictors.png": "python $BENCHMARKS/predictors.py measure && "
+    "python $BENCHMARKS/predictors.py compare",
     "space.png": "python $BENCHMARKS/space.py --picture space.png",
     "scaling.png": "python $BENCHMARKS/scaling.py --printed --figure scaling.png",
     "capturability.png": "python $BENCHMARKS/viability.py --picture capturability.png",

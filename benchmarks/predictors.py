@@ -29,7 +29,7 @@ from scipy.stats import pearsonr, qmc, spearmanr
 import walker_jax as wj
 from walker_jax.gaits.search import search_gait
 from walker_jax.stability.slices import default_region
-from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walkers.parameters import parameters, with_parameter
 
 SLOPE = 0.009
 REGION = wj.Grid.sheared(theta=(0, np.pi / 4, 100), sum=(-0.3, 0.3, 240))
@@ -184,6 +184,7 @@ def draw(rows: list[dict], path: Path) -> None:
             axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter(NullFormatter())
+        ax.tick_params(axis="x", labelsize="small")
         ax.grid(alpha=0.3)
     for ax in list(figure.axes)[::3]:
         ax.set_ylabel("roughness borne (leg lengths)")
@@ -219,13 +220,14 @@ def optimised(walker: wj.Walker, bounds: dict, objective: str) -> wj.Walker:
 
 def report(name: str, walker: wj.Walker) -> None:
     gait = wj.find_gait(walker)
+    names = [one.name for one in parameters(walker)]
     area = wj.measure(walker, "area", (), grid=REGION, levels=2)
     cost = wj.measure(walker, "cost-of-transport", (), gait).value
     print(
         json.dumps(
             {
                 "walker": name,
-                "parameters": {key: round(float(value), 6) for key, value in vars(walker).items()},
+                "parameters": {one: round(float(getattr(walker, one)), 6) for one in names},
                 "area": area.value,
                 "area_error": area.value_error,
                 "norm": float(wj.gait_sensitivity(walker, gait).norm),

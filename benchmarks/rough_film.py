@@ -1,7 +1,7 @@
 """How do a trained walker and an untrained one walk on the same rough ground? A film.
 
 Both have a hip spring of stiffness 1 at slope 0.009. The trained one sets the spring's slack angle
-at each heel strike, with the gains that benchmarks/predictors.py finds for the sensitivity norm.
+at each heel strike, with gains near those that benchmarks/predictors.py finds for the norm.
 Neither spends energy on it. The steps of the ground are normally distributed. On such ground 300
 walks last 3.9 (3.7 to 4.1) and 16.4 (14.7 to 18.2) strides on average. Of the first twelve seeds,
 the film has the one on which both walkers come nearest to these means.

@@ -226,7 +226,7 @@ def main() -> None:
     lives = tell_lives(starts, crisis)
     law, predicted = tell_laws(lives, crisis)
     if args.pictures is not None:
-        openings = {"second fold": second, "third, before": third}
+        openings = {"second fold": second, "third leaf": third}
         ax = figures.crisis_law(lives[0], lives[1], lives[2], law, predicted, openings)
         figure_of(ax).savefig(args.pictures / "crisis.png", dpi=80)
         before = visits(0.01904, many)

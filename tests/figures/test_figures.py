@@ -268,7 +268,9 @@ def test_cells_of_metastable_walking_are_drawn_whole():
     corners = np.asarray(mesh.get_coordinates())
     np.testing.assert_allclose(corners[0, 0, 0], 0.19, rtol=0, atol=0.002)
     np.testing.assert_allclose(corners[0, -1, 0], 0.23, rtol=0, atol=0.002)
-    assert "100 ± 2" in ax.texts[0].get_text()
+    assert "100.0 ± 2.0" in ax.texts[0].get_text()
+    rare = metastable().assign(mean_strides=3.91e12, mean_strides_error=1e11)
+    assert "after 3.91e+12 ± 2e+11 strides" in figures.metastability(rare).texts[0].get_text()
 
 
 # Pictures on axes that are given.

@@ -24,7 +24,7 @@ from walker_jax.figures.layout import (
     new_figure,
 )
 from walker_jax.figures.style import BASINS, INK, OTHERS, failure_words
-from walker_jax.figures.text import walker_title
+from walker_jax.figures.text import walker_title, with_error
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.escapes import CrisisLaw, Transients
 from walker_jax.stability.probable_falls import ProbableFall
@@ -172,7 +172,8 @@ def metastability(data: xr.Dataset, ax: Axes | None = None, **style: Unpack[Styl
     image = ax.pcolormesh(*places, np.ma.masked_less(sums.T, least), **look)
     mean, error = float(data["mean_strides"]), 1.96 * float(data["mean_strides_error"])
     bar = figure_of(ax).colorbar(image, ax=ax, label="chance of each pixel")
-    note = f"a fall after {mean:,.4g} ± {error:,.2g} strides on average"
+    number = with_error(mean, error) if mean < 1e6 else f"{mean:.3g} ± {error:.2g}"
+    note = f"a fall after {number} strides on average"
     return finish(ax, style, walker_title(data), note, x="theta", y="sum", beside=[bar.ax])
 
 
