@@ -15,8 +15,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.execution.tiles import map_cells
-
 APART = 4.0
 """Typical distances between the points of a cloud, beyond which a walk is not on its motion. Two
 walks on one motion are about one such distance apart."""
@@ -62,9 +60,17 @@ def compare_clouds(points: Sequence[Points]) -> tuple[Clouds, Float[Any, "clouds
 def two_nearest(
     clouds: Float[Any, "points clouds section"], x: Float[Any, "n section"]
 ) -> tuple[Float[Any, "n clouds"], Float[Any, "n clouds"]]:
-    """Return the distances of states from the nearest point of each cloud, and from the second."""
+    """Return the distances of states from the nearest point of each cloud, and from the second.
+
+    A state with NaN has none.
+    """
     if isinstance(x, np.ndarray):
-        return map_cells(two_nearest_to, (clouds, x))
+        from scipy.spatial import KDTree  # which only motions without a period need
+
+        found, known = np.full((2, len(x), clouds.shape[1]), np.nan), np.isfinite(x).all(axis=1)
+        for i, cloud in enumerate(np.moveaxis(clouds, 1, 0)):
+            found[:, known, i] = KDTree(cloud).query(x[known], k=2)[0].T
+        return found[0], found[1]
     return jax.vmap(partial(two_nearest_to, clouds))(x)
 
 
