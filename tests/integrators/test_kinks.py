@@ -455,12 +455,12 @@ def test_a_step_is_cut_at_the_first_kink_of_a_layer():
     units = lambda series, count: [[c[i] for c in series] for i in range(count)]
     length, behind = jnp.asarray(2.0), jnp.asarray(1e-12)
     for count in (17, 40):
+        of_all = jax.jit(jax.value_and_grad(lambda s: cut_at_switches([s], length, behind)))
+        of_each = jax.jit(
+            jax.value_and_grad(lambda s, n=count: cut_at_switches(units(s, n), length, behind))
+        )
         for start in (1.0, 30.0):  # many zeros, and none
             some = [c[:count] + (start if k == 0 else 0) for k, c in enumerate(series)]
-            of_all = jax.value_and_grad(lambda s: cut_at_switches([s], length, behind))
-            of_each = jax.value_and_grad(
-                lambda s, n=count: cut_at_switches(units(s, n), length, behind)
-            )
             (found, slopes), (expected, others) = of_all(some), of_each(some)
             np.testing.assert_allclose(found, expected, rtol=1e-11)
             np.testing.assert_allclose(slopes, others, rtol=1e-7, atol=1e-9)
