@@ -12,6 +12,7 @@ from walker_jax.integrators.integrator import integrator_of
 from walker_jax.kernels import transposes
 from walker_jax.stability.disturbed_falls import pull_walks
 from walker_jax.systems.trees import in_dtype
+from walker_jax.walkers.choices import numbers_chosen
 from walker_jax.walking.disturbed import follow_disturbed_walk
 
 
@@ -64,6 +65,9 @@ def test_the_action_changes_with_all_weights_of_a_network(strides):
     )
     found = wj.measure(walker, "fall-action", lambda one: one.policy, **how)
     assert found.gradient.shape == weights.shape
+    names = numbers_chosen(walker, lambda one: one.policy)
+    some = wj.measure(walker, "fall-action", names[3:5], **how)
+    np.testing.assert_allclose(some.gradient, found.gradient[3:5], rtol=1e-8)
     by = (8 * (action(1e-3) - action(-1e-3)) - action(2e-3) + action(-2e-3)) / 12e-3
     assert by / found.value == pytest.approx(found.gradient @ towards / found.value, rel=1e-4)
     assert abs(by) > 0.01 * found.value
