@@ -106,7 +106,7 @@ def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     client = NotebookClient(
         notebook,
         km=kernel,
-        timeout=300,  # seconds for a cell: the slowest takes ten
+        timeout=600,  # seconds for a cell: the slowest, of networks, compiles for minutes
     )
     try:
         client.execute()

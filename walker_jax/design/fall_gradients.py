@@ -21,7 +21,7 @@ from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.disturbed_falls import pull_walks
 from walker_jax.stability.probable_falls import most_probable_fall
 from walker_jax.systems.trees import in_dtype
-from walker_jax.walkers.choices import Choice, numbers_chosen, values_of
+from walker_jax.walkers.choices import Choice, leaves_with, numbers_chosen, values_of
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance
 from walker_jax.walking.pulling import pull_back
@@ -63,7 +63,8 @@ def fall_gradient(
     def pull(rows: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return derivatives of walks from the gait, by numbers, start and disturbances."""
         start = jnp.stack(same.lift(x))
-        by_walker, by_state, by_rows = pull_walks(same, start, rows, change, integrator)
+        given = same, start, rows, change, integrator
+        by_walker, by_state, by_rows = pull_walks(*given, leaves=leaves_with(names, same))
         more, by_x = jax.vmap(lambda by: pull_back(lift, same, x, by))(by_state)
         by_numbers = values_of(by_walker, names) + values_of(more, names)
         return by_numbers, *map(np.asarray, (by_x, by_rows))

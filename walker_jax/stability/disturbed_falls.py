@@ -16,7 +16,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import Outcome, Stride
-from walker_jax.systems.trees import in_dtype
+from walker_jax.systems.trees import in_dtype, names_in_tree
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walking.disturbed import (
     Disturbance,
@@ -108,7 +108,7 @@ class DisturbedWalks(NamedTuple):
         for first in range(0, len(rows), PULLED_BACK):
             batch = np.minimum(np.arange(first, first + PULLED_BACK), len(rows) - 1)
             given = walker, self.start, rows[batch], change[batch], integrator
-            slopes[batch] = pull_walks(*given, by_walker=False)[-1]
+            slopes[batch] = pull_walks(*given)[-1]
         return slopes
 
 
@@ -135,7 +135,7 @@ def walk_disturbed_on(
     return scan_strides(step, start, limit, stop)[0]
 
 
-@partial(jax.jit, static_argnames="by_walker")
+@partial(jax.jit, static_argnames="leaves")
 def pull_walks(
     walker: Walker,
     start: Float[Array, " full"],
@@ -143,12 +143,13 @@ def pull_walks(
     change: Float[Array, "n section"],
     integrator: Integrator,
     *,
-    by_walker: bool = True,
+    leaves: tuple[str, ...] = (),
 ) -> tuple[Any, Float[Array, "n full"], Float[Array, "n strides 3"]]:
-    """Compute derivatives of n walks' margins by the walker, their start and the disturbances.
+    """Compute derivatives of n walks' margins by leaves, their start and the disturbances.
 
     The margin is that of the failing stride. If no stride fails, the derivative `change` by the
-    last state on the section is given. Those by the walker are None unless asked for.
+    last state on the section is given. Those by the walker are in the leaves of these names; its
+    other leaves keep their values.
     """
 
     def margin(walker: Walker, start: Any, rows: Any, change: Float[Array, " section"]) -> Scalar:
@@ -165,12 +166,12 @@ def pull_walks(
         later = walker.project(walker.state(*end.state[0])) @ change
         return jnp.where(end.outcome == Outcome.STRIDE, later, margins[end.strides])
 
-    real, exact = eqx.partition(walker, eqx.is_inexact_array)
-    own, fixed = (real, exact) if by_walker else (None, walker)
+    named = jax.tree.structure(walker).unflatten(one in leaves for one in names_in_tree(walker))
+    own, fixed = eqx.partition(walker, named)
 
     def pull(rows: Float[Array, "strides 3"], change: Float[Array, " section"]) -> tuple:
         number = lambda own, start, rows: margin(eqx.combine(own, fixed), start, rows, change)
         return jax.grad(number, (0, 1, 2))(own, start, rows)
 
     by_own, by_start, by_rows = jax.vmap(pull)(rows, change)
-    return eqx.combine(by_own, exact) if by_walker else None, by_start, by_rows
+    return eqx.combine(by_own, fixed), by_start, by_rows

@@ -3,7 +3,7 @@
 A choice is the tuple of the names of its numbers, `slope` or `policy.layers[0].weight[1, 0]`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import Any
 
 import jax
@@ -80,8 +80,17 @@ def entry_name(leaf: str, place: tuple[int, ...]) -> str:
 def values_of(tree: System, names: Sequence[str]) -> Float[np.ndarray, "*many numbers"]:
     """Return the numbers of a choice: of a walker, or of derivatives by it, with their axes."""
     leaves = {name: np.asarray(leaf) for name, leaf in leaves_of(tree).items()}
-    columns = []
-    for name in names:
-        leaf, entry = (name, ()) if name in leaves else parse_entry(name)
-        columns.append(leaves[leaf][(..., *entry)])
+    places = [place_in(leaves, name) for name in names]
+    columns = [leaves[leaf][(..., *entry)] for leaf, entry in places]
     return np.stack(columns, axis=-1) if columns else np.zeros(0)
+
+
+def leaves_with(names: Sequence[str], walker: System) -> tuple[str, ...]:
+    """Return the names of the leaves that hold the numbers of a choice."""
+    leaves = leaves_of(walker)
+    return tuple(dict.fromkeys(place_in(leaves, name)[0] for name in names))
+
+
+def place_in(leaves: Container[str], name: str) -> tuple[str, tuple[int, ...]]:
+    """Return the leaf of a number, and the number's place in it."""
+    return (name, ()) if name in leaves else parse_entry(name)
