@@ -219,7 +219,7 @@ def begin_following(
     start = jax.tree.map(lambda x: x + nothing, start)
     memory, quiet = method.begin(start), jnp.asarray(True)
     first = Step(start, start, zero, zero, below, below, known, quiet, memory)
-    return mode, Unfinished(first, start, zero, guard, jnp.asarray(0), violated, misses)
+    return mode, Unfinished(first, start, zero, guard, jnp.asarray(0, int), violated, misses)
 
 
 def follow_measured(mode: Mode, method: Method, now: Unfinished) -> tuple[Unfinished, StepRecord]:
