@@ -89,6 +89,9 @@ class Description(tuple):
     def __hash__(self) -> int:
         return self.known_hash
 
+    def __reduce__(self):
+        return Description, (tuple(self),)  # without the hash, which is of this process
+
 
 class Describer:
     """Describes code so that, within a process, equal descriptions mean the same code."""

@@ -6,7 +6,13 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.basins.matching import match_clouds
-from walker_jax.basins.motions import clouds_of, distinct_motions, is_same_motion, nearest_motion
+from walker_jax.basins.motions import (
+    clouds_of,
+    distinct_motions,
+    is_same_motion,
+    nearest_motion,
+    two_nearest,
+)
 from walker_jax.walkers.parameters import with_parameter
 
 CUBIC = wj.Map(
@@ -174,3 +180,15 @@ def test_attractors_on_either_border_of_a_grid_count():
         data = wj.basin(three, grid, method)
         np.testing.assert_array_equal(data.states.values[:, 0], [[-2, 2], [0, 2], [2, 2]])
         np.testing.assert_allclose(data.area.values / 16, [0.25, 0.5, 0.25], rtol=1e-15)
+
+
+def test_nearest_points_on_the_host_are_those_in_a_program():
+    """With a point that is twice there, one that is a state, and a state that is not finite."""
+    rng = np.random.default_rng(5)
+    clouds, x = rng.normal(size=(40, 3, 2)), rng.normal(size=(20, 2))
+    clouds[7, 1] = clouds[8, 1]
+    x[0], x[1, 0] = clouds[3, 2], np.nan
+    expected = two_nearest(jnp.asarray(clouds), jnp.asarray(x))
+    for one, other in zip(two_nearest(clouds, x), expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+    assert np.isnan(expected[0][1]).all() and expected[0][0, 2] == 0 < expected[1][0, 2]

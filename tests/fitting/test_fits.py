@@ -16,6 +16,8 @@ from walker_jax.fitting import fits
 from walker_jax.fitting.bounds import Bounds, from_free, slopes, to_free
 from walker_jax.fitting.residuals import all_residuals, standardise
 from walker_jax.fitting.solving import Solved
+from walker_jax.fitting.starts import FEWEST, SHARE, values_at_start
+from walker_jax.fitting.steps import Steps
 from walker_jax.fitting.uncertainty import covariance_and_directions, information
 
 NOISE = 1e-3
@@ -313,3 +315,24 @@ def test_recordings_with_a_wrong_sign_are_told():
     back = one._replace(values={name: -values for name, values in one.values.items()})
     with pytest.raises(ValueError, match="none walks from its recorded start, such as"):
         wj.fit(wj.SimplestWalker(0.009), back, "slope")
+
+
+def test_first_values_and_rates_are_those_of_least_squares():
+    """A quadratic over the first quarter of a step; over few samples a straight line."""
+    rng, late = np.random.default_rng(2), 0.3
+    times = late + np.sort(rng.uniform(0, 2, (3, 32)), axis=1)
+    values, known = rng.normal(size=(3, 32, 2)), np.ones((3, 32, 2), bool)
+    known[1, 2:, 0] = False  # two samples
+    known[2, ::2] = False
+    whole, begins = np.zeros(3, int), np.full(3, late)
+    ends = begins + 2
+    steps = Steps(
+        times, np.where(known, values, 0), known, begins, ends, whole, whole, whole, whole
+    )
+    found = values_at_start(steps)
+    for step, column in np.ndindex(3, 2):
+        at = times[step, known[step, :, column]] - late
+        near = max(np.sum(at <= SHARE * 2), min(FEWEST, len(at)))
+        of = values[step, known[step, :, column], column][:near]
+        expected = np.polynomial.polynomial.polyfit(at[:near], of, 2 if near >= FEWEST else 1)
+        np.testing.assert_allclose(found[:, step, column], expected[:2], rtol=1e-9)

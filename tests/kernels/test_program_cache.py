@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +18,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.identity import Cache
+from walker_jax.identity import Cache, Description
 from walker_jax.integrators import integrator, roots, taylor
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_steps import Taylor
@@ -213,3 +214,21 @@ def test_wrong_use_is_still_refused(folder):
     as_of_another_process()
     with pytest.raises(WrongUse, match="x must have shape"):
         as_of_another_process(x=np.zeros(7))
+
+
+def test_descriptions_of_user_code_are_hashed_once_and_shared():
+    """JAX hashes the context of a trace, and compares it, at each operation."""
+    asked = []
+
+    class Part(str):
+        def __hash__(self):
+            asked.append(self)
+            return super().__hash__()
+
+    described = Description((Part("code"),))
+    assert hash(described) == hash(described) == hash(("code",)) and len(asked) == 1
+    kept = Description(("code",))
+    assert hash(kept) and not vars(pickle.loads(pickle.dumps(kept)))
+    make = lambda: lambda x: 2 * x
+    one, other = (program_cache.user_code_states(make(), jax.tree.structure(1.0)) for _ in range(2))
+    assert one is other and len(one) > 1

@@ -62,7 +62,7 @@ def two_nearest(
 ) -> tuple[Float[Any, "n clouds"], Float[Any, "n clouds"]]:
     """Return the distances of states from the nearest point of each cloud, and from the second.
 
-    A state with NaN has none.
+    A state that is not finite has none.
     """
     if isinstance(x, np.ndarray):
         from scipy.spatial import KDTree  # which only motions without a period need

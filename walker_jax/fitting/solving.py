@@ -22,8 +22,8 @@ from walker_jax.fitting.residuals import (
 )
 
 TOLERANCE = 1e-7
-"""Last change of any residual, in standard deviations of its noise. Unknowns change last by some
-1e-5 of theirs then, which is what rounding errors leave."""
+"""Last change of any residual, in standard deviations of its noise. Unknowns change last by less
+than a thousandth of theirs, mostly by some 1e-5, which is what rounding errors leave."""
 FIRST_TOLERANCE = 3.0
 """The same for steps that are fitted apart, whose result is a first guess."""
 FIRST_DAMPING = 1e-8

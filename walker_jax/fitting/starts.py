@@ -43,9 +43,10 @@ def values_at_start(steps: Steps) -> Float[np.ndarray, "2 steps columns"]:
     used = np.where(near.sum(axis=1, keepdims=True) >= FEWEST, near, first)
     powers = np.where(used, shares[..., None], 0)[..., None] ** np.arange(3) * used[..., None]
     powers[..., 2] *= used.sum(axis=1, keepdims=True) >= FEWEST
-    solved = np.linalg.pinv(powers.transpose(0, 2, 1, 3))  # steps, columns, powers, samples
-    values = np.where(used, steps.values, 0).transpose(0, 2, 1)
-    value, rate, _ = np.moveaxis(np.einsum("skpt,skt->skp", solved, values), -1, 0)
+    products = np.einsum("stkp,stkq->skpq", powers, powers)
+    moments = np.einsum("stkp,stk->skp", powers, np.where(used, steps.values, 0))
+    inverse = np.linalg.pinv(products, rcond=1e-12, hermitian=True)
+    value, rate, _ = np.moveaxis(np.einsum("skpq,skq->skp", inverse, moments), -1, 0)
     return np.stack([value, rate / (steps.ends - steps.begins)[:, None]])
 
 
