@@ -170,7 +170,7 @@ def compress(found: Predicted) -> Predicted:
     """Turn residuals by a rotation after which only the first few, and their slopes, are not zero.
 
     Sums of squares, and their derivatives, are the same: a step counts for no more rows than it has
-    variables, and one.
+    variables, and one, which has no slopes.
     """
     both = jnp.concatenate([found.jacobian, found.values[:, None]], axis=1)
     triangle = jnp.linalg.qr(both, mode="r")
@@ -182,7 +182,7 @@ def residuals(
 ) -> tuple[Float[Array, " residuals"], Motion]:
     """Return residuals whose sum of squares is to be least, and the steps that they are of.
 
-    Those of samples are compressed.
+    Those of samples are compressed; what no variable changes at first order is one for all steps.
     """
     motion = follow_steps(layout, unknowns, data)
     size = unknowns.starts.shape[1]
@@ -196,17 +196,22 @@ def residuals(
 
     steps = data.systems, *data.steps[:3], data.weights  # times, values, known
     samples = linearised(of_samples, variables, steps, (data.noise, data.integrator))
-    others = strike_residuals(layout, motion, data), prior(motion, data)
-    return jnp.concatenate([samples.reshape(-1), *others]), motion
+    samples, rest = jnp.split(samples, (variables.shape[1],), axis=1)
+    rest = lax.stop_gradient(jnp.linalg.norm(rest))
+    others = strike_residuals(layout, motion, data, len(unknowns.begins)), prior(motion, data)
+    return jnp.concatenate([samples.reshape(-1), rest[None], *others]), motion
 
 
-def strike_residuals(layout: Layout, motion: Motion, data: Data) -> Float[Array, " strikes"]:
+def strike_residuals(
+    layout: Layout, motion: Motion, data: Data, runs: int
+) -> Float[Array, " strikes"]:
     """Return the residuals of heel strikes: of ends, and of beginnings of runs."""
     steps, root = data.steps, jnp.sqrt(data.weights)
     ends = standardise(layout.loss, (motion.ends - steps.ends) / data.strike_noise)
     begins = standardise(layout.loss, (motion.begins - steps.begins) / data.strike_noise)
     ends = root * jnp.where(motion.walks, ends, LOST)
-    return jnp.concatenate([ends, jnp.where(steps.is_first, root * begins, 0)])
+    (first,) = jnp.nonzero(steps.is_first, size=runs)
+    return jnp.concatenate([ends, (root * begins)[first]])
 
 
 def prior(motion: Motion, data: Data) -> Float[Array, " parameters"]:
@@ -234,5 +239,5 @@ def all_residuals(layout: Layout, unknowns: Unknowns, data: Data) -> Float[Array
     """Return a residual for each number, as other programs search with; none is compressed."""
     motion, values = predicted(layout, unknowns, data)
     off = jnp.where(data.steps.known, (values - data.steps.values) / data.noise[None, None], 0)
-    others = strike_residuals(layout, motion, data), prior(motion, data)
+    others = strike_residuals(layout, motion, data, len(unknowns.begins)), prior(motion, data)
     return jnp.concatenate([standardise(layout.loss, off).reshape(-1), *others])

@@ -26,7 +26,7 @@ TOLERANCE = 1e-7
 than a thousandth of theirs, mostly by some 1e-5, which is what rounding errors leave."""
 FIRST_TOLERANCE = 3.0
 """The same for steps that are fitted apart, whose result is a first guess."""
-FIRST_DAMPING = 1e-8
+FIRST_DAMPING = 1e-10
 """Damping that a search begins with, over the squared length of each column of the Jacobian: next
 to none, as each step is fitted already."""
 ROUNDING = 1e-11
