@@ -55,8 +55,8 @@ class LLVMEmitter(Unrolling):
         """Vectors by known entry and type; LLVM's library makes the text of each only once."""
         self.tables: dict[tuple[int, int], tuple] = {}
         """By identity of an array and axis: the array, and its tables in memory, if it is known."""
-        self.functions: dict[int, tuple] = {}
-        """By identity of an equation: the equation, and the function that it calls."""
+        self.functions: dict[tuple, ClosedJaxpr] = {}
+        """Functions that primitives call, by primitive, parameters and types of operands."""
         self.alternatives: dict[int, tuple] = {}
         """By identity of an entry that is one of two numbers: the entry, its flag, the numbers."""
         self.store: Any = None
@@ -217,11 +217,11 @@ class LLVMEmitter(Unrolling):
             function = functools.partial(primitive.impl, **params)
         else:
             return None
-        if id(equation) not in self.functions:
-            like = [shape_dtype(variable.aval) for variable in equation.invars]
-            closed = jax.make_jaxpr(function)(*like)
-            self.functions[id(equation)] = equation, closed
-        return self.functions[id(equation)][1]
+        like = [shape_dtype(variable.aval) for variable in equation.invars]
+        key = primitive, *params.items(), *like
+        if key not in self.functions:
+            self.functions[key] = jax.make_jaxpr(function)(*like)
+        return self.functions[key]
 
     def reduce(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         if operands[0].size == 0:
