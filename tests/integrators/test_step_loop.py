@@ -43,3 +43,9 @@ def test_steps_are_differentiated():
     last = lambda x: grow(x, 20.0)[0][0]
     assert jax.jvp(last, (1.5,), (1.0,)) == (1.5 * 27, 27)
     assert jax.jacfwd(jax.jacfwd(lambda x: last(x) ** 2))(1.0) == 2 * 27**2
+
+
+def test_what_follows_from_constants_is_not_traced():
+    """diffrax rounds the last time a hundred times."""
+    traced = str(jax.make_jaxpr(grow)(1.0, 20.0))
+    assert "while" in traced and "nextafter" not in traced
