@@ -73,7 +73,13 @@ ACTIVATIONS = {
 }
 
 
-@pytest.mark.parametrize("name", ACTIVATIONS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(one, marks=[pytest.mark.slow] * (one in ("softplus", "exact GELU")))
+        for one in ACTIVATIONS
+    ],
+)
 def test_strides_and_their_derivatives(name):
     activation, plain = ACTIVATIONS[name]
     system = walker(activation)

@@ -15,7 +15,8 @@ from walker_jax import Outcome
 from walker_jax.integrators.integrator import Method
 from walker_jax.systems.system import code_field
 
-SOLVERS = diffrax.Dopri8(), diffrax.Tsit5(), diffrax.Dopri5()
+SLOW = pytest.mark.slow
+TSIT5, DOPRI8 = diffrax.Tsit5(), diffrax.Dopri8()
 TOLERANCES = 1e-6, 1e-9, 1e-12
 TABLE = 0.5
 """Largest acceleration of the ball's table."""
@@ -95,7 +96,11 @@ def first_landing(start: np.ndarray) -> float:
     return root_scalar(depth, bracket=(times[first], times[first + 1]), xtol=1e-14).root
 
 
-@pytest.mark.parametrize("solver", SOLVERS, ids=repr)
+@pytest.mark.parametrize(
+    "solver",
+    [TSIT5, *(pytest.param(one, marks=SLOW) for one in (DOPRI8, diffrax.Dopri5()))],
+    ids=repr,
+)
 def test_a_ball_lands_when_its_parabola_meets_the_table(solver):
     """The error of a step is zero, so only the sine of the table bounds its length."""
     starts = np.random.default_rng(0).uniform((-3, 1), (3, 4), (400, 2))
@@ -108,7 +113,7 @@ def test_a_ball_lands_when_its_parabola_meets_the_table(solver):
         np.testing.assert_allclose(found.time, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("solver", SOLVERS[:2], ids=repr)
+@pytest.mark.parametrize("solver", [DOPRI8, pytest.param(TSIT5, marks=SLOW)], ids=repr)
 def test_modes_that_begin_on_their_guards_do_not_end_there(solver):
     rng = np.random.default_rng(0)
     starts = rng.uniform((-3, -3), (3, -0.5), (200, 2))
@@ -125,7 +130,7 @@ def test_modes_that_begin_on_their_guards_do_not_end_there(solver):
         np.testing.assert_allclose(alone.state, found.state[i], rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("solver", [None, SOLVERS[1]], ids=repr)
+@pytest.mark.parametrize("solver", [None, TSIT5], ids=repr)
 def test_phases_that_begin_where_the_last_one_ended_go_on(solver):
     """Two strides of two modes are one of four; its third mode begins on its guard to rounding."""
     starts = np.random.default_rng(1).uniform((-3, -3), (3, -0.5), (400, 2))
@@ -137,7 +142,7 @@ def test_phases_that_begin_where_the_last_one_ended_go_on(solver):
     np.testing.assert_allclose(both.time, one.time + other.time, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("solver", SOLVERS[:2], ids=repr)
+@pytest.mark.parametrize("solver", [TSIT5, pytest.param(DOPRI8, marks=SLOW)], ids=repr)
 def test_a_runner_is_decided_as_by_series(solver):
     starts = np.random.default_rng(0).uniform(0.93, 2.27, (400, 1))
     runner = wj.systems.SpringMassRunner()
@@ -158,7 +163,7 @@ def test_short_rises_and_kinks_within_long_steps_are_found():
         expected = np.minimum(first - starts[:, 1], 2 * starts[:, 0])  # or the ball is caught
         assert 10 < (expected < 2 * starts[:, 0]).sum() < 40
         for tolerance in TOLERANCES:
-            found = wj.strides(system, starts, solver=SOLVERS[1], tolerance=tolerance)
+            found = wj.strides(system, starts, solver=TSIT5, tolerance=tolerance)
             np.testing.assert_allclose(found.time, expected, rtol=0, atol=1e-10)
 
 
@@ -169,7 +174,7 @@ def test_conditions_that_turn_often_are_kept():
     negative = np.any(0.995 + np.cos(phases) < 0, axis=1)
     assert 10 < (~negative).sum()
     system = Thrown(condition=lambda s: 0.995 + jnp.cos(5 * s.t))
-    for solver in SOLVERS[1], diffrax.Bosh3():
+    for solver in TSIT5, diffrax.Bosh3():
         for tolerance in 1e-3, 1e-9:
             found = wj.strides(system, starts, solver=solver, tolerance=tolerance)
             np.testing.assert_array_equal(found.outcome == Outcome.RUNNING, negative)
@@ -190,7 +195,7 @@ def test_a_time_that_does_not_converge_is_no_number():
 def test_a_runner_in_single_precision_by_another_solver():
     starts = np.linspace(1.0, 2.2, 60, dtype=np.float32)[:, None]
     series = wj.strides(wj.systems.SpringMassRunner(), starts)
-    found = wj.strides(wj.systems.SpringMassRunner(), starts, solver=SOLVERS[1])
+    found = wj.strides(wj.systems.SpringMassRunner(), starts, solver=TSIT5)
     np.testing.assert_array_equal(found.outcome, series.outcome)
     assert found.state.dtype == np.float32
     np.testing.assert_allclose(found.state, series.state, rtol=0, atol=1e-4)
@@ -199,9 +204,7 @@ def test_a_runner_in_single_precision_by_another_solver():
 def test_derivatives_at_the_landing_by_another_solver():
     """The landing time T of a ball on a table obeys depth(T, x) = 0, which gives dT/dx."""
     phase, speed = start = jnp.array([0.3, 2.5])
-    land = lambda x: (
-        wj.stride(wj.systems.BouncingBall(TABLE), x, solver=SOLVERS[1], tolerance=1e-9).time
-    )
+    land = lambda x: wj.stride(wj.systems.BouncingBall(TABLE), x, solver=TSIT5, tolerance=1e-9).time
     time = first_landing(np.asarray(start))
     rate = TABLE * np.cos(phase + time) - speed + time
     by_start = TABLE * (np.cos(phase + time) - np.cos(phase)), -time
@@ -230,7 +233,7 @@ def test_steps_keep_the_longest_step_and_the_scales_of_a_mode():
             guard = wj.Guard(lambda state: -state[0].y, wj.SECTION)
             return {"flight": wj.Mode(field, (guard,), scales=scales, longest_step=5e-3)}
 
-    found = wj.stride(Pushed(), jnp.array([2.5, 1e-9]), solver=SOLVERS[1], tolerance=1e-8)
+    found = wj.stride(Pushed(), jnp.array([2.5, 1e-9]), solver=TSIT5, tolerance=1e-8)
     # y = 2.5 t - t^2 / 2 + 2 (t - 3) after the push, which is symmetric
     expected = 4.5 + np.sqrt(4.5**2 - 12)
     assert found.time == pytest.approx(expected, abs=1e-6)

@@ -100,16 +100,18 @@ def steered(y):
 
 FIXED_POINTS = [
     (nagumo, [0.8, 0.27], 2.0),
+    (lorenz, [0.0, 0.0, 0.0], 0.3),
+    (damped_pendulum, [0.5, 0.0], 1.0),
+    (slow_manifold, [1.0, 1.0], 0.1),
+    (steered, [0.0, 0.0], 0.5),
+]
+MORE_FIXED_POINTS = [
     (battery, [0.45, 47.5, 47.6], 10.0),
     (lorenz, [8.5, 8.5, 27.0], 0.5),
-    (lorenz, [0.0, 0.0, 0.0], 0.3),
     (rossler, [0.01, -0.03, 0.03], 3.0),
     (brusselator, [1.0, 1.7], 2.0),
     (lotka_volterra, [1.0, 2.0], 3.0),
-    (damped_pendulum, [0.5, 0.0], 1.0),
     (duffing, [1.0, 0.0], 2.0),
-    (slow_manifold, [1.0, 1.0], 0.1),
-    (steered, [0.0, 0.0], 0.5),
 ]
 
 
@@ -125,7 +127,10 @@ class OneVariable(wj.HybridSystem):
         return state.y[None]
 
 
-@pytest.mark.parametrize(("rates", "near", "span"), FIXED_POINTS)
+@pytest.mark.parametrize(
+    ("rates", "near", "span"),
+    FIXED_POINTS + [pytest.param(*one, marks=pytest.mark.slow) for one in MORE_FIXED_POINTS],
+)
 def test_multipliers_of_fixed_points_of_flows(rates, near, span):
     """At an equilibrium the solution is constant, and its derivative is exp(T f')."""
     x = np.asarray(near)

@@ -271,10 +271,10 @@ class WithoutEnergy(Bouncer):
     ("kind", "changes", "doubtful"),
     [
         (Bouncer, (0.8, 1.0), {}),  # an impact takes energy
-        (Bouncer, (1.0, 1.0), {}),
         (Bouncer, (1.5, 1.0), {"fall": "'fall' to 'rise' adds 2.5 to an energy of 2: "}),
         (Bouncer, (1.0, 1.1), {}),  # the section may count heights from another place
         (Motorised, (1.5, 1.1), {}),
+        pytest.param(Bouncer, (1.0, 1.0), {}, marks=pytest.mark.slow),
         pytest.param(WithoutEnergy, (1.5, 1.1), {}, marks=pytest.mark.slow),
     ],
 )
