@@ -14,19 +14,14 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from walker_jax.identity import (
-    MOST,
-    Cache,
-    Describer,
+from walker_jax.identity import MOST, Cache, Describer, hash_of_code, names_used, sha256_of
+from walker_jax.origins import (
     file_of,
-    hash_of_code,
     holds_packages,
     home_of,
     is_known_file,
     is_known_module,
-    names_used,
     root_of,
-    sha256_of,
 )
 
 token_of_process = functools.cache(secrets.token_hex)
@@ -45,6 +40,11 @@ def code_fingerprint(kind: type, parts: tuple = ()) -> str:
         return ""
     described = describer.describe(*describer.bases, *parts)
     return sha256_of([described, sorted(describer.sources.items())])[:16]  # alike once in 2^64
+
+
+def keep_files_of(kind: type) -> None:
+    """Keep the contents of a class's files, which may be edited while the class is in use."""
+    StoreDescriber(kind)
 
 
 class StoreDescriber(Describer):

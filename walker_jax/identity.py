@@ -19,7 +19,6 @@ import contextlib
 import dis
 import functools
 import hashlib
-import os
 import re
 import sys
 import types
@@ -27,21 +26,14 @@ from collections import OrderedDict
 from collections.abc import Hashable
 from contextvars import ContextVar
 from dataclasses import Field
-from importlib.machinery import all_suffixes
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from walker_jax.origins import PACKAGE, home_of, is_own, top_of
 from walker_jax.state_of_objects import DERIVED, has_no_state, state_of
 
-PACKAGE = __name__.partition(".")[0]
-USED = "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy", "llvmlite"
-"""Packages whose version a program depends on."""
-KNOWN = {PACKAGE, *USED, *sys.builtin_module_names, "collections"}
-"""Origins of code that versions identify."""
-FOLDER, STANDARD = Path(__file__).parent, Path(os.__file__).parent
 PLAIN = {str, bytes, bool, int, float, complex, range, slice, type(None), type(...)}
 """Types whose values are identified by their `repr`."""
 LARGEST = 2**16
@@ -59,24 +51,30 @@ class Cache(OrderedDict):
     """A dictionary of this package that saves time alone: no result depends on it."""
 
 
-class FunctionByCode:
+class ComparedBy:
+    """A value that equals another one whose state is equal."""
+
+    def __init__(self, value: Any, state: Hashable):
+        self.value, self.state = value, state
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ComparedBy) and self.state == other.state
+
+    def __hash__(self) -> int:
+        return hash(self.state)
+
+
+class FunctionByCode(ComparedBy):
     """A user's function, equal to another one of the same code that reads the same values.
 
     As a static argument of `jax.jit` it is traced again when the values that it reads have changed.
     """
 
     def __init__(self, function: Any, state: Hashable = None):
-        self.function = function
-        self.state = Describer().describe(function) if state is None else state
+        super().__init__(function, Describer().describe(function) if state is None else state)
 
     def __call__(self, *args):
-        return self.function(*args)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, FunctionByCode) and self.state == other.state
-
-    def __hash__(self) -> int:
-        return hash(self.state)
+        return self.value(*args)
 
 
 class Description(tuple):
@@ -185,7 +183,7 @@ class Describer:
 
     def name(self, definition: Any) -> Hashable:
         """Return the name by which a definition counts; within a process, the object itself."""
-        return FunctionByCode(definition, id(definition))
+        return ComparedBy(definition, id(definition))  # kept, so that no other gets its number
 
     def itself(self, value: Any) -> Hashable:
         """Return the object, or any other that it is equal to, within a process."""
@@ -246,58 +244,3 @@ def names_used(code: types.CodeType, *how: str) -> list[str]:
         names = {one.argval for one in dis.get_instructions(code) if one.opname in how}
     inner = (one for one in code.co_consts if isinstance(one, types.CodeType))
     return sorted(names.union(*(names_used(one, *how) for one in inner)))
-
-
-def home_of(definition: Any) -> types.ModuleType | None:
-    """Return the module of a definition; the package, if a compiled one names modules freely."""
-    if isinstance(definition, types.ModuleType):
-        return definition
-    name = getattr(definition, "__module__", None)
-    if isinstance(definition, types.FunctionType):  # if decorated, it names another module
-        name = definition.__globals__.get("__name__")
-    return sys.modules.get(str(name)) or sys.modules.get(str(name).partition(".")[0])
-
-
-def top_of(home: types.ModuleType | None) -> str:
-    """Return the name of the package that a module is in."""
-    return getattr(home, "__name__", "").partition(".")[0]
-
-
-def file_of(home: types.ModuleType | None) -> Path | None:
-    """Return the file of a module's code, if there is one."""
-    path = Path(str(getattr(home, "__file__", None)))
-    return path if path.name.endswith((*all_suffixes(),)) and path.is_file() else None
-
-
-def root_of(home: types.ModuleType, path: Path) -> Path:
-    """Return the folder that holds a module of this file, or its top package."""
-    spec = getattr(home, "__spec__", None)
-    name = home.__name__ if spec is None else spec.name  # a program's own name is __main__
-    depth = name.count(".") + (path.name == "__init__.py")
-    return path.parents[min(depth, len(path.parents) - 1)]
-
-
-@functools.lru_cache(MOST)
-def is_own(home: types.ModuleType | None) -> bool:
-    """Return whether a module is the user's own: neither known nor installed."""
-    path = file_of(home)
-    return not (is_known_module(home) or (home and path and holds_packages(root_of(home, path))))
-
-
-def is_known_module(home: types.ModuleType | None) -> bool:
-    """Return whether a module is part of this package, of one that it uses, or of Python."""
-    path = file_of(home)
-    return top_of(home) in KNOWN or (path is not None and is_known_file(path))
-
-
-def is_known_file(path: Path) -> bool:
-    """Return whether a file is part of this package or of the standard library."""
-    if path.is_relative_to(STANDARD):
-        return path.relative_to(STANDARD).parts[0] not in ("site-packages", "dist-packages")
-    return path.is_relative_to(FOLDER)
-
-
-@functools.cache
-def holds_packages(folder: Path) -> bool:
-    """Return whether a folder holds installed packages, rather than one project."""
-    return folder == STANDARD or any(folder.glob("*.dist-info"))

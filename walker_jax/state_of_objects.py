@@ -55,17 +55,32 @@ def state_of(value: Any) -> tuple | str | None:
         if isinstance(value, kind):
             return state_that_counts(value)
     try:
-        reduce = copyreg.dispatch_table.get(type(value))
-        state: Any = reduce(value) if reduce else value.__reduce_ex__(2)
-        if isinstance(state, tuple):  # an iterator over a list holds that list alone
-            return *state[:3], *(items and [*items] for items in state[3:5])
+        state = pickled_state(value)
     except Exception:  # a user's `__reduce_ex__` may raise
-        compiled = callable(value) or hasattr(value, "__objclass__")
-        named = compiled and not hasattr(value, "__dict__")
-        state = getattr(value, "__qualname__", None) if named else None
-    if isinstance(state, str):  # pickle finds nothing under a name such as <lambda>
-        return state if all(map(str.isidentifier, state.split("."))) else None
+        state = name_of_compiled(value)
+    if isinstance(state, str) and not all(map(str.isidentifier, state.split("."))):
+        return None  # pickle finds nothing under a name such as <lambda>
     return state
+
+
+def pickled_state(value: Any) -> tuple | str:
+    """Return what pickle takes of an object, its class first; only a name if it takes that."""
+    reduce = copyreg.dispatch_table.get(type(value))
+    state = reduce(value) if reduce else value.__reduce_ex__(2)
+    if isinstance(state, str):
+        return state
+    # Iterators over its items, whose own state would be the list and a place in it.
+    return *state[:3], *(items and [*items] for items in state[3:5])
+
+
+def name_of_compiled(value: Any) -> str | None:
+    """Return the name of a compiled function or method; None for any other object."""
+    compiled = callable(value) or hasattr(value, "__objclass__")
+    return (
+        getattr(value, "__qualname__", None)
+        if compiled and not hasattr(value, "__dict__")
+        else None
+    )
 
 
 def has_no_state(state: tuple) -> bool:

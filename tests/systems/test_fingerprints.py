@@ -21,16 +21,10 @@ import pytest
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.fingerprints import StoreDescriber, code_fingerprint, imports_in
-from walker_jax.identity import (
-    FOLDER,
-    FunctionByCode,
-    hash_of_code,
-    holds_packages,
-    root_of,
-    values_in,
-)
+from walker_jax.identity import FunctionByCode, hash_of_code, values_in
 from walker_jax.kernels import kernel
 from walker_jax.multibody import System
+from walker_jax.origins import FOLDER, holds_packages, root_of
 from walker_jax.stability.metric import metric_of
 from walker_jax.stability.rough_ground import NormalSteps
 from walker_jax.walkers.model import State
@@ -327,7 +321,7 @@ def test_values_of_unusual_kinds_are_told_apart():
     def of(value):
         return FunctionByCode(lambda: value)
 
-    empty = [FunctionType(of(1).function.__code__, {}, "f", None, (CellType(),)) for _ in range(2)]
+    empty = [FunctionType(of(1).value.__code__, {}, "f", None, (CellType(),)) for _ in range(2)]
     assert FunctionByCode(empty[0]) == FunctionByCode(empty[1]) != of(1)
     wrapped = lambda size: functools.wraps(math.sin)(lambda x, by=size: by * x)
     assert (

@@ -204,7 +204,7 @@ def test_functions_written_at_run_time_in_a_file_are_told_apart():
 
 
 def test_a_program_is_traced_again_for_another_state():
-    call = jax.jit(lambda function, x: function.function(x, x), static_argnums=0)
+    call = jax.jit(lambda function, x: function(x, x), static_argnums=0)
     x = jnp.arange(3.0)
     by_axes = [
         call(FunctionByCode(eqx.filter_vmap(jnp.multiply, in_axes=axes)), x)

@@ -14,7 +14,7 @@ import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, jaxprs_in_params
 from jax.extend.source_info_util import user_context
 
-from walker_jax.identity import FOLDER
+from walker_jax.origins import FOLDER
 
 INSTALLED = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
 """Folders of installed code, as opposed to a user's own."""

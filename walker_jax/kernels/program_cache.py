@@ -31,22 +31,24 @@ from jax.core import ShapedArray
 from walker_jax.identity import (
     ADDRESS,
     DEFINED,
-    FOLDER,
-    KNOWN,
     MOST,
-    PACKAGE,
-    USED,
     Describer,
     Description,
     FunctionByCode,
-    home_of,
-    is_known_module,
-    is_own,
     sha256_of,
-    top_of,
 )
 from walker_jax.kernels.machine import register_bits
 from walker_jax.kernels.object_cache import recall, store
+from walker_jax.origins import (
+    FOLDER,
+    KNOWN,
+    PACKAGE,
+    USED,
+    home_of,
+    is_known_module,
+    is_own,
+    top_of,
+)
 
 OPTIONS = (
     *("jax_default_matmul_precision", "jax_default_prng_impl", "jax_disable_jit"),

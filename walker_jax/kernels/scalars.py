@@ -47,7 +47,7 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 @partial(jax.jit, static_argnums=0, inline=True)
 def unroll_once(code: FunctionByCode, *args) -> PyTree:
     """Evaluate `unrolled`, traced once for all functions with the same code."""
-    return unrolled(code.function, *args)
+    return unrolled(code.value, *args)
 
 
 def unrolled(function: Callable[..., PyTree], *args) -> PyTree:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
-from walker_jax.fingerprints import StoreDescriber
+from walker_jax.fingerprints import keep_files_of
 from walker_jax.grids import Grid, axes_around
 from walker_jax.hybrid.modes import SECTION, Condition, EarlyExit, Guard, Mode
 from walker_jax.integrators.roots import Scalar
@@ -68,7 +68,7 @@ class Walker(HybridSystem):
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)
-        StoreDescriber(cls)  # keeps its source files, which may be edited while the code is in use
+        keep_files_of(cls)
 
     def __check_init__(self):
         settle(self)

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any, TypeGuard
 
 from walker_jax.checks import WrongPlace, WrongUse, short
-from walker_jax.identity import file_of, holds_packages
+from walker_jax.origins import file_of, holds_packages
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.system import System, check_single, code_of
 from walker_jax.walkers.family import WALKERS
