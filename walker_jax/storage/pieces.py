@@ -25,10 +25,10 @@ from walker_jax.storage.checksums import (
 )
 from walker_jax.storage.damage import name_damage
 from walker_jax.storage.places import (
-    ANOTHER_PLACE,
     RESUME_HINT,
     StoreConflict,
     check_writable,
+    not_a_dataset,
     open_group,
     resolve_link,
     writing,
@@ -52,13 +52,11 @@ def resumable(
     try:
         yield
     except NotWritten as failure:
-        raise (
-            NotWritten(failure.args[0], how, of="overwrite") if begun() else failure
-        ) from failure.__cause__
-    except Exception:
-        raise
+        if not begun():
+            raise
+        raise NotWritten(failure.args[0], how, of="overwrite") from failure.__cause__
     except BaseException as interruption:
-        if begun():
+        if begun() and not isinstance(interruption, Exception):
             interruption.add_note(how)
         raise
 
@@ -211,9 +209,8 @@ def open_pieces(
             raise StoreConflict(f"another run has just completed {path}: run again to read it")
         noted, names = json.loads(str(group.attrs["notes"])), tuple(n for n in arrays if n in group)
         with resumable(path, overwrite=overwrite):
-            shape, begun_with = (
-                whole[: len(block)] for whole in (group[names[0]].shape, group[names[0]].chunks)
-            )
+            first, axes = group[names[0]], len(block)
+            shape, begun_with = first.shape[:axes], first.chunks[:axes]
             yield Pieces(path, group, shape, begun_with, noted, names, (*aside,))
 
 
