@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.stability.descents import descend_to_failure
+from walker_jax.stability.descents import nearest_failure
 from walker_jax.stability.rays import (
     FINE,
     bisect,
     bisect_nearest,
-    nearest_failure,
     scan,
     spacing,
     spread_directions,
@@ -83,7 +82,7 @@ def test_a_descent_begins_where_a_rough_test_is_a_little_off():
     def gap(y):
         return np.linalg.norm(y - centre, axis=1) - 0.1
 
-    found = descend_to_failure(
+    found = nearest_failure(
         lambda y: gap(y) < 0,
         np.eye(5),
         lambda y: (centre - y) / np.linalg.norm(centre - y, axis=1, keepdims=True),

@@ -16,8 +16,8 @@ from walker_jax.checks import WrongUse
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.boundaries import curves_of, summarise_boundary, touching_cells
+from walker_jax.stability.descents import nearest_failure
 from walker_jax.stability.metric import metric_of
-from walker_jax.stability.rays import nearest_failure
 from walker_jax.stability.sampling import draw_from_ball, draw_starts
 from walker_jax.stability.tipping import Ends, assemble_tipping, transition_counts
 from walker_jax.systems.outcomes import OUTCOMES

@@ -1,8 +1,9 @@
-"""Descents along the boundary of failures, in more dimensions than can be searched ray by ray.
+"""The nearest failure to the origin, by descents along the boundary of failures.
 
-Rays in random directions find some failures. From the nearest of these, descents follow the
-boundary: the nearest point of a flat boundary lies along its normal, to which each step turns a
-ray. Each descent ends at a local minimum of the distance, and the least minimum is the answer.
+In up to three dimensions rays in all directions find the nearest failures; in more, rays in random
+directions find some. From the nearest of these, descents follow the boundary: the nearest point of
+a flat boundary lies along its normal, to which each step turns a ray. Each descent ends at a local
+minimum of the distance, and the least minimum is the answer.
 """
 
 import math
@@ -18,11 +19,14 @@ from walker_jax.stability.rays import (
     bisect_nearest,
     first_failures,
     first_on_ray,
+    nearest_rays,
     scan,
     spread_directions,
     turned_rays,
 )
 
+LARGEST_SPAN = 3
+"""Most dimensions in which all directions are tried, spread evenly (`rays`)."""
 SHARE = 1 / 16
 """Number of random directions, as a share of the number in a plane."""
 RADII = 32
@@ -39,27 +43,38 @@ SETTLED = 1e-10
 """Relative change of the length in a step below which a descent ends."""
 
 
-def descend_to_failure(
+def nearest_failure(
     fails: Fails,
     basis: Float[np.ndarray, "rank size"],
     gradient: Gradient,
     count: int = DENSE,
     roughly_fails: Fails | None = None,
 ) -> Float[np.ndarray, " size"]:
-    """Find a short failing vector in the span of an orthonormal basis, by descents.
+    """Find the shortest failing vector in the span of an orthonormal basis.
 
-    Arguments and errors are those of `rays.nearest_failure`.
+    The origin must not fail. `gradient`, at failing points just beyond the boundary, is normal to
+    it, or NaN. Rays are chosen by `count` directions in a plane, and by `roughly_fails`, if given,
+    which may be faster than `fails`. Raises `ComputationFailed` where nothing fails.
     """
+    find = nearest_rays if len(basis) <= LARGEST_SPAN else random_rays
+    rays, rough = find(roughly_fails or fails, basis, count)
+    rays, rough = rays[:DESCENTS], rough[:DESCENTS]
+    lengths = shorten(fails, rays[:, None] @ basis, 1.01 * rough)[:, 0]
+    lengths = np.where(np.isfinite(lengths), lengths, rough)
+    rays, lengths = descend(fails, basis, gradient, rays, lengths, SETTLED)
+    return first_on_ray(fails, rays[0] @ basis, lengths[0])
+
+
+def random_rays(
+    fails: Fails, basis: Float[np.ndarray, "rank size"], count: int
+) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+    """Find rays along and against the basis, and in random directions, that fail; nearest first."""
     rank = len(basis)
     random = spread_directions(rank, math.ceil(SHARE * count))
     rays = np.concatenate([np.eye(rank), -np.eye(rank), random])
-    first = scan(roughly_fails or fails, rays @ basis, RADII)
-    nearest = first.argsort()[: min(DESCENTS, np.isfinite(first).sum())]
-    rays = rays[nearest]
-    beyond = 1.01 * first[nearest]  # `roughly_fails` may err
-    lengths = shorten(fails, rays[:, None] @ basis, beyond)[:, 0]
-    rays, lengths = descend(fails, basis, gradient, rays, lengths, SETTLED)
-    return first_on_ray(fails, rays[0] @ basis, lengths[0])
+    first = scan(fails, rays @ basis, RADII)
+    nearest = first.argsort()[: np.isfinite(first).sum()]
+    return rays[nearest], first[nearest]
 
 
 def descend(

@@ -30,12 +30,6 @@ ZOOMS, NARROWER = 3, 0.25
 ZOOM_DEPTH, ZOOM_DISTANCES = 0.015, 10
 """Share of the nearest distance by which the first fan reaches below it, and distances along each
 ray. Narrower fans hold nearer failures by less: depth and `KEPT` narrow with them."""
-POLISHES = 4
-"""Most steps along the boundary's gradient that follow."""
-FINALISTS = 32
-"""Number of rays that are polished: the nearest ones."""
-POLISH_SHARES = 2.0 ** np.arange(-6, 3)
-"""Shares, tried by each polish, of the step to the nearest point of a flat boundary."""
 FINAL_DISTANCES = 512
 """Distances in the last check that nothing nearer fails in the direction found."""
 COARSE, FINE = 12, 34
@@ -46,34 +40,6 @@ AT_ONCE, MOST_HALVINGS = 32, 4
 
 Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
 Gradient = Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]]
-
-
-def nearest_failure(
-    fails: Fails,
-    basis: Float[np.ndarray, "rank size"],
-    gradient: Gradient,
-    count: int = DENSE,
-    roughly_fails: Fails | None = None,
-) -> Float[np.ndarray, " size"]:
-    """Find the shortest failing vector in the span of an orthonormal basis.
-
-    The origin must not fail. `gradient`, at failing points just beyond the boundary, is normal to
-    it, or NaN. Rays are chosen by a scan of `count` directions in a plane; the scan uses
-    `roughly_fails`, if given, which may be faster than `fails`. Raises `ComputationFailed` where
-    nothing fails.
-    """
-    best, lengths = nearest_rays(roughly_fails or fails, basis, count)
-    best, lengths = best[:FINALISTS], lengths[:FINALISTS]
-    gap = 1e-3 * lengths.min()
-    closer = first_failures(fails, best @ basis, lengths.min() - gap, lengths.min() + gap, 8)
-    closer = bisect(fails, best @ basis, closer, gap / 4, FINE)
-    lengths = np.minimum(lengths, closer)
-    for _ in range(POLISHES if len(basis) > 1 else 0):
-        before = best, lengths
-        best, lengths = polish(fails, gradient, basis, *before, gap)
-        if np.array_equal(best, before[0]) and np.array_equal(lengths, before[1]):
-            break  # and so would every further step be
-    return first_on_ray(fails, best[lengths.argmin()] @ basis, lengths.min())
 
 
 def first_on_ray(
@@ -121,30 +87,6 @@ def nearest_rays(
             minima = local_minima(rays, first, width * zoom, candidates)
             best, lengths = rays[minima], first[minima]
     return best, lengths
-
-
-def polish(
-    fails: Callable,
-    gradient: Callable,
-    basis: Float[np.ndarray, "rank size"],
-    best: Float[np.ndarray, "n rank"],
-    lengths: Float[np.ndarray, " n"],
-    gap: float,
-) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Turn rays towards the nearest point of a flat boundary, and keep the shorter ones."""
-    rank, shares = len(basis), np.concatenate([[0.0], POLISH_SHARES])
-    tried = turned_rays(gradient, basis, best, lengths, shares)
-    flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
-    reached = first_failures(fails, flat, nearest - gap, nearest + gap, 8)
-    reached = bisect_nearest(
-        fails,
-        flat.reshape(*tried.shape[:2], -1),
-        reached.reshape(tried.shape[:2]),
-        gap / 4,
-        lengths,
-    )
-    reached[:, 0] = np.minimum(reached[:, 0], lengths)  # the first ray is the best one so far
-    return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
 
 
 def scan(
