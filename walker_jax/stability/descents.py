@@ -14,15 +14,19 @@ from jaxtyping import Bool, Float
 from walker_jax.stability.rays import (
     DENSE,
     FINE,
+    Basis,
+    Chosen,
     Fails,
     Gradient,
+    Lengths,
+    Points,
+    Rays,
+    bisect,
     bisect_nearest,
     first_failures,
-    first_on_ray,
     nearest_rays,
     scan,
     spread_directions,
-    turned_rays,
 )
 
 LARGEST_SPAN = 3
@@ -39,13 +43,15 @@ TURNS = np.array([0.0, 0.25, 0.5, 1.0, 1.6])
 """Shares, tried in each step, of the step to the nearest point of a flat boundary."""
 NEARER = 16
 """Distances that a step tries on each ray, up to the present one: there may be nearer failures."""
+FINAL_DISTANCES = 512
+"""Distances in the last check that nothing nearer fails in the direction found."""
 SETTLED = 1e-10
 """Relative change of the length in a step below which a descent ends."""
 
 
 def nearest_failure(
     fails: Fails,
-    basis: Float[np.ndarray, "rank size"],
+    basis: Basis,
     gradient: Gradient,
     count: int = DENSE,
     roughly_fails: Fails | None = None,
@@ -65,9 +71,18 @@ def nearest_failure(
     return first_on_ray(fails, rays[0] @ basis, lengths[0])
 
 
-def random_rays(
-    fails: Fails, basis: Float[np.ndarray, "rank size"], count: int
-) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+def first_on_ray(
+    fails: Fails, ray: Float[np.ndarray, " size"], length: float
+) -> Float[np.ndarray, " size"]:
+    """Find the first failure on a ray that fails at some length, as far as samples show."""
+    while True:
+        first = first_failures(fails, ray[None], 0.0, (1 - 1e-9) * length, FINAL_DISTANCES)
+        if np.isinf(first[0]):
+            return length * ray
+        length = bisect(fails, ray[None], first, length / FINAL_DISTANCES, FINE)[0]
+
+
+def random_rays(fails: Fails, basis: Basis, count: int) -> tuple[Rays, Lengths]:
     """Find rays along and against the basis, and in random directions, that fail; nearest first."""
     rank = len(basis)
     random = spread_directions(rank, math.ceil(SHARE * count))
@@ -79,14 +94,14 @@ def random_rays(
 
 def descend(
     fails: Fails,
-    basis: Float[np.ndarray, "rank size"],
+    basis: Basis,
     gradient: Gradient,
-    rays: Float[np.ndarray, "n rank"],
-    lengths: Float[np.ndarray, " n"],
+    rays: Rays,
+    lengths: Lengths,
     settled: float,
     halvings: int = FINE,
     same: float = 0.0,
-) -> tuple[Float[np.ndarray, "m rank"], Float[np.ndarray, " m"]]:
+) -> Chosen:
     """Follow descents from rays that fail at some lengths; the shortest comes first.
 
     One that comes within an angle `same` of a shorter one is dropped.
@@ -109,9 +124,7 @@ def descend(
     return rays[alone], lengths[alone]
 
 
-def follows_another(
-    rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"], same: float
-) -> Bool[np.ndarray, " n"]:
+def follows_another(rays: Points, lengths: Lengths, same: float) -> Bool[np.ndarray, " n"]:
     """Mark rays within an angle of a shorter one, or of an earlier one of the same length."""
     close = np.linalg.norm(rays[:, None] - rays, axis=2) < same
     before = np.tri(len(rays), k=-1, dtype=bool)
@@ -120,25 +133,22 @@ def follows_another(
 
 
 def turn(
-    fails: Fails,
-    gradient: Gradient,
-    basis: Float[np.ndarray, "rank size"],
-    rays: Float[np.ndarray, "n rank"],
-    lengths: Float[np.ndarray, " n"],
-    halvings: int,
-) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Take one step of each descent, to the shortest of some rays towards the normal."""
-    tried = turned_rays(gradient, basis, rays, lengths, TURNS)
+    fails: Fails, gradient: Gradient, basis: Basis, rays: Rays, lengths: Lengths, halvings: int
+) -> tuple[Rays, Lengths]:
+    """Take one step of each descent: of some rays towards the normal, keep the shortest."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # there may be no gradient
+        normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
+        along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
+    tried = rays[:, None] + TURNS[:, None] * along[:, None]
+    tried = np.where(np.isfinite(tried), tried, rays[:, None])
+    tried /= np.linalg.norm(tried, axis=2, keepdims=True)
     reached = shorten(fails, tried @ basis, lengths, halvings)
     reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the present one
     return tried[np.arange(len(rays)), reached.argmin(axis=1)], reached.min(axis=1)
 
 
 def shorten(
-    fails: Fails,
-    rays: Float[np.ndarray, "n m size"],
-    lengths: Float[np.ndarray, " n"],
-    halvings: int = FINE,
+    fails: Fails, rays: Float[np.ndarray, "n m size"], lengths: Lengths, halvings: int = FINE
 ) -> Float[np.ndarray, "n m"]:
     """Find the first failure on each of m rays up to one length; infinite where there is none.
 

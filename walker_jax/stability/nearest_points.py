@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.stability.descents import RADII, descend
-from walker_jax.stability.rays import Fails, Gradient, bisect, scan, tangents
+from walker_jax.stability.rays import Fails, Gradient, Lengths, Points, bisect, scan, tangents
 
 ROUGHLY = 16
 """Bisections of lengths in a descent: to a millionth."""
@@ -60,7 +60,7 @@ class NearestPoint(NamedTuple):
 def nearest_minima(
     fails: Fails,
     gradient: Gradient,
-    rays: Float[np.ndarray, "n size"],
+    rays: Points,
     most: int,
     known: tuple[int, float] = (0, np.inf),
 ) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
@@ -125,8 +125,8 @@ def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.nd
 
 
 def misalignment(
-    fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
+    fails: Fails, gradient: Gradient, rays: Points, length: float
+) -> tuple[Lengths, Points]:
     """Return the length of each ray up to the boundary, near a known one, and F = nu - u."""
     tried = length * np.stack([1 - REACHES, 1 + REACHES])
     points = tried[..., None] * rays[:, None, None]
