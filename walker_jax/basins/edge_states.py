@@ -109,7 +109,6 @@ def edge_state(
     check_single(walker)
     check_precision(jnp.asarray(0.0).dtype, "edge_state, which brings starts 1e-13 together,")
     check_whole("rounds", rounds)
-    check_whole("strides", strides)
     ends = [check_state(walker, "a", a), check_state(walker, "b", b)]
     for name, end in zip("ab", ends, strict=True):
         if not bool(walker.feasible(jnp.asarray(end))):

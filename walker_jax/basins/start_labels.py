@@ -66,7 +66,6 @@ def find_attractors(
     """
     check_kind("system", system, System)
     check_single(system)
-    check_whole("strides", strides)
     x = numbers("starts", starts)
     if x.ndim != 2 or x.shape[1] != len(system.section):
         raise WrongUse(

@@ -77,7 +77,6 @@ def checked_mapper(
 ) -> Mapper:
     """Check other arguments; return the mapper to a grid's attractors, with capture boxes."""
     check_single(walker)
-    check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, needed_by)
     starts = grid.centres(sample_indices(grid.size))

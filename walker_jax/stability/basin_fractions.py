@@ -28,7 +28,6 @@ from walker_jax.checks import (
     WrongUse,
     check_kind,
     check_memory,
-    check_whole,
     numbers,
     refuses_tracers,
 )
@@ -128,8 +127,6 @@ def continue_basins(
         raise WrongUse(f"values must be two or more in ascending order, not {values.tolist()}")
     check_parameter(walker, parameter, *values.tolist())
     tolerance = float(float64_tolerance(tolerance))
-    samples, strides = check_whole("samples", samples), check_whole("strides", strides)
-    seed = check_whole("seed", seed, 0)
     needed = samples * BYTES_PER_CELL["direct"]
     check_memory(needed, f"{samples} starts need", "lower samples", of="samples")
     first = with_parameter(walker, parameter, float(values[0]))
@@ -146,9 +143,9 @@ def continue_basins(
     about = {
         "parameter": parameter,
         **describe_source(walker, without=[parameter]),
-        "samples": samples,
-        "strides": strides,
-        "seed": seed,
+        "samples": int(samples),
+        "strides": int(strides),
+        "seed": int(seed),
         "tolerance": tolerance,
     }
     return assemble(values, found, family.branches, samples).assign_attrs(about)

@@ -41,8 +41,10 @@ STEPS = 60
 """Most steps of a descent."""
 TURNS = np.array([0.0, 0.25, 0.5, 1.0, 1.6])
 """Shares, tried in each step, of the step to the nearest point of a flat boundary."""
-NEARER = 16
-"""Distances that a step tries on each ray, up to the present one: there may be nearer failures."""
+NEARER = np.array([*np.arange(1, 16) / 16, 0.999, 0.99925, 0.9995, 0.99975, 1.0])
+"""Shares of the present length that a step tries on each ray: there may be nearer failures, and a
+thin one is met best where it is widest, at its end."""
+GAPS = np.diff(NEARER, prepend=0.0)
 FINAL_DISTANCES = 512
 """Distances in the last check that nothing nearer fails in the direction found."""
 SETTLED = 1e-10
@@ -154,7 +156,8 @@ def shorten(
 
     Only the shortest of the m is exact.
     """
-    flat = rays.reshape(-1, rays.shape[2])
-    first = first_failures(fails, flat, 0.0, np.repeat(lengths, rays.shape[1]), NEARER)
-    gaps = lengths[:, None] / NEARER
-    return bisect_nearest(fails, rays, first.reshape(rays.shape[:2]), gaps, lengths, halvings)
+    points = lengths[:, None, None, None] * NEARER[:, None] * rays[:, :, None]
+    failed = fails(points.reshape(-1, rays.shape[2])).reshape(points.shape[:3])
+    at = failed.argmax(axis=2)
+    first = np.where(failed.any(axis=2), lengths[:, None] * NEARER[at], np.inf)
+    return bisect_nearest(fails, rays, first, lengths[:, None] * GAPS[at], lengths, halvings)

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import ComputationFailed, check_kind, check_whole, refuses_tracers
+from walker_jax.checks import ComputationFailed, check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.stability.descents import nearest_failure
@@ -117,7 +117,6 @@ def least_disturbance(
     """
     sizes = metric_of(walker, scale, along, metric)
     lost = failure_test(fall)
-    check_whole("directions", directions)
     check_kind("progress", progress, bool)
     mapper = mapper_of_gait(walker, gait, strides, tolerance, solver)
     states = mapper.attractors[0].states

@@ -24,7 +24,6 @@ from scipy.optimize import minimize_scalar
 from walker_jax.checks import (
     ComputationFailed,
     WrongUse,
-    check_confidence,
     check_kind,
     check_whole,
     is_number,
@@ -122,8 +121,6 @@ def transients(
         size = len(system.section)
         raise WrongUse(f"starts must have shape (n, {size}), not {starts.shape}")
     check_whole("settle", settle, most=LONGEST_ORBIT // 4)
-    check_whole("strides", strides)
-    check_confidence(confidence)
     integrator = integrator_of(starts.dtype, tolerance)
     end = iterate(system, starts, strides, integrator)
     ended = ~np.isin(end.outcome, (Outcome.STRIDE, Outcome.UNDECIDED))
@@ -291,7 +288,6 @@ def crisis_law(
             raise WrongUse(
                 f"{name} must be {len(values)} positive numbers, not {short(one.tolist())}"
             )
-    check_confidence(confidence)
     if crisis is not None and not (is_number(crisis) and -np.inf < crisis < values[0]):
         raise WrongUse(f"crisis must be below {values[0]:g}, not {short(crisis)}")
     predicted = {} if multipliers is None else crisis_exponents(multipliers)

@@ -22,7 +22,6 @@ from walker_jax.basins.attractor import cubes
 from walker_jax.basins.computation import check_grid
 from walker_jax.checks import (
     WrongUse,
-    check_confidence,
     check_number,
     check_whole,
     is_number,
@@ -130,10 +129,7 @@ def basin_stability(
         check_number("within", within)
         if not within > 0:
             raise WrongUse(f"within must be positive, not {within}")
-    check_whole("samples", samples)
     check_whole("horizon", horizon)
-    check_whole("seed", seed, 0)
-    check_confidence(confidence)
     count = count_walkers(walker, gait)
     about = starts_about(walker, disturbances, sizes, np.random.default_rng(seed), samples)
     trial = Trial(about, sizes, within, horizon, strides, confidence, tolerance)

@@ -20,11 +20,9 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.runs import attractors_of, label_of, labels_among
 from walker_jax.checks import (
     WrongUse,
-    check_confidence,
     check_kind,
     check_number,
     check_precision,
-    check_whole,
     refuses_tracers,
     short,
 )
@@ -105,10 +103,6 @@ def tipping_probability(
     check_single(walker)
     check_number("value", value)
     check_parameter(walker, parameter, float(value))
-    for name, count in {"samples": samples, "strides": strides}.items():
-        check_whole(name, count)
-    check_whole("seed", seed, 0)
-    check_confidence(confidence)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
