@@ -10,6 +10,7 @@ from jaxtyping import Bool, Int
 
 from walker_jax.basins.attractor import Attractor, in_order
 from walker_jax.grids import Grid, cell_slices
+from walker_jax.storage.schema import with_dims
 from walker_jax.systems.outcomes import names_in, names_of_outcomes
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_source
@@ -114,15 +115,14 @@ def add_attractors(
         row[: len(one.states)] = one.states
     area = cells * grid.cell_area
     found = {
-        "period": ("number", np.array([one.period or 0 for one in attractors], np.int32)),
-        "states": (("number", "phase", "coordinate"), states),
-        "cells": ("number", cells),
-        "area": ("number", area),
+        "period": np.array([one.period or 0 for one in attractors], np.int32),
+        "states": states,
+        "cells": cells,
+        "area": area,
         "at_border": at_border,
+        **({} if cell_cycles is None else cell_cycles._asdict()),
     }
-    if cell_cycles is not None:
-        found |= {name: ("number", values) for name, values in cell_cycles._asdict().items()}
-    data = data.assign(found).assign_coords(number=np.arange(len(attractors)))
+    data = data.assign(with_dims("basin", found)).assign_coords(number=np.arange(len(attractors)))
     return data.assign_attrs(area=area.tolist())
 
 

@@ -40,6 +40,7 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
+from walker_jax.storage.schema import with_dims
 from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Walker
@@ -103,28 +104,26 @@ def survival_of_cells(
     chart, cells = made[-1].chart, made[-1].cells
     middle = np.full((len(cells), len(chart.centre)), 0.5)
     coordinates = [*walker.section, "gap"][: len(chart.centre)]
-    return xr.Dataset(
-        {
-            "survival": 1 / (1 + np.exp(-log_odds)),
-            "mean_strides": np.exp(log_mean),
-            "mean_strides_error": np.exp(log_mean) * error,
-            "undecided": sum(one.undecided for one in made),
-            "chance": ("cell", made[-1].distribution),
-            "centre": (("cell", "direction"), chart.points_in(cells, middle, rough.side)),
-            "edges": (("edge", "direction"), rough.side * chart.axes),
-        },
-        coords={"direction": np.array(coordinates, object)},
-        attrs={
-            **describe_source(walker),
-            "ground": (
-                ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
-            ),
-            "side": rough.side,
-            "walkers": walkers,
-            "repetitions": repetitions,
-            "key": join_names(map(str, np.asarray(jax.random.key_data(key)))),
-        },
-    )
+    found = {
+        "survival": 1 / (1 + np.exp(-log_odds)),
+        "mean_strides": np.exp(log_mean),
+        "mean_strides_error": np.exp(log_mean) * error,
+        "undecided": sum(one.undecided for one in made),
+        "chance": made[-1].distribution,
+        "centre": chart.points_in(cells, middle, rough.side),
+        "edges": rough.side * chart.axes,
+    }
+    named = ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
+    about = {
+        **describe_source(walker),
+        "ground": named,
+        "side": rough.side,
+        "walkers": walkers,
+        "repetitions": repetitions,
+        "key": join_names(map(str, np.asarray(jax.random.key_data(key)))),
+    }
+    direction = {"direction": np.array(coordinates, object)}
+    return xr.Dataset(with_dims("metastable walking", found), direction, about)
 
 
 class Rough(NamedTuple):
