@@ -24,6 +24,7 @@ from walker_jax.basins.computation import BYTES_PER_CELL, check_grid
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.matching import NONE, match_clouds, match_cycles
+from walker_jax.basins.windows import default_region
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -44,7 +45,6 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
-from walker_jax.stability.slices import default_region
 from walker_jax.storage.schema import with_dims
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import OUTCOMES
