@@ -15,16 +15,13 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import survey
-from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.runs import attractors_of, label_of, labels_among
 from walker_jax.checks import (
-    WrongUse,
     check_kind,
     check_number,
     check_precision,
     refuses_tracers,
-    short,
 )
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
@@ -106,12 +103,6 @@ def tipping_probability(
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
-    if isinstance(region, Grid):
-        check_grid(walker, region, "direct")
-    elif not callable(region):
-        raise WrongUse(
-            f"region must be a grid, or a function that draws starts, not {short(region)}"
-        )
     rng = np.random.default_rng(seed)
     starts = draw_starts(walker, "region", region, rng, samples).astype(dtype)
     labels_before, before, _ = survey(walker, starts, integrator, strides, boxes=True)
