@@ -39,7 +39,7 @@ DESCENTS = 12
 """Number of descents, from the nearest failures found: most of them end at the same few minima."""
 STEPS = 60
 """Most steps of a descent."""
-TURNS = np.array([0.0, 0.25, 0.5, 1.0, 1.6])
+TURNS = np.array([0.0, 0.125, 0.25, 0.5, 1.0, 2.0])
 """Shares, tried in each step, of the step to the nearest point of a flat boundary."""
 NEARER = np.array([*np.arange(1, 16) / 16, 0.999, 0.99925, 0.9995, 0.99975, 1.0])
 """Shares of the present length that a step tries on each ray: there may be nearer failures, and a
