@@ -164,17 +164,13 @@ def bisect_nearest(
         going = below < np.minimum(above.min(axis=1), least)[:, None]
         if not going.any():
             break
-        halvings = min(halvings_at_once(int(going.sum()), at_once), times)
+        room = math.floor(math.log2(at_once / np.count_nonzero(going) + 1))
+        halvings = min(max(1, room), MOST_HALVINGS, times)
         along = np.repeat(rays[going], 2**halvings - 1, axis=0)
         closer = narrow(lambda t, along=along: fails(t * along), segments.part(going), halvings)
         segments.ends[going], segments.labels[going] = closer
         times -= halvings
     return segments.ends[:, :, 1, 0]
-
-
-def halvings_at_once(count: int, points: int) -> int:
-    """Return how many times to halve distances on so many rays in one call of so many points."""
-    return min(max(1, math.floor(math.log2(points / count + 1))), MOST_HALVINGS)
 
 
 def spread_directions(rank: int, count: int) -> Rays:
