@@ -18,7 +18,6 @@ from jaxtyping import Float
 
 from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.edge_tracking import follow_edge
-from walker_jax.basins.runs import label_of
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -117,7 +116,7 @@ def edge_state(
     share = np.linspace(0, 1, SAMPLE)[:, None]
     between = (1 - share) * ends[0] + share * ends[1]
     mapper = survey(walker, between, integrator, strides, boxes=True).mapper
-    label_starts = lambda x: label_of(*mapper(x)[:2])
+    label_starts = lambda x: mapper(x).number
     first, second = label_starts(np.stack(ends)).tolist()
     if first == second:
         fate = explain_fate(first, walker.failures)

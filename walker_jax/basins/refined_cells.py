@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from walker_jax.basins.attractor_search import label_and_find
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
+from walker_jax.basins.runs import Runs, flat_index, merge, neighbours
 from walker_jax.checks import check_memory
 from walker_jax.grids import Grid, edge
 
@@ -100,7 +100,7 @@ class RefinedCells:
             check_level(self.levels, level, len(self.cells) + len(cells), BYTES_PER_FOLLOWED_CELL)
             anywhere = level == self.levels and not self.by_centres
             found = self.map(cells, self.random_places(len(cells)) if anywhere else None)
-            self.runs = self.runs.with_cells(cells, label_of(found.fate, found.attractor), level)
+            self.runs = self.runs.with_cells(cells, found.number, level)
             order = np.argsort(np.concatenate([self.cells, cells]), kind="stable")
             self.cells = np.concatenate([self.cells, cells])[order]
             self.strides = np.concatenate([self.strides, found.strides])[order]

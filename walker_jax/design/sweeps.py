@@ -128,7 +128,7 @@ def sweep(
     check_values(walker, values)
     levels = check_whole("levels", levels, 0, FINEST)
     check = check_whole("check", check, 0)
-    check_memory_of_starts(check)
+    check_memory_of_starts("check", check)
     check_kind("robust", robust, bool)
     strides = check_whole("strides", strides)
     seed = check_whole("seed", seed, 0)

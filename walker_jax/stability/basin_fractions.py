@@ -20,15 +20,15 @@ from jaxtyping import Float
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import label_and_find
-from walker_jax.basins.computation import BYTES_PER_CELL, check_grid
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.matching import NONE, match_clouds, match_cycles
+from walker_jax.basins.refinement import check_memory_of_starts
 from walker_jax.basins.windows import default_region
 from walker_jax.checks import (
     WrongUse,
     check_kind,
-    check_memory,
     numbers,
     refuses_tracers,
 )
@@ -128,8 +128,7 @@ def continue_basins(
         raise WrongUse(f"values must be two or more in ascending order, not {values.tolist()}")
     check_parameter(walker, parameter, *values.tolist())
     tolerance = float(float64_tolerance(tolerance))
-    needed = samples * BYTES_PER_CELL["direct"]
-    check_memory(needed, f"{samples} starts need", "lower samples", of="samples")
+    check_memory_of_starts("samples", samples)
     first = with_parameter(walker, parameter, float(values[0]))
     region = default_region(first) if region is None else region
     if region is None:

@@ -13,6 +13,7 @@ from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.edge_states import EdgeState, edge_state, fate_of
 from walker_jax.basins.runs import attractors_of, fates_of, label_of, labels_among
+from walker_jax.basins.schema import padded
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.execution.progress import bar, track
@@ -234,14 +235,6 @@ def curves_of(
         return stable_manifold(walker, saddle, spacing=SPACING, tolerance=tolerance)
     except (WrongUse, np.linalg.LinAlgError):  # two multipliers beyond 1, or a singular Jacobian
         return []
-
-
-def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
-    """Join arrays of several lengths into one, with NaN after the shorter ones."""
-    values = np.full((len(rows), max(map(len, rows), default=0), size), np.nan)
-    for one, row in zip(values, rows, strict=True):
-        one[: len(row)] = row
-    return values
 
 
 def summarise_boundary(data: xr.Dataset) -> dict:

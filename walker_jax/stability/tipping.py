@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.runs import attractors_of, label_of, labels_among
+from walker_jax.basins.runs import attractors_of, labels_among
 from walker_jax.checks import (
     check_kind,
     check_number,
@@ -111,8 +111,8 @@ def tipping_probability(
     labels, after, _ = survey(
         other, np.concatenate([starts, *jumped]), integrator, strides, boxes=True
     )
-    own, *others = np.split(label_of(*labels[:2]), np.cumsum([samples, *map(len, jumped)])[:-1])
-    return assemble_tipping(label_of(*labels_before[:2]), own, others, before, after, confidence)
+    own, *others = np.split(labels.number, np.cumsum([samples, *map(len, jumped)])[:-1])
+    return assemble_tipping(labels_before.number, own, others, before, after, confidence)
 
 
 def assemble_tipping(
@@ -126,7 +126,7 @@ def assemble_tipping(
     """Assemble the result of `tipping_probability`.
 
     The ends of starts before and after the jump, and after it from the states of each attractor,
-    are numbers of `label_of`.
+    are numbers of labels.
     """
     rows, columns = labels_among(first), labels_among(np.concatenate([second, *jumped]))
     counts = (first == rows[:, None]).astype(int) @ (second[:, None] == columns)
