@@ -266,7 +266,6 @@ def assemble(
             states[i, name, : len(one.states)] = one.states
             period[name] = one.period or 0
     present = np.isfinite(shares[0])
-    ends = [(values[there[[0]]], values[there[[-1]]]) for there in map(np.flatnonzero, present.T)]
     events = [
         (name, event)
         for name, branch in enumerate(branches)
@@ -280,8 +279,8 @@ def assemble(
         "failed": failed,
         "states": states,
         "period": period,
-        "first": np.array([low[0] for low, _ in ends], float),
-        "last": np.array([high[0] for _, high in ends], float),
+        "first": np.array([values[there][0] for there in present.T], float),
+        "last": np.array([values[there][-1] for there in present.T], float),
         "event_attractor": np.array([name for name, _ in events], int),
         "event_value": np.array([event.value for _, event in events], float),
         "event_fold": np.array([event.kind == "fold" for _, event in events], bool),

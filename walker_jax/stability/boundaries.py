@@ -118,9 +118,9 @@ def boundary(
         halvings = min(HALVINGS, int(np.log2(min(label.shape) / MIN_CELLS)))
         merged = merge_regions(number, radius, halvings=halvings)
         spacings, shares = merged.spacings, merged.share
-    pairs, edges = [], []
+    pairs, edges, near = [], [], nearest_to(data, grid)
     for first, second in track([*combinations(regions.tolist(), 2)], "edge states", progress):
-        cells = touching_cells(label, (first, second), nearest_to(data, grid))
+        cells = touching_cells(label, (first, second), near)
         if cells is None:
             continue
         ends = grid.points_at((cells + 0.5) / np.array(grid.shape))
