@@ -84,7 +84,7 @@ def solve_nearest(
     The iteration ends where a step brings ray and normal no closer, or differences find no
     boundary.
     """
-    lengths, miss = misalignment(fails, gradient, ray[None], length)
+    lengths, (miss,) = misalignment(fails, gradient, ray[None], length)
     found = float(lengths[0]) if np.isfinite(lengths[0]) else length
     best = NearestPoint(ray, found, float(np.linalg.norm(miss)), np.nan)
     for _ in range(NEWTON_STEPS):
@@ -96,8 +96,7 @@ def solve_nearest(
         if best.residual < CONVERGED or not flatness:
             break
         across = tangents(best.ray)
-        _, miss = misalignment(fails, gradient, best.ray[None], best.length)
-        step = np.linalg.solve(jacobian, across @ miss[0]) @ across
+        step = np.linalg.solve(jacobian, across @ miss) @ across
         step *= min(1.0, LARGEST_STEP / np.linalg.norm(step))
         tried = best.ray + SHARES[:, None] * step
         tried /= np.linalg.norm(tried, axis=1, keepdims=True)
@@ -106,7 +105,7 @@ def solve_nearest(
         closer = np.flatnonzero(residuals < best.residual)
         if len(closer) == 0:
             break
-        first = closer[0]
+        first, miss = closer[0], misses[closer[0]]
         best = NearestPoint(tried[first], float(lengths[first]), float(residuals[first]), flatness)
     return best
 
