@@ -45,6 +45,9 @@ NEARER = np.array([*np.arange(1, 16) / 16, 0.999, 0.99925, 0.9995, 0.99975, 1.0]
 """Shares of the present length that a step tries on each ray: there may be nearer failures, and a
 thin one is met best where it is widest, at its end."""
 GAPS = np.diff(NEARER, prepend=0.0)
+JUST_BEYOND = 1 + 1e-10
+"""Multiple of the length at which normals are computed. On the boundary itself, rounding would
+decide how a walk ends."""
 FINAL_DISTANCES = 512
 """Distances in the last check that nothing nearer fails in the direction found."""
 SETTLED = 1e-10
@@ -139,7 +142,7 @@ def turn(
 ) -> tuple[Rays, Lengths]:
     """Take one step of each descent: of some rays towards the normal, keep the shortest."""
     with np.errstate(invalid="ignore", divide="ignore"):  # there may be no gradient
-        normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
+        normal = gradient(JUST_BEYOND * lengths[:, None] * rays @ basis) @ basis.T
         along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
     tried = rays[:, None] + TURNS[:, None] * along[:, None]
     tried = np.where(np.isfinite(tried), tried, rays[:, None])

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.stability.descents import RADII, descend
+from walker_jax.stability.descents import JUST_BEYOND, RADII, descend
 from walker_jax.stability.rays import Fails, Gradient, Lengths, Points, bisect, scan, tangents
 
 ROUGHLY = 16
@@ -34,9 +34,6 @@ TURN = 1e-4
 REACHES, HALVINGS = 10.0 ** np.arange(-7, -1), 38
 """Relative distances within which the boundary is sought on a turned ray, the smallest first
 because failures may be a thin finger; and bisections, down to rounding."""
-BEYOND = 1 + 1e-10
-"""Multiple of the length at which normals are computed. On the boundary itself, rounding would
-decide how a walk ends."""
 NEWTON_STEPS, CONVERGED = 12, 1e-10
 """Most steps of Newton's iteration, and the angle between ray and normal at which it ends."""
 SHARES = 0.3 ** np.arange(5)
@@ -139,6 +136,6 @@ def misalignment(
     known = np.isfinite(lengths)
     miss = np.full(rays.shape, np.nan)
     if known.any():
-        normals = gradient(BEYOND * lengths[known, None] * rays[known])
+        normals = gradient(JUST_BEYOND * lengths[known, None] * rays[known])
         miss[known] = normals / np.sum(normals * rays[known], axis=1, keepdims=True) - rays[known]
     return lengths, miss
