@@ -92,6 +92,15 @@ def test_a_descent_begins_where_a_rough_test_is_a_little_off():
     np.testing.assert_allclose(found, 0.251 * np.eye(5)[0], rtol=0, atol=1e-9)
 
 
+def test_normals_are_found_though_none_is_known_at_the_boundary():
+    """As rounding decides there how a walk ends."""
+    normal = np.full(5, 1 / np.sqrt(5))
+    gap = lambda y: y @ normal - 0.3
+    gradient = lambda y: np.where(gap(y)[:, None] > 1e-11, normal, np.nan)
+    found = nearest_failure(lambda y: gap(y) > 0, np.eye(5), gradient, count=64)
+    np.testing.assert_allclose(found, 0.3 * normal, rtol=0, atol=1e-6)
+
+
 def test_in_one_direction_only():
     fails = lambda y: (y[:, 1] > 0.2) | (y[:, 1] < -0.05)
     found = nearest_failure(fails, np.array([[0.0, 1.0]]), np.zeros_like)
