@@ -50,8 +50,9 @@ JUST_BEYOND = 1 + 1e-10
 decide how a walk ends."""
 FINAL_DISTANCES = 512
 """Distances in the last check that nothing nearer fails in the direction found."""
-SETTLED = 1e-10
-"""Relative change of the length in a step below which a descent ends."""
+SETTLED = 1e-14
+"""Relative change of the length in a step below which a descent ends: about the error of a length.
+The direction is then right to the root of this."""
 
 
 def nearest_failure(
