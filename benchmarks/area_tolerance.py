@@ -6,7 +6,7 @@ import jax
 
 import walker_jax as wj
 from walker_jax.basins.refinement import refine_cells
-from walker_jax.stability.slices import default_region
+from walker_jax.basins.windows import default_region
 
 jax.config.update("jax_enable_x64", True)
 

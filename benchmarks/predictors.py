@@ -27,8 +27,8 @@ import xarray as xr
 from scipy.stats import pearsonr, qmc, spearmanr
 
 import walker_jax as wj
+from walker_jax.basins.windows import default_region
 from walker_jax.gaits.search import search_gait
-from walker_jax.stability.slices import default_region
 from walker_jax.walkers.parameters import parameters, with_parameter
 
 SLOPE = 0.009

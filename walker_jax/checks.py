@@ -127,7 +127,8 @@ def refuses_tracers(
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Make a function that JAX cannot trace refuse tracers, and say what to do `instead`.
 
-    The message names the function that users have `called`.
+    The message names the function that users have `called`. Arguments of the names of `COUNTS`, and
+    `confidence`, are checked too.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
@@ -142,11 +143,25 @@ def refuses_tracers(
                         f"{name} must not be traced: {shown} runs outside of jax.jit, "
                         f"jax.vmap and jax.grad; {instead}"
                     )
+                if value is not None or name not in names or names[name].default is not None:
+                    check_by_name(name, value)
             return function(*args, **kwargs)
 
         return checked
 
     return decorate
+
+
+COUNTS = {"strides": 1, "samples": 1, "directions": 1, "seed": 0}
+"""Arguments that are whole numbers in all functions outside of JAX, and the least of each."""
+
+
+def check_by_name(name: str, value: Any) -> None:
+    """Check an argument whose name means the same in all functions."""
+    if name in COUNTS:
+        check_whole(name, value, COUNTS[name])
+    elif name == "confidence":
+        check_confidence(value)
 
 
 def short(value: Any) -> str:

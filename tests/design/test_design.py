@@ -14,10 +14,10 @@ from scipy.stats import multivariate_normal
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.basins.windows import default_region
 from walker_jax.design.evaluation import ENDS_STAGE, evaluate_objective
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import Problem, describe_problem, parse_objective
-from walker_jax.stability.slices import default_region
 
 SHOWN = 100
 """Cells along each axis in pictures of basins."""

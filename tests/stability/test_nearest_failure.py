@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.stability.descents import descend_to_failure
+from walker_jax.stability.descents import nearest_failure
 from walker_jax.stability.rays import (
     FINE,
     bisect,
     bisect_nearest,
-    nearest_failure,
     scan,
     spacing,
     spread_directions,
@@ -83,7 +82,7 @@ def test_a_descent_begins_where_a_rough_test_is_a_little_off():
     def gap(y):
         return np.linalg.norm(y - centre, axis=1) - 0.1
 
-    found = descend_to_failure(
+    found = nearest_failure(
         lambda y: gap(y) < 0,
         np.eye(5),
         lambda y: (centre - y) / np.linalg.norm(centre - y, axis=1, keepdims=True),
@@ -91,6 +90,15 @@ def test_a_descent_begins_where_a_rough_test_is_a_little_off():
         roughly_fails=lambda y: gap(y / 0.995) < 0,
     )
     np.testing.assert_allclose(found, 0.251 * np.eye(5)[0], rtol=0, atol=1e-9)
+
+
+def test_normals_are_found_though_none_is_known_at_the_boundary():
+    """As rounding decides there how a walk ends."""
+    normal = np.full(5, 1 / np.sqrt(5))
+    gap = lambda y: y @ normal - 0.3
+    gradient = lambda y: np.where(gap(y)[:, None] > 1e-11, normal, np.nan)
+    found = nearest_failure(lambda y: gap(y) > 0, np.eye(5), gradient, count=64)
+    np.testing.assert_allclose(found, 0.3 * normal, rtol=0, atol=1e-6)
 
 
 def test_in_one_direction_only():

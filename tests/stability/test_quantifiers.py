@@ -16,10 +16,10 @@ from walker_jax.checks import WrongUse
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.boundaries import curves_of, summarise_boundary, touching_cells
+from walker_jax.stability.descents import nearest_failure
 from walker_jax.stability.metric import metric_of
-from walker_jax.stability.rays import nearest_failure
 from walker_jax.stability.sampling import draw_from_ball, draw_starts
-from walker_jax.stability.tipping import Ends, assemble_tipping, transition_counts
+from walker_jax.stability.tipping import assemble_tipping
 from walker_jax.systems.outcomes import OUTCOMES
 
 WALKER = wj.SimplestWalker(0.004)
@@ -216,20 +216,14 @@ def test_what_a_sampler_returns_is_refused_by_name():
 
 def test_transitions_of_a_map_whose_basins_are_known():
     """x -> x + (x - x^3 + p) / 10 on (-2, 2): two basins, on both sides of a root of the cubic."""
-    x = np.random.default_rng(0).uniform(-2, 2, 10_000)
-
-    def side(p):
-        y = x.copy()
-        for _ in range(300):
-            y = y + (y - y**3 + p) / 10
-        return (y > 0).astype(int)
-
+    step = lambda x, p: x + (x - x**3 + p) / 10
+    cubic = wj.Map(step, ("x",), parameters={"p": 0.0})
+    region = wj.Grid.plain(x=(-2, 2, 1))
+    found = wj.tipping_probability(cubic, "p", 0.3, region, samples=10_000, strides=300)
     roots = [np.sort(np.roots([-1, 0, 1, p]).real)[1] for p in (0.0, 0.3)]
-    counts = transition_counts(side(0.0), side(0.3), np.arange(2), np.arange(2))
-    share = counts / counts.sum(axis=1, keepdims=True)
     stays = (roots[1] + 2) / (roots[0] + 2)
-    np.testing.assert_allclose(share, [[stays, 1 - stays], [0, 1]], atol=0.02)
-    assert roots[1] < roots[0] and counts.sum() == len(x)
+    np.testing.assert_allclose(found.probability, [[stays, 1 - stays], [0, 1]], atol=0.02)
+    assert roots[1] < roots[0] and found.starts.sum() == 10_000
 
 
 def test_a_gait_may_jump_to_an_end_that_no_start_has():
@@ -239,8 +233,8 @@ def test_a_gait_may_jump_to_an_end_that_no_start_has():
     before, after = (Mapper(WALKER, attractors[:count], Integrator(1e-10), 10) for count in (1, 3))
     fallen, numbers = int(Outcome.FORWARD), OUTCOMES + np.arange(3)
     first = np.array([numbers[0], numbers[0], fallen])
-    ends = Ends(first, np.array([numbers[1], fallen, fallen]), [numbers[2:]])
-    found = assemble_tipping(ends, before, after, 0.95)
+    second = np.array([numbers[1], fallen, fallen])
+    found = assemble_tipping(first, second, [numbers[2:]], before, after, 0.95)
     assert found.before == ("attractor 0", "FORWARD")
     assert found.after == ("attractor 1", "attractor 2", "FORWARD")
     np.testing.assert_array_equal(found.starts, [[1, 0, 1], [0, 0, 1]])

@@ -110,8 +110,7 @@ def test_the_manifold_of_a_saddle_is_kept_with_its_edge(monkeypatch):
     monkeypatch.setattr("walker_jax.stability.boundaries.stable_manifold", begin)
     state = wj.edge_state(CUBIC, [-0.05, 0.1], [0.06, 0.1])
     other = state._replace(kind="", saddle=None)
-    of_edges = edge_arrays(CUBIC, [(0, 1), (0, 1)], [state, other], None, False)
-    found = {name: values for name, (_, values) in of_edges.items()}
+    found = edge_arrays(CUBIC, [(0, 1), (0, 1)], [state, other], None, False)
     assert found["edge_kind"].tolist() == ["saddle", ""]
     assert found["edge_period"].tolist() == [1, 0]
     np.testing.assert_allclose(found["edge_saddle"][0, 0], 0, atol=1e-9)

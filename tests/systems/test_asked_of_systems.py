@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.basins.windows import default_region
 from walker_jax.checks import WrongUse
 from walker_jax.design.measures import cost_is_known
-from walker_jax.stability.slices import default_region
 from walker_jax.walkers.parameters import span_of
 from walker_jax.walking.consistency import check_landing
 

@@ -25,7 +25,6 @@ from walker_jax.checks import (
     check_kind,
     check_memory,
     check_precision,
-    check_whole,
     refuses_tracers,
     short,
 )
@@ -125,7 +124,7 @@ def basin(
         method = "cell-map" if isinstance(walker, Walker) else "direct"
     if not isinstance(method, str) or method not in METHODS:
         raise WrongUse(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
-    strides = check_whole("strides", strides)
+    strides = int(strides)
     each = (BYTES_PER_CELL if out is None else BYTES_STORED)[method]
     check_grid(walker, grid, method, each, kind="basin")
     dtype = jnp.asarray(0.0).dtype

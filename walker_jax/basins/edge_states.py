@@ -18,7 +18,6 @@ from jaxtyping import Float
 
 from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.edge_tracking import follow_edge
-from walker_jax.basins.runs import label_of
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -109,7 +108,6 @@ def edge_state(
     check_single(walker)
     check_precision(jnp.asarray(0.0).dtype, "edge_state, which brings starts 1e-13 together,")
     check_whole("rounds", rounds)
-    check_whole("strides", strides)
     ends = [check_state(walker, "a", a), check_state(walker, "b", b)]
     for name, end in zip("ab", ends, strict=True):
         if not bool(walker.feasible(jnp.asarray(end))):
@@ -118,7 +116,7 @@ def edge_state(
     share = np.linspace(0, 1, SAMPLE)[:, None]
     between = (1 - share) * ends[0] + share * ends[1]
     mapper = survey(walker, between, integrator, strides, boxes=True).mapper
-    label_starts = lambda x: label_of(*mapper(x)[:2])
+    label_starts = lambda x: mapper(x).number
     first, second = label_starts(np.stack(ends)).tolist()
     if first == second:
         fate = explain_fate(first, walker.failures)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.basins.attractor import Attractor, capture_radius, targets_of
 from walker_jax.basins.motions import Clouds, clouds_of
+from walker_jax.basins.runs import label_of
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.reductions import largest
 from walker_jax.kernels.primitive import vary_together
@@ -56,6 +57,11 @@ class Label(NamedTuple):
     """Strides completed before it converged or failed."""
     state: Float[Any, "*walks section"]
     """State after these strides; NaN after a failure."""
+
+    @property
+    def number(self) -> Int[np.ndarray, "*walks"]:
+        """One number for the fate and the attractor, that of `label_of`."""
+        return label_of(self.fate, self.attractor)
 
     @property
     def converged(self) -> Bool[Any, "*walks"]:

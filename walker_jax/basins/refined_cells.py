@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from walker_jax.basins.attractor_search import label_and_find
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
+from walker_jax.basins.runs import Runs, flat_index, merge, neighbours
 from walker_jax.checks import check_memory
 from walker_jax.grids import Grid, edge
 
@@ -56,11 +56,6 @@ class RefinedCells:
         """Whether all cells of this level were followed."""
         return len(self.cells) == self.runs.size
 
-    def subdivide(self) -> None:
-        """Halve all cells along each axis; the parts inherit labels."""
-        self.runs = self.runs.subdivide()
-        self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
-
     def random_places(self, count: int) -> Float[np.ndarray, "n axes"]:
         """Draw random places within cells, from 0 to 1 along each axis."""
         return self.rng.uniform(size=(count, len(self.runs.shape)))
@@ -68,31 +63,30 @@ class RefinedCells:
     def map(
         self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n axes"] | None = None
     ) -> Label:
-        """Label cells by points at some places within them, or by their centres."""
+        """Label cells by points at some places within them, or by their centres.
+
+        Attractors that are new are found.
+        """
         parts = []
         for first in range(0, max(1, len(cells)), CELLS_TOGETHER):
             part = slice(first, first + CELLS_TOGETHER)
             places = np.stack(np.unravel_index(cells[part], self.runs.shape), axis=1)
             places = places + (0.5 if within is None else within[part])
             x = self.grid.points_at(places / np.array(self.runs.shape))
-            labels = self.label(x)
+            labels, self.mapper, made = label_and_find(
+                self.mapper, x, boxes=True, progress=self.progress
+            )
+            self.total_strides += made
             parts.append(labels._replace(state=labels.state[:0]))  # the states are not needed
         return Label(*(np.concatenate(values) for values in zip(*parts, strict=True)))
-
-    def label(self, x: Float[np.ndarray, "n section"]) -> Label:
-        """Label points, and find new attractors among them."""
-        labels, self.mapper, made = label_and_find(
-            self.mapper, x, boxes=True, progress=self.progress
-        )
-        self.total_strides += made
-        return labels
 
     def follow_levels(self) -> tuple[list[int], list[int]]:
         """Follow all levels; return the number of cells followed on each, and on the boundary."""
         followed, boundary, cells = [], [], np.arange(self.grid.size)
         for level in range(self.levels + 1):
             if level:
-                self.subdivide()
+                self.runs = self.runs.subdivide()
+                self.cells, self.strides = self.cells[:0], self.strides[:0]
                 cells = self.children(cells)
             self.follow(level, cells)
             cells = self.cells[self.on_boundary(self.runs.label)]
@@ -106,7 +100,7 @@ class RefinedCells:
             check_level(self.levels, level, len(self.cells) + len(cells), BYTES_PER_FOLLOWED_CELL)
             anywhere = level == self.levels and not self.by_centres
             found = self.map(cells, self.random_places(len(cells)) if anywhere else None)
-            self.runs = self.runs.with_cells(cells, label_of(found.fate, found.attractor), level)
+            self.runs = self.runs.with_cells(cells, found.number, level)
             order = np.argsort(np.concatenate([self.cells, cells]), kind="stable")
             self.cells = np.concatenate([self.cells, cells])[order]
             self.strides = np.concatenate([self.strides, found.strides])[order]

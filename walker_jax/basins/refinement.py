@@ -245,14 +245,14 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
     check_grid(walker, grid, "direct", kind=kind)
     for name, count in counts.items():
         check_whole(name, count, 0, FINEST if name == "levels" else MAX_COUNT)
-    check_memory_of_starts(counts["check"])
+    check_memory_of_starts("check", counts["check"])
     check_whole("strides", strides)
 
 
-def check_memory_of_starts(check: int) -> None:
-    """Raise `TooLarge` for more starts to check than this machine's memory holds."""
-    needed = check * BYTES_PER_CELL["direct"]
-    check_memory(needed, f"{check} starts need", "lower check", of="check")
+def check_memory_of_starts(name: str, count: int) -> None:
+    """Raise `TooLarge` for more starts than this machine's memory holds."""
+    needed = count * BYTES_PER_CELL["direct"]
+    check_memory(needed, f"{count} starts need", f"lower {name}", of=name)
 
 
 def correct_and_estimate(

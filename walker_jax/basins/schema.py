@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.attractor import Attractor, in_order
 from walker_jax.grids import Grid, cell_slices
+from walker_jax.storage.schema import with_dims
 from walker_jax.systems.outcomes import names_in, names_of_outcomes
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_source
@@ -108,22 +109,25 @@ def add_attractors(
     cell_cycles: CellCycles | None = None,
 ) -> xr.Dataset:
     """Add the attractors to a data set, with the cells of each basin and those at the border."""
-    longest = max((len(one.states) for one in attractors), default=0)
-    states = np.full((len(attractors), longest, grid.coordinates), np.nan)
-    for one, row in zip(attractors, states, strict=True):
-        row[: len(one.states)] = one.states
     area = cells * grid.cell_area
     found = {
-        "period": ("number", np.array([one.period or 0 for one in attractors], np.int32)),
-        "states": (("number", "phase", "coordinate"), states),
-        "cells": ("number", cells),
-        "area": ("number", area),
+        "period": np.array([one.period or 0 for one in attractors], np.int32),
+        "states": padded([one.states for one in attractors], grid.coordinates),
+        "cells": cells,
+        "area": area,
         "at_border": at_border,
+        **({} if cell_cycles is None else cell_cycles._asdict()),
     }
-    if cell_cycles is not None:
-        found |= {name: ("number", values) for name, values in cell_cycles._asdict().items()}
-    data = data.assign(found).assign_coords(number=np.arange(len(attractors)))
+    data = data.assign(with_dims("basin", found)).assign_coords(number=np.arange(len(attractors)))
     return data.assign_attrs(area=area.tolist())
+
+
+def padded(rows: Sequence[Any], size: int) -> Float[np.ndarray, "n most size"]:
+    """Join arrays of several lengths into one, with NaN after the shorter ones."""
+    values = np.full((len(rows), max(map(len, rows), default=0), size), np.nan)
+    for one, row in zip(values, rows, strict=True):
+        one[: len(row)] = row
+    return values
 
 
 def request_of(about: xr.Dataset, grid: Grid) -> dict:

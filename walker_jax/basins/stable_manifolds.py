@@ -43,6 +43,11 @@ GROWTH = 1.5
 SHARPEST = 0.9
 """Least cosine of the angle between two steps."""
 
+Point = Float[np.ndarray, " 2"]
+Matrix = Float[np.ndarray, "2 2"]
+ImageOf = Callable[[Point], tuple[Point, Matrix]]
+"""A map with its derivatives, such as `Image`."""
+
 
 @refuses_tracers()
 def stable_manifold(
@@ -120,26 +125,20 @@ class Image(NamedTuple):
         return local.state[0, -1], multiply_jacobians(local.jacobian)[0]
 
 
-ImageOf = Callable[
-    [Float[np.ndarray, " 2"]], tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 2"]]
-]
-"""A map with its derivatives, such as `Image`."""
-
-
 class Curve:
     """A curve that grows point by point: cubics with given tangents join its points."""
 
-    def __init__(self, first: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]):
+    def __init__(self, first: Point, tangent: Point):
         self.points, self.tangents, self.lengths = [first], [tangent], [0.0]
 
-    def add(self, point: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]) -> None:
+    def add(self, point: Point, tangent: Point) -> None:
         """Add a point at the end."""
         gap = float(np.linalg.norm(point - self.points[-1]))
         self.points.append(point)
         self.tangents.append(tangent)
         self.lengths.append(self.lengths[-1] + gap)
 
-    def at(self, t: float) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
+    def at(self, t: float) -> tuple[Point, Point]:
         """Return the point at a length t, and its derivative by t (Hermite's interpolation)."""
         from scipy.interpolate import CubicHermiteSpline
 
@@ -151,8 +150,8 @@ class Curve:
 
 def follow_manifold(
     image: ImageOf,
-    saddle: Float[np.ndarray, " 2"],
-    direction: Float[np.ndarray, " 2"],
+    saddle: Point,
+    direction: Point,
     spacing: float,
     points: int,
     turns: Turns = None,
@@ -179,11 +178,7 @@ def follow_manifold(
     return np.array(curve.points)
 
 
-def tangent_of(
-    jacobian: Float[np.ndarray, "2 2"],
-    slope: Float[np.ndarray, " 2"],
-    along: Float[np.ndarray, " 2"],
-) -> tuple[Float[np.ndarray, " 2"], float]:
+def tangent_of(jacobian: Matrix, slope: Point, along: Point) -> tuple[Point, float]:
     """Return a direction dx of length one, not against `along`, and dt with J dx = slope dt."""
     null = np.cross(*np.column_stack([jacobian, -slope]))
     null = null / np.linalg.norm(null[:2])
@@ -192,13 +187,8 @@ def tangent_of(
 
 
 def find_preimage(
-    image: ImageOf,
-    curve: Curve,
-    x: Float[np.ndarray, " 2"],
-    t: float,
-    tangent: Float[np.ndarray, " 2"],
-    turns: Turns = None,
-) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "2 2"]] | None:
+    image: ImageOf, curve: Curve, x: Point, t: float, tangent: Point, turns: Turns = None
+) -> tuple[Point, float, Matrix] | None:
     """Find the point across the tangent at x that is mapped to the curve, and where; or None."""
     start = x
     for _ in range(CORRECTIONS):

@@ -25,7 +25,7 @@ from walker_jax.checks import (
     refuses_tracers,
     short,
 )
-from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
+from walker_jax.integrators.integrator import AnySolver, integrator_of
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels.primitive import nan_allowed
 from walker_jax.systems.system import System, check_single
@@ -66,7 +66,6 @@ def find_attractors(
     """
     check_kind("system", system, System)
     check_single(system)
-    check_whole("strides", strides)
     x = numbers("starts", starts)
     if x.ndim != 2 or x.shape[1] != len(system.section):
         raise WrongUse(
@@ -121,20 +120,14 @@ def label(
     if not all(isinstance(one, Attractor) for one in found):
         raise WrongUse(f"attractors must be those of find_attractors, not {short(attractors)}")
     if not any(isinstance(one, Tracer) for one in jax.tree.leaves((system, found, tolerance))):
+        by = integrator_of(x.dtype, tolerance, solver)
         with jax.ensure_compile_time_eval():
-            check_attracting(system, found, integrator_of(x.dtype, tolerance, solver))
+            for one in found:
+                if one.period and not attracts(system, np.asarray(one.states), by):
+                    raise WrongUse(
+                        "attractors must attract walkers of this system, unlike the cycle at "
+                        f"{short(np.asarray(one.states[0]).tolist())}"
+                    )
     found = jax.tree.map(jnp.asarray, found)
     with nan_allowed():
         return Mapper(own, found, integrator, strides, further)(x)
-
-
-def check_attracting(
-    system: System, attractors: Sequence[Attractor], integrator: Integrator
-) -> None:
-    """Raise `WrongUse` for cycles that do not attract."""
-    for one in attractors:
-        if one.period and not attracts(system, np.asarray(one.states), integrator):
-            raise WrongUse(
-                "attractors must attract walkers of this system, unlike the cycle at "
-                f"{short(np.asarray(one.states[0]).tolist())}"
-            )

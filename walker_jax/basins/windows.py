@@ -9,6 +9,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import is_number
+from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
@@ -69,6 +70,19 @@ def window_of_basin(system: System) -> dict[str, Any] | None:
     ranges = {name: (float(low), float(high), count) for name, low, high, count in ends}
     at = dict(zip(system.section, map(float, np.asarray(region.origin)), strict=True))
     return at | ranges
+
+
+def default_region(walker: System, searched: Gait | None = None) -> Grid | None:
+    """Return the default region of `robustness`; None where a gait is needed and not found.
+
+    It is the system's `basin_region`, by default around the gait of `find_gait`.
+    """
+
+    def state():
+        gait = search_gait(walker) if searched is None else searched
+        return gait.states[0] if gait.found else None
+
+    return walker.basin_region(state)
 
 
 def whole_section(walker: System) -> dict[str, Any] | None:

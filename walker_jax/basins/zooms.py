@@ -17,7 +17,6 @@ from walker_jax.basins.edge_states import check_state
 from walker_jax.basins.edge_tracking import HALVINGS
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.narrow_windows import follow_window
-from walker_jax.basins.runs import label_of
 from walker_jax.basins.schema import describe
 from walker_jax.checks import (
     ComputationFailed,
@@ -77,7 +76,6 @@ def checked_mapper(
 ) -> Mapper:
     """Check other arguments; return the mapper to a grid's attractors, with capture boxes."""
     check_single(walker)
-    check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, needed_by)
     starts = grid.centres(sample_indices(grid.size))
@@ -89,8 +87,7 @@ def find_boundary_point(
 ) -> Float[np.ndarray, " section"]:
     """Find `boundary_point`, by a mapper."""
     labels, mapper, _ = label_and_find(mapper, grid.centres(np.arange(grid.size)))
-    label_starts = lambda x: label_of(*mapper(x)[:2])
-    label = label_of(*labels[:2]).reshape(grid.shape)
+    label = labels.number.reshape(grid.shape)
     on_edge = np.argwhere(edge(label))
     if len(on_edge) == 0:
         raise ComputationFailed(
@@ -103,7 +100,7 @@ def find_boundary_point(
     beside = beside[((beside >= 0) & (beside < shape)).all(axis=1)]
     other = beside[(label[tuple(beside.T)] != label[tuple(cell)]).argmax()]
     ends = grid.points_at((np.stack([cell, other]) + 0.5) / shape)
-    return close_in(label_starts, ends, 0.0, HALVINGS).ends[0, 1]
+    return close_in(lambda x: mapper(x).number, ends, 0.0, HALVINGS).ends[0, 1]
 
 
 @refuses_tracers()

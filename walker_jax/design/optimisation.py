@@ -21,6 +21,7 @@ import xarray as xr
 
 from walker_jax.basins.computation import basin
 from walker_jax.basins.refinement import refine_cells
+from walker_jax.basins.windows import default_region
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -65,7 +66,6 @@ from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.fitting.results import Fit
 from walker_jax.grids import Grid
-from walker_jax.stability.slices import default_region
 from walker_jax.systems.system import System
 from walker_jax.walkers.choices import MANY, Choice
 from walker_jax.walkers.model import is_planar

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.refinement import FINEST, check_finest
-from walker_jax.basins.windows import grid_along, whole_section
+from walker_jax.basins.windows import default_region, grid_along, whole_section
 from walker_jax.checks import WrongUse, check_number, check_whole, short
 from walker_jax.design.measures import (
     GAIT_MEASURES,
@@ -20,7 +20,6 @@ from walker_jax.design.measures import (
 from walker_jax.design.problem import OBJECTIVES, SIZES, Problem
 from walker_jax.design.training import Training
 from walker_jax.grids import Grid
-from walker_jax.stability.slices import default_region
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import check_planar
 

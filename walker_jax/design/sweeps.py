@@ -23,6 +23,7 @@ from walker_jax.basins.labels import LONGEST_PERIOD
 from walker_jax.basins.matching import number_alike
 from walker_jax.basins.refinement import FINEST, check_memory_of_starts, refine
 from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of
+from walker_jax.basins.windows import default_region
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.design.measures import differentiate_measures
 from walker_jax.execution.pieces import Work, complete_store
@@ -32,7 +33,6 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.gait_robustness import robustness
 from walker_jax.stability.robustness_fields import without_gait
-from walker_jax.stability.slices import default_region
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.system import System, has_gait_region
 from walker_jax.walkers.parameters import check_parameter, with_parameter
@@ -128,7 +128,7 @@ def sweep(
     check_values(walker, values)
     levels = check_whole("levels", levels, 0, FINEST)
     check = check_whole("check", check, 0)
-    check_memory_of_starts(check)
+    check_memory_of_starts("check", check)
     check_kind("robust", robust, bool)
     strides = check_whole("strides", strides)
     seed = check_whole("seed", seed, 0)

@@ -21,7 +21,6 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import (
     WrongUse,
     array,
-    check_confidence,
     check_number,
     check_whole,
     numbers,
@@ -269,7 +268,6 @@ def uncertainty_exponent(
     Raises ValueError if an argument is out of range, or the functions return wrong shapes.
     """
     distances = sort_distances(distances, pairs)
-    check_whole("seed", seed, 0)
     for name, function in {"label_of": label_of, "draw": draw}.items():
         if not callable(function):
             raise WrongUse(f"{name} must be a function, not a {type(function).__name__}")
@@ -343,5 +341,4 @@ def fit_power(
 
 def upper_probability(confidence: float) -> float:
     """Return the probability below the upper end of a two-sided interval."""
-    check_confidence(confidence)
     return (1 + confidence) / 2

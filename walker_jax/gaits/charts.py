@@ -116,7 +116,6 @@ def chart(
     """
     names, ranges = check_bounds(system, [*bounds] if isinstance(bounds, Mapping) else (), bounds)
     check_whole("period_max", period_max, most=64)
-    check_whole("strides", strides)
     if not isinstance(cells, tuple | list) or len(cells) != 2:
         raise WrongUse(f"cells must be two numbers, not {short(cells)}")
     count = check_whole("cells", cells[0], 2) * check_whole("cells", cells[1], 2)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
+from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers
 from walker_jax.gaits.branches import Branch, check_interval, float64_tolerance
 from walker_jax.gaits.long_runs import iterate_to_cycles, starts_near_gaits
 from walker_jax.integrators.integrator import Integrator
@@ -64,7 +64,6 @@ def loss_of_walking(
     """
     tolerance = float64_tolerance(tolerance)
     below, above = check_interval(walker, parameter, interval)
-    check_whole("strides", strides)
     check_kind("branches", branches, Sequence)
     for branch in branches:
         check_kind("branches", branch, Branch)

@@ -103,8 +103,8 @@ def bifurcation_diagram(
     """
     tolerance = float64_tolerance(tolerance)
     interval = check_interval(walker, parameter, interval)
-    for name, number in {"period_max": period_max, "strides": strides, "scan": scan}.items():
-        check_whole(name, number)
+    check_whole("period_max", period_max)
+    check_whole("scan", scan)
     check_whole("exponents", exponents, 0)
     check_kind("normal_forms", normal_forms, bool)
     how: Any = {"tolerance": tolerance, "progress": progress}

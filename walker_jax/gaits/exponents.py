@@ -123,13 +123,8 @@ def lyapunov(
     if x.ndim == 1 and not np.isfinite(x).all():
         raise WrongUse(f"x must be finite, not {short(x.tolist())}", of="x")
     check_precision(jnp.asarray(0.0).dtype, "a mean over many strides")
-    for name, number, least in (
-        ("strides", strides, 1),
-        ("walks", walks, 2),
-        ("settling", settling, 0),
-        ("seed", seed, 0),
-    ):
-        check_whole(name, number, least)
+    check_whole("walks", walks, 2)
+    check_whole("settling", settling, 0)
     starts = np.asarray(x, float).reshape(-1, size)
     system, many = as_arrays(system, len(starts), starts.dtype)
     integrator = integrator_of(jnp.float64, tolerance, solver).in_dtype(starts.dtype)

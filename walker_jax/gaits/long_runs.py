@@ -10,7 +10,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
-from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
+from walker_jax.checks import WrongUse, numbers, refuses_tracers
 from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles, solve_at
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
@@ -80,7 +80,6 @@ def attractors(
     if starts.ndim != 3 or starts.shape[::2] != (len(values), len(walker.section)):
         shape = f"({len(values)}, starts, {len(walker.section)})"
         raise WrongUse(f"starts must have shape {shape}, not {starts.shape}")
-    check_whole("strides", strides)
     n, m, size = starts.shape
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
     found = settle(walkers, starts.reshape(-1, size), strides, integrator, progress)

@@ -9,11 +9,11 @@ from jaxtyping import Float
 
 from walker_jax.basins.computation import basin
 from walker_jax.basins.refinement import refine
+from walker_jax.basins.windows import default_region
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.diagrams import bifurcation_diagram
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
-from walker_jax.stability.slices import default_region
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.movement import motion
 

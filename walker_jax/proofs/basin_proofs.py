@@ -92,7 +92,6 @@ def prove_basin(
     """
     walker = check_provable(walker)
     check_whole("levels", levels, 0, 24)
-    check_whole("strides", strides)
     gait = find_gait(walker) if gait is None else gait
     check_found(gait)
     centre, period = np.asarray(gait.states[0], float), len(gait.states)

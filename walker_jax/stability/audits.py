@@ -17,7 +17,6 @@ from walker_jax.checks import (
     WrongUse,
     check_kind,
     check_number,
-    check_whole,
     numbers,
     refuses_tracers,
 )
@@ -85,9 +84,6 @@ def audit(
     - `seed`: of the random numbers.
     """
     check_kind("box", box, BlackBox)
-    for name, value in (("samples", samples), ("strides", strides)):
-        check_whole(name, value)
-    check_whole("seed", seed, 0)
     for name, value in (("disturbances", disturbances), ("within", within)):
         check_number(name, value)
         if not 0 < value < np.inf:

@@ -20,15 +20,15 @@ from jaxtyping import Float
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import label_and_find
-from walker_jax.basins.computation import BYTES_PER_CELL, check_grid
+from walker_jax.basins.computation import check_grid
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.matching import NONE, match_clouds, match_cycles
+from walker_jax.basins.refinement import check_memory_of_starts
+from walker_jax.basins.windows import default_region
 from walker_jax.checks import (
     WrongUse,
     check_kind,
-    check_memory,
-    check_whole,
     numbers,
     refuses_tracers,
 )
@@ -45,7 +45,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
-from walker_jax.stability.slices import default_region
+from walker_jax.storage.schema import with_dims
 from walker_jax.systems.angles import turns_of
 from walker_jax.systems.outcomes import OUTCOMES
 from walker_jax.systems.system import System, check_single
@@ -128,10 +128,7 @@ def continue_basins(
         raise WrongUse(f"values must be two or more in ascending order, not {values.tolist()}")
     check_parameter(walker, parameter, *values.tolist())
     tolerance = float(float64_tolerance(tolerance))
-    samples, strides = check_whole("samples", samples), check_whole("strides", strides)
-    seed = check_whole("seed", seed, 0)
-    needed = samples * BYTES_PER_CELL["direct"]
-    check_memory(needed, f"{samples} starts need", "lower samples", of="samples")
+    check_memory_of_starts("samples", samples)
     first = with_parameter(walker, parameter, float(values[0]))
     region = default_region(first) if region is None else region
     if region is None:
@@ -146,9 +143,9 @@ def continue_basins(
     about = {
         "parameter": parameter,
         **describe_source(walker, without=[parameter]),
-        "samples": samples,
-        "strides": strides,
-        "seed": seed,
+        "samples": int(samples),
+        "strides": int(strides),
+        "seed": int(seed),
         "tolerance": tolerance,
     }
     return assemble(values, found, family.branches, samples).assign_attrs(about)
@@ -247,18 +244,18 @@ class Family:
 
 def assemble(
     values: Float[np.ndarray, " values"],
-    found: list[Found],
+    at_values: list[Found],
     branches: list[Branch | None],
     samples: int,
 ) -> xr.Dataset:
     """Make the data set that `continue_basins` returns."""
-    count, size = len(branches), found[0].labels.state.shape[1]
-    longest = max((len(one.states) for each in found for one in each.attractors), default=1)
+    count, size = len(branches), at_values[0].labels.state.shape[1]
+    longest = max((len(one.states) for each in at_values for one in each.attractors), default=1)
     period = np.zeros(count, int)
     states = np.full((len(values), count, longest, size), np.nan)
     shares = np.full((3, len(values), count), np.nan)
     failed = np.zeros((len(values), OUTCOMES))
-    for i, (names, attractors, labels) in enumerate(found):
+    for i, (names, attractors, labels) in enumerate(at_values):
         lost = labels.fate[~labels.converged]
         failed[i] = np.bincount(lost, minlength=OUTCOMES) / samples
         for name in dict.fromkeys(names):  # a branch that turns back may have two stable gaits
@@ -269,30 +266,27 @@ def assemble(
             states[i, name, : len(one.states)] = one.states
             period[name] = one.period or 0
     present = np.isfinite(shares[0])
-    ends = [(values[there[[0]]], values[there[[-1]]]) for there in map(np.flatnonzero, present.T)]
     events = [
         (name, event)
         for name, branch in enumerate(branches)
         if branch is not None
         for event in (*branch.folds, *branch.doublings)
     ]
-    over = ("value", "attractor")
-    return xr.Dataset(
-        {
-            "fraction": (over, shares[0]),
-            "fraction_low": (over, shares[1]),
-            "fraction_high": (over, shares[2]),
-            "failed": (("value", "outcome"), failed),
-            "states": ((*over, "phase", "coordinate"), states),
-            "period": ("attractor", period),
-            "first": ("attractor", np.array([low[0] for low, _ in ends], float)),
-            "last": ("attractor", np.array([high[0] for _, high in ends], float)),
-            "event_attractor": ("event", np.array([name for name, _ in events], int)),
-            "event_value": ("event", np.array([event.value for _, event in events], float)),
-            "event_fold": ("event", np.array([event.kind == "fold" for _, event in events], bool)),
-        },
-        coords={"value": values, "attractor": np.arange(count)},
-    )
+    found = {
+        "fraction": shares[0],
+        "fraction_low": shares[1],
+        "fraction_high": shares[2],
+        "failed": failed,
+        "states": states,
+        "period": period,
+        "first": np.array([values[there][0] for there in present.T], float),
+        "last": np.array([values[there][-1] for there in present.T], float),
+        "event_attractor": np.array([name for name, _ in events], int),
+        "event_value": np.array([event.value for _, event in events], float),
+        "event_fold": np.array([event.kind == "fold" for _, event in events], bool),
+    }
+    coordinates = {"value": values, "attractor": np.arange(count)}
+    return xr.Dataset(with_dims("basin fractions", found), coordinates)
 
 
 def summarise_fractions(data: xr.Dataset) -> dict:

@@ -113,10 +113,8 @@ def basin_volume(
     check_single(system)
     check_kind("attractor", attractor, Attractor)
     check_grid(system, region, "direct")
-    for name, count in {"moves": moves, "strides": strides}.items():
-        check_whole(name, count)
+    check_whole("moves", moves)
     check_whole("samples", samples, GROUPS * FEWEST)
-    check_whole("seed", seed, 0)
     states = np.asarray(attractor.states)
     check_precision(states.dtype)
     place = (region.place(states[0]) + 0.5) / region.shape if attractor.period else np.array([-1.0])

@@ -1,6 +1,7 @@
 """The boundary between fates and attractors: how fractal it is, whether Wada, where it leads."""
 
 from itertools import combinations
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.computation import basin, check_grid
 from walker_jax.basins.edge_states import EdgeState, edge_state, fate_of
 from walker_jax.basins.runs import attractors_of, fates_of, label_of, labels_among
+from walker_jax.basins.schema import padded
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.execution.progress import bar, track
@@ -19,6 +21,7 @@ from walker_jax.fractals.entropies import BOX, basin_entropy
 from walker_jax.fractals.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
+from walker_jax.storage.schema import with_dims
 from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System, check_single
 
@@ -113,11 +116,11 @@ def boundary(
     spacings, shares = np.zeros(0, int), np.zeros(0)
     if len(regions) >= MIN_REGIONS:
         halvings = min(HALVINGS, int(np.log2(min(label.shape) / MIN_CELLS)))
-        found = merge_regions(number, radius, halvings=halvings)
-        spacings, shares = found.spacings, found.share
-    pairs, edges = [], []
+        merged = merge_regions(number, radius, halvings=halvings)
+        spacings, shares = merged.spacings, merged.share
+    pairs, edges, near = [], [], nearest_to(data, grid)
     for first, second in track([*combinations(regions.tolist(), 2)], "edge states", progress):
-        cells = touching_cells(label, (first, second), nearest_to(data, grid))
+        cells = touching_cells(label, (first, second), near)
         if cells is None:
             continue
         ends = grid.points_at((cells + 0.5) / np.array(grid.shape))
@@ -126,22 +129,22 @@ def boundary(
         except (ComputationFailed, WrongUse):  # rounding lost this boundary: the others count
             edges.append(EdgeState("", None, ends[:1], (fate_of(first), fate_of(second)), np.nan))
         pairs.append((first, second))
-    return data.assign(
-        {
-            "basin_entropy": entropy.value,
-            "boundary_entropy": entropy.boundary,
-            "boundary_entropy_error": entropy.boundary_error,
-            "boundary_crowded": entropy.crowded / entropy.mixed if entropy.mixed else np.nan,
-            "boundary_excess": entropy.excess,
-            "boundary_excess_error": entropy.excess_error,
-            "boundary_fractal": entropy.fractal,
-            "region": ("region_number", fates_of(regions)),
-            "region_attractor": ("region_number", attractors_of(regions)),
-            "spacing": ("spacing", spacings),
-            "wada_share": ("spacing", shares),
-            **edge_arrays(walker, pairs, edges, tolerance, progress),
-        }
-    ).assign_attrs(side=side, radius=float(radius))
+    found = {
+        "basin_entropy": entropy.value,
+        "boundary_entropy": entropy.boundary,
+        "boundary_entropy_error": entropy.boundary_error,
+        "boundary_crowded": entropy.crowded / entropy.mixed if entropy.mixed else np.nan,
+        "boundary_excess": entropy.excess,
+        "boundary_excess_error": entropy.excess_error,
+        "boundary_fractal": entropy.fractal,
+        "region": fates_of(regions),
+        "region_attractor": attractors_of(regions),
+        "spacing": spacings,
+        "wada_share": shares,
+        **edge_arrays(walker, pairs, edges, tolerance, progress),
+    }
+    data = data.assign(with_dims("boundary", found))
+    return data.assign_attrs(side=side, radius=float(radius))
 
 
 def label_regions(walker: System, grid: Grid, data: xr.Dataset) -> Int[np.ndarray, "*cells"]:
@@ -196,41 +199,29 @@ def edge_arrays(
     edges: list[EdgeState],
     tolerance: float | None,
     progress: bool,
-) -> dict[str, tuple]:
-    """Return the variables over the pairs of regions that touch."""
+) -> dict[str, Any]:
+    """Return the values over the pairs of regions that touch."""
     size = len(walker.section)
     saddles = [one.saddle for one in edges]
     multipliers = [np.zeros(0) if one is None else np.asarray(one.multipliers) for one in saddles]
     followed = track(saddles, "stable manifolds", progress)
     curves = [curves_of(walker, one, tolerance) for one in followed]
-    both = [curve for pair in curves for curve in (*pair, *[np.zeros((0, size))] * (2 - len(pair)))]
+    none = np.zeros((0, size))
+    both = [curve for pair in curves for curve in (pair or [none, none])]
     vertices = padded(both, size)
     labels = np.array(pairs, int).reshape(-1, 2)
     return {
-        "edge_fates": (("edge", "beside"), fates_of(labels)),
-        "edge_attractors": (("edge", "beside"), attractors_of(labels)),
-        "edge_between": (
-            ("edge", "beside"),
-            np.array([one.fates for one in edges], int).reshape(-1, 2),
+        "edge_fates": fates_of(labels),
+        "edge_attractors": attractors_of(labels),
+        "edge_between": np.array([one.fates for one in edges], int).reshape(-1, 2),
+        "edge_kind": np.array([one.kind for one in edges], object),
+        "edge_period": np.array([0 if one is None else len(one.states) for one in saddles], int),
+        "edge_saddle": padded([none if one is None else one.states for one in saddles], size),
+        "edge_multipliers": padded(
+            [np.stack([np.real(one), np.imag(one)], axis=1) for one in multipliers], 2
         ),
-        "edge_kind": ("edge", np.array([one.kind for one in edges], object)),
-        "edge_period": (
-            "edge",
-            np.array([0 if one is None else len(one.states) for one in saddles], int),
-        ),
-        "edge_saddle": (
-            ("edge", "saddle_phase", "coordinate"),
-            padded([np.zeros((0, size)) if one is None else one.states for one in saddles], size),
-        ),
-        "edge_multipliers": (
-            ("edge", "order", "part"),
-            padded([np.stack([np.real(one), np.imag(one)], axis=1) for one in multipliers], 2),
-        ),
-        "edge_path": (("edge", "point", "coordinate"), padded([one.path for one in edges], size)),
-        "stable_manifold": (
-            ("edge", "branch", "vertex", "coordinate"),
-            vertices.reshape(len(edges), 2, vertices.shape[1], size),
-        ),
+        "edge_path": padded([one.path for one in edges], size),
+        "stable_manifold": vertices.reshape(len(edges), 2, vertices.shape[1], size),
     }
 
 
@@ -244,14 +235,6 @@ def curves_of(
         return stable_manifold(walker, saddle, spacing=SPACING, tolerance=tolerance)
     except (WrongUse, np.linalg.LinAlgError):  # two multipliers beyond 1, or a singular Jacobian
         return []
-
-
-def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
-    """Join arrays of several lengths into one, with NaN after the shorter ones."""
-    values = np.full((len(rows), max(map(len, rows), default=0), size), np.nan)
-    for one, row in zip(values, rows, strict=True):
-        one[: len(row)] = row
-    return values
 
 
 def summarise_boundary(data: xr.Dataset) -> dict:

@@ -14,13 +14,12 @@ from jaxtyping import Float, Int
 from walker_jax.basins.attractor_search import survey
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.runs import flat_index
-from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
+from walker_jax.checks import check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar
 from walker_jax.fractals.dimensions import (
     Uncertainty,
     sort_distances,
     uncertainty_exponent,
-    upper_probability,
 )
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.integrator import integrator_of
@@ -85,10 +84,7 @@ def boundary_dimension(
     Raises `ValueError` as `basin` and `uncertainty_exponent` do.
     """
     check_grid(walker, grid, "direct")
-    check_whole("seed", seed, 0)
     apart = sort_distances(numbers("distances", distances), pairs)
-    upper_probability(confidence)
-    check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
     integrator = integrator_of(dtype, tolerance)

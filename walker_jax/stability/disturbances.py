@@ -15,14 +15,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import ComputationFailed, check_kind, check_whole, refuses_tracers
+from walker_jax.checks import ComputationFailed, check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import AnySolver, Integrator
-from walker_jax.stability.descents import descend_to_failure
+from walker_jax.stability.descents import nearest_failure
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.metric import DistanceFunction, metric_of
-from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
+from walker_jax.stability.rays import DENSE, spread_directions
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 
@@ -35,10 +35,6 @@ takes half as long as the default, and moves a boundary by far less than the dis
 try."""
 OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
 """Directions and distances of starts from which walkers may converge to other gaits."""
-
-
-LARGEST_SPAN = 3
-"""Most dimensions in which all directions are tried, spread evenly (`rays`)."""
 
 
 class LeastDisturbance(NamedTuple):
@@ -120,9 +116,7 @@ def least_disturbance(
     a size of a thousand.
     """
     sizes = metric_of(walker, scale, along, metric)
-    search = nearest_failure if len(sizes.basis) <= LARGEST_SPAN else descend_to_failure
     lost = failure_test(fall)
-    check_whole("directions", directions)
     check_kind("progress", progress, bool)
     mapper = mapper_of_gait(walker, gait, strides, tolerance, solver)
     states = mapper.attractors[0].states
@@ -151,7 +145,7 @@ def least_disturbance(
         def gradient_along(y: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
             return sizes.pull_back(x, y, gradient(x + sizes.disturbance(x, y)))
 
-        return search(
+        return nearest_failure(
             lambda y: fails(x + sizes.disturbance(x, y)),
             sizes.basis,
             gradient_along,

@@ -24,7 +24,6 @@ from scipy.optimize import minimize_scalar
 from walker_jax.checks import (
     ComputationFailed,
     WrongUse,
-    check_confidence,
     check_kind,
     check_whole,
     is_number,
@@ -122,8 +121,6 @@ def transients(
         size = len(system.section)
         raise WrongUse(f"starts must have shape (n, {size}), not {starts.shape}")
     check_whole("settle", settle, most=LONGEST_ORBIT // 4)
-    check_whole("strides", strides)
-    check_confidence(confidence)
     integrator = integrator_of(starts.dtype, tolerance)
     end = iterate(system, starts, strides, integrator)
     ended = ~np.isin(end.outcome, (Outcome.STRIDE, Outcome.UNDECIDED))
@@ -137,43 +134,27 @@ def transients(
     )
     lasting = lasting[np.argsort(-end.strides[lasting], kind="stable")]
     longest = lasting[:MOST_ORBITS]
-    lives = end.strides[longest]
-    paths = middle_parts(system, starts[longest], lives, settle, integrator)
+    count = int(min(end.strides[longest].max(), LONGEST_ORBIT))
+    states, _ = orbits(system, starts[longest], count, integrator)
+    ends = np.minimum(end.strides[longest], count + settle) - settle
+    paths = [path[settle : last + 1] for path, last in zip(states, ends, strict=True)]
     exponents = exponents_along(system, paths, integrator)
-    dimension = dimension_of(rate, exponents)
-    saddle = np.concatenate(paths)
     brief = lasting[ended[lasting] & (end.strides[lasting] <= LONGEST_ORBIT)][:MOST_ESCAPES]
-    escapes = last_states(system, starts[brief], end.strides[brief], settle, integrator)
-    lives, section = end.strides, tuple(system.section)
+    lives = end.strides[brief, None]
+    states, _ = orbits(system, starts[brief], int(lives.max(initial=0)), integrator)
     return Transients(
-        rate, low, high, mean, lives, ended, saddle, exponents, dimension, escapes, section
+        rate,
+        low,
+        high,
+        mean,
+        lives=end.strides,
+        ended=ended,
+        saddle=np.concatenate(paths),
+        exponents=exponents,
+        dimension=dimension_of(rate, exponents),
+        escapes=states[np.arange(len(brief))[:, None], lives - np.arange(settle)[::-1]],
+        section=tuple(system.section),
     )
-
-
-def middle_parts(
-    system: System,
-    starts: Float[np.ndarray, "n section"],
-    lives: Int[np.ndarray, " n"],
-    settle: int,
-    integrator: Integrator,
-) -> list[Float[np.ndarray, "_ section"]]:
-    """Return the states of each walk from stride `settle` on, up to as many before its end."""
-    count = int(min(lives.max(), LONGEST_ORBIT))
-    states, _ = orbits(system, starts, count, integrator)
-    ends = np.minimum(lives, count + settle) - settle
-    return [path[settle : end + 1] for path, end in zip(states, ends, strict=True)]
-
-
-def last_states(
-    system: System,
-    starts: Float[np.ndarray, "n section"],
-    lives: Int[np.ndarray, " n"],
-    count: int,
-    integrator: Integrator,
-) -> Float[np.ndarray, "n count section"]:
-    """Return the last `count` states of each walk before its failure."""
-    states, _ = orbits(system, starts, int(lives.max(initial=0)), integrator)
-    return states[np.arange(len(starts))[:, None], lives[:, None] - np.arange(count)[::-1]]
 
 
 def exponents_along(
@@ -291,7 +272,6 @@ def crisis_law(
             raise WrongUse(
                 f"{name} must be {len(values)} positive numbers, not {short(one.tolist())}"
             )
-    check_confidence(confidence)
     if crisis is not None and not (is_number(crisis) and -np.inf < crisis < values[0]):
         raise WrongUse(f"crisis must be below {values[0]:g}, not {short(crisis)}")
     predicted = {} if multipliers is None else crisis_exponents(multipliers)

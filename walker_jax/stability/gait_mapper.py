@@ -11,7 +11,7 @@ from walker_jax.basins.attractor_search import with_attractors_from
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.labels import Label
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
+from walker_jax.checks import WrongUse, check_kind, check_precision
 from walker_jax.gaits.cycles import Gait, check_cycle, check_found
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import AnySolver, integrator_of
@@ -33,7 +33,6 @@ def mapper_of_gait(
     """
     check_kind("walker", walker, System)
     check_single(walker)
-    check_whole("strides", strides)
     by: Any = {"tolerance": tolerance, "solver": solver}
     gait = require_gait(walker, ["gait"], **by) if gait is None else gait
     check_found(gait)

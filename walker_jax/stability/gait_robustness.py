@@ -15,6 +15,7 @@ from jaxtyping import Float
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basins
 from walker_jax.basins.computation import check_grid
 from walker_jax.basins.refinement import refine
+from walker_jax.basins.windows import default_region
 from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar, track
 from walker_jax.execution.threads import side_by_side
@@ -37,7 +38,6 @@ from walker_jax.stability.robustness_fields import (
     without_gait,
 )
 from walker_jax.stability.sampling import BasinStability, basin_stability
-from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
 from walker_jax.stability.time_to_fall import steps_to_fall
 from walker_jax.systems.angles import turns_of

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.stability.descents import RADII, descend
-from walker_jax.stability.rays import Fails, Gradient, bisect, scan, tangents
+from walker_jax.stability.descents import JUST_BEYOND, RADII, descend
+from walker_jax.stability.rays import Fails, Gradient, Lengths, Points, bisect, scan, tangents
 
 ROUGHLY = 16
 """Bisections of lengths in a descent: to a millionth."""
@@ -34,9 +34,6 @@ TURN = 1e-4
 REACHES, HALVINGS = 10.0 ** np.arange(-7, -1), 38
 """Relative distances within which the boundary is sought on a turned ray, the smallest first
 because failures may be a thin finger; and bisections, down to rounding."""
-BEYOND = 1 + 1e-10
-"""Multiple of the length at which normals are computed. On the boundary itself, rounding would
-decide how a walk ends."""
 NEWTON_STEPS, CONVERGED = 12, 1e-10
 """Most steps of Newton's iteration, and the angle between ray and normal at which it ends."""
 SHARES = 0.3 ** np.arange(5)
@@ -60,7 +57,7 @@ class NearestPoint(NamedTuple):
 def nearest_minima(
     fails: Fails,
     gradient: Gradient,
-    rays: Float[np.ndarray, "n size"],
+    rays: Points,
     most: int,
     known: tuple[int, float] = (0, np.inf),
 ) -> tuple[Float[np.ndarray, "m size"], Float[np.ndarray, " m"]]:
@@ -84,7 +81,7 @@ def solve_nearest(
     The iteration ends where a step brings ray and normal no closer, or differences find no
     boundary.
     """
-    lengths, miss = misalignment(fails, gradient, ray[None], length)
+    lengths, (miss,) = misalignment(fails, gradient, ray[None], length)
     found = float(lengths[0]) if np.isfinite(lengths[0]) else length
     best = NearestPoint(ray, found, float(np.linalg.norm(miss)), np.nan)
     for _ in range(NEWTON_STEPS):
@@ -96,8 +93,7 @@ def solve_nearest(
         if best.residual < CONVERGED or not flatness:
             break
         across = tangents(best.ray)
-        _, miss = misalignment(fails, gradient, best.ray[None], best.length)
-        step = np.linalg.solve(jacobian, across @ miss[0]) @ across
+        step = np.linalg.solve(jacobian, across @ miss) @ across
         step *= min(1.0, LARGEST_STEP / np.linalg.norm(step))
         tried = best.ray + SHARES[:, None] * step
         tried /= np.linalg.norm(tried, axis=1, keepdims=True)
@@ -106,7 +102,7 @@ def solve_nearest(
         closer = np.flatnonzero(residuals < best.residual)
         if len(closer) == 0:
             break
-        first = closer[0]
+        first, miss = closer[0], misses[closer[0]]
         best = NearestPoint(tried[first], float(lengths[first]), float(residuals[first]), flatness)
     return best
 
@@ -125,8 +121,8 @@ def bending(fails: Fails, gradient: Gradient, near: NearestPoint) -> Float[np.nd
 
 
 def misalignment(
-    fails: Fails, gradient: Gradient, rays: Float[np.ndarray, "n size"], length: float
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n size"]]:
+    fails: Fails, gradient: Gradient, rays: Points, length: float
+) -> tuple[Lengths, Points]:
     """Return the length of each ray up to the boundary, near a known one, and F = nu - u."""
     tried = length * np.stack([1 - REACHES, 1 + REACHES])
     points = tried[..., None] * rays[:, None, None]
@@ -140,6 +136,6 @@ def misalignment(
     known = np.isfinite(lengths)
     miss = np.full(rays.shape, np.nan)
     if known.any():
-        normals = gradient(BEYOND * lengths[known, None] * rays[known])
+        normals = gradient(JUST_BEYOND * lengths[known, None] * rays[known])
         miss[known] = normals / np.sum(normals * rays[known], axis=1, keepdims=True) - rays[known]
     return lengths, miss

@@ -24,7 +24,6 @@ from walker_jax.checks import (
     WrongUse,
     check_kind,
     check_precision,
-    check_whole,
     is_number,
     refuses_tracers,
     short,
@@ -144,8 +143,6 @@ def most_probable_fall(
     check_planar(walker)
     check_precision(jnp.asarray(0.0).dtype, NEEDED_BY)
     deviations = read_deviations(ground)
-    check_whole("strides", strides)
-    check_whole("directions", directions)
     if strides > STRIDES_PER_CALL:
         raise WrongUse(f"strides must be at most {STRIDES_PER_CALL}, not {strides}")
     if outcome is not None:

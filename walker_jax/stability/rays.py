@@ -30,66 +30,23 @@ ZOOMS, NARROWER = 3, 0.25
 ZOOM_DEPTH, ZOOM_DISTANCES = 0.015, 10
 """Share of the nearest distance by which the first fan reaches below it, and distances along each
 ray. Narrower fans hold nearer failures by less: depth and `KEPT` narrow with them."""
-POLISHES = 4
-"""Most steps along the boundary's gradient that follow."""
-FINALISTS = 32
-"""Number of rays that are polished: the nearest ones."""
-POLISH_SHARES = 2.0 ** np.arange(-6, 3)
-"""Shares, tried by each polish, of the step to the nearest point of a flat boundary."""
-FINAL_DISTANCES = 512
-"""Distances in the last check that nothing nearer fails in the direction found."""
 COARSE, FINE = 12, 34
 """Halvings between two points on a ray: to compare rays, and for the final distance."""
 AT_ONCE, MOST_HALVINGS = 32, 4
 """Points in a call that takes hardly longer than one of a few points, and most halvings in it."""
 
-
-Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
-Gradient = Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]]
-
-
-def nearest_failure(
-    fails: Fails,
-    basis: Float[np.ndarray, "rank size"],
-    gradient: Gradient,
-    count: int = DENSE,
-    roughly_fails: Fails | None = None,
-) -> Float[np.ndarray, " size"]:
-    """Find the shortest failing vector in the span of an orthonormal basis.
-
-    The origin must not fail. `gradient`, at failing points just beyond the boundary, is normal to
-    it, or NaN. Rays are chosen by a scan of `count` directions in a plane; the scan uses
-    `roughly_fails`, if given, which may be faster than `fails`. Raises `ComputationFailed` where
-    nothing fails.
-    """
-    best, lengths = nearest_rays(roughly_fails or fails, basis, count)
-    best, lengths = best[:FINALISTS], lengths[:FINALISTS]
-    gap = 1e-3 * lengths.min()
-    closer = first_failures(fails, best @ basis, lengths.min() - gap, lengths.min() + gap, 8)
-    closer = bisect(fails, best @ basis, closer, gap / 4, FINE)
-    lengths = np.minimum(lengths, closer)
-    for _ in range(POLISHES if len(basis) > 1 else 0):
-        before = best, lengths
-        best, lengths = polish(fails, gradient, basis, *before, gap)
-        if np.array_equal(best, before[0]) and np.array_equal(lengths, before[1]):
-            break  # and so would every further step be
-    return first_on_ray(fails, best[lengths.argmin()] @ basis, lengths.min())
+Points = Float[np.ndarray, "n size"]
+Rays = Float[np.ndarray, "n rank"]
+"""Unit vectors by their components along a basis."""
+Basis = Float[np.ndarray, "rank size"]
+Lengths = Float[np.ndarray, " n"]
+Chosen = tuple[Float[np.ndarray, "m rank"], Float[np.ndarray, " m"]]
+"""Some of n rays, and their lengths."""
+Fails = Callable[[Points], Bool[np.ndarray, " n"]]
+Gradient = Callable[[Points], Points]
 
 
-def first_on_ray(
-    fails: Callable, ray: Float[np.ndarray, " size"], length: float
-) -> Float[np.ndarray, " size"]:
-    """Find the first failure on a ray that fails at some length, as far as samples show."""
-    while True:
-        first = first_failures(fails, ray[None], 0.0, (1 - 1e-9) * length, FINAL_DISTANCES)
-        if np.isinf(first[0]):
-            return length * ray
-        length = bisect(fails, ray[None], first, length / FINAL_DISTANCES, FINE)[0]
-
-
-def nearest_rays(
-    fails: Callable, basis: Float[np.ndarray, "rank size"], count: int
-) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+def nearest_rays(fails: Fails, basis: Basis, count: int) -> tuple[Rays, Lengths]:
     """Find directions of the local minima of the distance to failures, and these distances."""
     rank = len(basis)
     rays = spread_directions(rank, RAYS)
@@ -123,33 +80,7 @@ def nearest_rays(
     return best, lengths
 
 
-def polish(
-    fails: Callable,
-    gradient: Callable,
-    basis: Float[np.ndarray, "rank size"],
-    best: Float[np.ndarray, "n rank"],
-    lengths: Float[np.ndarray, " n"],
-    gap: float,
-) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Turn rays towards the nearest point of a flat boundary, and keep the shorter ones."""
-    rank, shares = len(basis), np.concatenate([[0.0], POLISH_SHARES])
-    tried = turned_rays(gradient, basis, best, lengths, shares)
-    flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
-    reached = first_failures(fails, flat, nearest - gap, nearest + gap, 8)
-    reached = bisect_nearest(
-        fails,
-        flat.reshape(*tried.shape[:2], -1),
-        reached.reshape(tried.shape[:2]),
-        gap / 4,
-        lengths,
-    )
-    reached[:, 0] = np.minimum(reached[:, 0], lengths)  # the first ray is the best one so far
-    return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
-
-
-def scan(
-    fails: Callable, rays: Float[np.ndarray, "n size"], count: int, parts: int = 1
-) -> Float[np.ndarray, " n"]:
+def scan(fails: Fails, rays: Points, count: int, parts: int = 1) -> Lengths:
     """Find the first failure along each ray, within a reach of at most four times the nearest.
 
     With several `parts` of the reach, only failures in the part of the nearest are found. Raises
@@ -175,14 +106,8 @@ def scan(
 
 
 def keep_nearest(
-    fails: Callable,
-    rays: Float[np.ndarray, "n rank"],
-    basis: Float[np.ndarray, "rank size"],
-    low: float,
-    high: float,
-    count: int,
-    kept: float = KEPT,
-) -> tuple[Float[np.ndarray, "m rank"], Float[np.ndarray, " m"]]:
+    fails: Fails, rays: Rays, basis: Basis, low: float, high: float, count: int, kept: float = KEPT
+) -> Chosen:
     """Return the rays whose first failure is among the nearest, and its distance."""
     while True:
         gap = (high - low) / count
@@ -194,17 +119,13 @@ def keep_nearest(
     return rays[near], bisect(fails, rays[near] @ basis, first[near], gap, COARSE)
 
 
-def first_failures(
-    fails: Callable, rays: Float[np.ndarray, "n size"], low: Any, high: Any, count: int
-) -> Float[np.ndarray, " n"]:
+def first_failures(fails: Fails, rays: Points, low: Any, high: Any, count: int) -> Lengths:
     """Return the first failing distance along each ray; infinite where none fails."""
     distances = np.linspace(low, high, count + 1, axis=-1)[..., 1:]
     return first_of(fails, rays, np.broadcast_to(distances, (len(rays), count)))
 
 
-def first_of(
-    fails: Callable, rays: Float[np.ndarray, "n size"], distances: Float[np.ndarray, "n m"]
-) -> Float[np.ndarray, " n"]:
+def first_of(fails: Fails, rays: Points, distances: Float[np.ndarray, "n m"]) -> Lengths:
     """Return the first of increasing distances that fails along each ray; infinite if none does."""
     points = distances[..., None] * rays[:, None]
     failed = fails(points.reshape(-1, rays.shape[1])).reshape(distances.shape)
@@ -212,29 +133,7 @@ def first_of(
     return np.where(failed.any(axis=1), found, np.inf)
 
 
-def turned_rays(
-    gradient: Callable,
-    basis: Float[np.ndarray, "rank size"],
-    rays: Float[np.ndarray, "n rank"],
-    lengths: Float[np.ndarray, " n"],
-    shares: Float[np.ndarray, " m"],
-) -> Float[np.ndarray, "n m rank"]:
-    """Turn rays by shares of the way to the nearest point of a flat boundary."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # there may be no gradient
-        normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
-        along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
-    turned = rays[:, None] + shares[:, None] * along[:, None]
-    turned = np.where(np.isfinite(turned), turned, rays[:, None])
-    return turned / np.linalg.norm(turned, axis=2, keepdims=True)
-
-
-def bisect(
-    fails: Callable,
-    rays: Float[np.ndarray, "n size"],
-    high: Float[np.ndarray, " n"],
-    gap: float | Float[np.ndarray, " n"],
-    times: int,
-) -> Float[np.ndarray, " n"]:
+def bisect(fails: Fails, rays: Points, high: Lengths, gap: float | Lengths, times: int) -> Lengths:
     """Bisect for distances of the boundary, between failing ones and those a `gap` before.
 
     Of several boundaries it may find any.
@@ -245,11 +144,11 @@ def bisect(
 
 
 def bisect_nearest(
-    fails: Callable,
+    fails: Fails,
     rays: Float[np.ndarray, "n m size"],
     high: Float[np.ndarray, "n m"],
     gap: float | Float[np.ndarray, "n _"],
-    least: Float[np.ndarray, " n"] | Sequence[float],
+    least: Lengths | Sequence[float],
     times: int = FINE,
     at_once: int = AT_ONCE,
 ) -> Float[np.ndarray, "n m"]:
@@ -265,7 +164,8 @@ def bisect_nearest(
         going = below < np.minimum(above.min(axis=1), least)[:, None]
         if not going.any():
             break
-        halvings = min(halvings_at_once(int(going.sum()), at_once), times)
+        room = math.floor(math.log2(at_once / np.count_nonzero(going) + 1))
+        halvings = min(max(1, room), MOST_HALVINGS, times)
         along = np.repeat(rays[going], 2**halvings - 1, axis=0)
         closer = narrow(lambda t, along=along: fails(t * along), segments.part(going), halvings)
         segments.ends[going], segments.labels[going] = closer
@@ -273,12 +173,7 @@ def bisect_nearest(
     return segments.ends[:, :, 1, 0]
 
 
-def halvings_at_once(count: int, points: int) -> int:
-    """Return how many times to halve distances on so many rays in one call of so many points."""
-    return min(max(1, math.floor(math.log2(points / count + 1))), MOST_HALVINGS)
-
-
-def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
+def spread_directions(rank: int, count: int) -> Rays:
     """Return evenly spread unit vectors; in three dimensions four times as many as in two.
 
     In more dimensions they are random, and as many as in two.
@@ -303,9 +198,7 @@ def spacing(rank: int, count: int) -> float:
     return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
 
 
-def fan(
-    direction: Float[np.ndarray, " rank"], width: float, count: int
-) -> Float[np.ndarray, "n rank"]:
+def fan(direction: Float[np.ndarray, " rank"], width: float, count: int) -> Rays:
     """Return unit vectors within an angle of a direction; the direction is the first of them."""
     across = tangents(direction)
     if len(across) == 1:
@@ -318,14 +211,12 @@ def fan(
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def tangents(ray: Float[np.ndarray, " size"]) -> Float[np.ndarray, "rank size"]:
+def tangents(ray: Float[np.ndarray, " size"]) -> Basis:
     """Return unit vectors across a ray and each other."""
     return np.linalg.svd(ray[None])[2][1:]
 
 
-def local_minima(
-    rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float, most: int
-) -> Int[np.ndarray, " m"]:
+def local_minima(rays: Rays, lengths: Lengths, angle: float, most: int) -> Int[np.ndarray, " m"]:
     """Return indices of the vectors of smallest length within an angle, the shortest first."""
     order = lengths.argsort()
     rays = rays[order]

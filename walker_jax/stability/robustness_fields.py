@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from walker_jax.storage.schema import variables_of_kind
+from walker_jax.storage.schema import variables_of_kind, with_dims
 from walker_jax.systems.outcomes import failures_of, name_of_outcome
 from walker_jax.systems.system import System
 
@@ -66,10 +66,8 @@ TYPES = {"real": float, "integer": int}
 
 def variables(group: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the variables of a group, given values by its keys."""
-    return {
-        name: (KINDS[name].dims.split(), np.asarray(values[key], TYPES[KINDS[name].type]))
-        for key, name in group.items()
-    }
+    typed = {name: np.asarray(values[key], TYPES[KINDS[name].type]) for key, name in group.items()}
+    return with_dims("robustness", typed)
 
 
 def without_gait(walker: System) -> dict:

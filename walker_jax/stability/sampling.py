@@ -22,7 +22,6 @@ from walker_jax.basins.attractor import cubes
 from walker_jax.basins.computation import check_grid
 from walker_jax.checks import (
     WrongUse,
-    check_confidence,
     check_number,
     check_whole,
     is_number,
@@ -125,17 +124,14 @@ def basin_stability(
     Raises `ValueError` for a single walker without a stable gait, and for arguments out of range.
     """
     sizes = metric_of(walker, scale, along, metric)
-    check_disturbances(walker, disturbances, sizes, turned=scale is not None or along is not None)
     if within is not None:
         check_number("within", within)
         if not within > 0:
             raise WrongUse(f"within must be positive, not {within}")
-    check_whole("samples", samples)
     check_whole("horizon", horizon)
-    check_whole("seed", seed, 0)
-    check_confidence(confidence)
     count = count_walkers(walker, gait)
-    about = starts_about(walker, disturbances, sizes, np.random.default_rng(seed), samples)
+    rng, turned = np.random.default_rng(seed), scale is not None or along is not None
+    about = starts_about(walker, disturbances, sizes, rng, samples, turned=turned)
     trial = Trial(about, sizes, within, horizon, strides, confidence, tolerance)
     if count is None:
         return BasinStability(*map(np.asarray, measure_returns(walker, gait, trial)))
@@ -162,25 +158,6 @@ class Trial(NamedTuple):
     tolerance: float | None
 
 
-def check_disturbances(
-    walker: System, disturbances: Any, sizes: LinearMetric | CurvedMetric, *, turned: bool
-) -> None:
-    """Raise `WrongUse` for wrong disturbances, or a metric or directions that do not fit them."""
-    if isinstance(disturbances, Grid):
-        check_grid(walker, disturbances, "direct")
-    elif not callable(disturbances) and (
-        not is_number(disturbances) or not 0 < disturbances < np.inf
-    ):
-        raise WrongUse(
-            "disturbances must be a positive number, a grid, or a function that draws starts, not "
-            f"{short(disturbances)}"
-        )
-    if turned and not is_number(disturbances):
-        raise WrongUse("scale and along must be left out where disturbances is not a number")
-    if is_number(disturbances) and isinstance(sizes, CurvedMetric):
-        raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
-
-
 def count_walkers(walker: System, gait: Gait | None) -> int | None:
     """Return the number of walkers that array parameters describe; None for a single walker."""
     counts = sizes_of_many(walker)
@@ -197,16 +174,25 @@ def count_walkers(walker: System, gait: Gait | None) -> int | None:
 def starts_about(
     walker: System,
     disturbances: float | Grid | Sampler,
-    sizes: Any,
+    sizes: LinearMetric | CurvedMetric,
     rng: np.random.Generator,
     samples: int,
+    *,
+    turned: bool,
 ) -> Callable[[Any], Float[np.ndarray, "n section"]]:
-    """Return a function from a state to starts; those of a grid or a function are fixed."""
-    if not is_number(disturbances):
-        starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
-        return lambda state: starts
-    y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
-    return lambda state: state + sizes.disturbance(state, y) * disturbances
+    """Return a function from a state to starts; those of a grid or a function are fixed.
+
+    Raises `WrongUse` for wrong disturbances, and a metric or directions that do not fit them.
+    """
+    if is_number(disturbances) and 0 < disturbances < np.inf:
+        if isinstance(sizes, CurvedMetric):
+            raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
+        y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
+        return lambda state: state + sizes.disturbance(state, y) * disturbances
+    starts = draw_starts(walker, "disturbances", disturbances, rng, samples, "a positive number, ")
+    if turned:
+        raise WrongUse("scale and along must be left out where disturbances is not a number")
+    return lambda state: starts
 
 
 def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
@@ -236,11 +222,19 @@ def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
 
 
 def draw_starts(
-    walker: System, name: str, draw: Any, rng: np.random.Generator, samples: int
+    walker: System, name: str, draw: Any, rng: np.random.Generator, samples: int, or_else: str = ""
 ) -> Float[np.ndarray, "n section"]:
-    """Draw starts in the region of a grid, or by a function; `name` is that of the argument."""
+    """Draw starts in the region of a grid, or by a function; `name` is that of the argument.
+
+    Raises `WrongUse` for anything else, and says which kinds there are besides.
+    """
     if isinstance(draw, Grid):
+        check_grid(walker, draw, "direct")
         return draw.points_at(rng.uniform(size=(samples, len(draw.names))))
+    if not callable(draw):
+        raise WrongUse(
+            f"{name} must be {or_else}a grid, or a function that draws starts, not {short(draw)}"
+        )
     starts = numbers(f"starts that {name} returns", draw(rng, samples))
     if starts.shape != (samples, len(walker.section)) or not np.isfinite(starts).all():
         raise WrongUse(

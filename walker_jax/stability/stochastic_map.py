@@ -40,6 +40,7 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
+from walker_jax.storage.schema import with_dims
 from walker_jax.systems.outcomes import Outcome, join_names
 from walker_jax.systems.trees import in_dtype
 from walker_jax.walkers.model import Walker
@@ -64,6 +65,14 @@ SCATTER_OF_ROUNDING = 1e-11
 SETTLED = 1e-13
 """Relative change of an eigenvector at which power iteration ends."""
 MAX_ITERATIONS = 10_000
+
+States = Float[np.ndarray, "n full"]
+Numbers = Int[np.ndarray, " n"]
+"""Numbers of the cells of n states."""
+Cells = Int[np.ndarray, " cells"]
+"""Numbers of cells, each once, ascending."""
+Chances = Float[np.ndarray, " cells"]
+
 NO_CELL = "no cell leads to another: walks end at once; give a more even ground"
 
 
@@ -95,28 +104,26 @@ def survival_of_cells(
     chart, cells = made[-1].chart, made[-1].cells
     middle = np.full((len(cells), len(chart.centre)), 0.5)
     coordinates = [*walker.section, "gap"][: len(chart.centre)]
-    return xr.Dataset(
-        {
-            "survival": 1 / (1 + np.exp(-log_odds)),
-            "mean_strides": np.exp(log_mean),
-            "mean_strides_error": np.exp(log_mean) * error,
-            "undecided": sum(one.undecided for one in made),
-            "chance": ("cell", made[-1].distribution),
-            "centre": (("cell", "direction"), chart.points_in(cells, middle, rough.side)),
-            "edges": (("edge", "direction"), rough.side * chart.axes),
-        },
-        coords={"direction": np.array(coordinates, object)},
-        attrs={
-            **describe_source(walker),
-            "ground": (
-                ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
-            ),
-            "side": rough.side,
-            "walkers": walkers,
-            "repetitions": repetitions,
-            "key": join_names(map(str, np.asarray(jax.random.key_data(key)))),
-        },
-    )
+    found = {
+        "survival": 1 / (1 + np.exp(-log_odds)),
+        "mean_strides": np.exp(log_mean),
+        "mean_strides_error": np.exp(log_mean) * error,
+        "undecided": sum(one.undecided for one in made),
+        "chance": made[-1].distribution,
+        "centre": chart.points_in(cells, middle, rough.side),
+        "edges": rough.side * chart.axes,
+    }
+    named = ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
+    about = {
+        **describe_source(walker),
+        "ground": named,
+        "side": rough.side,
+        "walkers": walkers,
+        "repetitions": repetitions,
+        "key": join_names(map(str, np.asarray(jax.random.key_data(key)))),
+    }
+    direction = {"direction": np.array(coordinates, object)}
+    return xr.Dataset(with_dims("metastable walking", found), direction, about)
 
 
 class Rough(NamedTuple):
@@ -136,8 +143,8 @@ class Repetition(NamedTuple):
     mean: float
     undecided: int
     chart: "Chart"
-    cells: Int[np.ndarray, " cells"]
-    distribution: Float[np.ndarray, " cells"]
+    cells: Cells
+    distribution: Chances
 
 
 def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repetition:
@@ -175,7 +182,7 @@ class Chart(NamedTuple):
     axes: Float[np.ndarray, "d d"]
     """Rows: directions, each as long as the standard deviation of states along it."""
 
-    def cell_of(self, states: Float[np.ndarray, "n full"], side: float) -> Int[np.ndarray, " n"]:
+    def cell_of(self, states: States, side: float) -> Numbers:
         """Return the number of the cell of each state."""
         y = section_and_gap(states, len(self.centre))
         place = np.floor((y - self.centre) @ np.linalg.inv(self.axes) / side)
@@ -187,7 +194,7 @@ class Chart(NamedTuple):
         return number
 
     def points_in(
-        self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n d"], side: float
+        self, cells: Numbers, within: Float[np.ndarray, "n d"], side: float
     ) -> Float[np.ndarray, "n d"]:
         """Return points of cells, at places `within` each from 0 to 1."""
         d = len(self.centre)
@@ -196,13 +203,13 @@ class Chart(NamedTuple):
         return self.centre + (place + within) * side @ self.axes
 
 
-def section_and_gap(states: Float[np.ndarray, "n full"], size: int) -> Float[np.ndarray, "n d"]:
+def section_and_gap(states: States, size: int) -> Float[np.ndarray, "n d"]:
     """Return theta, thetadot and, as a third, phi - 2 theta, zero with both feet at one height."""
     theta, phi, thetadot, _ = states.T
     return np.stack([theta, thetadot, phi - 2 * theta], axis=1)[:, :size]
 
 
-def chart_of(walks: Walked) -> tuple[Chart, Float[np.ndarray, "n full"]]:
+def chart_of(walks: Walked) -> tuple[Chart, States]:
     """Make the chart of the states of walks that last; return these states too."""
     lasting = walks.state[walks.outcome == Outcome.STRIDE]
     if len(lasting) < FEWEST_SURVIVORS:
@@ -224,8 +231,8 @@ def chart_of(walks: Walked) -> tuple[Chart, Float[np.ndarray, "n full"]]:
 
 
 def transition_matrix(
-    rough: Rough, chart: Chart, states: Float[np.ndarray, "n full"], key: Array
-) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
+    rough: Rough, chart: Chart, states: States, key: Array
+) -> tuple[csr_array, Cells, int]:
     """Estimate P, from walks that last, in their states; its cells are in ascending order.
 
     A stride counts by the weight of its walk. Transitions to cells without starts are dropped: they
@@ -272,9 +279,7 @@ def transition_matrix(
     return csr_array((shares, (here[known], there[known])), (len(cells),) * 2), cells, undecided
 
 
-def known_cells(
-    starts: Int[np.ndarray, " n"], ends: Int[np.ndarray, " n"]
-) -> Int[np.ndarray, " cells"]:
+def known_cells(starts: Numbers, ends: Numbers) -> Cells:
     """Return the cells with a stride that is known to end in one of them, or in a fall.
 
     Any other cell would have the chance 0 to survive, as if all its strides were falls.
@@ -291,11 +296,8 @@ def known_cells(
 
 
 def choose_walkers(
-    rng: np.random.Generator,
-    numbers: Int[np.ndarray, " n"],
-    chances: Float[np.ndarray, " n"],
-    walkers: int,
-) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"], Int[np.ndarray, " m"]]:
+    rng: np.random.Generator, numbers: Numbers, chances: Float[np.ndarray, " n"], walkers: int
+) -> tuple[Cells, Chances, Int[np.ndarray, " m"]]:
     """Resample walkers; return the cells, the chance of each, and equally many walkers of each.
 
     Resampling is systematic: at equal distances along the walkers' chances, joined.
@@ -313,17 +315,13 @@ def choose_walkers(
     return cells, chance, order[np.clip(chosen, low, high)]
 
 
-def places_of(
-    numbers: Int[np.ndarray, " n"], cells: Int[np.ndarray, " cells"]
-) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+def places_of(numbers: Numbers, cells: Cells) -> tuple[Numbers, Bool[np.ndarray, " n"]]:
     """Return the places of cells in an ascending list, and whether they are in it."""
     place = np.minimum(np.searchsorted(cells, numbers), len(cells) - 1)
     return place, cells[place] == numbers
 
 
-def solve_chain(
-    chain: csr_array,
-) -> tuple[float, Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
+def solve_chain(chain: csr_array) -> tuple[float, Chances, Chances]:
     """Compute the largest eigenvalue, its left eigenvector, and the mean life from each cell.
 
     The mean number m of strides until a fall is P (1 + m). Along the eigenvector it is large,
@@ -347,7 +345,7 @@ def solve_chain(
     return survival, distribution, life * right_eigenvector + rest
 
 
-def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.ndarray, " cells"]]:
+def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Chances]:
     """Compute the largest eigenvalue and its eigenvector, of sum 1, by power iteration."""
     vector = np.full(count, 1 / count)
     value = 0.0

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from walker_jax.checks import WrongUse, check_confidence, check_whole, refuses_tracers, short
+from walker_jax.checks import WrongUse, check_whole, refuses_tracers, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.rough_ground import (
     RandomDisturbance,
@@ -128,7 +128,6 @@ def steps_to_fall(
         return survival_of_cells(walker, ground, WALKERS if n is None else n, key, **how)
     n = check_whole("n", WALKS if n is None else n)
     check_whole("limit", limit)
-    check_confidence(confidence)
     draw_one, keys = read_ground(ground), jax.random.split(read_key(key), n)
     start = start_of_walks(walker, gait, tolerance)
     states = np.broadcast_to(start, (n, len(start)))

@@ -15,18 +15,13 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.attractor_search import survey
-from walker_jax.basins.computation import check_grid
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.runs import attractors_of, label_of, labels_among
+from walker_jax.basins.runs import attractors_of, labels_among
 from walker_jax.checks import (
-    WrongUse,
-    check_confidence,
     check_kind,
     check_number,
     check_precision,
-    check_whole,
     refuses_tracers,
-    short,
 )
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
@@ -105,19 +100,9 @@ def tipping_probability(
     check_single(walker)
     check_number("value", value)
     check_parameter(walker, parameter, float(value))
-    for name, count in {"samples": samples, "strides": strides}.items():
-        check_whole(name, count)
-    check_whole("seed", seed, 0)
-    check_confidence(confidence)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
-    if isinstance(region, Grid):
-        check_grid(walker, region, "direct")
-    elif not callable(region):
-        raise WrongUse(
-            f"region must be a grid, or a function that draws starts, not {short(region)}"
-        )
     rng = np.random.default_rng(seed)
     starts = draw_starts(walker, "region", region, rng, samples).astype(dtype)
     labels_before, before, _ = survey(walker, starts, integrator, strides, boxes=True)
@@ -126,26 +111,25 @@ def tipping_probability(
     labels, after, _ = survey(
         other, np.concatenate([starts, *jumped]), integrator, strides, boxes=True
     )
-    ends = label_of(*labels[:2])
-    own, *others = np.split(ends, np.cumsum([samples, *map(len, jumped)])[:-1])
-    ends = Ends(label_of(*labels_before[:2]), own, others)
-    return assemble_tipping(ends, before, after, confidence)
+    own, *others = np.split(labels.number, np.cumsum([samples, *map(len, jumped)])[:-1])
+    return assemble_tipping(labels_before.number, own, others, before, after, confidence)
 
 
-class Ends(NamedTuple):
-    """Ends of walkers, by the numbers of `label_of`."""
+def assemble_tipping(
+    first: Int[np.ndarray, " starts"],
+    second: Int[np.ndarray, " starts"],
+    jumped: list[Int[np.ndarray, " states"]],
+    before: Mapper,
+    after: Mapper,
+    confidence: float,
+) -> Tipping:
+    """Assemble the result of `tipping_probability`.
 
-    before: Int[np.ndarray, " starts"]
-    after: Int[np.ndarray, " starts"]
-    jumped: list[Int[np.ndarray, " states"]]
-    """Ends after the jump, from the states of each attractor before it."""
-
-
-def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: float) -> Tipping:
-    """Assemble the result of `tipping_probability`, by the mappers before and after the jump."""
-    rows = labels_among(ends.before)
-    columns = labels_among(np.concatenate([ends.after, *ends.jumped]))
-    counts = transition_counts(ends.before, ends.after, rows, columns)
+    The ends of starts before and after the jump, and after it from the states of each attractor,
+    are numbers of labels.
+    """
+    rows, columns = labels_among(first), labels_among(np.concatenate([second, *jumped]))
+    counts = (first == rows[:, None]).astype(int) @ (second[:, None] == columns)
     total = counts.sum(axis=1, keepdims=True)
     intervals = np.array(
         [
@@ -156,7 +140,7 @@ def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: floa
     on_attractor = np.full(counts.shape, np.nan)
     for row, attractor in zip(on_attractor, attractors_of(rows), strict=True):
         if attractor >= 0:
-            row[:] = (ends.jumped[attractor][:, None] == columns).mean(axis=0)
+            row[:] = (jumped[attractor][:, None] == columns).mean(axis=0)
     names = lambda found: tuple(name_of(end, before.walker.failures) for end in found.tolist())
     return Tipping(
         probability=counts / total,
@@ -176,17 +160,6 @@ def name_of(end: int, failures: Sequence[str]) -> str:
     if end >= OUTCOMES:
         return f"attractor {end - OUTCOMES}"
     return "unknown attractor" if end == Outcome.STRIDE else name_of_outcome(end, failures)
-
-
-def transition_counts(
-    first: Int[np.ndarray, " n"],
-    second: Int[np.ndarray, " n"],
-    rows: Int[np.ndarray, " r"],
-    columns: Int[np.ndarray, " c"],
-) -> Int[np.ndarray, "r c"]:
-    """Count the pairs with labels rows[i] and columns[j]."""
-    ends = (second[first == row] for row in rows)
-    return np.array([[np.count_nonzero(own == column) for column in columns] for own in ends])
 
 
 def states_on(mapper: Mapper, attractor: Attractor) -> Float[np.ndarray, "n section"]:

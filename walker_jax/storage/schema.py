@@ -4,9 +4,10 @@ The tables are in `kinds.toml`, which says what they mean.
 """
 
 import tomllib
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from walker_jax.checks import WrongUse
 
@@ -98,6 +99,12 @@ def variables_of_kind(kind: str) -> dict[str, Variable]:
     """Return the variables of a kind, including those of its base."""
     base = KINDS[kind].base
     return (variables_of_kind(base) if base else {}) | KINDS[kind].variables
+
+
+def with_dims(kind: str, values: Mapping[str, Any]) -> dict[str, tuple[list[str], Any]]:
+    """Return variables of a kind from their values, with the dimensions that its table says."""
+    known = variables_of_kind(kind)
+    return {name: (known[name].dims.split(), value) for name, value in values.items()}
 
 
 def attributes_of_kind(kind: str) -> dict[str, str]:

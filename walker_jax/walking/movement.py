@@ -16,7 +16,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
+from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import kernel
@@ -83,7 +83,6 @@ def motion(
     check_number("step", step)
     if not 0 < step < np.inf:
         raise WrongUse(f"step must be above 0, not {step}")
-    check_whole("strides", strides)
     check_kind("walker", walker, System)
     if (picture := walker.picture()) is None:
         raise WrongUse(f"walker must be a system with a picture, unlike {walker.label()}")
