@@ -28,7 +28,7 @@ from walker_jax.storage.places import (
     RESUME_HINT,
     StoreConflict,
     check_writable,
-    not_a_dataset,
+    ANOTHER_PLACE,
     open_group,
     resolve_link,
     writing,
