@@ -112,7 +112,6 @@ def is_slice(axes: dict[str, Any]) -> bool:
 
 
 @command(
-    *(BasinWindow, Method, Pieces, Output(Path("basin.zarr"))),
     examples=(
         "basin",
         "basin --method direct --slope 0.009 --out steep.zarr",
@@ -120,6 +119,7 @@ def is_slice(axes: dict[str, Any]) -> bool:
         "basin --system henon --a 1.02 --method direct",
     ),
     time="Five seconds for the paper's grid, and a second for each further million cells.",
+    out="basin.zarr",
 )
 def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Pieces, output: Output):
     """Compute and draw the basin of attraction of a walker's gait.

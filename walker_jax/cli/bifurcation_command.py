@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -49,13 +48,13 @@ class Branches(Ranged, theme="Branches"):
 
 
 @command(
-    *(Branches, Output(Path("bifurcation.zarr"))),
     examples=(
         "bifurcation --from 0.001 --to 0.022",
         "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
         "bifurcation --system henon --over a --from 0 --to 1.2 --out henon.zarr",
     ),
     time="Half a minute.",
+    out="bifurcation.zarr",
 )
 def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""

@@ -1,7 +1,6 @@
 """`walker-jax boundary`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
@@ -16,9 +15,9 @@ class Measures(Group, theme="Measures"):
 
 
 @command(
-    *(SlicedWindow, Measures, Output(Path("boundary.zarr"))),
     examples=("boundary", "boundary --slope 0.009 --out steep.zarr"),
     time="Half a minute.",
+    out="boundary.zarr",
 )
 def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, output: Output):
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.

@@ -1,7 +1,6 @@
 """`walker-jax chart`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -32,7 +31,6 @@ class Chart(Group, theme="Chart"):
 
 
 @command(
-    *(Chart, Output(Path("chart.zarr"))),
     examples=(
         "chart --walker spring --over slope=0.001:0.1:120 --over hip-stiffness=0:1:90",
         "chart --walker round-foot --foot-radius 0.1 --over slope=0.001:0.2:120 "
@@ -40,6 +38,7 @@ class Chart(Group, theme="Chart"):
         "chart --system henon --a 0.1 --over a=-0.5:1.5:120 --over b=-0.5:0.6:90",
     ),
     time="Half a minute; a minute for walkers with mass on their legs.",
+    out="chart.zarr",
 )
 def chart(walker: "wj.System", asked: Chart, output: Output):
     """Chart two parameters: curves of bifurcations, and the periods of attractors between them.

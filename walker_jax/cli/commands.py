@@ -9,14 +9,13 @@ from dataclasses import fields
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import jsonable
 from walker_jax.cli.help_page import help_page
 from walker_jax.cli.options import (
-    Group,
     Option,
+    Ranged,
     name_of,
     option_for_argument,
     options_of,
@@ -48,12 +47,12 @@ SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
 class Command(click.Command):
-    """A command, on a walker or other system or on none, with groups of options.
+    """A command: a function of the walker, or other system, if it takes one, and of its options.
 
-    `run` is called with the system, if the command takes `walkers`, and with the groups, and
-    returns its answer, for JSON, and the lines that say it in words. An instance in the place of a
-    group has other defaults. With `opening`, walkers have the values with which the explorer opens
-    them. `examples` and `time`, which the command takes, are for its help.
+    The annotations of `run` name the groups of options, and its return of None that there is no
+    answer; else it returns that for JSON, and the lines that say it in words. With `opening`,
+    walkers have the values with which the explorer opens them. `examples` and `time`, which the
+    command takes, are for its help; `defaults` are those of options whose group has another one.
     """
 
     allow_extra_args = True  # they are refused here
@@ -61,25 +60,25 @@ class Command(click.Command):
     def __init__(
         self,
         run: Callable[..., Any],
-        groups: Sequence[Any],
         *,
         examples: Sequence[str],
         time: str,
-        walkers: bool = True,
-        systems: bool = True,
         opening: bool = False,
-        answers: bool = True,
+        **defaults: Any,
     ):
+        self.run, self.examples, self.time, self.opening = run, examples, time, opening
+        self.groups = inspect.get_annotations(run)
+        answers = self.groups.pop("return", Any) is not None
+        system = self.groups.pop("walker", None)
+        self.walkers, self.systems = system is not None, system == "wj.System"
+        own = [one for group in self.groups.values() for one in options_of(group, defaults)]
         paragraphs = inspect.cleandoc(run.__doc__ or "").split("\n\n")
-        own = [one for group in groups for one in options_of(group)]
         super().__init__(
             run.__name__,
             SETTINGS,
             params=[*own, *[JSON] * answers, QUIET],
             help="\n\n".join(" ".join(one.split()) for one in paragraphs),
         )
-        self.run, self.groups, self.examples, self.time = run, groups, examples, time
-        self.walkers, self.systems, self.opening = walkers, systems, opening
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return all options; those of parameters are of the walker that is named."""
@@ -101,19 +100,19 @@ class Command(click.Command):
             super().parse_args(ctx, args)
         if not ctx.resilient_parsing:
             refuse_extra(ctx)
-            refuse_both(ctx)
         return ctx.args
 
     def invoke(self, ctx: click.Context) -> None:
         lib.configure_jax()
-        groups = []
-        for group in self.groups:
-            kind = group if isinstance(group, type) else type(group)
-            groups.append(kind(**{one.name: ctx.params[one.name] for one in fields(kind)}))
-        over = next((one.ranged for one in groups if hasattr(one, "ranged")), ())
-        own = [ctx.obj.build(ctx.params, *over)] if self.walkers else []
+        given: dict[str, Any] = {
+            name: group(**{one.name: ctx.params[one.name] for one in fields(group)})
+            for name, group in self.groups.items()
+        }
+        if self.walkers:
+            over = next((one.ranged for one in given.values() if isinstance(one, Ranged)), ())
+            given["walker"] = ctx.obj.build(ctx.params, *over)
         try:
-            answer, lines = self.run(*own, *groups) or (None, ())
+            answer, lines = self.run(**given) or (None, ())
         except Refusal as error:  # arguments that no option sets keep their names
             known = {name_of(one) for one in self.get_params(ctx)}
             typed = lambda argument: option_for_argument(argument).split()[-1]
@@ -128,9 +127,9 @@ class Command(click.Command):
         formatter.write(help_page(self, ctx, formatter.width) + "\n")
 
 
-def command(*groups: Group | type[Group], **about: Any) -> Callable[[Callable[..., Any]], Command]:
-    """Declare a command with these groups of options, and settings of `Command`."""
-    return lambda run: Command(run, groups, **about)
+def command(**about: Any) -> Callable[[Callable[..., Any]], Command]:
+    """Declare a command, with settings of `Command`."""
+    return lambda run: Command(run, **about)
 
 
 def refuse_clash(params: Iterable[click.Parameter]) -> None:
@@ -149,18 +148,6 @@ def refuse_extra(ctx: click.Context) -> None:
         similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
         instead = meant(similar) or help_of(ctx)
         raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
-
-
-def refuse_both(ctx: click.Context) -> None:
-    """Refuse two options that exclude each other."""
-    source = lambda one: ctx.get_parameter_source(str(one.name))
-    params = ctx.command.get_params(ctx)
-    given = {one.name: one for one in params if source(one) is ParameterSource.COMMANDLINE}
-    for one in given.values():
-        for other in getattr(one, "excludes", ()):
-            if other in given:
-                both = f"{name_of(one)} and {name_of(given[other])}"
-                raise WrongUse(f"{both} exclude each other: give one of them")
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """`walker-jax continuation`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -25,12 +24,12 @@ class Continuation(Group, theme="Continuation"):
 
 
 @command(
-    *(Continuation, Region, Output(Path("continuation.zarr"))),
     examples=(
         "continuation --over slope=0.002:0.02:37",
         "continuation --walker powered --slope 0 --over push-off=0.02:0.1:17 --out powered.zarr",
     ),
     time="A minute or two for the example.",
+    out="continuation.zarr",
 )
 def continuation(walker: "wj.System", asked: Continuation, region: Region, output: Output):
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.

@@ -10,7 +10,6 @@ from walker_jax.cli.section import Start, begin_at
 
 
 @command(
-    Start,
     examples=(
         "explain --theta 0.3 --thetadot -0.1",
         "explain --walker kneed",

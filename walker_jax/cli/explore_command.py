@@ -28,7 +28,6 @@ class Page(Group, theme="Page"):
 
 
 @command(
-    Page,
     examples=(
         "explore",
         "explore --walker spring --hip-stiffness 1",
@@ -37,7 +36,6 @@ class Page(Group, theme="Page"):
     ),
     time="A few seconds until the page opens.",
     opening=True,
-    answers=False,
 )
 def explore(walker: "wj.System", page: Page) -> None:
     """Explore basins in a browser: drag the slope, watch the basin; click a start, watch it walk.

@@ -26,14 +26,12 @@ class Places(Group, theme="Places"):
 
 
 @command(
-    *(Places, InUnits, Files),
     examples=(
         "export basin.zarr basin.nc",
         "export sweep.zarr sweep.csv --units length=0.8 --units mass=10",
         "export basin.zarr cells.csv --rows fate",
     ),
     time="A second.",
-    walkers=False,
 )
 def export(places: Places, units: InUnits, files: Files):
     """Copy a data set that another command has left to a file for other programs.

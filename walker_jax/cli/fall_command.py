@@ -47,14 +47,12 @@ class Pictures(Group, theme="Output"):
 
 
 @command(
-    *(Disturbances, Pictures, Files),
     examples=(
         "fall --walker spring --slope 0.01 --hip-stiffness 0.2 --figure fall.png",
         "fall --walker round-foot --slope 0.01 --ground 0.0004",
         "fall --slope 0.009 --push 0.001 --way backward",
     ),
     time="Half a minute.",
-    systems=False,
 )
 def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Files):
     """Find the most probable fall: the least disturbances that topple the walker.

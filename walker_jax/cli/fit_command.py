@@ -47,12 +47,12 @@ class How(Group, theme="Fit"):
 
 
 @command(
-    *(Recorded, How, Output(Path("fit.zarr"))),
     examples=(
         "fit walk.csv --slope 0.01 --parameters slope --column theta=stance --unit theta=deg",
         "fit walk.csv --walker point-foot --slope 0.01 --parameters foot-mass --strikes leg",
     ),
     time="Half a minute, most of it compiling.",
+    out="fit.zarr",
 )
 def fit(walker: "wj.System", recorded: Recorded, how: How, output: Output):
     """Fit parameters of a walker to recordings of its steps, with errors.

@@ -53,7 +53,6 @@ class Picture(Group, theme="Picture"):
 
 
 @command(
-    *(Search, Picture, InUnits, Files),
     examples=(
         "gait --slope 0.009",
         "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeGuard
 
 import click
@@ -73,13 +72,13 @@ class Search(Group, theme="Search"):
 
 
 @command(
-    *(Problem, Volume, Search, Output(Path("optimum.zarr"))),
     examples=(
         "optimise --over slope --bound slope=0.001:0.02",
         "optimise --walker spring --over hip-stiffness --bound hip-stiffness=0:20",
     ),
     time="Half a minute for the area over a slope, an hour for more parameters; fewer --starts and "
     "--scan 0 shorten it.",
+    out="optimum.zarr",
 )
 def optimise(walker: "wj.System", problem: Problem, region: Volume, search: Search, output: Output):
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.

@@ -13,7 +13,7 @@ This module loads without JAX, as do all modules of commands.
 
 import dataclasses
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from math import inf, isfinite
 from pathlib import Path
 from types import UnionType
@@ -207,6 +207,13 @@ class Option(click.Option):
         super().__init__([*names], **settings)
         self.theme, self.excludes = theme, excludes
 
+    def handle_parse_result(self, ctx: click.Context, opts: Any, args: list[str]) -> Any:
+        for other in self.excludes:
+            if {self.name, other} <= opts.keys() and not ctx.resilient_parsing:
+                both = f"{name_of(self)} and {option_of(other)}"
+                raise WrongUse(f"{both} exclude each other: give one of them")
+        return super().handle_parse_result(ctx, opts, args)
+
 
 @dataclass_transform(frozen_default=True)
 class Group:
@@ -249,8 +256,8 @@ READ: dict[Any, Callable[..., click.ParamType]] = {
 """How values are read, by the annotations of fields; other values are texts."""
 
 
-def options_of(group: Any) -> list[click.Parameter]:
-    """Return the options of a group; those of an instance have its values for defaults."""
+def options_of(group: type[Group], defaults: Mapping[str, Any]) -> list[click.Parameter]:
+    """Return the options of a group, with these defaults in place of its own."""
     found: list[click.Parameter] = []
     for field in dataclasses.fields(group):
         settings = {"theme": group.theme, **field.metadata}
@@ -260,7 +267,7 @@ def options_of(group: Any) -> list[click.Parameter]:
             found.append(one)
             continue
         flags = settings.pop("flags") or [option_of(field.name)]
-        settings["default"] = getattr(group, field.name)
+        settings["default"] = defaults.get(field.name, field.default)
         kind, *_ = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
         if kind in READ and "type" not in settings:
             bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}

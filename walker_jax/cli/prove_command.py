@@ -1,7 +1,6 @@
 """`walker-jax prove`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -23,16 +22,15 @@ class Theorem(Group, theme="Theorem"):
 
 
 @command(
-    *(Theorem, SlicedWindow, Output(Path("proof.zarr"))),
     examples=(
         "prove --radius 0.00223",
         "prove --slope 0.009 --radius 0.00223",
         "prove --theta 0.1 0.2 20 --sum -0.02 0.01 30 --levels 4",
     ),
     time="Half a minute for the first example, most of it to compile.",
-    systems=False,
+    out="proof.zarr",
 )
-def prove(walker: "wj.System", asked: Theorem, window: SlicedWindow, output: Output):
+def prove(walker: "wj.Walker", asked: Theorem, window: SlicedWindow, output: Output):
     """Prove that all starts near a gait walk for ever, or which of a window do.
 
     Arithmetic with rigorous bounds carries cells of starts from stride to stride, until all of a

@@ -14,10 +14,8 @@ class Report(Group, theme="Output"):
 
 
 @command(
-    *(Report, Files),
     examples=("reproduce --quick --out quick", "reproduce --out report"),
     time="Forty seconds; with --quick less.",
-    walkers=False,
 )
 def reproduce(report: Report, files: Files):
     """Reproduce the paper of Schwab and Wisse (2001): every figure and number, in a report.

@@ -1,7 +1,6 @@
 """`walker-jax robustness`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -76,13 +75,13 @@ class Measures(Group, theme="Measures"):
 
 
 @command(
-    *(Table, BasinRegion, Measures, Output(Path("robustness.zarr"))),
     examples=(
         "robustness --slope 0.009",
         "robustness --slope 0.009 --ground 0.0002",
         "robustness --from 0.002 --to 0.018 --count 17 --out slopes.zarr",
     ),
     time="Twenty seconds or more for each slope; minutes for walkers with knees.",
+    out="robustness.zarr",
 )
 def robustness(
     walker: "wj.System", table: Table, region: BasinRegion, measures: Measures, output: Output

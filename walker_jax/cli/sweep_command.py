@@ -1,7 +1,6 @@
 """`walker-jax sweep`."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -27,12 +26,12 @@ class Combinations(Group, theme="Combinations"):
 
 
 @command(
-    *(Combinations, Volume, Pieces, Output(Path("sweep.zarr"))),
     examples=(
         "sweep --over slope=0.002:0.01:5",
         "sweep --walker spring --over slope=0.002:0.01:5 --over hip-stiffness=0:9:4 --workers 2",
     ),
     time="Some seconds for each combination, half a minute with --robust.",
+    out="sweep.zarr",
 )
 def sweep(walker: "wj.System", asked: Combinations, region: Volume, pieces: Pieces, output: Output):
     """Compute basins, gaits and areas over one or more parameters, all combinations of them.

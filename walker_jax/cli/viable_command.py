@@ -1,7 +1,6 @@
 """`walker-jax viable`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -38,13 +37,13 @@ class Actions(Group, theme="Actions"):
 
 
 @command(
-    *(Window, Actions, Pieces, Output(Path("viable.zarr"))),
     examples=(
         "viable --walker powered --action push-off=0:0.1:17 --theta 0 0.8 160 --sum -0.4 0.05 180",
         "viable --system torso-wheel --action lean=0.1:0.9:9 --axis thetadot=-1.2:0:30 --axis "
         "psi=-0.4:1.2:32 --axis psidot=-1:1:20",
     ),
     time="Half a minute for the first example.",
+    out="viable.zarr",
 )
 def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, output: Output):
     """Compute how large the basin could be: from where some choice of actions walks for ever.

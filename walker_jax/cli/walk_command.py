@@ -36,7 +36,6 @@ class Walk(Group, theme="Walk"):
 
 
 @command(
-    *(Start, Walk, InUnits, Files),
     examples=(
         "walk",
         "walk --theta 0.16 --thetadot -0.17 --strides 20",
