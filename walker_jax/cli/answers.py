@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.options import Group, option
-from walker_jax.cli.section import is_robot
 from walker_jax.refusals import WrongPlace
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -189,7 +188,7 @@ def jsonable(value: Any) -> Any:
 
 def is_walker(system: "wj.System") -> bool:
     """Return whether a system is a walker or a robot, which has gaits and walks."""
-    return isinstance(system, wj.Walker) or is_robot(system)
+    return isinstance(system, wj.Walker | lib.Robot)
 
 
 class Terms(NamedTuple):

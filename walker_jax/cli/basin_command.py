@@ -158,10 +158,11 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
     answer |= {"seconds": seconds, "walker": request["walker"]}
     if resumed:
         kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
-    lines = [*basin_in_words(walker, data, answer, counts, request)]
-    lines.append(f"  {kept or effort(data, answer, counts, terms)}")
-    lines.append(f"  {next_step(answer, request, terms)}")
-    return answer, [*lines, output.places(film)]
+    yield answer
+    yield from basin_in_words(walker, data, answer, counts, request)
+    yield f"  {kept or effort(data, answer, counts, terms)}"
+    yield f"  {next_step(answer, request, terms)}"
+    yield output.places(film)
 
 
 def compute(

@@ -70,9 +70,10 @@ def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     units = {one.name: f" {one.unit}".rstrip() for one in lib.described_by(walker, lib.Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
     terms = terms_of(walker)
-    title = f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
-    words = bifurcations_in_words(answer, over, asked.strides, terms)
-    return answer, [title, *words, output.places()]
+    yield answer
+    yield f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
+    yield from bifurcations_in_words(answer, over, asked.strides, terms)
+    yield output.places()
 
 
 def bifurcations_in_words(answer: dict, over: str, strides: int, terms: Terms) -> Iterator[str]:

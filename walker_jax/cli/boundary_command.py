@@ -34,8 +34,9 @@ def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, outp
     request = request_for("boundary", walker, axes=axes, strides=strides)
     compute = lambda: wj.boundary(walker, grid_of(walker, axes), strides=strides, progress=True)
     answer = lib.summarise_boundary(output.produce(request, compute, "boundary"))
-    words = [*boundary_in_words(walker, answer), output.places()]
-    return {"walker": request["walker"]} | answer, words
+    yield {"walker": request["walker"]} | answer
+    yield from boundary_in_words(walker, answer)
+    yield output.places()
 
 
 def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:

@@ -8,7 +8,7 @@ from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
-from walker_jax.cli.section import check_start, start_option, state_from
+from walker_jax.cli.section import begin_at, coordinates_of, start_option
 from walker_jax.refusals import WrongUse
 
 
@@ -46,24 +46,24 @@ def chart(walker: "wj.System", asked: Chart, output: Output):
     The gait is followed from the walker's own values of both, which the ranges must hold.
     """
     asked.check(walker)
-    check_start(walker, asked.start)
     bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
     cells = tuple(count for *_, count in asked.over.values())
     how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}
-    begin = state_from(walker, asked.start) if asked.start else None
-    start = None if begin is None else begin.tolist()
+    given = coordinates_of(walker, asked.start, {})
+    start = begin_at(walker, given) if given else None
     over = {name: list(ends) for name, ends in asked.over.items()}
     request = request_for("chart", walker, start=start, over=over, **how)
 
     def compute():
-        gait, *_ = lib.selection.select_gaits(walker, guess=begin, instead="try another --start")
+        gait, *_ = lib.selection.select_gaits(walker, guess=start, instead="try another --start")
         return wj.chart(walker, bounds, gait, progress=True, **how)
 
     answer = lib.summarise_chart(output.produce(request, compute, "chart"))
     about = request["walker"]
-    title = f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
-    lines = [title, *chart_in_words(answer, [*bounds], terms_of(walker))]
-    return {"walker": about, "parameters": [*bounds]} | answer, [*lines, output.places()]
+    yield {"walker": about, "parameters": [*bounds]} | answer
+    yield f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
+    yield from chart_in_words(answer, [*bounds], terms_of(walker))
+    yield output.places()
 
 
 def chart_in_words(answer: dict, names: list[str], terms: Terms) -> Iterator[str]:

@@ -49,10 +49,10 @@ SETTINGS = {"help_option_names": ["-h", "--help"]}
 class Command(click.Command):
     """A command: a function of the walker, or other system, if it takes one, and of its options.
 
-    The annotations of `run` name the groups of options, and its return of None that there is no
-    answer; else it returns that for JSON, and the lines that say it in words. With `opening`,
-    walkers have the values with which the explorer opens them. `examples` and `time`, which the
-    command takes, are for its help; `defaults` are those of options whose group has another one.
+    The annotations of `run` name the groups of options. It yields its answer, for JSON, then the
+    lines that say it in words; one that returns None has neither. With `opening`, walkers have the
+    values with which the explorer opens them. `examples` and `time`, which the command takes, are
+    for its help; `defaults` are those of options whose group has another one.
     """
 
     allow_extra_args = True  # they are refused here
@@ -112,16 +112,18 @@ class Command(click.Command):
             over = next((one.ranged for one in given.values() if isinstance(one, Ranged)), ())
             given["walker"] = ctx.obj.build(ctx.params, *over)
         try:
-            answer, lines = self.run(**given) or (None, ())
+            said = self.run(**given) or iter(())
+            answer = next(said, None)
+            if ctx.params.get("as_json"):
+                print(json.dumps(jsonable(answer), allow_nan=False))
+                return
+            for line in said:
+                print(line)
         except Refusal as error:  # arguments that no option sets keep their names
             known = {name_of(one) for one in self.get_params(ctx)}
             typed = lambda argument: option_for_argument(argument).split()[-1]
             error.arguments = [one for one in error.arguments if typed(one) in known]
             raise
-        if ctx.params.get("as_json"):
-            print(json.dumps(jsonable(answer), allow_nan=False))
-        else:
-            print(*lines, sep="\n", end="\n" * bool(lines))
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write(help_page(self, ctx, formatter.width) + "\n")

@@ -48,10 +48,11 @@ def continuation(walker: "wj.System", asked: Continuation, region: Region, outpu
     compute = lambda: wj.continue_basins(walker, name, values, grid, progress=True, **how)
     answer = lib.summarise_fractions(output.produce(request, compute, "basin_fractions"))
     about = request["walker"]
-    title = f"{about['name']}, {hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
-    words = attractors_in_words(answer, terms_of(walker))
-    lines = [f"Attractors of {title}", *words, output.places()]
-    return {"walker": about, "parameter": name} | answer, lines
+    yield {"walker": about, "parameter": name} | answer
+    span = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
+    yield f"Attractors of {about['name']}, {span}"
+    yield from attractors_in_words(answer, terms_of(walker))
+    yield output.places()
 
 
 def attractors_in_words(answer: dict, terms: Terms) -> Iterator[str]:

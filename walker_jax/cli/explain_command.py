@@ -29,7 +29,7 @@ def explain(walker: "wj.System", start: Start):
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
     ]
-    answer = {
+    yield {
         "walker": lib.describe_walker(walker),
         "start": found.start,
         "outcome": found.name,
@@ -51,4 +51,5 @@ def explain(walker: "wj.System", start: Start):
     text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", str(found))
     text = re.sub(rf"\bleads to ({'|'.join(wj.Outcome.__members__)})\b", r"the end: \1", text)
     text = re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)
-    return answer, [text, f"Next: {next_step}."]
+    yield text
+    yield f"Next: {next_step}."

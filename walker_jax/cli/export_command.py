@@ -46,8 +46,7 @@ def export(places: Places, units: InUnits, files: Files):
         refuse(f"is for tables, {' and '.join(TABLES)}: leave it out", rows=places.rows)
     how = {"overwrite": files.overwrite, "rows": places.rows, "convert": convert}
     copied = lib.storage.export(data, file, **how)
-    answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
-    return answer, [
-        f"{data}: {', '.join(answer['variables'])}",
-        f"  {file}: {PROGRAMS[file.suffix]}",
-    ]
+    variables = sorted(map(str, copied.variables))
+    yield {"data": str(data), "file": str(file), "variables": variables}
+    yield f"{data}: {', '.join(variables)}"
+    yield f"  {file}: {PROGRAMS[file.suffix]}"

@@ -1,6 +1,5 @@
 """`walker-jax gait`."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,14 @@ from walker_jax.cli.answers import (
 )
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, option, refuse
-from walker_jax.cli.section import PHIDOT, check_start, has_own_options, start_option, state_from
+from walker_jax.cli.section import (
+    PHIDOT,
+    begin_at,
+    coordinates_of,
+    has_own_options,
+    refuse_own,
+    start_option,
+)
 from walker_jax.cli.unit_options import InUnits
 
 
@@ -38,14 +44,12 @@ class Search(Group, theme="Search"):
 
     def coordinates(self, walker: "wj.System") -> dict[str, float]:
         """Return the coordinates of the state in which the search begins, if it is given."""
-        check_start(walker, self.start, guess=self.guess, phidot=self.phidot)
-        if self.start:
-            return self.start
+        refuse_own(walker, guess=self.guess, phidot=self.phidot)
         if self.guess is None:
             refuse("is for --guess alone: give it too", phidot=self.phidot)
-            return {}
-        given = dict(zip(("theta", "thetadot"), self.guess, strict=True))
-        return given | ({} if self.phidot is None else {"phidot": self.phidot})
+        own = dict(zip(("theta", "thetadot", "phidot"), self.guess or (), strict=False))
+        own |= {} if self.phidot is None else {"phidot": self.phidot}
+        return coordinates_of(walker, self.start, own)
 
 
 class Picture(Group, theme="Picture"):
@@ -68,16 +72,16 @@ def gait(walker: "wj.System", search: Search, picture: Picture, units: InUnits, 
     """Find the gaits of a walker: cycles of strides, and their stability."""
     given, figure = search.coordinates(walker), picture.figure
     units.check(walker)
-    begin = state_from(walker, given) if given else None
-    guess = None if begin is None else begin.tolist()
+    guess = begin_at(walker, given) if given else None
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
     check_picture(figure, request, overwrite=files.overwrite)
-    with lib.bar(f"search for {terms_of(walker).cycle}s", True):
+    cycle = terms_of(walker).cycle
+    with lib.bar(f"search for {cycle}s", True):
         way = "--guess THETA THETADOT" if has_own_options(walker) else "--start NAME=VALUE"
         if given:
             way = "another --start" if search.start else "another --guess"
         how: Any = {"every": search.all, "instead": f"try {way}"}
-        found = lib.selection.select_gaits(walker, search.period, begin, **how)
+        found = lib.selection.select_gaits(walker, search.period, guess, **how)
     if figure is not None:
         title = f"{lib.describe_briefly(walker)}: Floquet multipliers"
         draw(wj.figures.multipliers(found, title=title), figure, request)
@@ -85,29 +89,23 @@ def gait(walker: "wj.System", search: Search, picture: Picture, units: InUnits, 
     for i, one in enumerate(found):
         states, times = units.states(one.states, walker.section), units.times(one.step_times)
         found[i] = one._replace(states=states, step_times=times)
-    answer = {"gaits": [*map(lib.summarise_gait, found)], "walker": about, **units.named}
-    lines = [line for one in found for line in gait_in_words(walker, about, one, units)]
+    gaits = [*map(lib.summarise_gait, found)]
+    yield slope_of(about) | {"gaits": gaits, "walker": about, **units.named}
+    where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
+    for one in found:
+        kind, period = "stable" if one.stable else "unstable", len(one.states)
+        multipliers = listed(one.multipliers, ".8g")
+        yield f"{kind} {cycle} of period {period} {where}, multipliers {multipliers}"
+        timeless = is_map(walker, one.step_times)
+        for state, duration in zip(one.states, one.step_times, strict=True):
+            pairs = zip(walker.section, state, strict=True)
+            placed = "  ".join(f"{name} {value:.13f}{units.unit(name)}" for name, value in pairs)
+            time = f"  step time {duration:.10f}{units.unit('time')}"
+            yield f"  {placed}" + ("" if timeless else time)
     if stable:
         which = "it" if len(found) == 1 else f"{stable} of these {len(found)}"
-        lines.append(f"Nearby starts converge to {which}: walker-jax basin shows from where.")
+        yield f"Nearby starts converge to {which}: walker-jax basin shows from where."
     else:
-        lines.append("None is stable: walker-jax bifurcation shows where one is.")
-    lines += [f"picture {figure}"] * (figure is not None)
-    return slope_of(about) | answer, lines
-
-
-def gait_in_words(
-    walker: "wj.System", about: dict, gait: "wj.Gait", units: InUnits
-) -> Iterator[str]:
-    """Write the stability of a gait, and a line for each stride; a map's steps have no time."""
-    noun = terms_of(walker).cycle
-    kind, period = "stable" if gait.stable else "unstable", len(gait.states)
-    where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
-    multipliers = listed(gait.multipliers, ".8g")
-    yield f"{kind} {noun} of period {period} {where}, multipliers {multipliers}"
-    timeless = is_map(walker, gait.step_times)
-    for state, duration in zip(gait.states, gait.step_times, strict=True):
-        pairs = zip(walker.section, state, strict=True)
-        coordinates = "  ".join(f"{name} {value:.13f}{units.unit(name)}" for name, value in pairs)
-        time = f"  step time {duration:.10f}{units.unit('time')}"
-        yield f"  {coordinates}" + ("" if timeless else time)
+        yield "None is stable: walker-jax bifurcation shows where one is."
+    if figure is not None:
+        yield f"picture {figure}"

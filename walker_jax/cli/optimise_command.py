@@ -106,9 +106,10 @@ def optimise(walker: "wj.System", problem: Problem, region: Volume, search: Sear
         raise ComputationFailed(f"no start leads anywhere: {'; '.join(dict.fromkeys(notes))}")
     output.draw(wj.figures.optimum(data), request)
     answer = lib.summarise_optimum(data)
-    lines = [*optimum_in_words(walker, answer, " + ".join(names))]
-    lines += [f"  a start led nowhere: {note}" for note in notes if note]
-    return answer | {"walker": request["walker"]}, [*lines, output.places()]
+    yield answer | {"walker": request["walker"]}
+    yield from optimum_in_words(walker, answer, " + ".join(names))
+    yield from (f"  a start led nowhere: {note}" for note in notes if note)
+    yield output.places()
 
 
 def is_done(data: "lib.xarray.Dataset | None") -> "TypeGuard[lib.xarray.Dataset]":

@@ -1,6 +1,5 @@
 """`walker-jax prove`."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import walker_jax as wj
@@ -50,13 +49,8 @@ def prove(walker: "wj.Walker", asked: Theorem, window: SlicedWindow, output: Out
         return wj.prove_basin(walker, region, **how)
 
     data = output.produce(request, compute, "proof", kept=True)
-    answer = {"walker": request["walker"]} | lib.summarise_proof(data)
-    return answer, [*proof_in_words(walker, answer), output.places()]
-
-
-def proof_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
-    """Write the theorem, or the bounds that are proved."""
-    cells = answer["cells"]
+    answer = lib.summarise_proof(data)
+    yield {"walker": request["walker"]} | answer
     yield f"Proof, {lib.describe_in_words(walker)}"
     if answer["radius"] and answer["all_walk"]:
         yield f"  theorem: every start within {answer['radius']:.9g} of the gait walks for ever"
@@ -65,7 +59,9 @@ def proof_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
             yield "  not proved of the whole disc: try a smaller one, or more --levels"
         low, high = answer["area_lower"], answer["area_upper"]
         yield f"  starts that walk for ever have an area between {low:.8g} and {high:.8g}"
+    cells = answer["cells"]
     yield f"  cells that walk {cells['walk']}, fall {cells['fall']}, are open {cells['open']}"
     size, strides = answer["trap"]["size"], answer["verified_strides"]
     yield f"  {strides} verified strides; trap of size {size:.4g}"
     yield "  proofs.md says what a proof rests on; more --levels decide more of the open cells."
+    yield output.places()

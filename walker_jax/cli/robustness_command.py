@@ -105,17 +105,19 @@ def robustness(
     at = [slope_of(about)] if values is None else [{name: value} for value in values]
     parts = [data] if values is None else [data.isel({name: i}) for i in range(len(values))]
     rows = [*map(lib.summarise_robustness, parts, at)]
-    shown = {key: value for key, value in about.items() if key not in at[0]}
-    lines = [f"Robustness, {lib.write_description(shown)}"]
-    for row, place in zip(rows, at, strict=True):
-        where = "".join(f"{hyphenated(key)} {value:g}: " for key, value in place.items())
-        lines += measures_in_words(row, where, terms_of(walker))
     if values is None:
         answer, advice = rows[0], "--from and --to show how these depend on a parameter"
     else:
         answer = {"slopes" if name == "slope" else "values": rows}
         advice = "walker-jax optimise searches for the best between these values"
-    return {"walker": about} | answer, [*lines, f"  {advice}.", output.places()]
+    yield {"walker": about} | answer
+    shown = {key: value for key, value in about.items() if key not in at[0]}
+    yield f"Robustness, {lib.write_description(shown)}"
+    for row, place in zip(rows, at, strict=True):
+        where = "".join(f"{hyphenated(key)} {value:g}: " for key, value in place.items())
+        yield from measures_in_words(row, where, terms_of(walker))
+    yield f"  {advice}."
+    yield output.places()
 
 
 def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator[str]:

@@ -1,6 +1,5 @@
 """`walker-jax viable`."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import walker_jax as wj
@@ -70,13 +69,9 @@ def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, 
     compute = lambda: wj.viable(walker, grid_of(walker, axes), actions, **how)
     data = output.produce(request, compute, "viability", kept=True)
     answer = {"walker": request["walker"], "actions": actions} | lib.summarise_viability(data)
-    return answer, [*kernel_in_words(walker, answer), output.places()]
-
-
-def kernel_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
-    """Write the answer of `viable`."""
+    yield answer
     yield f"Viability kernel, {lib.describe_in_words(walker)}"
-    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in answer["actions"].items()]
+    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in actions.items()]
     yield f"  actions: {', '.join(ranges)}"
     between = ""
     if answer["inner_area"] is not None:
@@ -93,3 +88,4 @@ def kernel_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
         "  In this window, as far as the grid tells, no controller with these actions has a "
         "larger basin than the kernel."
     )
+    yield output.places()

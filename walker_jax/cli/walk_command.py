@@ -1,7 +1,6 @@
 """`walker-jax walk`."""
 
 import math
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -61,10 +60,9 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
             refuse(f"is for walkers, {other}", animate=asked.animate)
     if asked.ground is None:
         refuse("is for --ground alone: give it too", seed=asked.seed)
-    given = start.coordinates(walker)
+    simplest = lib.moves_like(walker, wj.SimplestWalker)
+    given = start.coordinates(walker, **PAPER_START if simplest else {})
     units.check(walker)
-    if lib.moves_like(walker, wj.SimplestWalker):
-        given = PAPER_START | given
     rough = asked.ground is not None
     ground = {"ground": asked.ground, "seed": asked.seed or 0} if rough else {}
     request = request_for("walk", walker, start=given, strides=asked.strides, **ground)
@@ -88,24 +86,7 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
     }
     if asked.animate is not None:
         draw_film(walker, begin, asked, asked.animate, lib.storage.signature(request))
-    lines = [*walk_in_words(walker, answer, names, units, rough=rough)]
-    lines += [f"film {asked.animate}"] * (asked.animate is not None)
-    return answer, lines
-
-
-def draw_film(walker: "wj.System", begin: Any, asked: Walk, place: Path, signature: str) -> None:
-    """Save the film of a walk."""
-    how: Any = {"step": FRAME_INTERVAL, "ground": asked.heights()}
-    motion, data = wj.motion(walker, begin, asked.strides, **how), None
-    if has_plane(walker):
-        data = wj.basin(walker, lib.film_window(walker, begin), "direct", progress=True)
-    wj.figures.film(motion, place, data, signature=signature, progress=True)
-
-
-def walk_in_words(
-    walker: "wj.System", answer: dict, names: Sequence[str], units: InUnits, *, rough: bool
-) -> Iterator[str]:
-    """Write a line for each stride; the steps of a map have no time."""
+    yield answer
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
     heads = "  ".join(f"{name:>10}" for name in names)
     timeless, step = is_map(walker, answer["times"]), terms_of(walker).step
@@ -122,9 +103,20 @@ def walk_in_words(
     else:
         why = "another --seed gives other ground" if rough else "walker-jax explain says why"
         yield f"It ends in {step} {len(answer['outcomes'])}: {why}."
+    if asked.animate is not None:
+        yield f"film {asked.animate}"
 
 
-def refuse_start(walker: "wj.System", start: Any) -> NoReturn:
+def draw_film(walker: "wj.System", begin: Any, asked: Walk, place: Path, signature: str) -> None:
+    """Save the film of a walk."""
+    how: Any = {"step": FRAME_INTERVAL, "ground": asked.heights()}
+    motion, data = wj.motion(walker, begin, asked.strides, **how), None
+    if has_plane(walker):
+        data = wj.basin(walker, lib.film_window(walker, begin), "direct", progress=True)
+    wj.figures.film(motion, place, data, signature=signature, progress=True)
+
+
+def refuse_start(walker: "wj.System", start: list[float]) -> NoReturn:
     """Raise `WrongUse` for a start that is not feasible, with the condition that it violates."""
 
     form = "--{}" if has_own_options(walker) else "--start {}=VALUE"
@@ -133,4 +125,4 @@ def refuse_start(walker: "wj.System", start: Any) -> NoReturn:
     about = feasible.__doc__ if feasible is not wj.System.feasible else None
     condition = (about or "").strip().partition("\n")[0].rstrip(".")
     why = f": {condition}" if condition else ""
-    raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}{why}")
+    raise WrongUse(f"{options} must be a feasible start, not {start}{why}")
