@@ -89,16 +89,13 @@ class Output(Group, theme="Output"):
     def find(self, request: dict) -> "lib.xarray.Dataset | None":
         """Find the data set that the same command has completed; refuse places that are taken."""
         self.check()
-        found = self.saved(request)  # first, as it says what differs
+        # The data set first, as it says what differs.
+        found = lib.storage.find(self.out, request, overwrite=self.overwrite)
         earlier = request if found is None else lib.storage.request_in(found.attrs)
         lib.storage.check_picture(self.picture, request, earlier, overwrite=self.overwrite)
         if earlier["version"] != request["version"]:
             print(f"{self.out} was computed by version {earlier['version']}", file=sys.stderr)
         return found
-
-    def saved(self, request: dict) -> "lib.xarray.Dataset | None":
-        """Return the data set of this request that is there, if it is."""
-        return lib.storage.find(self.out, request, overwrite=self.overwrite)
 
     def draw(self, axes: Any, request: dict) -> None:
         """Save the picture of these axes."""
@@ -106,8 +103,12 @@ class Output(Group, theme="Output"):
 
     def place(self, request: dict) -> dict[str, Any]:
         """Return the arguments of library functions that save their results, and show progress."""
-        how = {"overwrite": self.overwrite, "progress": True}
-        return {"out": self.out, "request": request, **how}
+        return {
+            "out": self.out,
+            "request": request,
+            "overwrite": self.overwrite,
+            "progress": True,
+        }
 
     def produce(
         self,
@@ -124,8 +125,8 @@ class Output(Group, theme="Output"):
         if data is None:
             with lib.bar(request["command"], True):
                 data = compute()
-            how = {"overwrite": self.overwrite}
-            data = data if kept else lib.storage.save(data, self.out, request, **how)
+            if not kept:
+                data = lib.storage.save(data, self.out, request, overwrite=self.overwrite)
         self.draw(getattr(wj.figures, picture)(data), request)
         return data
 
@@ -186,11 +187,6 @@ def jsonable(value: Any) -> Any:
     return value
 
 
-def is_walker(system: "wj.System") -> bool:
-    """Return whether a system is a walker or a robot, which has gaits and walks."""
-    return isinstance(system, wj.Walker | lib.Robot)
-
-
 class Terms(NamedTuple):
     """Words for motions: those of walkers; `terms_of` has those of a system."""
 
@@ -206,12 +202,10 @@ WALKING = Terms()
 
 
 def terms_of(system: "wj.System") -> Terms:
-    """Return the words for motions of a system, which only walks if it is a walker."""
-    return (
-        Terms()
-        if is_walker(system)
-        else Terms("cycle", "iterate", "start", "goes", "fails", "the motion")
-    )
+    """Return the words for motions of a system, which only walks if it is a walker or a robot."""
+    if isinstance(system, wj.Walker | lib.Robot):
+        return WALKING
+    return Terms("cycle", "iterate", "start", "goes", "fails", "the motion")
 
 
 def is_map(system: "wj.System", times: Any) -> bool:
@@ -221,7 +215,7 @@ def is_map(system: "wj.System", times: Any) -> bool:
 
 def in_words(outcome: str, system: "wj.System") -> str:
     """Write the name of an outcome in words; only a walker walks."""
-    goes_on = outcome == "STRIDE" and not is_walker(system)
+    goes_on = outcome == "STRIDE" and terms_of(system) is not WALKING
     return "goes on" if goes_on else lib.outcome_in_words(outcome)
 
 

@@ -58,7 +58,7 @@ class Commands(click.Group):
             raise Interrupted(*resume_notes(interruption)) from interruption
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write(list_page(self, ctx, formatter.width) + "\n")
+        formatter.write("\n\n".join(list_page(self, ctx, formatter.width)) + "\n")
 
 
 def resume_notes(interruption: BaseException) -> list[str]:

@@ -83,12 +83,13 @@ class Method(Group, theme="Method"):
         self, walker: "wj.System", window: BasinWindow, axes: dict[str, Any]
     ) -> dict[str, Any]:
         """Return the method and its settings on these axes."""
+        at_gait = "phidot" in axes and axes["phidot"] is None
         direct = ""  # the reason why the method must be direct
         if self.levels is not None:
             direct = "with --levels, not cell-map"
         elif self.zoom is not None:
             direct = "with --zoom, as walkers leave its window: leave out --method"
-        elif is_slice(axes):
+        elif at_gait or any(isinstance(one, float) for one in axes.values()):
             whole = "a range for each --axis" if window.axis else "--phidot"
             direct = f"for a slice, as walkers leave it: leave out --method, or give {whole}"
         method = self.method or (
@@ -102,13 +103,6 @@ class Method(Group, theme="Method"):
         settings: dict[str, Any] = {"method": method, "strides": self.strides or 200}
         settings |= {} if self.levels is None else {"levels": self.levels, "seed": self.seed or 0}
         return settings | ({} if self.zoom is None else {"zoom": self.zoom, "near": self.near})
-
-
-def is_slice(axes: dict[str, Any]) -> bool:
-    """Return whether an axis is a single value, or will be that of the gait."""
-    return any(
-        isinstance(at, float) or (at is None and name == "phidot") for name, at in axes.items()
-    )
 
 
 @command(
@@ -159,7 +153,20 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
     if resumed:
         kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
     yield answer
-    yield from basin_in_words(walker, data, answer, counts, request)
+    yield f"Basin of attraction, {lib.write_description(request['walker'])}, {answer['method']}"
+    if "zoom" in request:
+        centre = listed(data.attrs["origin"], ".17g")
+        yield f"  window {request['zoom']:g} times as narrow, around ({centre})"
+    fixed = lib.fixed_coordinates(data)
+    if fixed:
+        yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
+    measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
+    unit = UNITS[measure] if lib.has_known_units(data) else ""
+    yield from sizes_in_words(answer, measure, unit, terms, zoomed="zoom" in request)
+    yield from fates_in_words(answer["fates"], walker)
+    if counts.unmatched:
+        cells = f"{counts.unmatched} cells whose {terms.start} {terms.goes} on"
+        yield f"  {cells} come near no known attractor"
     yield f"  {kept or effort(data, answer, counts, terms)}"
     yield f"  {next_step(answer, request, terms)}"
     yield output.places(film)
@@ -209,31 +216,6 @@ def draw_film(walker: "wj.System", data: "lib.xarray.Dataset", shots: dict, film
     how: Any = {"frames": shots["frames"], "strides": shots["strides"], "progress": True}
     shown = wj.zoom(walker, grid, shots["zoom"], centre, **how)
     wj.figures.zoom_film(shown, film, signature=lib.storage.signature(shots), progress=True)
-
-
-def basin_in_words(
-    walker: "wj.System",
-    data: "lib.xarray.Dataset",
-    answer: dict,
-    counts: "lib.Tally",
-    request: dict,
-) -> Iterator[str]:
-    """Write the answer of `basin`."""
-    yield f"Basin of attraction, {lib.write_description(request['walker'])}, {answer['method']}"
-    if "zoom" in request:
-        centre = listed(data.attrs["origin"], ".17g")
-        yield f"  window {request['zoom']:g} times as narrow, around ({centre})"
-    fixed = lib.fixed_coordinates(data)
-    if fixed:
-        yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
-    measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
-    unit = UNITS[measure] if lib.has_known_units(data) else ""
-    terms = terms_of(walker)
-    yield from sizes_in_words(answer, measure, unit, terms, zoomed="zoom" in request)
-    yield from fates_in_words(answer["fates"], walker)
-    if counts.unmatched:
-        cells = f"{counts.unmatched} cells whose {terms.start} {terms.goes} on"
-        yield f"  {cells} come near no known attractor"
 
 
 def next_step(answer: dict, request: dict, terms: Terms = WALKING) -> str:

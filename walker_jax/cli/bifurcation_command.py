@@ -34,18 +34,6 @@ class Branches(Ranged, theme="Branches"):
     strides: int = option(3000, "Strides after which a walker counts as walking for ever.")
     normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more.")
 
-    def range(self, walker: "wj.System") -> tuple[str, float, float]:
-        """Return the parameter that changes, and its lowest and highest values."""
-        over, low, high = underscored(self.over), self.low, self.high
-        lib.check_parameter(walker, over)
-        if usual := lib.span_of(type(walker), over):
-            low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
-        if low is None or high is None:
-            missing = "--from" if low is None else "--to"
-            raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
-        self.check(walker, low, high)
-        return over, low, high
-
 
 @command(
     examples=(
@@ -58,7 +46,14 @@ class Branches(Ranged, theme="Branches"):
 )
 def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
-    over, low, high = asked.range(walker)
+    over, low, high = underscored(asked.over), asked.low, asked.high
+    lib.check_parameter(walker, over)
+    if usual := lib.span_of(type(walker), over):
+        low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
+    if low is None or high is None:
+        missing = "--from" if low is None else "--to"
+        raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
+    asked.check(walker, low, high)
     how: Any = {"period_max": asked.period_max, "strides": asked.strides}
     how |= {"normal_forms": True} if asked.normal_forms else {}
     walker = lib.with_parameter(walker, over, low)

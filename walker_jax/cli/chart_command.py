@@ -18,17 +18,6 @@ class Chart(Group, theme="Chart"):
     period_max: int = option(4, "Longest period of which curves are followed.", most=64)
     strides: int = option(1000, "Strides before the period is read.")
 
-    def check(self, system: "wj.System") -> None:
-        """Refuse all but the ranges of two parameters, which hold the system's own values."""
-        for name, (low, high, count) in self.over.items():
-            lib.check_parameter(system, name, low, high)
-            own, typed = float(lib.value_of(system, name)), hyphenated(name)
-            if not low <= own <= high:
-                ends = f"{typed}={low:g}:{high:g}:{count}"
-                raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
-        if len(self.over) != 2:
-            raise WrongUse(f"--over is required twice: two parameters, each as NAME={RANGE}")
-
 
 @command(
     examples=(
@@ -45,7 +34,14 @@ def chart(walker: "wj.System", asked: Chart, output: Output):
 
     The gait is followed from the walker's own values of both, which the ranges must hold.
     """
-    asked.check(walker)
+    for name, (low, high, count) in asked.over.items():
+        lib.check_parameter(walker, name, low, high)
+        own, typed = float(lib.value_of(walker, name)), hyphenated(name)
+        if not low <= own <= high:
+            ends = f"{typed}={low:g}:{high:g}:{count}"
+            raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
+    if len(asked.over) != 2:
+        raise WrongUse(f"--over is required twice: two parameters, each as NAME={RANGE}")
     bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
     cells = tuple(count for *_, count in asked.over.values())
     how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}

@@ -25,13 +25,6 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import choose
 from walker_jax.refusals import Refusal, WrongUse
 
-
-def silence(ctx: Any, param: Any, requested: bool) -> None:
-    """Show no progress from now on, if that is requested."""
-    if requested:
-        lib.be_quiet()
-
-
 JSON = Option(
     ["as_json", "--json"], theme="Output", default=False, help="Print the answer as JSON."
 )
@@ -39,7 +32,7 @@ QUIET = Option(
     ["--quiet"],
     theme="Output",
     default=False,
-    callback=silence,
+    callback=lambda ctx, param, requested: requested and lib.be_quiet(),
     expose_value=False,
     help="Print the answer, or the error, alone.",
 )
@@ -96,10 +89,18 @@ class Command(click.Command):
                 except WrongUse:
                     if not ctx.resilient_parsing:  # as for completion in a shell
                         raise
-                refuse_clash(self.get_params(ctx))
+                flags = flags_of(self.get_params(ctx))
+                for flag in flags:
+                    if flags.count(flag) > 1:
+                        name = underscored(flag.removeprefix("--"))
+                        must = f"rename the parameter {name}"
+                        raise WrongUse(f"{flag} is an option of the command: {must}")
             super().parse_args(ctx, args)
-        if not ctx.resilient_parsing:
-            refuse_extra(ctx)
+        for first in ctx.args[:1] if not ctx.resilient_parsing else ():
+            flags = flags_of(self.get_params(ctx))
+            similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
+            instead = meant(similar) or help_of(ctx)
+            raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
         return ctx.args
 
     def invoke(self, ctx: click.Context) -> None:
@@ -126,30 +127,12 @@ class Command(click.Command):
             raise
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write(help_page(self, ctx, formatter.width) + "\n")
+        formatter.write("\n\n".join(help_page(self, ctx, formatter.width)) + "\n")
 
 
 def command(**about: Any) -> Callable[[Callable[..., Any]], Command]:
     """Declare a command, with settings of `Command`."""
     return lambda run: Command(run, **about)
-
-
-def refuse_clash(params: Iterable[click.Parameter]) -> None:
-    """Refuse a walker that has a parameter of the name of an option of the command."""
-    flags = flags_of(params)
-    for flag in flags:
-        if flags.count(flag) > 1:
-            name = underscored(flag.removeprefix("--"))
-            raise WrongUse(f"{flag} is an option of the command: rename the parameter {name}")
-
-
-def refuse_extra(ctx: click.Context) -> None:
-    """Refuse an argument that belongs to no option; suggest the option that may be meant."""
-    for first in ctx.args[:1]:
-        flags = flags_of(ctx.command.get_params(ctx))
-        similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
-        instead = meant(similar) or help_of(ctx)
-        raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
 
 
 @contextmanager

@@ -16,16 +16,6 @@ class Page(Group, theme="Page"):
     host: str = option("127.0.0.1", "The interface; any but this machine's own lets others in.")
     browser: bool = option(True, "Whether to open the page.", "--browser/--no-browser")
 
-    def check_host(self) -> None:
-        """Refuse a host that cannot be the name of a machine."""
-        try:
-            encoded = self.host.encode("idna")  # the encoding of host names
-        except UnicodeError:
-            encoded = b""
-        if not encoded.strip():
-            must = "--host must be a name or an address, such as 127.0.0.1"
-            raise WrongUse(f"{must}, not {shown(self.host)}")
-
 
 @command(
     examples=(
@@ -47,7 +37,13 @@ def explore(walker: "wj.System", page: Page) -> None:
     default over the gait_region. Walkers in space have no tab of bifurcations, nor have systems
     without a gait_region.
     """
-    page.check_host()
+    try:
+        encoded = page.host.encode("idna")  # the encoding of host names
+    except UnicodeError:
+        encoded = b""
+    if not encoded.strip():
+        must = "--host must be a name or an address, such as 127.0.0.1"
+        raise WrongUse(f"{must}, not {shown(page.host)}")
     if page.axis and lib.is_planar(walker):
         raise WrongUse("--axis is for systems: the page shows a walker in the plane about its gait")
     axes = named_axes(walker, page.axis, most=len(walker.section)) if page.axis else {}

@@ -42,15 +42,6 @@ class Search(Group, theme="Search"):
     phidot: float | None = option(None, f"{PHIDOT}: with --guess.")
     start: dict[str, float] = start_option("all", "phidot")
 
-    def coordinates(self, walker: "wj.System") -> dict[str, float]:
-        """Return the coordinates of the state in which the search begins, if it is given."""
-        refuse_own(walker, guess=self.guess, phidot=self.phidot)
-        if self.guess is None:
-            refuse("is for --guess alone: give it too", phidot=self.phidot)
-        own = dict(zip(("theta", "thetadot", "phidot"), self.guess or (), strict=False))
-        own |= {} if self.phidot is None else {"phidot": self.phidot}
-        return coordinates_of(walker, self.start, own)
-
 
 class Picture(Group, theme="Picture"):
     figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes.")
@@ -70,7 +61,13 @@ class Picture(Group, theme="Picture"):
 )
 def gait(walker: "wj.System", search: Search, picture: Picture, units: InUnits, files: Files):
     """Find the gaits of a walker: cycles of strides, and their stability."""
-    given, figure = search.coordinates(walker), picture.figure
+    guessed, phidot, figure = search.guess, search.phidot, picture.figure
+    refuse_own(walker, guess=guessed, phidot=phidot)
+    if guessed is None:
+        refuse("is for --guess alone: give it too", phidot=phidot)
+    own = dict(zip(("theta", "thetadot"), guessed or (), strict=False))
+    own |= {} if phidot is None else {"phidot": phidot}
+    given = coordinates_of(walker, search.start, own)
     units.check(walker)
     guess = begin_at(walker, given) if given else None
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)

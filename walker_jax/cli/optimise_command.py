@@ -122,7 +122,8 @@ def computed(
 ) -> "lib.xarray.Dataset":
     """Compute the optimum and save its trace as it grows; no other process may write there."""
     with lib.storage.rewritable(output.out, request) as save:
-        known = output.saved(request)  # another run may just have ended
+        # Another run may just have ended.
+        known = lib.storage.find(output.out, request, overwrite=output.overwrite)
         if is_done(known):
             return known
         begun, unsaved, saved_at = known is not None, None, -math.inf

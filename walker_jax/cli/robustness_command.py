@@ -62,17 +62,6 @@ class Measures(Group, theme="Measures"):
     )
     seed: int = option(0, "Seed of random numbers.", least=0)
 
-    def settings(self, walker: "wj.System") -> dict[str, Any]:
-        """Return the arguments of the library's `robustness`."""
-        if not lib.is_planar(walker):
-            plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
-            refuse(plane, ground=self.ground)
-        given = {name: value for name, value in vars(self).items() if value is not None}
-        picture = walker.picture()
-        if picture is not None and picture.axes == 3:
-            given["check"] = lib.check_starts(walker, exact=True)
-        return given
-
 
 @command(
     examples=(
@@ -94,7 +83,14 @@ def robustness(
     number of strides until it falls.
     """
     name, values = underscored(table.over), table.values(walker)
-    how, grid = measures.settings(walker), region.grid(walker)
+    if not lib.is_planar(walker):
+        plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
+        refuse(plane, ground=measures.ground)
+    how: Any = {key: value for key, value in vars(measures).items() if value is not None}
+    shape = walker.picture()
+    if shape is not None and shape.axes == 3:
+        how["check"] = lib.check_starts(walker, exact=True)
+    grid = region.grid(walker)
     asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
     request = request_for("robustness", walker, without=[name] * bool(values), **asked)
     over: Any = {} if values is None else {"values": values, "parameter": name}
@@ -143,22 +139,7 @@ def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator
         if row["step_down_failure"] == "STRIDE":
             down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
         yield f"    least step down {down}"
-    yield from returns_in_words(row["basin_stability"], gait, terms)
-    dimension = row["boundary_dimension"]
-    interval = f"{dimension['low']:.3f} to {dimension['high']:.3f}"
-    yield f"    dimension of the boundary {dimension['value']:.3f} ({interval})"
-    if "steps_to_fall" in row:
-        walks = row["steps_to_fall"]
-        mean, low, high = (
-            "inf" if walks[name] is None else f"{walks[name]:.4g}"
-            for name in ("mean", "low", "high")
-        )
-        ground = f"on ground with steps of standard deviation {walks['ground']:g}"
-        yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
-
-
-def returns_in_words(survived: dict, gait: dict, terms: Terms) -> Iterator[str]:
-    """Describe which disturbances are survived, and how soon they decay."""
+    survived = row["basin_stability"]
     yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the {terms.cycle}'s state are "
@@ -171,6 +152,17 @@ def returns_in_words(survived: dict, gait: dict, terms: Terms) -> Iterator[str]:
         f"{gait['return_strides']:.3g}; the largest that is survived is "
         f"{survived['largest_shock']:.3g}"
     )
+    dimension = row["boundary_dimension"]
+    interval = f"{dimension['low']:.3f} to {dimension['high']:.3f}"
+    yield f"    dimension of the boundary {dimension['value']:.3f} ({interval})"
+    if "steps_to_fall" in row:
+        walks = row["steps_to_fall"]
+        mean, low, high = (
+            "inf" if walks[name] is None else f"{walks[name]:.4g}"
+            for name in ("mean", "low", "high")
+        )
+        ground = f"on ground with steps of standard deviation {walks['ground']:g}"
+        yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
 
 
 def disturbance_in_words(disturbance: dict, terms: Terms) -> str:

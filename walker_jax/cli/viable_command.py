@@ -22,18 +22,6 @@ class Actions(Group, theme="Actions"):
         0, "Halve cells between the bounds this many times: narrows the bounds.", least=0, most=8
     )
 
-    def check(self, walker: "wj.System") -> None:
-        """Refuse actions that are no parameters of the walker, or that it cannot have."""
-        if not self.action:
-            example = "--action push-off=0:0.1:16"
-            raise WrongUse(f"--action NAME={RANGE} is required, such as {example}")
-        known = lib.numbers_of(walker)
-        for name, (low, high, _) in self.action.items():
-            if name not in known:
-                names = ", ".join(map(hyphenated, known))
-                raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
-            lib.check_parameter(walker, name, low, high)
-
 
 @command(
     examples=(
@@ -53,13 +41,21 @@ def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, 
     counted too. The window must hold all coordinates of the section: of two, its default is that of
     the command basin; of three, --axis gives each, and the picture is the slice in the middle.
     """
-    asked.check(walker)
+    actions, known = asked.action, lib.numbers_of(walker)
+    if not actions:
+        example = "--action push-off=0:0.1:16"
+        raise WrongUse(f"--action NAME={RANGE} is required, such as {example}")
+    for name, (low, high, _) in actions.items():
+        if name not in known:
+            names = ", ".join(map(hyphenated, known))
+            raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
+        lib.check_parameter(walker, name, low, high)
     if len(walker.section) > 2 and not window.axis:
         section = ", ".join(walker.section)
         raise WrongUse(
             f"--axis NAME={RANGE} is required for each of {section}: a slice is not enough"
         )
-    axes, actions = window.axes(walker, most=3), asked.action
+    axes = window.axes(walker, most=3)
     if asked.no_bounds and asked.levels:
         raise WrongUse("--levels narrows the bounds: leave out --no-bounds")
     how: Any = {"bounds": not asked.no_bounds, "levels": asked.levels}

@@ -32,11 +32,6 @@ def walkers_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
     return [name for name in (*DESCRIBED, *lib.installed_walkers()) if name.startswith(incomplete)]
 
 
-def systems_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
-    """Return the systems whose names begin so, for completion in a shell."""
-    return [name for name in lib.SYSTEMS if name.startswith(incomplete)]
-
-
 WALKER = Option(
     ["walker", "--walker"],
     help=f"The model, such as kneed, FILE.py:CLASS or ROBOT.xml (default: {DEFAULT}).",
@@ -46,7 +41,7 @@ WALKER = Option(
 SYSTEM = Option(
     ["system", "--system"],
     help="Any other system, such as henon, or FILE.py:NAME.",
-    shell_complete=systems_that_begin,
+    shell_complete=lambda ctx, param, begun: [one for one in lib.SYSTEMS if one.startswith(begun)],
     **THEME,
 )
 LENIENT = {"ignore_unknown_options": True, "allow_extra_args": True}
