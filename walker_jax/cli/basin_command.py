@@ -101,8 +101,11 @@ class Method(Group, theme="Method"):
             refuse("is for --method direct alone: give it too", strides=self.strides)
             return {"method": method}
         settings: dict[str, Any] = {"method": method, "strides": self.strides or 200}
-        settings |= {} if self.levels is None else {"levels": self.levels, "seed": self.seed or 0}
-        return settings | ({} if self.zoom is None else {"zoom": self.zoom, "near": self.near})
+        if self.levels is not None:
+            settings |= {"levels": self.levels, "seed": self.seed or 0}
+        if self.zoom is not None:
+            settings |= {"zoom": self.zoom, "near": self.near}
+        return settings
 
 
 @command(

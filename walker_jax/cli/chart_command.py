@@ -8,7 +8,7 @@ from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
-from walker_jax.cli.section import begin_at, coordinates_of, start_option
+from walker_jax.cli.section import Start, start_option
 from walker_jax.refusals import WrongUse
 
 
@@ -45,8 +45,7 @@ def chart(walker: "wj.System", asked: Chart, output: Output):
     bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
     cells = tuple(count for *_, count in asked.over.values())
     how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}
-    given = coordinates_of(walker, asked.start, {})
-    start = begin_at(walker, given) if given else None
+    start = [*Start(start=asked.start).coordinates(walker).values()] or None
     over = {name: list(ends) for name, ends in asked.over.items()}
     request = request_for("chart", walker, start=start, over=over, **how)
 

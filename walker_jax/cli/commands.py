@@ -3,12 +3,12 @@
 import difflib
 import inspect
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from typing import Any
 
 import click
+from click.core import augment_usage_errors
 
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import jsonable
@@ -16,8 +16,8 @@ from walker_jax.cli.help_page import help_page
 from walker_jax.cli.options import (
     Option,
     Ranged,
+    message_of,
     name_of,
-    option_for_argument,
     options_of,
     shown,
     underscored,
@@ -82,7 +82,7 @@ class Command(click.Command):
         return [*chosen.options(systems=self.systems), *own]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        with refusals(ctx):
+        with augment_usage_errors(ctx):
             if self.walkers:
                 try:
                     ctx.obj = choose(args, systems=self.systems, opening=self.opening)
@@ -109,10 +109,10 @@ class Command(click.Command):
             name: group(**{one.name: ctx.params[one.name] for one in fields(group)})
             for name, group in self.groups.items()
         }
-        if self.walkers:
-            over = next((one.ranged for one in given.values() if isinstance(one, Ranged)), ())
-            given["walker"] = ctx.obj.build(ctx.params, *over)
         try:
+            if self.walkers:
+                over = next((one.ranged for one in given.values() if isinstance(one, Ranged)), ())
+                given["walker"] = ctx.obj.build(ctx.params, *over)
             said = self.run(**given) or iter(())
             answer = next(said, None)
             if ctx.params.get("as_json"):
@@ -120,10 +120,8 @@ class Command(click.Command):
                 return
             for line in said:
                 print(line)
-        except Refusal as error:  # arguments that no option sets keep their names
-            known = {name_of(one) for one in self.get_params(ctx)}
-            typed = lambda argument: option_for_argument(argument).split()[-1]
-            error.arguments = [one for one in error.arguments if typed(one) in known]
+        except Refusal as error:
+            error.args = (message_of(error, {name_of(one) for one in self.get_params(ctx)}),)
             raise
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -135,17 +133,9 @@ def command(**about: Any) -> Callable[[Callable[..., Any]], Command]:
     return lambda run: Command(run, **about)
 
 
-@contextmanager
-def refusals(ctx: click.Context) -> Iterator[None]:
-    """Refuse in one line what click refuses: what is wrong, and what to do instead."""
-    try:
-        yield
-    except click.UsageError as error:
-        raise WrongUse(complaint(error, ctx)) from error
-
-
-def complaint(error: click.UsageError, ctx: click.Context) -> str:
-    """Write one line for an error of click."""
+def complaint(error: click.UsageError) -> str:
+    """Write one line for an error of click: what is wrong, and what to do instead."""
+    ctx: Any = error.ctx
     params = ctx.command.get_params(ctx)
     match error:
         case click.NoSuchOption(option_name=flag):

@@ -6,7 +6,7 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import in_words, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.section import Start, begin_at
+from walker_jax.cli.section import Start
 
 
 @command(
@@ -24,7 +24,7 @@ def explain(walker: "wj.System", start: Start):
     others came; the least values of conditions. Lines with ! say what does not fit together. By
     default the start is that of the gait.
     """
-    found = lib.explain(walker, begin_at(walker, start.coordinates(walker)))
+    found = lib.explain(walker, start.begin(walker))
     known = found.name == "STRIDE"
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes

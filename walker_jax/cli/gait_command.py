@@ -17,14 +17,7 @@ from walker_jax.cli.answers import (
 )
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, option, refuse
-from walker_jax.cli.section import (
-    PHIDOT,
-    begin_at,
-    coordinates_of,
-    has_own_options,
-    refuse_own,
-    start_option,
-)
+from walker_jax.cli.section import PHIDOT, Start, has_own_options, refuse_own, start_option
 from walker_jax.cli.unit_options import InUnits
 
 
@@ -61,21 +54,20 @@ class Picture(Group, theme="Picture"):
 )
 def gait(walker: "wj.System", search: Search, picture: Picture, units: InUnits, files: Files):
     """Find the gaits of a walker: cycles of strides, and their stability."""
-    guessed, phidot, figure = search.guess, search.phidot, picture.figure
-    refuse_own(walker, guess=guessed, phidot=phidot)
-    if guessed is None:
+    phidot, figure = search.phidot, picture.figure
+    refuse_own(walker, guess=search.guess, phidot=phidot)
+    if search.guess is None:
         refuse("is for --guess alone: give it too", phidot=phidot)
-    own = dict(zip(("theta", "thetadot"), guessed or (), strict=False))
-    own |= {} if phidot is None else {"phidot": phidot}
-    given = coordinates_of(walker, search.start, own)
+    theta, thetadot = search.guess or (None, None)
+    start = Start(theta, thetadot, phidot, search.start).coordinates(walker)
     units.check(walker)
-    guess = begin_at(walker, given) if given else None
+    guess = [*start.values()] or None
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
     check_picture(figure, request, overwrite=files.overwrite)
     cycle = terms_of(walker).cycle
     with lib.bar(f"search for {cycle}s", True):
         way = "--guess THETA THETADOT" if has_own_options(walker) else "--start NAME=VALUE"
-        if given:
+        if start:
             way = "another --start" if search.start else "another --guess"
         how: Any = {"every": search.all, "instead": f"try {way}"}
         found = lib.selection.select_gaits(walker, search.period, guess, **how)

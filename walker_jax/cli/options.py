@@ -13,7 +13,7 @@ This module loads without JAX, as do all modules of commands.
 
 import dataclasses
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from math import inf, isfinite
 from pathlib import Path
 from types import UnionType
@@ -276,11 +276,15 @@ def options_of(group: type[Group], defaults: Mapping[str, Any]) -> list[click.Pa
     return found
 
 
+def only_given(**options: Any) -> dict[str, Any]:
+    """Return those of these options that are given."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
 def refuse(reason: str, **options: Any) -> None:
     """Refuse the first of these options that is given, for this reason."""
-    for name, given in options.items():
-        if given is not None:
-            raise WrongUse(f"{option_of(name)} {reason}")
+    for name in only_given(**options):
+        raise WrongUse(f"{option_of(name)} {reason}")
 
 
 REWORDED = {
@@ -297,17 +301,16 @@ REWORDED = {
 """Arguments of the library with options of other names."""
 
 
-def option_for_argument(argument: str) -> str:
-    """Return what sets an argument of the library on the command line."""
-    return REWORDED.get(argument) or option_of(argument)
+def message_of(error: Refusal, known: Container[str]) -> str:
+    """Return a message of the library with options in the places of the arguments at fault.
 
-
-def message_of(error: Refusal) -> str:
-    """Return a message of the library with options in the places of the arguments at fault."""
+    An argument that none of the `known` options sets keeps its name.
+    """
     *before, last = map(str, error.args)
     words = last.split(" ")
     for argument in error.arguments:
+        option = REWORDED.get(argument) or option_of(argument)
         places = [i for i, word in enumerate(words) if word.rstrip(",:;") == argument]
-        for i in places[-1:]:
-            words[i] = words[i].replace(argument, option_for_argument(argument))
+        for i in places[-1:] if option.split()[-1] in known else ():
+            words[i] = words[i].replace(argument, option)
     return ": ".join([*before, " ".join(words)])

@@ -4,7 +4,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.options import RANGE, Axis, Group, named, option, option_of, refuse
+from walker_jax.cli.options import RANGE, Axis, Group, named, only_given, option, option_of, refuse
 from walker_jax.refusals import WrongUse
 
 PHIDOT = "Rate between the legs, on sections that have it"
@@ -116,11 +116,31 @@ class Start(Group, theme="Start"):
     start: dict[str, float] = start_option("theta", "thetadot", "phidot")
 
     def coordinates(self, walker: "wj.System", **usual: float) -> dict[str, float]:
-        """Return the coordinates of the start; options of their own may have `usual` values."""
+        """Return the coordinates of the start, in the order of the section: none, or all.
+
+        Options of their own may have `usual` values.
+        """
         own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
         refuse_own(walker, **own)
-        given = {name: value for name, value in own.items() if value is not None}
-        return coordinates_of(walker, self.start, usual | given)
+        if self.start:
+            check_names("--start", walker, self.start, "NAME=VALUE is required too")
+        given, section = self.start or usual | only_given(**own), ", ".join(walker.section)
+        for name in walker.section if given else ():
+            if name not in given:
+                raise WrongUse(f"--{name} is required too: the section is {section}")
+        for name in given:
+            if name not in walker.section:
+                raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
+        return {name: given[name] for name in walker.section if given}
+
+    def begin(self, walker: "wj.System", **usual: float) -> list[float]:
+        """Return the start, by default the first state of the gait."""
+        if given := self.coordinates(walker, **usual):
+            return [*given.values()]
+        own = ", ".join(map(option_of, walker.section))
+        instead = f"give {own if has_own_options(walker) else '--start NAME=VALUE'}"
+        (gait,) = lib.selection.select_gaits(walker, instead=instead)
+        return gait.states[0].tolist()
 
 
 def has_plane(walker: "wj.System") -> bool:
@@ -138,23 +158,6 @@ def refuse_own(walker: "wj.System", **own: Any) -> None:
     if not has_own_options(walker):
         each = f"give --start NAME=VALUE, for each of {', '.join(walker.section)}"
         refuse(f"is for walkers in the plane: {each}", **own)
-
-
-def coordinates_of(
-    walker: "wj.System", start: dict[str, float], own: dict[str, float]
-) -> dict[str, float]:
-    """Return the coordinates that --start gives, or options of their own: none, or all."""
-    if start:
-        check_names("--start", walker, start, "NAME=VALUE is required too")
-        return start
-    section = ", ".join(walker.section)
-    for name in walker.section:
-        if own and name not in own:
-            raise WrongUse(f"--{name} is required too: the section is {section}")
-    for name in own:
-        if name not in walker.section:
-            raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
-    return own
 
 
 def check_names(option: str, walker: "wj.System", given: dict[str, Any], missing: str) -> None:
@@ -179,16 +182,6 @@ def named_axes(walker: "wj.System", given: dict[str, Any], most: int | None = No
         numbers = "two" if most == 2 else "two or three"
         raise WrongUse(f"--axis must be NAME={RANGE} for {numbers} coordinates, not {count}")
     return {name: given[name] for name in walker.section}
-
-
-def begin_at(walker: "wj.System", given: dict[str, float]) -> list[float]:
-    """Return the state with these coordinates, or the gait's if none are given."""
-    if given:
-        return [given[name] for name in walker.section]
-    own = ", ".join(map(option_of, walker.section))
-    instead = f"give {own if has_own_options(walker) else '--start NAME=VALUE'}"
-    (gait,) = lib.selection.select_gaits(walker, instead=instead)
-    return gait.states[0].tolist()
 
 
 def axes_of_region(system: "wj.System") -> dict[str, Any]:

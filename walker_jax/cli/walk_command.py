@@ -9,7 +9,7 @@ from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Files, check_picture, in_words, is_map, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, option, refuse
-from walker_jax.cli.section import Start, begin_at, has_own_options, has_plane
+from walker_jax.cli.section import Start, has_own_options, has_plane
 from walker_jax.cli.unit_options import InUnits
 from walker_jax.refusals import WrongUse
 
@@ -61,14 +61,15 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
     if asked.ground is None:
         refuse("is for --ground alone: give it too", seed=asked.seed)
     simplest = lib.moves_like(walker, wj.SimplestWalker)
-    given = start.coordinates(walker, **PAPER_START if simplest else {})
+    usual = PAPER_START if simplest else {}
+    given = start.coordinates(walker, **usual)
     units.check(walker)
     rough = asked.ground is not None
     ground = {"ground": asked.ground, "seed": asked.seed or 0} if rough else {}
     request = request_for("walk", walker, start=given, strides=asked.strides, **ground)
     check_picture(asked.animate, request, overwrite=files.overwrite, film=True)
     with lib.bar("walk", True):
-        begin = begin_at(walker, given)
+        begin = start.begin(walker, **usual)
         made = wj.walk(walker, begin, asked.strides, ground=asked.heights())
     outcomes = lib.numpy.asarray(made.outcomes)
     if outcomes[0] == wj.Outcome.OUTSIDE:
