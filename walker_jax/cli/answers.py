@@ -63,7 +63,7 @@ class Files(Group, theme="Output"):
     overwrite: bool = OVERWRITE
 
 
-class Output(Group, theme="Output"):
+class Output(Group):
     """The places of a command's data set and picture."""
 
     out: Path = option(Path(), "Where the data set goes.")
@@ -103,12 +103,7 @@ class Output(Group, theme="Output"):
 
     def place(self, request: dict) -> dict[str, Any]:
         """Return the arguments of library functions that save their results, and show progress."""
-        return {
-            "out": self.out,
-            "request": request,
-            "overwrite": self.overwrite,
-            "progress": True,
-        }
+        return dict(out=self.out, request=request, overwrite=self.overwrite, progress=True)
 
     def produce(
         self,

@@ -41,7 +41,7 @@ class BasinWindow(SlicedWindow):
     )
 
 
-class Method(Group, theme="Method"):
+class Method(Group):
     method: str | None = option(
         None,
         "How (default: cell-map for walkers, direct for other systems and for slices).",
@@ -150,7 +150,7 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
     if film is not None:
         draw_film(walker, data, shots, film)
     counts, terms = lib.tally(data), terms_of(walker)
-    answer = slope_of(request["walker"]) | {"method": data.attrs["method"]}
+    answer: dict[str, Any] = slope_of(request["walker"]) | {"method": data.attrs["method"]}
     answer |= lib.summarise_basin(data, counts)
     answer |= {"seconds": seconds, "walker": request["walker"]}
     if resumed:

@@ -10,7 +10,7 @@ from walker_jax.cli.options import Group, option
 from walker_jax.cli.section import SlicedWindow, grid_of
 
 
-class Measures(Group, theme="Measures"):
+class Measures(Group):
     strides: int = option(500, "Strides at most.")
 
 

@@ -12,7 +12,7 @@ from walker_jax.cli.section import Start, start_option
 from walker_jax.refusals import WrongUse
 
 
-class Chart(Group, theme="Chart"):
+class Chart(Group):
     over: dict[str, Axis] = named("A parameter, its ends and number of cells: give two.", RANGE)
     start: dict[str, float] = start_option()
     period_max: int = option(4, "Longest period of which curves are followed.", most=64)

@@ -16,7 +16,7 @@ DEFAULT = "slope", (0.002, 0.02, 37)
 """The slopes over which walkers are followed."""
 
 
-class Continuation(Group, theme="Continuation"):
+class Continuation(Group):
     over: Any = option("slope=0.002:0.02:37", "Values of a parameter.", type=Named(RANGE))
     samples: int = option(100_000, "Starts in the region.")
     strides: int = option(500, "Strides at most.")

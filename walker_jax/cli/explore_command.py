@@ -10,7 +10,7 @@ from walker_jax.cli.section import axes_option, named_axes
 from walker_jax.refusals import WrongUse
 
 
-class Page(Group, theme="Page"):
+class Page(Group):
     axis: dict[str, Any] = axes_option()
     port: int = option(0, "Port of the server; 0 for a free one.", least=0, most=65535)
     host: str = option("127.0.0.1", "The interface; any but this machine's own lets others in.")

@@ -17,7 +17,7 @@ PROGRAMS = {
 TABLES = ".csv", ".tex"
 
 
-class Places(Group, theme="Places"):
+class Places(Group):
     data: Path = argument("DATA", "A data set that a command left.")
     file: Path = argument("FILE", "Where it goes: .nc, NetCDF; .csv; .tex, LaTeX; .mat, MATLAB.")
     rows: str | None = option(

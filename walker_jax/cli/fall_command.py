@@ -17,7 +17,7 @@ STEPS = 2e-4
 """Standard deviation of steps where no disturbance is given."""
 
 
-class Disturbances(Group, theme="Disturbances"):
+class Disturbances(Group):
     """Standard deviations of the disturbances in each stride."""
 
     ground: float | None = option(None, f"Standard deviation of steps (default: {STEPS}).", least=0)

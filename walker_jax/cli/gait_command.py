@@ -21,7 +21,7 @@ from walker_jax.cli.section import PHIDOT, Start, has_own_options, refuse_own, s
 from walker_jax.cli.unit_options import InUnits
 
 
-class Search(Group, theme="Search"):
+class Search(Group):
     """The kind of gaits to search for, and the start of the search."""
 
     period: int = option(1, "Strides in a cycle.")
@@ -36,7 +36,7 @@ class Search(Group, theme="Search"):
     start: dict[str, float] = start_option("all", "phidot")
 
 
-class Picture(Group, theme="Picture"):
+class Picture(Group):
     figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes.")
 
 

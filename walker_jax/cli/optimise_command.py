@@ -21,7 +21,7 @@ SAVED_EVERY = 2.0
 LIMIT: Any = {"type": click.Tuple([str, Number()]), "metavar": "NAME X"}
 
 
-class Problem(Group, theme="Problem"):
+class Problem(Group):
     """The free parameters and the objective."""
 
     over: list[str] = option((), "A parameter that is free; may be repeated.", multiple=True)
@@ -58,7 +58,7 @@ class Problem(Group, theme="Problem"):
         return {name: self.bound[name] for name in names}
 
 
-class Search(Group, theme="Search"):
+class Search(Group):
     starts: int = option(3, "Walkers to start from: the one given, and others.")
     levels: int | None = option(
         None, "Refinement at both ends (default: 4; of volumes 2).", least=0, most=8

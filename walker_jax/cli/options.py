@@ -2,7 +2,7 @@
 
 They stand in groups, the themes of the help. A command is given one object for each of its groups:
 
-    class Search(Group, theme="Search"):
+    class Search(Group):
         period: int = option(1, "Strides in a cycle.")
 
 The annotation says how a value is read: a number of type `int` is at least 1, unless `least` says
@@ -217,19 +217,21 @@ class Option(click.Option):
 
 @dataclass_transform(frozen_default=True)
 class Group:
-    """Options of one theme; subclasses are frozen dataclasses, and each field is an option."""
+    """Options of one theme; subclasses are frozen dataclasses, and each field is an option.
 
-    theme: ClassVar[str]
+    The theme is the name of the first class, unless another is given.
+    """
 
-    def __init_subclass__(cls, theme: str | None = None):
-        cls.theme = theme or cls.theme
+    theme: ClassVar[str] = ""
+
+    def __init_subclass__(cls, theme: str = ""):
+        cls.theme = theme or cls.theme or cls.__name__
         dataclasses.dataclass(frozen=True)(cls)
 
 
 class Ranged(Group):
     """Options by which a parameter, by default the slope, goes over a range."""
 
-    theme = "Range"
     over: str = option("slope", "The parameter.")
     low: float | None = option(None, "Lowest value.", "--from")
     high: float | None = option(None, "Highest.", "--to")
@@ -256,7 +258,7 @@ READ: dict[Any, Callable[..., click.ParamType]] = {
 """How values are read, by the annotations of fields; other values are texts."""
 
 
-def options_of(group: type[Group], defaults: Mapping[str, Any]) -> list[click.Parameter]:
+def options_of(group: Any, defaults: Mapping[str, Any]) -> list[click.Parameter]:
     """Return the options of a group, with these defaults in place of its own."""
     found: list[click.Parameter] = []
     for field in dataclasses.fields(group):
@@ -287,7 +289,7 @@ def refuse(reason: str, **options: Any) -> None:
         raise WrongUse(f"{option_of(name)} {reason}")
 
 
-REWORDED = {
+SET_BY = {
     "parameter": "--over",
     "bounds": "--bound",
     "grid": "--axis",
@@ -298,7 +300,7 @@ REWORDED = {
     "units": "--unit",
     **dict.fromkeys(("file", "source", "recordings"), "FILE"),
 }
-"""Arguments of the library with options of other names."""
+"""What sets an argument of the library, where the option has another name."""
 
 
 def message_of(error: Refusal, known: Container[str]) -> str:
@@ -309,7 +311,7 @@ def message_of(error: Refusal, known: Container[str]) -> str:
     *before, last = map(str, error.args)
     words = last.split(" ")
     for argument in error.arguments:
-        option = REWORDED.get(argument) or option_of(argument)
+        option = SET_BY.get(argument) or option_of(argument)
         places = [i for i, word in enumerate(words) if word.rstrip(",:;") == argument]
         for i in places[-1:] if option.split()[-1] in known else ():
             words[i] = words[i].replace(argument, option)

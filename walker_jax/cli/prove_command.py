@@ -10,7 +10,7 @@ from walker_jax.cli.options import Group, option
 from walker_jax.cli.section import SlicedWindow, grid_of
 
 
-class Theorem(Group, theme="Theorem"):
+class Theorem(Group):
     radius: float | None = option(
         None,
         "Radius of a disc about the gait, in (theta, thetadot), instead of a window.",

@@ -51,7 +51,7 @@ class BasinRegion(Region):
         return grid or lib.grid_along(axes_of_region(walker))
 
 
-class Measures(Group, theme="Measures"):
+class Measures(Group):
     levels: int = option(4, "Halve boundary cells this many times.", least=0, most=8)
     disturbances: float = option(
         0.1, "Largest disturbance for basin stability, as a share of the gait's state.", above=0

@@ -24,10 +24,9 @@ def axes_option(*excludes: str) -> Any:
     return named(text, RANGE, "VALUE", metavar=f"NAME={RANGE}", excludes=excludes)
 
 
-class Section(Group):
+class Section(Group, theme="Window"):
     """Axes by options of their own, for walkers in the plane, or all axes by --axis."""
 
-    theme = "Window"
     theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.4 200).")
     sum: Axis | None = option(None, "theta + thetadot (default: -0.04 0.01 250).")
     axis: dict[str, Any] = axes_option("theta", "sum", "thetadot", "phidot", "at_phidot")
@@ -107,7 +106,7 @@ class Volume(Region):
     )
 
 
-class Start(Group, theme="Start"):
+class Start(Group):
     """A point of the section."""
 
     theta: float | None = option(None, "Stance angle at the start, rad (default: see below).")

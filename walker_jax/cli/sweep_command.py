@@ -16,7 +16,7 @@ SHOWN = *GAIT, "least_disturbance", "least_fall", "step_down", "step_down_fall"
 """Columns that are printed; the data set has more."""
 
 
-class Combinations(Group, theme="Combinations"):
+class Combinations(Group):
     over: dict[str, Axis] = named("Values of a parameter; give it again for others.", RANGE)
     levels: int = option(2, "Levels of refinement of the areas.", least=0)
     check: int = option(500_000, "Starts that check each area.", least=0)

@@ -11,7 +11,7 @@ from walker_jax.cli.section import Window, grid_of
 from walker_jax.refusals import WrongUse
 
 
-class Actions(Group, theme="Actions"):
+class Actions(Group):
     action: dict[str, Axis] = named(
         "A parameter that is chosen anew before each stride, with N values; all combinations of "
         "several.",

@@ -19,7 +19,7 @@ FRAME_INTERVAL = 0.15
 """Time between two frames of a film: 1/20 s for legs of one metre."""
 
 
-class Walk(Group, theme="Walk"):
+class Walk(Group):
     strides: int = option(9, "Strides at most.", most=1_000_000)
     ground: float | None = option(None, "Standard deviation of the steps of rough ground.", least=0)
     seed: int | None = option(None, "Seed of the ground (default: 0).", least=0)
