@@ -152,6 +152,8 @@ def complaint(error: click.UsageError) -> str:
             return f"{flag} must have {values}: {help_of(ctx)}"
         case click.MissingParameter(param=param):
             return f"{name_of(param)} is required: {help_of(ctx)}"
+        case click.BadParameter(param=param):
+            return f"{name_of(param)} {error.message}"
     return f"{shown(error.format_message())}: {help_of(ctx)}"
 
 

@@ -8,7 +8,8 @@ They stand in groups, the themes of the help. A command is given one object for 
 The annotation says how a value is read: a number of type `int` is at least 1, unless `least` says
 otherwise.
 
-This module loads without JAX, as do all modules of commands.
+What types refuse is worded by `complaint`, which puts the option before it. This module loads
+without JAX, as do all modules of commands.
 """
 
 import dataclasses
@@ -68,12 +69,12 @@ class Number(click.ParamType):
         try:
             number = self.read(value)
         except ValueError:
-            raise WrongUse(f"{name_of(param)} must be {self.noun}, not {shown(value)}") from None
+            self.fail(f"must be {self.noun}, not {shown(value)}", param, ctx)
         if not all(HOLDS[word](number, bound) for word, bound in self.bounds.items()):
             bounds = " and ".join(f"{word} {bound}" for word, bound in self.bounds.items())
-            raise WrongUse(f"{name_of(param)} must be {bounds}, not {shown(str(value))}")
+            self.fail(f"must be {bounds}, not {shown(str(value))}", param, ctx)
         if not -inf < number < inf:  # isfinite overflows for an integer of many digits
-            raise WrongUse(f"{name_of(param)} must be finite, not {number}")
+            self.fail(f"must be finite, not {number}", param, ctx)
         return number
 
 
@@ -112,8 +113,7 @@ class Choice(click.Choice):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         if value not in self.choices:
-            words = ", ".join(self.choices)
-            raise WrongUse(f"{name_of(param)} must be one of {words}, not {shown(value)}")
+            self.fail(f"must be one of {', '.join(self.choices)}, not {shown(value)}", param, ctx)
         return value
 
 
@@ -148,23 +148,21 @@ class Named(click.ParamType):
         self.name = " or ".join(f"NAME={form}" for form in forms)
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, Any]:
-        option = name_of(param)
         name, _, text = value.partition("=")
         parts = [text] if self.worded else text.split(":")  # a word may have colons of its own
         try:
             pairs = zip(self.forms.get(len(parts), ()), parts, strict=True)
             numbers: Any = tuple(self.kinds[word](number) for word, number in pairs)
         except ValueError:
-            raise WrongUse(f"{option} must be {self.name}, not {value}") from None
+            self.fail(f"must be {self.name}, not {value}", param, ctx)
         match numbers:
             case (number,):
                 if isinstance(number, float) and not isfinite(number):
-                    raise WrongUse(f"{option} must be finite, not {number}")
+                    self.fail(f"must be finite, not {number}", param, ctx)
                 return underscored(name), number
             case (low, high, count) if not (low < high and isfinite(high - low) and count >= 2):
-                raise WrongUse(
-                    f"{option} {value} must have LO below HI, both finite, and N of 2 or more"
-                )
+                must = "must have LO below HI, both finite, and N of 2 or more"
+                self.fail(f"{value} {must}", param, ctx)
         return underscored(name), numbers
 
 
@@ -173,7 +171,7 @@ def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str,
     found: dict[str, Any] = {}
     for name, numbers in pairs:
         if name in found:
-            raise WrongUse(f"{name_of(param)} is given twice for {hyphenated(name)}")
+            raise click.BadParameter(f"is given twice for {hyphenated(name)}", ctx, param)
         found[name] = numbers
     return found
 

@@ -14,7 +14,7 @@ import click
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.information import LIST_WALKERS
-from walker_jax.cli.options import Number, Option, name_of, option_of, underscored
+from walker_jax.cli.options import Number, Option, option_of, underscored
 from walker_jax.refusals import WrongUse
 from walker_jax.systems.parameter import Option as Check
 from walker_jax.systems.parameter import Parameter
@@ -59,7 +59,7 @@ class Bounded(Number):
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
         number = super().convert(value, param, ctx)
         if not self.parameter.holds(number):
-            raise WrongUse(f"{name_of(param)} must be {self.parameter.bounds()}, not {number}")
+            self.fail(f"must be {self.parameter.bounds()}, not {number}", param, ctx)
         return number
 
 
