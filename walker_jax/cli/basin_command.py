@@ -21,7 +21,7 @@ from walker_jax.cli.answers import (
     terms_of,
 )
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Axis, Choice, Group, option, refuse
+from walker_jax.cli.options import Axis, Choice, Group, only_given, option, refuse
 from walker_jax.cli.section import PHIDOT, SlicedWindow, check_section, grid_of
 from walker_jax.refusals import WrongUse
 
@@ -65,19 +65,6 @@ class Method(Group):
     )
     animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
     frames: int | None = option(None, "Pictures of the film (default: 120).", least=2)
-
-    def check(self, window: BasinWindow) -> None:
-        """Refuse options that need another option, which is not given."""
-        if self.levels is None:
-            refuse("is for --levels alone: give it too", seed=self.seed)
-        if self.animate is None:
-            refuse("is for --animate: give it too", frames=self.frames)
-        if self.zoom is None:
-            refuse("is for a --zoom: give it too", near=self.near, animate=self.animate)
-        elif window.phidot is not None and (self.near is not None or self.animate is not None):
-            raise WrongUse(
-                "--near and --animate are for a window of two dimensions: leave out --phidot"
-            )
 
     def settings(
         self, walker: "wj.System", window: BasinWindow, axes: dict[str, Any]
@@ -125,7 +112,15 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
     around its gait. With --levels a section of three dimensions is taken whole. The same command
     resumes an interrupted run.
     """
-    asked.check(window)
+    if asked.levels is None:
+        refuse("is for --levels alone: give it too", seed=asked.seed)
+    if asked.animate is None:
+        refuse("is for --animate: give it too", frames=asked.frames)
+    if asked.zoom is None:
+        refuse("is for a --zoom: give it too", near=asked.near, animate=asked.animate)
+    elif window.phidot is not None and only_given(near=asked.near, animate=asked.animate):
+        both = "--near and --animate are for a window of two dimensions"
+        raise WrongUse(f"{both}: leave out --phidot")
     check_section(walker, window.axis)
     axes, cluster = window.axes(walker, 3 if asked.zoom is None else 2), pieces.cluster
     if asked.levels is not None:

@@ -30,14 +30,6 @@ class Disturbances(Group):
         type=Choice("forward", "backward", "running", "stopped"),
     )
 
-    def deviations(self) -> "wj.Disturbance":
-        """Return the deviations of steps, slopes and pushes; by default there are only steps."""
-        others = self.tilt or self.push
-        ground = STEPS if self.ground is None and not others else self.ground or 0.0
-        if not (ground or others):
-            raise WrongUse("--ground must be above 0, not 0.0, unless --tilt or --push is given")
-        return wj.Disturbance(ground, self.tilt, self.push)
-
 
 class Pictures(Group, theme="Output"):
     figure: Path | None = option(None, "Where a picture goes.")
@@ -59,7 +51,12 @@ def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Fi
     The mean number of strides until such a fall follows from its action.
     """
     lib.check_planar(walker)
-    deviations, figure, film = asked.deviations(), pictures.figure, pictures.animate
+    figure, film = pictures.figure, pictures.animate
+    others = asked.tilt or asked.push
+    ground = STEPS if asked.ground is None and not others else asked.ground or 0.0
+    if not (ground or others):
+        raise WrongUse("--ground must be above 0, not 0.0, unless --tilt or --push is given")
+    deviations = wj.Disturbance(ground, asked.tilt, asked.push)
     way = None if asked.way is None else wj.Outcome[asked.way.upper()]
     about = {"deviations": list(deviations), "strides": asked.strides, "way": way}
     request = request_for("fall", walker, **about)

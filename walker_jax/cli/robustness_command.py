@@ -21,17 +21,6 @@ class Table(Ranged, theme="Slopes"):
     def ranged(self) -> tuple[()] | tuple[str, float | None]:
         return () if self.low is None else super().ranged
 
-    def values(self, walker: "wj.System") -> list[float] | None:
-        """Return the values of the parameter; None without a table."""
-        if (self.low is None) != (self.high is None):
-            raise WrongUse("--from and --to are for a table: give both or none")
-        if self.low is None or self.high is None:
-            over = None if self.over == "slope" else self.over
-            refuse("is for a table: give --from and --to too", count=self.count, over=over)
-            return None
-        self.check(walker, self.low, self.high)
-        return lib.space_decimals(self.low, self.high, self.count or 20)
-
 
 class BasinRegion(Region):
     theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.7854 200).")
@@ -82,7 +71,15 @@ def robustness(
     disturbances that it survives; the dimension of the boundary; and on rough ground the mean
     number of strides until it falls.
     """
-    name, values = underscored(table.over), table.values(walker)
+    name, low, high, values = underscored(table.over), table.low, table.high, None
+    if (low is None) != (high is None):
+        raise WrongUse("--from and --to are for a table: give both or none")
+    if low is None or high is None:
+        named = None if name == "slope" else name
+        refuse("is for a table: give --from and --to too", count=table.count, over=named)
+    else:
+        table.check(walker, low, high)
+        values = lib.space_decimals(low, high, table.count or 20)
     if not lib.is_planar(walker):
         plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
         refuse(plane, ground=measures.ground)
