@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
@@ -26,12 +26,6 @@ class Walk(Group):
     animate: Path | None = option(
         None, "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
     )
-
-    def heights(self) -> Any:
-        """Return the heights of the steps of rough ground, if it is rough."""
-        if self.ground is None:
-            return None
-        return self.ground * lib.numpy.random.default_rng(self.seed or 0).normal(size=self.strides)
 
 
 @command(
@@ -60,61 +54,53 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
             refuse(f"is for walkers, {other}", animate=asked.animate)
     if asked.ground is None:
         refuse("is for --ground alone: give it too", seed=asked.seed)
-    simplest = lib.moves_like(walker, wj.SimplestWalker)
-    usual = PAPER_START if simplest else {}
-    given = start.coordinates(walker, **usual)
+    usual = PAPER_START if lib.moves_like(walker, wj.SimplestWalker) else {}
+    given, strides, film = start.coordinates(walker, **usual), asked.strides, asked.animate
     units.check(walker)
-    rough = asked.ground is not None
-    ground = {"ground": asked.ground, "seed": asked.seed or 0} if rough else {}
-    request = request_for("walk", walker, start=given, strides=asked.strides, **ground)
-    check_picture(asked.animate, request, overwrite=files.overwrite, film=True)
+    ground, heights = {}, None
+    if asked.ground is not None:
+        ground = {"ground": asked.ground, "seed": asked.seed or 0}
+        random = lib.numpy.random.default_rng(asked.seed or 0)
+        heights = asked.ground * random.normal(size=strides)
+    request = request_for("walk", walker, start=given, strides=strides, **ground)
+    check_picture(film, request, overwrite=files.overwrite, film=True)
     with lib.bar("walk", True):
         begin = start.begin(walker, **usual)
-        made = wj.walk(walker, begin, asked.strides, ground=asked.heights())
+        made = wj.walk(walker, begin, strides, ground=heights)
     outcomes = lib.numpy.asarray(made.outcomes)
     if outcomes[0] == wj.Outcome.OUTSIDE:
         refuse_start(walker, begin)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
-    count = min(completed + 1, asked.strides)
-    names = lib.State._fields if rough else walker.section
-    answer: dict[str, Any] = {
-        "states": units.states(lib.numpy.asarray(made.states)[: completed + 1], names),
-        "outcomes": [
-            lib.name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()
-        ],
-        "times": units.times(lib.numpy.asarray(made.times)[:count]),
-        **units.named,
-    }
-    if asked.animate is not None:
-        draw_film(walker, begin, asked, asked.animate, lib.storage.signature(request))
-    yield answer
+    count = min(completed + 1, strides)
+    coordinates = lib.State._fields if ground else walker.section
+    states = units.states(lib.numpy.asarray(made.states)[: completed + 1], coordinates)
+    ends = [lib.name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()]
+    times = units.times(lib.numpy.asarray(made.times)[:count])
+    if film is not None:
+        motion = wj.motion(walker, begin, strides, step=FRAME_INTERVAL, ground=heights)
+        data = None
+        if has_plane(walker):
+            data = wj.basin(walker, lib.film_window(walker, begin), "direct", progress=True)
+        signature = lib.storage.signature(request)
+        wj.figures.film(motion, film, data, signature=signature, progress=True)
+    yield {"states": states, "outcomes": ends, "times": times, **units.named}
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
-    heads = "  ".join(f"{name:>10}" for name in names)
-    timeless, step = is_map(walker, answer["times"]), terms_of(walker).step
+    heads = "  ".join(f"{name:>10}" for name in coordinates)
+    timeless, step = is_map(walker, times), terms_of(walker).step
     if units.chosen:
         yield "Angles in rad, rates in rad/s, times in s."
     yield f"{step}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
-    strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
-    for i, (state, name, duration) in enumerate(strides, start=1):
+    for i, (state, end, duration) in enumerate(zip(states, ends, times, strict=False), start=1):
         time = "" if timeless else f"{'-' if math.isnan(duration) else f'{duration:.4f}':>8}  "
-        yield f"{i:{len(step)}}  {row(state)}  {time}{in_words(name, walker)}"
-    if len(answer["states"]) > len(answer["outcomes"]):
-        yield f"{'next':>{len(step)}}  {row(answer['states'][-1])}"
+        yield f"{i:{len(step)}}  {row(state)}  {time}{in_words(end, walker)}"
+    if len(states) > len(ends):
+        yield f"{'next':>{len(step)}}  {row(states[-1])}"
         yield f"It makes all its {step}s: a larger --strides shows whether it goes on."
     else:
-        why = "another --seed gives other ground" if rough else "walker-jax explain says why"
-        yield f"It ends in {step} {len(answer['outcomes'])}: {why}."
-    if asked.animate is not None:
-        yield f"film {asked.animate}"
-
-
-def draw_film(walker: "wj.System", begin: Any, asked: Walk, place: Path, signature: str) -> None:
-    """Save the film of a walk."""
-    how: Any = {"step": FRAME_INTERVAL, "ground": asked.heights()}
-    motion, data = wj.motion(walker, begin, asked.strides, **how), None
-    if has_plane(walker):
-        data = wj.basin(walker, lib.film_window(walker, begin), "direct", progress=True)
-    wj.figures.film(motion, place, data, signature=signature, progress=True)
+        why = "another --seed gives other ground" if ground else "walker-jax explain says why"
+        yield f"It ends in {step} {len(ends)}: {why}."
+    if film is not None:
+        yield f"film {film}"
 
 
 def refuse_start(walker: "wj.System", start: list[float]) -> NoReturn:
