@@ -96,8 +96,8 @@ class Command(click.Command):
                         must = f"rename the parameter {name}"
                         raise WrongUse(f"{flag} is an option of the command: {must}")
             super().parse_args(ctx, args)
-        for first in ctx.args[:1] if not ctx.resilient_parsing else ():
-            flags = flags_of(self.get_params(ctx))
+        if ctx.args and not ctx.resilient_parsing:
+            first, flags = ctx.args[0], flags_of(self.get_params(ctx))
             similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
             instead = meant(similar) or help_of(ctx)
             raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
