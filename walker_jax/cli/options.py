@@ -121,26 +121,19 @@ FILE = click.Path(path_type=Path, readable=False)
 FILE.name = "FILE"
 
 
-def text(value: str) -> str:
-    """Return a text; refuse an empty one."""
-    if not value:
-        raise ValueError
-    return value
-
-
 def unit(value: str) -> str | float:
     """Return the name of a unit, or its size."""
     try:
         return float(value)
     except ValueError:
-        return text(value)
+        return value
 
 
 class Named(click.ParamType):
     """The name of a parameter or coordinate, and numbers in one of some forms, or a text."""
 
     kinds: ClassVar = {"LO": float, "HI": float, "VALUE": float, "N": int}
-    kinds |= {"COLUMN": text, "UNIT": unit}
+    kinds |= {"COLUMN": str, "UNIT": unit}
 
     def __init__(self, *forms: str):
         self.forms = {form.count(":") + 1: form.split(":") for form in forms}
@@ -150,8 +143,9 @@ class Named(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, Any]:
         name, _, text = value.partition("=")
         parts = [text] if self.worded else text.split(":")  # a word may have colons of its own
+        form = self.forms.get(len(parts), ()) if text else ()
         try:
-            pairs = zip(self.forms.get(len(parts), ()), parts, strict=True)
+            pairs = zip(form, parts, strict=True)
             numbers: Any = tuple(self.kinds[word](number) for word, number in pairs)
         except ValueError:
             self.fail(f"must be {self.name}, not {value}", param, ctx)
