@@ -80,7 +80,8 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
         motion = wj.motion(walker, begin, strides, step=FRAME_INTERVAL, ground=heights)
         data = None
         if has_plane(walker):
-            data = wj.basin(walker, lib.film_window(walker, begin), "direct", progress=True)
+            window = lib.film_window(walker, lib.numpy.asarray(begin))
+            data = wj.basin(walker, window, "direct", progress=True)
         signature = lib.storage.signature(request)
         wj.figures.film(motion, film, data, signature=signature, progress=True)
     yield {"states": states, "outcomes": ends, "times": times, **units.named}
