@@ -40,19 +40,19 @@ class Section(Group, theme="Window"):
         """
         if self.axis:
             return named_axes(walker, self.axis, most)
-        own = {name: given for name, given in vars(self).items() if name != "axis"}
+        own = only_given(**vars(self))
+        del own["axis"]  # none is given
         if not has_plane(walker):
             each = "give --axis for each coordinate of the section"
             refuse(f"is for walkers in the plane: {each}", **own)
             return {}
-        axes: dict[str, Any] = {"theta": self.theta}
-        axes |= {"sum": self.sum} if own.get("thetadot") is None else {"thetadot": own["thetadot"]}
-        turning = {name: own.get(name) for name in ("phidot", "at_phidot")}
+        second = "thetadot" if "thetadot" in own else "sum"
+        axes = {"theta": self.theta, second: own.get(second)}
         if "phidot" in walker.section:
-            given = (one for one in turning.values() if one is not None)
-            return axes | {"phidot": next(given, None)}
+            return axes | {"phidot": own.get("phidot", own.get("at_phidot"))}
+        others = {name: own.get(name) for name in ("phidot", "at_phidot")}
         section = ", ".join(walker.section)
-        refuse(f"must be left out: it is not on the section, {section}", **turning)
+        refuse(f"must be left out: it is not on the section, {section}", **others)
         return axes
 
 
