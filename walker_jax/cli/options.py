@@ -222,11 +222,11 @@ class Group:
 
 
 class Ranged(Group):
-    """Options by which a parameter, by default the slope, goes over a range."""
+    """Options by which a parameter goes over a range, from --from to --to."""
 
-    over: str = option("slope", "The parameter.")
-    low: float | None = option(None, "Lowest value.", "--from")
-    high: float | None = option(None, "Highest.", "--to")
+    over: str
+    low: float | None
+    high: float | None
 
     @property
     def ranged(self) -> tuple[()] | tuple[str, float | None]:

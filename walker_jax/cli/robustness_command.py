@@ -15,6 +15,7 @@ from walker_jax.refusals import WrongUse
 class Table(Ranged, theme="Slopes"):
     over: str = option("slope", "The parameter of a table, with --from and --to.")
     low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
+    high: float | None = option(None, "Highest.", "--to")
     count: int | None = option(None, "Rows of the table (default: 20).", least=2, most=10_000)
 
     @property
