@@ -24,7 +24,7 @@ def explain(walker: "wj.System", start: Start):
     others came; the least values of conditions. Lines with ! say what does not fit together. By
     default the start is that of the gait.
     """
-    found = lib.explain(walker, start.begin(walker))
+    found = wj.explain(walker, start.begin(walker))
     known = found.name == "STRIDE"
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes

@@ -72,7 +72,7 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
         refuse_start(walker, begin)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, strides)
-    coordinates = lib.State._fields if ground else walker.section
+    coordinates = wj.State._fields if ground else walker.section
     states = units.states(lib.numpy.asarray(made.states)[: completed + 1], coordinates)
     ends = [lib.name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()]
     times = units.times(lib.numpy.asarray(made.times)[:count])
