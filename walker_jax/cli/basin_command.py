@@ -59,9 +59,7 @@ class Method(Group):
         None, "A window on the boundary, narrowed by this factor, up to 1e14.", excludes=("levels",)
     )
     near: tuple[float, float] | None = option(
-        None,
-        "Zoom to the boundary's point nearest to this one.",
-        metavar="X Y",
+        None, "Zoom to the boundary's point nearest to this one."
     )
     animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
     frames: int | None = option(None, "Pictures of the film (default: 120).", least=2)

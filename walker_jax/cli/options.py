@@ -93,17 +93,6 @@ Axis = tuple[float, float, int]
 """Ends of an axis, and its number of cells."""
 
 
-class Ends(click.Tuple):
-    """The ends of an axis, and its number of cells."""
-
-    def __init__(self):
-        super().__init__([Number(), Number(), Whole(least=None)])
-
-    @property
-    def name(self) -> str:
-        return RANGE.replace(":", " ")
-
-
 class Choice(click.Choice):
     """One of some words."""
 
@@ -115,10 +104,6 @@ class Choice(click.Choice):
         if value not in self.choices:
             self.fail(f"must be one of {', '.join(self.choices)}, not {shown(value)}", param, ctx)
         return value
-
-
-FILE = click.Path(path_type=Path, readable=False)
-FILE.name = "FILE"
 
 
 def unit(value: str) -> str | float:
@@ -240,14 +225,14 @@ class Ranged(Group):
             raise WrongUse(f"--from {low:g} must be below --to {high:g}")
 
 
-READ: dict[Any, Callable[..., click.ParamType]] = {
-    int: Whole,
-    float: Number,
-    tuple[float, float]: lambda: click.Tuple([Number(), Number()]),
-    Axis: Ends,
-    Path: lambda: FILE,
+READ: dict[Any, tuple[Callable[..., click.ParamType], str]] = {
+    int: (Whole, "N"),
+    float: (Number, "X"),
+    tuple[float, float]: (lambda: click.Tuple([Number(), Number()]), "X Y"),
+    Axis: (lambda: click.Tuple([Number(), Number(), Whole(least=None)]), "LO HI N"),
+    Path: (lambda: click.Path(path_type=Path, readable=False), "FILE"),
 }
-"""How values are read, by the annotations of fields; other values are texts."""
+"""How values are read, and their placeholder, by the annotations of fields; others are texts."""
 
 
 def options_of(group: Any, defaults: Mapping[str, Any]) -> list[click.Parameter]:
@@ -256,7 +241,8 @@ def options_of(group: Any, defaults: Mapping[str, Any]) -> list[click.Parameter]
     for field in dataclasses.fields(group):
         settings = {"theme": group.theme, **field.metadata}
         if "flags" not in settings:
-            one = click.Argument([field.name], type=FILE, metavar=settings["metavar"])
+            read, _ = READ[Path]
+            one = click.Argument([field.name], type=read(), metavar=settings["metavar"])
             vars(one).update(theme=group.theme, help=settings["help"])
             found.append(one)
             continue
@@ -265,7 +251,8 @@ def options_of(group: Any, defaults: Mapping[str, Any]) -> list[click.Parameter]
         kind, *_ = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
         if kind in READ and "type" not in settings:
             bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
-            settings["type"] = READ[kind](**bounds)
+            read, placeholder = READ[kind]
+            settings = {"metavar": placeholder, **settings, "type": read(**bounds)}
         found.append(Option([field.name, *flags], **settings))
     return found
 
