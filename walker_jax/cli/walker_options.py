@@ -7,6 +7,7 @@ system, is loaded for its parameters.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
+from functools import partial
 from typing import Any, NamedTuple
 
 import click
@@ -49,18 +50,11 @@ NAMES = click.Command(None, LENIENT, params=[WALKER, SYSTEM], add_help_option=Fa
 """Reads the name of a walker or system from a command line, whatever else is on it."""
 
 
-class Bounded(Number):
-    """A number within the bounds of a parameter."""
-
-    def __init__(self, parameter: Parameter):
-        super().__init__()
-        self.parameter = parameter
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        number = super().convert(value, param, ctx)
-        if not self.parameter.holds(number):
-            self.fail(f"must be {self.parameter.bounds()}, not {number}", param, ctx)
-        return number
+def check_bounds(parameter: Parameter, ctx: Any, param: Any, value: float | None) -> float | None:
+    """Refuse a number outside the bounds of a parameter."""
+    if value is not None and not parameter.holds(value):
+        raise click.BadParameter(f"must be {parameter.bounds()}, not {value}", ctx, param)
+    return value
 
 
 class Chosen(NamedTuple):
@@ -133,7 +127,8 @@ def option_for(one: Any) -> Option:
         return Option(names, metavar="FILE", help=text, **THEME)
     about = "; ".join(filter(None, (one.meaning, one.unit)))
     default = "required" if math.isnan(one.default) else f"default: {one.default:g}"
-    return Option(names, type=Bounded(one), help=f"{about} ({default})".strip(), **THEME)
+    text, check = f"{about} ({default})".strip(), partial(check_bounds, one)
+    return Option(names, type=Number(), callback=check, help=text, **THEME)
 
 
 def choose(args: Sequence[str], *, systems: bool, opening: bool = False) -> Chosen:
