@@ -23,7 +23,11 @@ def help_page(command: Any, ctx: click.Context, width: int) -> Iterator[str]:
     yield fill(first, width)
     examples = (fill(f"  walker-jax {line}", width, 6) for line in command.examples)
     yield "\n".join(["Examples:", *examples])
-    described, *others = themes(command, ctx).items()
+    themes: dict[str, list[Any]] = {}
+    for one in command.get_params(ctx):
+        if not (ctx.obj and ctx.obj.system and one.name in OF_WALKERS):
+            themes.setdefault(getattr(one, "theme", "Output"), []).append(one)
+    described, *others = themes.items()
     for theme, options in (described, *others) if whole else (described,):
         yield section(theme, ((as_typed(one), meaning(one)) for one in options), width)
     if not whole:
@@ -32,15 +36,6 @@ def help_page(command: Any, ctx: click.Context, width: int) -> Iterator[str]:
         yield fill(f"walker-jax {command.name} --help describes these.", width)
     yield from (fill(text, width) for text in more)
     yield fill(f"Time on two cores: {command.time}", width)
-
-
-def themes(command: Any, ctx: click.Context) -> dict[str, list[Any]]:
-    """Return the arguments and options by their themes, without those that do not apply."""
-    found: dict[str, list[Any]] = {}
-    for one in command.get_params(ctx):
-        if not (ctx.obj and ctx.obj.system and one.name in OF_WALKERS):
-            found.setdefault(getattr(one, "theme", "Output"), []).append(one)
-    return found
 
 
 def list_page(group: Any, ctx: click.Context, width: int) -> Iterator[str]:
