@@ -226,6 +226,7 @@ def test_the_table_has_the_parameters_of_all_walkers():
 
 
 def test_messages_name_options():
+    known = "--objective --at-least --at-most --out --overwrite --leg --theta --slope".split()
     for said, arguments, named in (
         (["objective must be one of area"], "objective", "--objective must be one of area"),
         (
@@ -241,10 +242,12 @@ def test_messages_name_options():
         (["leg must be below leg_mass, not 1"], "leg", "--leg must be below leg_mass, not 1"),
         (["slope 1: no gait; give theta, or another slope"], "theta slope", None),
         (["a grid island"], "", "a grid island"),
+        (["grid must not be a slice"], "grid", "grid must not be a slice"),  # without --axis
     ):
         error = WrongUse(*said, of=arguments)
         assert str(error) == ": ".join(said)
-        assert message_of(error) == (named or "slope 1: no gait; give --theta, or another --slope")
+        told = named or "slope 1: no gait; give --theta, or another --slope"
+        assert message_of(error, known) == told
 
 
 def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):

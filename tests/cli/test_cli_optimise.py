@@ -93,10 +93,10 @@ def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     measured = evaluation.evaluate_objective
 
-    def interrupted(problem, stage, values, gait_of, **how):
+    def interrupted(problem, stage, *others, **how):
         if stage == 1:
             raise KeyboardInterrupt
-        return measured(problem, stage, values, gait_of, **how)
+        return measured(problem, stage, *others, **how)
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", interrupted)
     code, _, err = run(*FASTEST)

@@ -101,12 +101,13 @@ class Around(wj.SimplestWalker):
 def test_a_command_names_the_options_that_make_a_gait_needless():
     from walker_jax.cli.options import message_of
 
+    known = "--axis", "--theta", "--sum", "--slope"
     with pytest.raises(wj.ComputationFailed) as error:
         windows.window_of_basin(Around(0.5))
-    assert message_of(error.value).endswith("give --axis, or another --slope")
+    assert message_of(error.value, known).endswith("give --axis, or another --slope")
     with pytest.raises(wj.ComputationFailed) as error:
         selection.require_gait(wj.SimplestWalker(0.5), ("theta", "sum"))
-    assert message_of(error.value).endswith("give --theta, --sum, or another --slope")
+    assert message_of(error.value, known).endswith("give --theta, --sum, or another --slope")
 
 
 def test_windows_lie_around_the_gait_or_are_those_of_the_paper():

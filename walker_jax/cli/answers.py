@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.options import Group, option
-from walker_jax.cli.section import is_robot
 from walker_jax.refusals import WrongPlace
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -64,7 +63,7 @@ class Files(Group, theme="Output"):
     overwrite: bool = OVERWRITE
 
 
-class Output(Group, theme="Output"):
+class Output(Group):
     """The places of a command's data set and picture."""
 
     out: Path = option(Path(), "Where the data set goes.")
@@ -90,16 +89,13 @@ class Output(Group, theme="Output"):
     def find(self, request: dict) -> "lib.xarray.Dataset | None":
         """Find the data set that the same command has completed; refuse places that are taken."""
         self.check()
-        found = self.saved(request)  # first, as it says what differs
+        # The data set first, as it says what differs.
+        found = lib.storage.find(self.out, request, overwrite=self.overwrite)
         earlier = request if found is None else lib.storage.request_in(found.attrs)
         lib.storage.check_picture(self.picture, request, earlier, overwrite=self.overwrite)
         if earlier["version"] != request["version"]:
             print(f"{self.out} was computed by version {earlier['version']}", file=sys.stderr)
         return found
-
-    def saved(self, request: dict) -> "lib.xarray.Dataset | None":
-        """Return the data set of this request that is there, if it is."""
-        return lib.storage.find(self.out, request, overwrite=self.overwrite)
 
     def draw(self, axes: Any, request: dict) -> None:
         """Save the picture of these axes."""
@@ -107,8 +103,7 @@ class Output(Group, theme="Output"):
 
     def place(self, request: dict) -> dict[str, Any]:
         """Return the arguments of library functions that save their results, and show progress."""
-        how = {"overwrite": self.overwrite, "progress": True}
-        return {"out": self.out, "request": request, **how}
+        return dict(out=self.out, request=request, overwrite=self.overwrite, progress=True)
 
     def produce(
         self,
@@ -125,8 +120,8 @@ class Output(Group, theme="Output"):
         if data is None:
             with lib.bar(request["command"], True):
                 data = compute()
-            how = {"overwrite": self.overwrite}
-            data = data if kept else lib.storage.save(data, self.out, request, **how)
+            if not kept:
+                data = lib.storage.save(data, self.out, request, overwrite=self.overwrite)
         self.draw(getattr(wj.figures, picture)(data), request)
         return data
 
@@ -187,11 +182,6 @@ def jsonable(value: Any) -> Any:
     return value
 
 
-def is_walker(system: "wj.System") -> bool:
-    """Return whether a system is a walker or a robot, which has gaits and walks."""
-    return isinstance(system, wj.Walker) or is_robot(system)
-
-
 class Terms(NamedTuple):
     """Words for motions: those of walkers; `terms_of` has those of a system."""
 
@@ -207,12 +197,10 @@ WALKING = Terms()
 
 
 def terms_of(system: "wj.System") -> Terms:
-    """Return the words for motions of a system, which only walks if it is a walker."""
-    return (
-        Terms()
-        if is_walker(system)
-        else Terms("cycle", "iterate", "start", "goes", "fails", "the motion")
-    )
+    """Return the words for motions of a system, which only walks if it is a walker or a robot."""
+    if isinstance(system, wj.Walker | lib.Robot):
+        return WALKING
+    return Terms("cycle", "iterate", "start", "goes", "fails", "the motion")
 
 
 def is_map(system: "wj.System", times: Any) -> bool:
@@ -222,7 +210,7 @@ def is_map(system: "wj.System", times: Any) -> bool:
 
 def in_words(outcome: str, system: "wj.System") -> str:
     """Write the name of an outcome in words; only a walker walks."""
-    goes_on = outcome == "STRIDE" and not is_walker(system)
+    goes_on = outcome == "STRIDE" and terms_of(system) is not WALKING
     return "goes on" if goes_on else lib.outcome_in_words(outcome)
 
 

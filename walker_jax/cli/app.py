@@ -7,9 +7,10 @@ import difflib
 from importlib import import_module
 
 import click
+from click.core import augment_usage_errors
 
 from walker_jax.cli import library as lib
-from walker_jax.cli.commands import QUIET, SETTINGS, Command, meant, refusals
+from walker_jax.cli.commands import QUIET, SETTINGS, Command, meant
 from walker_jax.cli.help_page import list_page
 from walker_jax.cli.information import COMPLETION, LIST_WALKERS, VERSION
 from walker_jax.cli.options import shown
@@ -41,7 +42,7 @@ class Commands(click.Group):
         return load(cmd_name) if cmd_name in NAMES else None
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        with refusals(ctx):
+        with augment_usage_errors(ctx):
             return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: click.Context, args: list[str]):
@@ -58,7 +59,7 @@ class Commands(click.Group):
             raise Interrupted(*resume_notes(interruption)) from interruption
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write(list_page(self, ctx, formatter.width) + "\n")
+        formatter.write("\n\n".join(list_page(self, ctx, formatter.width)) + "\n")
 
 
 def resume_notes(interruption: BaseException) -> list[str]:

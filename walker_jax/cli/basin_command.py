@@ -21,7 +21,7 @@ from walker_jax.cli.answers import (
     terms_of,
 )
 from walker_jax.cli.commands import command
-from walker_jax.cli.options import Axis, Choice, Group, option, refuse
+from walker_jax.cli.options import Axis, Choice, Group, only_given, option, refuse
 from walker_jax.cli.section import PHIDOT, SlicedWindow, check_section, grid_of
 from walker_jax.refusals import WrongUse
 
@@ -41,7 +41,7 @@ class BasinWindow(SlicedWindow):
     )
 
 
-class Method(Group, theme="Method"):
+class Method(Group):
     method: str | None = option(
         None,
         "How (default: cell-map for walkers, direct for other systems and for slices).",
@@ -59,36 +59,22 @@ class Method(Group, theme="Method"):
         None, "A window on the boundary, narrowed by this factor, up to 1e14.", excludes=("levels",)
     )
     near: tuple[float, float] | None = option(
-        None,
-        "Zoom to the boundary's point nearest to this one.",
-        metavar="X Y",
+        None, "Zoom to the boundary's point nearest to this one."
     )
     animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
     frames: int | None = option(None, "Pictures of the film (default: 120).", least=2)
-
-    def check(self, window: BasinWindow) -> None:
-        """Refuse options that need another option, which is not given."""
-        if self.levels is None:
-            refuse("is for --levels alone: give it too", seed=self.seed)
-        if self.animate is None:
-            refuse("is for --animate: give it too", frames=self.frames)
-        if self.zoom is None:
-            refuse("is for a --zoom: give it too", near=self.near, animate=self.animate)
-        elif window.phidot is not None and (self.near is not None or self.animate is not None):
-            raise WrongUse(
-                "--near and --animate are for a window of two dimensions: leave out --phidot"
-            )
 
     def settings(
         self, walker: "wj.System", window: BasinWindow, axes: dict[str, Any]
     ) -> dict[str, Any]:
         """Return the method and its settings on these axes."""
+        at_gait = "phidot" in axes and axes["phidot"] is None
         direct = ""  # the reason why the method must be direct
         if self.levels is not None:
             direct = "with --levels, not cell-map"
         elif self.zoom is not None:
             direct = "with --zoom, as walkers leave its window: leave out --method"
-        elif is_slice(axes):
+        elif at_gait or any(isinstance(one, float) for one in axes.values()):
             whole = "a range for each --axis" if window.axis else "--phidot"
             direct = f"for a slice, as walkers leave it: leave out --method, or give {whole}"
         method = self.method or (
@@ -100,19 +86,14 @@ class Method(Group, theme="Method"):
             refuse("is for --method direct alone: give it too", strides=self.strides)
             return {"method": method}
         settings: dict[str, Any] = {"method": method, "strides": self.strides or 200}
-        settings |= {} if self.levels is None else {"levels": self.levels, "seed": self.seed or 0}
-        return settings | ({} if self.zoom is None else {"zoom": self.zoom, "near": self.near})
-
-
-def is_slice(axes: dict[str, Any]) -> bool:
-    """Return whether an axis is a single value, or will be that of the gait."""
-    return any(
-        isinstance(at, float) or (at is None and name == "phidot") for name, at in axes.items()
-    )
+        if self.levels is not None:
+            settings |= {"levels": self.levels, "seed": self.seed or 0}
+        if self.zoom is not None:
+            settings |= {"zoom": self.zoom, "near": self.near}
+        return settings
 
 
 @command(
-    *(BasinWindow, Method, Pieces, Output(Path("basin.zarr"))),
     examples=(
         "basin",
         "basin --method direct --slope 0.009 --out steep.zarr",
@@ -120,6 +101,7 @@ def is_slice(axes: dict[str, Any]) -> bool:
         "basin --system henon --a 1.02 --method direct",
     ),
     time="Five seconds for the paper's grid, and a second for each further million cells.",
+    out="basin.zarr",
 )
 def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Pieces, output: Output):
     """Compute and draw the basin of attraction of a walker's gait.
@@ -128,7 +110,15 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
     around its gait. With --levels a section of three dimensions is taken whole. The same command
     resumes an interrupted run.
     """
-    asked.check(window)
+    if asked.levels is None:
+        refuse("is for --levels alone: give it too", seed=asked.seed)
+    if asked.animate is None:
+        refuse("is for --animate: give it too", frames=asked.frames)
+    if asked.zoom is None:
+        refuse("is for a --zoom: give it too", near=asked.near, animate=asked.animate)
+    elif window.phidot is not None and only_given(near=asked.near, animate=asked.animate):
+        both = "--near and --animate are for a window of two dimensions"
+        raise WrongUse(f"{both}: leave out --phidot")
     check_section(walker, window.axis)
     axes, cluster = window.axes(walker, 3 if asked.zoom is None else 2), pieces.cluster
     if asked.levels is not None:
@@ -153,15 +143,29 @@ def basin(walker: "wj.System", window: BasinWindow, asked: Method, pieces: Piece
     if film is not None:
         draw_film(walker, data, shots, film)
     counts, terms = lib.tally(data), terms_of(walker)
-    answer = slope_of(request["walker"]) | {"method": data.attrs["method"]}
+    answer: dict[str, Any] = slope_of(request["walker"]) | {"method": data.attrs["method"]}
     answer |= lib.summarise_basin(data, counts)
     answer |= {"seconds": seconds, "walker": request["walker"]}
     if resumed:
         kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
-    lines = [*basin_in_words(walker, data, answer, counts, request)]
-    lines.append(f"  {kept or effort(data, answer, counts, terms)}")
-    lines.append(f"  {next_step(answer, request, terms)}")
-    return answer, [*lines, output.places(film)]
+    yield answer
+    yield f"Basin of attraction, {lib.write_description(request['walker'])}, {answer['method']}"
+    if "zoom" in request:
+        centre = listed(data.attrs["origin"], ".17g")
+        yield f"  window {request['zoom']:g} times as narrow, around ({centre})"
+    fixed = lib.fixed_coordinates(data)
+    if fixed:
+        yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
+    measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
+    unit = UNITS[measure] if lib.has_known_units(data) else ""
+    yield from sizes_in_words(answer, measure, unit, terms, zoomed="zoom" in request)
+    yield from fates_in_words(answer["fates"], walker)
+    if counts.unmatched:
+        cells = f"{counts.unmatched} cells whose {terms.start} {terms.goes} on"
+        yield f"  {cells} come near no known attractor"
+    yield f"  {kept or effort(data, answer, counts, terms)}"
+    yield f"  {next_step(answer, request, terms)}"
+    yield output.places(film)
 
 
 def compute(
@@ -208,31 +212,6 @@ def draw_film(walker: "wj.System", data: "lib.xarray.Dataset", shots: dict, film
     how: Any = {"frames": shots["frames"], "strides": shots["strides"], "progress": True}
     shown = wj.zoom(walker, grid, shots["zoom"], centre, **how)
     wj.figures.zoom_film(shown, film, signature=lib.storage.signature(shots), progress=True)
-
-
-def basin_in_words(
-    walker: "wj.System",
-    data: "lib.xarray.Dataset",
-    answer: dict,
-    counts: "lib.Tally",
-    request: dict,
-) -> Iterator[str]:
-    """Write the answer of `basin`."""
-    yield f"Basin of attraction, {lib.write_description(request['walker'])}, {answer['method']}"
-    if "zoom" in request:
-        centre = listed(data.attrs["origin"], ".17g")
-        yield f"  window {request['zoom']:g} times as narrow, around ({centre})"
-    fixed = lib.fixed_coordinates(data)
-    if fixed:
-        yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
-    measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
-    unit = UNITS[measure] if lib.has_known_units(data) else ""
-    terms = terms_of(walker)
-    yield from sizes_in_words(answer, measure, unit, terms, zoomed="zoom" in request)
-    yield from fates_in_words(answer["fates"], walker)
-    if counts.unmatched:
-        cells = f"{counts.unmatched} cells whose {terms.start} {terms.goes} on"
-        yield f"  {cells} come near no known attractor"
 
 
 def next_step(answer: dict, request: dict, terms: Terms = WALKING) -> str:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -35,31 +34,26 @@ class Branches(Ranged, theme="Branches"):
     strides: int = option(3000, "Strides after which a walker counts as walking for ever.")
     normal_forms: bool = option(False, "Tell which are supercritical; takes ten seconds more.")
 
-    def range(self, walker: "wj.System") -> tuple[str, float, float]:
-        """Return the parameter that changes, and its lowest and highest values."""
-        over, low, high = underscored(self.over), self.low, self.high
-        lib.check_parameter(walker, over)
-        if usual := lib.span_of(type(walker), over):
-            low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
-        if low is None or high is None:
-            missing = "--from" if low is None else "--to"
-            raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
-        self.check(walker, low, high)
-        return over, low, high
-
 
 @command(
-    *(Branches, Output(Path("bifurcation.zarr"))),
     examples=(
         "bifurcation --from 0.001 --to 0.022",
         "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
         "bifurcation --system henon --over a --from 0 --to 1.2 --out henon.zarr",
     ),
     time="Half a minute.",
+    out="bifurcation.zarr",
 )
 def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
-    over, low, high = asked.range(walker)
+    over, low, high = underscored(asked.over), asked.low, asked.high
+    lib.check_parameter(walker, over)
+    if usual := lib.span_of(type(walker), over):
+        low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
+    if low is None or high is None:
+        missing = "--from" if low is None else "--to"
+        raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
+    asked.check(walker, low, high)
     how: Any = {"period_max": asked.period_max, "strides": asked.strides}
     how |= {"normal_forms": True} if asked.normal_forms else {}
     walker = lib.with_parameter(walker, over, low)
@@ -71,9 +65,10 @@ def bifurcation(walker: "wj.System", asked: Branches, output: Output):
     units = {one.name: f" {one.unit}".rstrip() for one in lib.described_by(walker, lib.Parameter)}
     span = f"from {hyphenated(over)} {low:g} to {high:g}{units.get(over, '')}"
     terms = terms_of(walker)
-    title = f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
-    words = bifurcations_in_words(answer, over, asked.strides, terms)
-    return answer, [title, *words, output.places()]
+    yield answer
+    yield f"{terms.cycle.title()}s of {lib.write_description(request['walker'], '')}, {span}"
+    yield from bifurcations_in_words(answer, over, asked.strides, terms)
+    yield output.places()
 
 
 def bifurcations_in_words(answer: dict, over: str, strides: int, terms: Terms) -> Iterator[str]:

@@ -1,7 +1,6 @@
 """`walker-jax boundary`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
@@ -11,14 +10,14 @@ from walker_jax.cli.options import Group, option
 from walker_jax.cli.section import SlicedWindow, grid_of
 
 
-class Measures(Group, theme="Measures"):
+class Measures(Group):
     strides: int = option(500, "Strides at most.")
 
 
 @command(
-    *(SlicedWindow, Measures, Output(Path("boundary.zarr"))),
     examples=("boundary", "boundary --slope 0.009 --out steep.zarr"),
     time="Half a minute.",
+    out="boundary.zarr",
 )
 def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, output: Output):
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
@@ -35,8 +34,9 @@ def boundary(walker: "wj.System", window: SlicedWindow, measures: Measures, outp
     request = request_for("boundary", walker, axes=axes, strides=strides)
     compute = lambda: wj.boundary(walker, grid_of(walker, axes), strides=strides, progress=True)
     answer = lib.summarise_boundary(output.produce(request, compute, "boundary"))
-    words = [*boundary_in_words(walker, answer), output.places()]
-    return {"walker": request["walker"]} | answer, words
+    yield {"walker": request["walker"]} | answer
+    yield from boundary_in_words(walker, answer)
+    yield output.places()
 
 
 def boundary_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:

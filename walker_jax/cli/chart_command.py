@@ -1,7 +1,6 @@
 """`walker-jax chart`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -9,30 +8,18 @@ from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Output, Terms, listed, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, Group, hyphenated, named, option
-from walker_jax.cli.section import check_start, start_option, state_from
+from walker_jax.cli.section import Start, start_option
 from walker_jax.refusals import WrongUse
 
 
-class Chart(Group, theme="Chart"):
+class Chart(Group):
     over: dict[str, Axis] = named("A parameter, its ends and number of cells: give two.", RANGE)
     start: dict[str, float] = start_option()
     period_max: int = option(4, "Longest period of which curves are followed.", most=64)
     strides: int = option(1000, "Strides before the period is read.")
 
-    def check(self, system: "wj.System") -> None:
-        """Refuse all but the ranges of two parameters, which hold the system's own values."""
-        for name, (low, high, count) in self.over.items():
-            lib.check_parameter(system, name, low, high)
-            own, typed = float(lib.value_of(system, name)), hyphenated(name)
-            if not low <= own <= high:
-                ends = f"{typed}={low:g}:{high:g}:{count}"
-                raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
-        if len(self.over) != 2:
-            raise WrongUse(f"--over is required twice: two parameters, each as NAME={RANGE}")
-
 
 @command(
-    *(Chart, Output(Path("chart.zarr"))),
     examples=(
         "chart --walker spring --over slope=0.001:0.1:120 --over hip-stiffness=0:1:90",
         "chart --walker round-foot --foot-radius 0.1 --over slope=0.001:0.2:120 "
@@ -40,31 +27,38 @@ class Chart(Group, theme="Chart"):
         "chart --system henon --a 0.1 --over a=-0.5:1.5:120 --over b=-0.5:0.6:90",
     ),
     time="Half a minute; a minute for walkers with mass on their legs.",
+    out="chart.zarr",
 )
 def chart(walker: "wj.System", asked: Chart, output: Output):
     """Chart two parameters: curves of bifurcations, and the periods of attractors between them.
 
     The gait is followed from the walker's own values of both, which the ranges must hold.
     """
-    asked.check(walker)
-    check_start(walker, asked.start)
+    for name, (low, high, count) in asked.over.items():
+        lib.check_parameter(walker, name, low, high)
+        own, typed = float(lib.value_of(walker, name)), hyphenated(name)
+        if not low <= own <= high:
+            ends = f"{typed}={low:g}:{high:g}:{count}"
+            raise WrongUse(f"--over {ends} must hold the {typed} {own:g}")
+    if len(asked.over) != 2:
+        raise WrongUse(f"--over is required twice: two parameters, each as NAME={RANGE}")
     bounds = {name: (low, high) for name, (low, high, _) in asked.over.items()}
     cells = tuple(count for *_, count in asked.over.values())
     how: Any = {"cells": cells, "period_max": asked.period_max, "strides": asked.strides}
-    begin = state_from(walker, asked.start) if asked.start else None
-    start = None if begin is None else begin.tolist()
+    start = [*Start(start=asked.start).coordinates(walker).values()] or None
     over = {name: list(ends) for name, ends in asked.over.items()}
     request = request_for("chart", walker, start=start, over=over, **how)
 
     def compute():
-        gait, *_ = lib.selection.select_gaits(walker, guess=begin, instead="try another --start")
+        gait, *_ = lib.selection.select_gaits(walker, guess=start, instead="try another --start")
         return wj.chart(walker, bounds, gait, progress=True, **how)
 
     answer = lib.summarise_chart(output.produce(request, compute, "chart"))
     about = request["walker"]
-    title = f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
-    lines = [title, *chart_in_words(answer, [*bounds], terms_of(walker))]
-    return {"walker": about, "parameters": [*bounds]} | answer, [*lines, output.places()]
+    yield {"walker": about, "parameters": [*bounds]} | answer
+    yield f"Bifurcations of {about['name']} over {' and '.join(map(hyphenated, bounds))}"
+    yield from chart_in_words(answer, [*bounds], terms_of(walker))
+    yield output.places()
 
 
 def chart_in_words(answer: dict, names: list[str], terms: Terms) -> Iterator[str]:

@@ -3,35 +3,27 @@
 import difflib
 import inspect
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from typing import Any
 
 import click
-from click.core import ParameterSource
+from click.core import augment_usage_errors
 
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import jsonable
 from walker_jax.cli.help_page import help_page
 from walker_jax.cli.options import (
-    Group,
     Option,
+    Ranged,
+    message_of,
     name_of,
-    option_for_argument,
     options_of,
     shown,
     underscored,
 )
 from walker_jax.cli.walker_options import choose
 from walker_jax.refusals import Refusal, WrongUse
-
-
-def silence(ctx: Any, param: Any, requested: bool) -> None:
-    """Show no progress from now on, if that is requested."""
-    if requested:
-        lib.be_quiet()
-
 
 JSON = Option(
     ["as_json", "--json"], theme="Output", default=False, help="Print the answer as JSON."
@@ -40,7 +32,7 @@ QUIET = Option(
     ["--quiet"],
     theme="Output",
     default=False,
-    callback=silence,
+    callback=lambda ctx, param, requested: requested and lib.be_quiet(),
     expose_value=False,
     help="Print the answer, or the error, alone.",
 )
@@ -48,12 +40,12 @@ SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
 class Command(click.Command):
-    """A command, on a walker or other system or on none, with groups of options.
+    """A command: a function of the walker, or other system, if it takes one, and of its options.
 
-    `run` is called with the system, if the command takes `walkers`, and with the groups, and
-    returns its answer, for JSON, and the lines that say it in words. An instance in the place of a
-    group has other defaults. With `opening`, walkers have the values with which the explorer opens
-    them. `examples` and `time`, which the command takes, are for its help.
+    The annotations of `run` name the groups of options. It yields its answer, for JSON, then the
+    lines that say it in words; one that returns None has neither. With `opening`, walkers have the
+    values with which the explorer opens them. `examples` and `time`, which the command takes, are
+    for its help; `defaults` are those of options whose group has another one.
     """
 
     allow_extra_args = True  # they are refused here
@@ -61,25 +53,25 @@ class Command(click.Command):
     def __init__(
         self,
         run: Callable[..., Any],
-        groups: Sequence[Any],
         *,
         examples: Sequence[str],
         time: str,
-        walkers: bool = True,
-        systems: bool = True,
         opening: bool = False,
-        answers: bool = True,
+        **defaults: Any,
     ):
+        self.run, self.examples, self.time, self.opening = run, examples, time, opening
+        self.groups = inspect.get_annotations(run)
+        answers = self.groups.pop("return", Any) is not None
+        system = self.groups.pop("walker", None)
+        self.walkers, self.systems = system is not None, system == "wj.System"
+        own = [one for group in self.groups.values() for one in options_of(group, defaults)]
         paragraphs = inspect.cleandoc(run.__doc__ or "").split("\n\n")
-        own = [one for group in groups for one in options_of(group)]
         super().__init__(
             run.__name__,
             SETTINGS,
             params=[*own, *[JSON] * answers, QUIET],
             help="\n\n".join(" ".join(one.split()) for one in paragraphs),
         )
-        self.run, self.groups, self.examples, self.time = run, groups, examples, time
-        self.walkers, self.systems, self.opening = walkers, systems, opening
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return all options; those of parameters are of the walker that is named."""
@@ -90,90 +82,60 @@ class Command(click.Command):
         return [*chosen.options(systems=self.systems), *own]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        with refusals(ctx):
+        with augment_usage_errors(ctx):
             if self.walkers:
                 try:
                     ctx.obj = choose(args, systems=self.systems, opening=self.opening)
                 except WrongUse:
                     if not ctx.resilient_parsing:  # as for completion in a shell
                         raise
-                refuse_clash(self.get_params(ctx))
+                flags = flags_of(self.get_params(ctx))
+                for flag in flags:
+                    if flags.count(flag) > 1:
+                        name = underscored(flag.removeprefix("--"))
+                        must = f"rename the parameter {name}"
+                        raise WrongUse(f"{flag} is an option of the command: {must}")
             super().parse_args(ctx, args)
-        if not ctx.resilient_parsing:
-            refuse_extra(ctx)
-            refuse_both(ctx)
+        if ctx.args and not ctx.resilient_parsing:
+            first, flags = ctx.args[0], flags_of(self.get_params(ctx))
+            similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
+            instead = meant(similar) or help_of(ctx)
+            raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
         return ctx.args
 
     def invoke(self, ctx: click.Context) -> None:
         lib.configure_jax()
-        groups = []
-        for group in self.groups:
-            kind = group if isinstance(group, type) else type(group)
-            groups.append(kind(**{one.name: ctx.params[one.name] for one in fields(kind)}))
-        over = next((one.ranged for one in groups if hasattr(one, "ranged")), ())
-        own = [ctx.obj.build(ctx.params, *over)] if self.walkers else []
+        given: dict[str, Any] = {
+            name: group(**{one.name: ctx.params[one.name] for one in fields(group)})
+            for name, group in self.groups.items()
+        }
         try:
-            answer, lines = self.run(*own, *groups) or (None, ())
-        except Refusal as error:  # arguments that no option sets keep their names
-            known = {name_of(one) for one in self.get_params(ctx)}
-            typed = lambda argument: option_for_argument(argument).split()[-1]
-            error.arguments = [one for one in error.arguments if typed(one) in known]
+            if self.walkers:
+                over = next((one.ranged for one in given.values() if isinstance(one, Ranged)), ())
+                given["walker"] = ctx.obj.build(ctx.params, *over)
+            said = self.run(**given) or iter(())
+            answer = next(said, None)
+            if ctx.params.get("as_json"):
+                print(json.dumps(jsonable(answer), allow_nan=False))
+                return
+            for line in said:
+                print(line)
+        except Refusal as error:
+            error.args = (message_of(error, {name_of(one) for one in self.get_params(ctx)}),)
             raise
-        if ctx.params.get("as_json"):
-            print(json.dumps(jsonable(answer), allow_nan=False))
-        else:
-            print(*lines, sep="\n", end="\n" * bool(lines))
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write(help_page(self, ctx, formatter.width) + "\n")
+        formatter.write("\n\n".join(help_page(self, ctx, formatter.width)) + "\n")
 
 
-def command(*groups: Group | type[Group], **about: Any) -> Callable[[Callable[..., Any]], Command]:
-    """Declare a command with these groups of options, and settings of `Command`."""
-    return lambda run: Command(run, groups, **about)
+def command(**about: Any) -> Callable[[Callable[..., Any]], Command]:
+    """Declare a command, with settings of `Command`."""
+    return lambda run: Command(run, **about)
 
 
-def refuse_clash(params: Iterable[click.Parameter]) -> None:
-    """Refuse a walker that has a parameter of the name of an option of the command."""
-    flags = flags_of(params)
-    for flag in flags:
-        if flags.count(flag) > 1:
-            name = underscored(flag.removeprefix("--"))
-            raise WrongUse(f"{flag} is an option of the command: rename the parameter {name}")
-
-
-def refuse_extra(ctx: click.Context) -> None:
-    """Refuse an argument that belongs to no option; suggest the option that may be meant."""
-    for first in ctx.args[:1]:
-        flags = flags_of(ctx.command.get_params(ctx))
-        similar = difflib.get_close_matches(f"--{first}", flags, cutoff=0.8)
-        instead = meant(similar) or help_of(ctx)
-        raise WrongUse(f"{shown(first)} is an unexpected argument: {instead}")
-
-
-def refuse_both(ctx: click.Context) -> None:
-    """Refuse two options that exclude each other."""
-    source = lambda one: ctx.get_parameter_source(str(one.name))
-    params = ctx.command.get_params(ctx)
-    given = {one.name: one for one in params if source(one) is ParameterSource.COMMANDLINE}
-    for one in given.values():
-        for other in getattr(one, "excludes", ()):
-            if other in given:
-                both = f"{name_of(one)} and {name_of(given[other])}"
-                raise WrongUse(f"{both} exclude each other: give one of them")
-
-
-@contextmanager
-def refusals(ctx: click.Context) -> Iterator[None]:
-    """Refuse in one line what click refuses: what is wrong, and what to do instead."""
-    try:
-        yield
-    except click.UsageError as error:
-        raise WrongUse(complaint(error, ctx)) from error
-
-
-def complaint(error: click.UsageError, ctx: click.Context) -> str:
-    """Write one line for an error of click."""
+def complaint(error: click.UsageError) -> str:
+    """Write one line for an error of click: what is wrong, and what to do instead."""
+    ctx: Any = error.ctx
     params = ctx.command.get_params(ctx)
     match error:
         case click.NoSuchOption(option_name=flag):
@@ -190,6 +152,8 @@ def complaint(error: click.UsageError, ctx: click.Context) -> str:
             return f"{flag} must have {values}: {help_of(ctx)}"
         case click.MissingParameter(param=param):
             return f"{name_of(param)} is required: {help_of(ctx)}"
+        case click.BadParameter(param=param):
+            return f"{name_of(param)} {error.message}"
     return f"{shown(error.format_message())}: {help_of(ctx)}"
 
 

@@ -1,7 +1,6 @@
 """`walker-jax continuation`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -17,7 +16,7 @@ DEFAULT = "slope", (0.002, 0.02, 37)
 """The slopes over which walkers are followed."""
 
 
-class Continuation(Group, theme="Continuation"):
+class Continuation(Group):
     over: Any = option("slope=0.002:0.02:37", "Values of a parameter.", type=Named(RANGE))
     samples: int = option(100_000, "Starts in the region.")
     strides: int = option(500, "Strides at most.")
@@ -25,12 +24,12 @@ class Continuation(Group, theme="Continuation"):
 
 
 @command(
-    *(Continuation, Region, Output(Path("continuation.zarr"))),
     examples=(
         "continuation --over slope=0.002:0.02:37",
         "continuation --walker powered --slope 0 --over push-off=0.02:0.1:17 --out powered.zarr",
     ),
     time="A minute or two for the example.",
+    out="continuation.zarr",
 )
 def continuation(walker: "wj.System", asked: Continuation, region: Region, output: Output):
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.
@@ -49,10 +48,11 @@ def continuation(walker: "wj.System", asked: Continuation, region: Region, outpu
     compute = lambda: wj.continue_basins(walker, name, values, grid, progress=True, **how)
     answer = lib.summarise_fractions(output.produce(request, compute, "basin_fractions"))
     about = request["walker"]
-    title = f"{about['name']}, {hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
-    words = attractors_in_words(answer, terms_of(walker))
-    lines = [f"Attractors of {title}", *words, output.places()]
-    return {"walker": about, "parameter": name} | answer, lines
+    yield {"walker": about, "parameter": name} | answer
+    span = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
+    yield f"Attractors of {about['name']}, {span}"
+    yield from attractors_in_words(answer, terms_of(walker))
+    yield output.places()
 
 
 def attractors_in_words(answer: dict, terms: Terms) -> Iterator[str]:

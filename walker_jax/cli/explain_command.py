@@ -6,11 +6,10 @@ import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import in_words, terms_of
 from walker_jax.cli.commands import command
-from walker_jax.cli.section import Start, begin_at
+from walker_jax.cli.section import Start
 
 
 @command(
-    Start,
     examples=(
         "explain --theta 0.3 --thetadot -0.1",
         "explain --walker kneed",
@@ -25,12 +24,12 @@ def explain(walker: "wj.System", start: Start):
     others came; the least values of conditions. Lines with ! say what does not fit together. By
     default the start is that of the gait.
     """
-    found = lib.explain(walker, begin_at(walker, start.coordinates(walker)))
+    found = wj.explain(walker, start.begin(walker))
     known = found.name == "STRIDE"
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
     ]
-    answer = {
+    yield {
         "walker": lib.describe_walker(walker),
         "start": found.start,
         "outcome": found.name,
@@ -52,4 +51,5 @@ def explain(walker: "wj.System", start: Start):
     text = re.sub(r"(?m)^  condition (\w+)", r"  condition (\1)", str(found))
     text = re.sub(rf"\bleads to ({'|'.join(wj.Outcome.__members__)})\b", r"the end: \1", text)
     text = re.sub(r"\b[A-Z][A-Z_]{3,}\b", lambda name: in_words(name[0], walker), text)
-    return answer, [text, f"Next: {next_step}."]
+    yield text
+    yield f"Next: {next_step}."

@@ -10,25 +10,14 @@ from walker_jax.cli.section import axes_option, named_axes
 from walker_jax.refusals import WrongUse
 
 
-class Page(Group, theme="Page"):
+class Page(Group):
     axis: dict[str, Any] = axes_option()
     port: int = option(0, "Port of the server; 0 for a free one.", least=0, most=65535)
     host: str = option("127.0.0.1", "The interface; any but this machine's own lets others in.")
     browser: bool = option(True, "Whether to open the page.", "--browser/--no-browser")
 
-    def check_host(self) -> None:
-        """Refuse a host that cannot be the name of a machine."""
-        try:
-            encoded = self.host.encode("idna")  # the encoding of host names
-        except UnicodeError:
-            encoded = b""
-        if not encoded.strip():
-            must = "--host must be a name or an address, such as 127.0.0.1"
-            raise WrongUse(f"{must}, not {shown(self.host)}")
-
 
 @command(
-    Page,
     examples=(
         "explore",
         "explore --walker spring --hip-stiffness 1",
@@ -37,7 +26,6 @@ class Page(Group, theme="Page"):
     ),
     time="A few seconds until the page opens.",
     opening=True,
-    answers=False,
 )
 def explore(walker: "wj.System", page: Page) -> None:
     """Explore basins in a browser: drag the slope, watch the basin; click a start, watch it walk.
@@ -49,7 +37,13 @@ def explore(walker: "wj.System", page: Page) -> None:
     default over the gait_region. Walkers in space have no tab of bifurcations, nor have systems
     without a gait_region.
     """
-    page.check_host()
+    try:
+        encoded = page.host.encode("idna")  # the encoding of host names
+    except UnicodeError:
+        encoded = b""
+    if not encoded.strip():
+        must = "--host must be a name or an address, such as 127.0.0.1"
+        raise WrongUse(f"{must}, not {shown(page.host)}")
     if page.axis and lib.is_planar(walker):
         raise WrongUse("--axis is for systems: the page shows a walker in the plane about its gait")
     axes = named_axes(walker, page.axis, most=len(walker.section)) if page.axis else {}

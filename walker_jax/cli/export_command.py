@@ -17,7 +17,7 @@ PROGRAMS = {
 TABLES = ".csv", ".tex"
 
 
-class Places(Group, theme="Places"):
+class Places(Group):
     data: Path = argument("DATA", "A data set that a command left.")
     file: Path = argument("FILE", "Where it goes: .nc, NetCDF; .csv; .tex, LaTeX; .mat, MATLAB.")
     rows: str | None = option(
@@ -26,14 +26,12 @@ class Places(Group, theme="Places"):
 
 
 @command(
-    *(Places, InUnits, Files),
     examples=(
         "export basin.zarr basin.nc",
         "export sweep.zarr sweep.csv --units length=0.8 --units mass=10",
         "export basin.zarr cells.csv --rows fate",
     ),
     time="A second.",
-    walkers=False,
 )
 def export(places: Places, units: InUnits, files: Files):
     """Copy a data set that another command has left to a file for other programs.
@@ -48,8 +46,7 @@ def export(places: Places, units: InUnits, files: Files):
         refuse(f"is for tables, {' and '.join(TABLES)}: leave it out", rows=places.rows)
     how = {"overwrite": files.overwrite, "rows": places.rows, "convert": convert}
     copied = lib.storage.export(data, file, **how)
-    answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
-    return answer, [
-        f"{data}: {', '.join(answer['variables'])}",
-        f"  {file}: {PROGRAMS[file.suffix]}",
-    ]
+    variables = sorted(map(str, copied.variables))
+    yield {"data": str(data), "file": str(file), "variables": variables}
+    yield f"{data}: {', '.join(variables)}"
+    yield f"  {file}: {PROGRAMS[file.suffix]}"

@@ -1,9 +1,7 @@
 """`walker-jax fall`."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
@@ -19,7 +17,7 @@ STEPS = 2e-4
 """Standard deviation of steps where no disturbance is given."""
 
 
-class Disturbances(Group, theme="Disturbances"):
+class Disturbances(Group):
     """Standard deviations of the disturbances in each stride."""
 
     ground: float | None = option(None, f"Standard deviation of steps (default: {STEPS}).", least=0)
@@ -32,14 +30,6 @@ class Disturbances(Group, theme="Disturbances"):
         type=Choice("forward", "backward", "running", "stopped"),
     )
 
-    def deviations(self) -> "wj.Disturbance":
-        """Return the deviations of steps, slopes and pushes; by default there are only steps."""
-        others = self.tilt or self.push
-        ground = STEPS if self.ground is None and not others else self.ground or 0.0
-        if not (ground or others):
-            raise WrongUse("--ground must be above 0, not 0.0, unless --tilt or --push is given")
-        return wj.Disturbance(ground, self.tilt, self.push)
-
 
 class Pictures(Group, theme="Output"):
     figure: Path | None = option(None, "Where a picture goes.")
@@ -47,14 +37,12 @@ class Pictures(Group, theme="Output"):
 
 
 @command(
-    *(Disturbances, Pictures, Files),
     examples=(
         "fall --walker spring --slope 0.01 --hip-stiffness 0.2 --figure fall.png",
         "fall --walker round-foot --slope 0.01 --ground 0.0004",
         "fall --slope 0.009 --push 0.001 --way backward",
     ),
     time="Half a minute.",
-    systems=False,
 )
 def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Files):
     """Find the most probable fall: the least disturbances that topple the walker.
@@ -63,7 +51,12 @@ def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Fi
     The mean number of strides until such a fall follows from its action.
     """
     lib.check_planar(walker)
-    deviations, figure, film = asked.deviations(), pictures.figure, pictures.animate
+    figure, film = pictures.figure, pictures.animate
+    others = asked.tilt or asked.push
+    ground = STEPS if asked.ground is None and not others else asked.ground or 0.0
+    if not (ground or others):
+        raise WrongUse("--ground must be above 0, not 0.0, unless --tilt or --push is given")
+    deviations = wj.Disturbance(ground, asked.tilt, asked.push)
     way = None if asked.way is None else wj.Outcome[asked.way.upper()]
     about = {"deviations": list(deviations), "strides": asked.strides, "way": way}
     request = request_for("fall", walker, **about)
@@ -77,7 +70,7 @@ def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Fi
         draw(wj.figures.probable_fall(found, walker), figure, request)
     if film is not None:
         draw_film(walker, found, film, request)
-    answer: dict[str, Any] = {
+    yield {
         "walker": request["walker"],
         "deviations": deviations._asdict(),
         "action": found.action,
@@ -89,10 +82,28 @@ def fall(walker: "wj.Walker", asked: Disturbances, pictures: Pictures, files: Fi
         "actions": found.actions,
         "log_mean_strides": found.log_mean_strides(),
     }
-    lines = [*fall_in_words(walker, found, deviations, chosen=way is not None)]
-    places = {"picture": figure, "film": film}
-    lines += [f"{name} {place}" for name, place in places.items() if place is not None]
-    return answer, lines
+    yield f"Most probable fall, {lib.describe_in_words(walker)}"
+    words = lib.outcome_in_words(found.outcome.name)
+    yield f"  {words} after {found.strides} strides; action {found.action:.6g}"
+    power = f"10^{found.log_mean_strides() / math.log(10):.1f}"
+    mean = power if math.isinf(found.mean_strides()) else f"{found.mean_strides():.4g}"
+    yield f"  strides to {'a' if way is None else 'that'} fall, on average: {mean}"
+    if not found.residual < CONVERGED:
+        yield f"  not converged: {found.residual:.2g} rad off the least one; strides are rough"
+    kinds = [name for name, value in deviations._asdict().items() if value]
+    yield "  " + "  ".join([f"{'stride':>6}", *(f"{name:>13}" for name in kinds)])
+    for i, row in enumerate(found.disturbances, start=1):
+        values = [value for value, one in zip(row, deviations, strict=True) if one]
+        yield "  " + "  ".join([f"{i:6}", *(f"{value:13.6g}" for value in values)])
+    if found.residual < CONVERGED:
+        kind = "" if way is None else "of this kind "
+        yield f"  Under slight disturbances nearly all falls {kind}are like this one."
+    else:
+        yield "  The search has not converged: another --strides may give a more probable fall."
+    if figure is not None:
+        yield f"picture {figure}"
+    if film is not None:
+        yield f"film {film}"
 
 
 def draw_film(walker: "wj.Walker", found: "lib.ProbableFall", place: Path, request: dict) -> None:
@@ -105,29 +116,3 @@ def draw_film(walker: "wj.Walker", found: "lib.ProbableFall", place: Path, reque
     decisive = int(lib.numpy.abs(heights).argmax())
     signature = lib.storage.signature(request)
     wj.figures.film(motion, place, slow=decisive, signature=signature, progress=True)
-
-
-def fall_in_words(
-    walker: "wj.Walker", found: "lib.ProbableFall", deviations: "wj.Disturbance", *, chosen: bool
-) -> Iterator[str]:
-    """Write the answer of `fall`."""
-    yield f"Most probable fall, {lib.describe_in_words(walker)}"
-    words = lib.outcome_in_words(found.outcome.name)
-    yield f"  {words} after {found.strides} strides; action {found.action:.6g}"
-    mean, falls = found.mean_strides(), "that" if chosen else "a"
-    rare = f"{mean:.4g}"
-    if math.isinf(mean):
-        rare = f"10^{found.log_mean_strides() / math.log(10):.1f}"
-    yield f"  strides to {falls} fall, on average: {rare}"
-    if not found.residual < CONVERGED:
-        yield f"  not converged: {found.residual:.2g} rad off the least one; strides are rough"
-    kinds = [name for name, value in deviations._asdict().items() if value]
-    yield "  " + "  ".join([f"{'stride':>6}", *(f"{name:>13}" for name in kinds)])
-    for i, row in enumerate(found.disturbances, start=1):
-        values = [value for value, one in zip(row, deviations, strict=True) if one]
-        yield "  " + "  ".join([f"{i:6}", *(f"{value:13.6g}" for value in values)])
-    if found.residual < CONVERGED:
-        kind = "of this kind " if chosen else ""
-        yield f"  Under slight disturbances nearly all falls {kind}are like this one."
-    else:
-        yield "  The search has not converged: another --strides may give a more probable fall."

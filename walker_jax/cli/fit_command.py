@@ -47,12 +47,12 @@ class How(Group, theme="Fit"):
 
 
 @command(
-    *(Recorded, How, Output(Path("fit.zarr"))),
     examples=(
         "fit walk.csv --slope 0.01 --parameters slope --column theta=stance --unit theta=deg",
         "fit walk.csv --walker point-foot --slope 0.01 --parameters foot-mass --strikes leg",
     ),
     time="Half a minute, most of it compiling.",
+    out="fit.zarr",
 )
 def fit(walker: "wj.System", recorded: Recorded, how: How, output: Output):
     """Fit parameters of a walker to recordings of its steps, with errors.
@@ -78,18 +78,18 @@ def fit(walker: "wj.System", recorded: Recorded, how: How, output: Output):
     fitted, errors = data["value"].values.tolist(), data["covariance"].values.diagonal() ** 0.5
     rows = [*zip(data["parameter"].values.tolist(), fitted, errors.tolist(), strict=True)]
     about, steps = data.attrs, data.sizes["step"]
-    answer = {
+    squares, free = about["sum_of_squares"], about["degrees_of_freedom"]
+    yield {
         "walker": request["walker"],
         "parameters": {name: {"value": value, "error": error} for name, value, error in rows},
         "converged": bool(about["converged"]),
-        "sum_of_squares": about["sum_of_squares"],
-        "degrees_of_freedom": about["degrees_of_freedom"],
+        "sum_of_squares": squares,
+        "degrees_of_freedom": free,
         "steps": steps,
     }
-    squares, free = about["sum_of_squares"], about["degrees_of_freedom"]
-    lines = [f"Fit of {steps} steps, sum of squares {squares:.5g} of {free}"]
-    lines += [f"  {name} {value:.8g} +- {error:.2g}" for name, value, error in rows]
+    yield f"Fit of {steps} steps, sum of squares {squares:.5g} of {free}"
+    yield from (f"  {name} {value:.8g} +- {error:.2g}" for name, value, error in rows)
     if not about["converged"]:
-        lines.append("  the search did not converge: give other first guesses")
-    lines += [f"  not told apart: {one}" for one in about["unknown"].split("; ") if one]
-    return answer, [*lines, output.places()]
+        yield "  the search did not converge: give other first guesses"
+    yield from (f"  not told apart: {one}" for one in about["unknown"].split("; ") if one)
+    yield output.places()

@@ -1,6 +1,5 @@
 """`walker-jax gait`."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,11 @@ from walker_jax.cli.answers import (
 )
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, option, refuse
-from walker_jax.cli.section import PHIDOT, check_start, has_own_options, start_option, state_from
+from walker_jax.cli.section import PHIDOT, Start, has_own_options, refuse_own, start_option
 from walker_jax.cli.unit_options import InUnits
 
 
-class Search(Group, theme="Search"):
+class Search(Group):
     """The kind of gaits to search for, and the start of the search."""
 
     period: int = option(1, "Strides in a cycle.")
@@ -36,24 +35,12 @@ class Search(Group, theme="Search"):
     phidot: float | None = option(None, f"{PHIDOT}: with --guess.")
     start: dict[str, float] = start_option("all", "phidot")
 
-    def coordinates(self, walker: "wj.System") -> dict[str, float]:
-        """Return the coordinates of the state in which the search begins, if it is given."""
-        check_start(walker, self.start, guess=self.guess, phidot=self.phidot)
-        if self.start:
-            return self.start
-        if self.guess is None:
-            refuse("is for --guess alone: give it too", phidot=self.phidot)
-            return {}
-        given = dict(zip(("theta", "thetadot"), self.guess, strict=True))
-        return given | ({} if self.phidot is None else {"phidot": self.phidot})
 
-
-class Picture(Group, theme="Picture"):
+class Picture(Group):
     figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes.")
 
 
 @command(
-    *(Search, Picture, InUnits, Files),
     examples=(
         "gait --slope 0.009",
         "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",
@@ -67,18 +54,23 @@ class Picture(Group, theme="Picture"):
 )
 def gait(walker: "wj.System", search: Search, picture: Picture, units: InUnits, files: Files):
     """Find the gaits of a walker: cycles of strides, and their stability."""
-    given, figure = search.coordinates(walker), picture.figure
+    phidot, figure = search.phidot, picture.figure
+    refuse_own(walker, guess=search.guess, phidot=phidot)
+    if search.guess is None:
+        refuse("is for --guess alone: give it too", phidot=phidot)
+    theta, thetadot = search.guess or (None, None)
+    start = Start(theta, thetadot, phidot, search.start).coordinates(walker)
     units.check(walker)
-    begin = state_from(walker, given) if given else None
-    guess = None if begin is None else begin.tolist()
+    guess = [*start.values()] or None
     request = request_for("gait", walker, period=search.period, guess=guess, all=search.all)
     check_picture(figure, request, overwrite=files.overwrite)
-    with lib.bar(f"search for {terms_of(walker).cycle}s", True):
+    cycle = terms_of(walker).cycle
+    with lib.bar(f"search for {cycle}s", True):
         way = "--guess THETA THETADOT" if has_own_options(walker) else "--start NAME=VALUE"
-        if given:
+        if start:
             way = "another --start" if search.start else "another --guess"
         how: Any = {"every": search.all, "instead": f"try {way}"}
-        found = lib.selection.select_gaits(walker, search.period, begin, **how)
+        found = lib.selection.select_gaits(walker, search.period, guess, **how)
     if figure is not None:
         title = f"{lib.describe_briefly(walker)}: Floquet multipliers"
         draw(wj.figures.multipliers(found, title=title), figure, request)
@@ -86,29 +78,23 @@ def gait(walker: "wj.System", search: Search, picture: Picture, units: InUnits, 
     for i, one in enumerate(found):
         states, times = units.states(one.states, walker.section), units.times(one.step_times)
         found[i] = one._replace(states=states, step_times=times)
-    answer = {"gaits": [*map(lib.summarise_gait, found)], "walker": about, **units.named}
-    lines = [line for one in found for line in gait_in_words(walker, about, one, units)]
+    gaits = [*map(lib.summarise_gait, found)]
+    yield slope_of(about) | {"gaits": gaits, "walker": about, **units.named}
+    where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
+    for one in found:
+        kind, period = "stable" if one.stable else "unstable", len(one.states)
+        multipliers = listed(one.multipliers, ".8g")
+        yield f"{kind} {cycle} of period {period} {where}, multipliers {multipliers}"
+        timeless = is_map(walker, one.step_times)
+        for state, duration in zip(one.states, one.step_times, strict=True):
+            pairs = zip(walker.section, state, strict=True)
+            placed = "  ".join(f"{name} {value:.13f}{units.unit(name)}" for name, value in pairs)
+            time = f"  step time {duration:.10f}{units.unit('time')}"
+            yield f"  {placed}" + ("" if timeless else time)
     if stable:
         which = "it" if len(found) == 1 else f"{stable} of these {len(found)}"
-        lines.append(f"Nearby starts converge to {which}: walker-jax basin shows from where.")
+        yield f"Nearby starts converge to {which}: walker-jax basin shows from where."
     else:
-        lines.append("None is stable: walker-jax bifurcation shows where one is.")
-    lines += [f"picture {figure}"] * (figure is not None)
-    return slope_of(about) | answer, lines
-
-
-def gait_in_words(
-    walker: "wj.System", about: dict, gait: "wj.Gait", units: InUnits
-) -> Iterator[str]:
-    """Write the stability of a gait, and a line for each stride; a map's steps have no time."""
-    noun = terms_of(walker).cycle
-    kind, period = "stable" if gait.stable else "unstable", len(gait.states)
-    where = f"at slope {about['slope']:g} rad" if "slope" in about else f"of {about['name']}"
-    multipliers = listed(gait.multipliers, ".8g")
-    yield f"{kind} {noun} of period {period} {where}, multipliers {multipliers}"
-    timeless = is_map(walker, gait.step_times)
-    for state, duration in zip(gait.states, gait.step_times, strict=True):
-        pairs = zip(walker.section, state, strict=True)
-        coordinates = "  ".join(f"{name} {value:.13f}{units.unit(name)}" for name, value in pairs)
-        time = f"  step time {duration:.10f}{units.unit('time')}"
-        yield f"  {coordinates}" + ("" if timeless else time)
+        yield "None is stable: walker-jax bifurcation shows where one is."
+    if figure is not None:
+        yield f"picture {figure}"

@@ -14,12 +14,7 @@ OF_WALKERS = {"theta", "thetadot", "sum", "phidot", "at_phidot", "guess"}
 """Options for coordinates that only walkers have: the help of other systems leaves them out."""
 
 
-def help_page(command: Any, ctx: click.Context, width: int) -> str:
-    """Write the help of a command."""
-    return "\n\n".join(parts(command, ctx, width))
-
-
-def parts(command: Any, ctx: click.Context, width: int) -> Iterator[str]:
+def help_page(command: Any, ctx: click.Context, width: int) -> Iterator[str]:
     """Yield the parts of the help; beside a walker of many parameters, other options are named."""
     whole = ctx.obj is None or len(ctx.obj.described) < MANY
     first, *more = command.help.split("\n\n")
@@ -28,7 +23,11 @@ def parts(command: Any, ctx: click.Context, width: int) -> Iterator[str]:
     yield fill(first, width)
     examples = (fill(f"  walker-jax {line}", width, 6) for line in command.examples)
     yield "\n".join(["Examples:", *examples])
-    described, *others = themes(command, ctx).items()
+    themes: dict[str, list[Any]] = {}
+    for one in command.get_params(ctx):
+        if not (ctx.obj and ctx.obj.system and one.name in OF_WALKERS):
+            themes.setdefault(getattr(one, "theme", "Output"), []).append(one)
+    described, *others = themes.items()
     for theme, options in (described, *others) if whole else (described,):
         yield section(theme, ((as_typed(one), meaning(one)) for one in options), width)
     if not whole:
@@ -39,29 +38,16 @@ def parts(command: Any, ctx: click.Context, width: int) -> Iterator[str]:
     yield fill(f"Time on two cores: {command.time}", width)
 
 
-def themes(command: Any, ctx: click.Context) -> dict[str, list[Any]]:
-    """Return the arguments and options by their themes, without those that do not apply."""
-    found: dict[str, list[Any]] = {}
-    for one in command.get_params(ctx):
-        if not (ctx.obj and ctx.obj.system and one.name in OF_WALKERS):
-            found.setdefault(getattr(one, "theme", "Output"), []).append(one)
-    return found
-
-
-def list_page(group: Any, ctx: click.Context, width: int) -> str:
-    """Write the help of the program: its commands, and the options of all of them."""
+def list_page(group: Any, ctx: click.Context, width: int) -> Iterator[str]:
+    """Yield the parts of the help of the program: its commands, and the options of all of them."""
     commands = ((name, group.get_command(ctx, name)) for name in group.list_commands(ctx))
     first_lines = ((name, one.help.partition("\n\n")[0]) for name, one in commands)
     options = ((as_typed(one), meaning(one)) for one in group.get_params(ctx))
-    return "\n\n".join(
-        [
-            "walker-jax COMMAND [OPTIONS]",
-            fill(group.help, width),
-            section("Commands", first_lines, width, 14),
-            section("Options", options, width),
-            "walker-jax COMMAND --help has examples, and the options of a command.",
-        ]
-    )
+    yield "walker-jax COMMAND [OPTIONS]"
+    yield fill(group.help, width)
+    yield section("Commands", first_lines, width, 14)
+    yield section("Options", options, width)
+    yield "walker-jax COMMAND --help has examples, and the options of a command."
 
 
 def section(title: str, rows: Iterable[tuple[str, str]], width: int, column: int = COLUMN) -> str:

@@ -61,7 +61,6 @@ from walker_jax.systems.system import code_of as code_of
 from walker_jax.systems.system import numbers_of as numbers_of
 from walker_jax.systems.trees import make_static as make_static
 from walker_jax.walkers.family import WALKERS as WALKERS
-from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import check_planar as check_planar
 from walker_jax.walkers.model import is_planar as is_planar
 from walker_jax.walkers.model import moves_like as moves_like
@@ -90,6 +89,5 @@ from walker_jax.walkers.references import load_installed as load_installed
 from walker_jax.walkers.units import TIME as TIME
 from walker_jax.walkers.units import units_of_section as units_of_section
 from walker_jax.walkers.units import with_units as with_units
-from walker_jax.walking.explanation import explain as explain
 
 __all__: list[str]

@@ -17,7 +17,7 @@ from typing import NoReturn
 import click
 
 from walker_jax.cli.app import Interrupted, app, resume_notes
-from walker_jax.cli.options import message_of
+from walker_jax.cli.commands import complaint
 from walker_jax.refusals import Refusal, WrongUse
 
 FEW_COLLECTIONS = 50_000
@@ -58,9 +58,11 @@ def main() -> NoReturn:
 
 def verdict(error: Exception) -> tuple[int, str]:
     """Return the exit code for an error, and the reason to print."""
+    if isinstance(error, click.UsageError):
+        return 2, complaint(error)
     if not isinstance(error, Refusal):
         return 1, f"{type(error).__name__}: {error}"
-    return (2 if isinstance(error, WrongUse) else 1), message_of(error)
+    return (2 if isinstance(error, WrongUse) else 1), str(error)
 
 
 def terminate(signal_number: int, frame: object) -> NoReturn:

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeGuard
 
 import click
@@ -22,7 +21,7 @@ SAVED_EVERY = 2.0
 LIMIT: Any = {"type": click.Tuple([str, Number()]), "metavar": "NAME X"}
 
 
-class Problem(Group, theme="Problem"):
+class Problem(Group):
     """The free parameters and the objective."""
 
     over: list[str] = option((), "A parameter that is free; may be repeated.", multiple=True)
@@ -59,7 +58,7 @@ class Problem(Group, theme="Problem"):
         return {name: self.bound[name] for name in names}
 
 
-class Search(Group, theme="Search"):
+class Search(Group):
     starts: int = option(3, "Walkers to start from: the one given, and others.")
     levels: int | None = option(
         None, "Refinement at both ends (default: 4; of volumes 2).", least=0, most=8
@@ -73,13 +72,13 @@ class Search(Group, theme="Search"):
 
 
 @command(
-    *(Problem, Volume, Search, Output(Path("optimum.zarr"))),
     examples=(
         "optimise --over slope --bound slope=0.001:0.02",
         "optimise --walker spring --over hip-stiffness --bound hip-stiffness=0:20",
     ),
     time="Half a minute for the area over a slope, an hour for more parameters; fewer --starts and "
     "--scan 0 shorten it.",
+    out="optimum.zarr",
 )
 def optimise(walker: "wj.System", problem: Problem, region: Volume, search: Search, output: Output):
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
@@ -107,9 +106,10 @@ def optimise(walker: "wj.System", problem: Problem, region: Volume, search: Sear
         raise ComputationFailed(f"no start leads anywhere: {'; '.join(dict.fromkeys(notes))}")
     output.draw(wj.figures.optimum(data), request)
     answer = lib.summarise_optimum(data)
-    lines = [*optimum_in_words(walker, answer, " + ".join(names))]
-    lines += [f"  a start led nowhere: {note}" for note in notes if note]
-    return answer | {"walker": request["walker"]}, [*lines, output.places()]
+    yield answer | {"walker": request["walker"]}
+    yield from optimum_in_words(walker, answer, " + ".join(names))
+    yield from (f"  a start led nowhere: {note}" for note in notes if note)
+    yield output.places()
 
 
 def is_done(data: "lib.xarray.Dataset | None") -> "TypeGuard[lib.xarray.Dataset]":
@@ -122,7 +122,8 @@ def computed(
 ) -> "lib.xarray.Dataset":
     """Compute the optimum and save its trace as it grows; no other process may write there."""
     with lib.storage.rewritable(output.out, request) as save:
-        known = output.saved(request)  # another run may just have ended
+        # Another run may just have ended.
+        known = lib.storage.find(output.out, request, overwrite=output.overwrite)
         if is_done(known):
             return known
         begun, unsaved, saved_at = known is not None, None, -math.inf

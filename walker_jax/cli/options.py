@@ -2,18 +2,19 @@
 
 They stand in groups, the themes of the help. A command is given one object for each of its groups:
 
-    class Search(Group, theme="Search"):
+    class Search(Group):
         period: int = option(1, "Strides in a cycle.")
 
 The annotation says how a value is read: a number of type `int` is at least 1, unless `least` says
 otherwise.
 
-This module loads without JAX, as do all modules of commands.
+What types refuse is worded by `complaint`, which puts the option before it. This module loads
+without JAX, as do all modules of commands.
 """
 
 import dataclasses
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable, Mapping
 from math import inf, isfinite
 from pathlib import Path
 from types import UnionType
@@ -68,12 +69,12 @@ class Number(click.ParamType):
         try:
             number = self.read(value)
         except ValueError:
-            raise WrongUse(f"{name_of(param)} must be {self.noun}, not {shown(value)}") from None
+            self.fail(f"must be {self.noun}, not {shown(value)}", param, ctx)
         if not all(HOLDS[word](number, bound) for word, bound in self.bounds.items()):
             bounds = " and ".join(f"{word} {bound}" for word, bound in self.bounds.items())
-            raise WrongUse(f"{name_of(param)} must be {bounds}, not {shown(str(value))}")
+            self.fail(f"must be {bounds}, not {shown(str(value))}", param, ctx)
         if not -inf < number < inf:  # isfinite overflows for an integer of many digits
-            raise WrongUse(f"{name_of(param)} must be finite, not {number}")
+            self.fail(f"must be finite, not {number}", param, ctx)
         return number
 
 
@@ -92,17 +93,6 @@ Axis = tuple[float, float, int]
 """Ends of an axis, and its number of cells."""
 
 
-class Ends(click.Tuple):
-    """The ends of an axis, and its number of cells."""
-
-    def __init__(self):
-        super().__init__([Number(), Number(), Whole(least=None)])
-
-    @property
-    def name(self) -> str:
-        return RANGE.replace(":", " ")
-
-
 class Choice(click.Choice):
     """One of some words."""
 
@@ -112,20 +102,8 @@ class Choice(click.Choice):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         if value not in self.choices:
-            words = ", ".join(self.choices)
-            raise WrongUse(f"{name_of(param)} must be one of {words}, not {shown(value)}")
+            self.fail(f"must be one of {', '.join(self.choices)}, not {shown(value)}", param, ctx)
         return value
-
-
-FILE = click.Path(path_type=Path, readable=False)
-FILE.name = "FILE"
-
-
-def text(value: str) -> str:
-    """Return a text; refuse an empty one."""
-    if not value:
-        raise ValueError
-    return value
 
 
 def unit(value: str) -> str | float:
@@ -133,14 +111,14 @@ def unit(value: str) -> str | float:
     try:
         return float(value)
     except ValueError:
-        return text(value)
+        return value
 
 
 class Named(click.ParamType):
     """The name of a parameter or coordinate, and numbers in one of some forms, or a text."""
 
     kinds: ClassVar = {"LO": float, "HI": float, "VALUE": float, "N": int}
-    kinds |= {"COLUMN": text, "UNIT": unit}
+    kinds |= {"COLUMN": str, "UNIT": unit}
 
     def __init__(self, *forms: str):
         self.forms = {form.count(":") + 1: form.split(":") for form in forms}
@@ -148,23 +126,22 @@ class Named(click.ParamType):
         self.name = " or ".join(f"NAME={form}" for form in forms)
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, Any]:
-        option = name_of(param)
         name, _, text = value.partition("=")
         parts = [text] if self.worded else text.split(":")  # a word may have colons of its own
+        form = self.forms.get(len(parts), ()) if text else ()
         try:
-            pairs = zip(self.forms.get(len(parts), ()), parts, strict=True)
+            pairs = zip(form, parts, strict=True)
             numbers: Any = tuple(self.kinds[word](number) for word, number in pairs)
         except ValueError:
-            raise WrongUse(f"{option} must be {self.name}, not {value}") from None
+            self.fail(f"must be {self.name}, not {value}", param, ctx)
         match numbers:
             case (number,):
                 if isinstance(number, float) and not isfinite(number):
-                    raise WrongUse(f"{option} must be finite, not {number}")
+                    self.fail(f"must be finite, not {number}", param, ctx)
                 return underscored(name), number
             case (low, high, count) if not (low < high and isfinite(high - low) and count >= 2):
-                raise WrongUse(
-                    f"{option} {value} must have LO below HI, both finite, and N of 2 or more"
-                )
+                must = "must have LO below HI, both finite, and N of 2 or more"
+                self.fail(f"{value} {must}", param, ctx)
         return underscored(name), numbers
 
 
@@ -173,7 +150,7 @@ def collect(ctx: Any, param: Any, pairs: Iterable[tuple[str, Any]]) -> dict[str,
     found: dict[str, Any] = {}
     for name, numbers in pairs:
         if name in found:
-            raise WrongUse(f"{name_of(param)} is given twice for {hyphenated(name)}")
+            raise click.BadParameter(f"is given twice for {hyphenated(name)}", ctx, param)
         found[name] = numbers
     return found
 
@@ -207,25 +184,34 @@ class Option(click.Option):
         super().__init__([*names], **settings)
         self.theme, self.excludes = theme, excludes
 
+    def handle_parse_result(self, ctx: click.Context, opts: Any, args: list[str]) -> Any:
+        for other in self.excludes:
+            if {self.name, other} <= opts.keys() and not ctx.resilient_parsing:
+                both = f"{name_of(self)} and {option_of(other)}"
+                raise WrongUse(f"{both} exclude each other: give one of them")
+        return super().handle_parse_result(ctx, opts, args)
+
 
 @dataclass_transform(frozen_default=True)
 class Group:
-    """Options of one theme; subclasses are frozen dataclasses, and each field is an option."""
+    """Options of one theme; subclasses are frozen dataclasses, and each field is an option.
 
-    theme: ClassVar[str]
+    The theme is the name of the first class, unless another is given.
+    """
 
-    def __init_subclass__(cls, theme: str | None = None):
-        cls.theme = theme or cls.theme
+    theme: ClassVar[str] = ""
+
+    def __init_subclass__(cls, theme: str = ""):
+        cls.theme = theme or cls.theme or cls.__name__
         dataclasses.dataclass(frozen=True)(cls)
 
 
 class Ranged(Group):
-    """Options by which a parameter, by default the slope, goes over a range."""
+    """Options by which a parameter goes over a range, from --from to --to."""
 
-    theme = "Range"
-    over: str = option("slope", "The parameter.")
-    low: float | None = option(None, "Lowest value.", "--from")
-    high: float | None = option(None, "Highest.", "--to")
+    over: str
+    low: float | None
+    high: float | None
 
     @property
     def ranged(self) -> tuple[()] | tuple[str, float | None]:
@@ -239,44 +225,50 @@ class Ranged(Group):
             raise WrongUse(f"--from {low:g} must be below --to {high:g}")
 
 
-READ: dict[Any, Callable[..., click.ParamType]] = {
-    int: Whole,
-    float: Number,
-    tuple[float, float]: lambda: click.Tuple([Number(), Number()]),
-    Axis: Ends,
-    Path: lambda: FILE,
+READ: dict[Any, tuple[Callable[..., click.ParamType], str]] = {
+    int: (Whole, "N"),
+    float: (Number, "X"),
+    tuple[float, float]: (lambda: click.Tuple([Number(), Number()]), "X Y"),
+    Axis: (lambda: click.Tuple([Number(), Number(), Whole(least=None)]), "LO HI N"),
+    Path: (lambda: click.Path(path_type=Path, readable=False), "FILE"),
 }
-"""How values are read, by the annotations of fields; other values are texts."""
+"""How values are read, and their placeholder, by the annotations of fields; others are texts."""
 
 
-def options_of(group: Any) -> list[click.Parameter]:
-    """Return the options of a group; those of an instance have its values for defaults."""
+def options_of(group: Any, defaults: Mapping[str, Any]) -> list[click.Parameter]:
+    """Return the options of a group, with these defaults in place of its own."""
     found: list[click.Parameter] = []
     for field in dataclasses.fields(group):
         settings = {"theme": group.theme, **field.metadata}
         if "flags" not in settings:
-            one = click.Argument([field.name], type=FILE, metavar=settings["metavar"])
+            read, _ = READ[Path]
+            one = click.Argument([field.name], type=read(), metavar=settings["metavar"])
             vars(one).update(theme=group.theme, help=settings["help"])
             found.append(one)
             continue
         flags = settings.pop("flags") or [option_of(field.name)]
-        settings["default"] = getattr(group, field.name)
+        settings["default"] = defaults.get(field.name, field.default)
         kind, *_ = get_args(field.type) if isinstance(field.type, UnionType) else (field.type,)
         if kind in READ and "type" not in settings:
             bounds = {name: settings.pop(name) for name in BOUNDS if name in settings}
-            settings["type"] = READ[kind](**bounds)
+            read, placeholder = READ[kind]
+            settings = {"metavar": placeholder, **settings, "type": read(**bounds)}
         found.append(Option([field.name, *flags], **settings))
     return found
 
 
+def only_given(**options: Any) -> dict[str, Any]:
+    """Return those of these options that are given."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
 def refuse(reason: str, **options: Any) -> None:
     """Refuse the first of these options that is given, for this reason."""
-    for name, given in options.items():
-        if given is not None:
-            raise WrongUse(f"{option_of(name)} {reason}")
+    for name in only_given(**options):
+        raise WrongUse(f"{option_of(name)} {reason}")
 
 
-REWORDED = {
+SET_BY = {
     "parameter": "--over",
     "bounds": "--bound",
     "grid": "--axis",
@@ -287,20 +279,19 @@ REWORDED = {
     "units": "--unit",
     **dict.fromkeys(("file", "source", "recordings"), "FILE"),
 }
-"""Arguments of the library with options of other names."""
+"""What sets an argument of the library, where the option has another name."""
 
 
-def option_for_argument(argument: str) -> str:
-    """Return what sets an argument of the library on the command line."""
-    return REWORDED.get(argument) or option_of(argument)
+def message_of(error: Refusal, known: Container[str]) -> str:
+    """Return a message of the library with options in the places of the arguments at fault.
 
-
-def message_of(error: Refusal) -> str:
-    """Return a message of the library with options in the places of the arguments at fault."""
+    An argument that none of the `known` options sets keeps its name.
+    """
     *before, last = map(str, error.args)
     words = last.split(" ")
     for argument in error.arguments:
+        option = SET_BY.get(argument) or option_of(argument)
         places = [i for i, word in enumerate(words) if word.rstrip(",:;") == argument]
-        for i in places[-1:]:
-            words[i] = words[i].replace(argument, option_for_argument(argument))
+        for i in places[-1:] if option.split()[-1] in known else ():
+            words[i] = words[i].replace(argument, option)
     return ": ".join([*before, " ".join(words)])

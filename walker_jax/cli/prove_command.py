@@ -1,7 +1,5 @@
 """`walker-jax prove`."""
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -12,7 +10,7 @@ from walker_jax.cli.options import Group, option
 from walker_jax.cli.section import SlicedWindow, grid_of
 
 
-class Theorem(Group, theme="Theorem"):
+class Theorem(Group):
     radius: float | None = option(
         None,
         "Radius of a disc about the gait, in (theta, thetadot), instead of a window.",
@@ -23,16 +21,15 @@ class Theorem(Group, theme="Theorem"):
 
 
 @command(
-    *(Theorem, SlicedWindow, Output(Path("proof.zarr"))),
     examples=(
         "prove --radius 0.00223",
         "prove --slope 0.009 --radius 0.00223",
         "prove --theta 0.1 0.2 20 --sum -0.02 0.01 30 --levels 4",
     ),
     time="Half a minute for the first example, most of it to compile.",
-    systems=False,
+    out="proof.zarr",
 )
-def prove(walker: "wj.System", asked: Theorem, window: SlicedWindow, output: Output):
+def prove(walker: "wj.Walker", asked: Theorem, window: SlicedWindow, output: Output):
     """Prove that all starts near a gait walk for ever, or which of a window do.
 
     Arithmetic with rigorous bounds carries cells of starts from stride to stride, until all of a
@@ -52,13 +49,8 @@ def prove(walker: "wj.System", asked: Theorem, window: SlicedWindow, output: Out
         return wj.prove_basin(walker, region, **how)
 
     data = output.produce(request, compute, "proof", kept=True)
-    answer = {"walker": request["walker"]} | lib.summarise_proof(data)
-    return answer, [*proof_in_words(walker, answer), output.places()]
-
-
-def proof_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
-    """Write the theorem, or the bounds that are proved."""
-    cells = answer["cells"]
+    answer = lib.summarise_proof(data)
+    yield {"walker": request["walker"]} | answer
     yield f"Proof, {lib.describe_in_words(walker)}"
     if answer["radius"] and answer["all_walk"]:
         yield f"  theorem: every start within {answer['radius']:.9g} of the gait walks for ever"
@@ -67,7 +59,9 @@ def proof_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
             yield "  not proved of the whole disc: try a smaller one, or more --levels"
         low, high = answer["area_lower"], answer["area_upper"]
         yield f"  starts that walk for ever have an area between {low:.8g} and {high:.8g}"
+    cells = answer["cells"]
     yield f"  cells that walk {cells['walk']}, fall {cells['fall']}, are open {cells['open']}"
     size, strides = answer["trap"]["size"], answer["verified_strides"]
     yield f"  {strides} verified strides; trap of size {size:.4g}"
     yield "  proofs.md says what a proof rests on; more --levels decide more of the open cells."
+    yield output.places()

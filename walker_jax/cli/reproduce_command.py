@@ -14,10 +14,8 @@ class Report(Group, theme="Output"):
 
 
 @command(
-    *(Report, Files),
     examples=("reproduce --quick --out quick", "reproduce --out report"),
     time="Forty seconds; with --quick less.",
-    walkers=False,
 )
 def reproduce(report: Report, files: Files):
     """Reproduce the paper of Schwab and Wisse (2001): every figure and number, in a report.
@@ -27,11 +25,12 @@ def reproduce(report: Report, files: Files):
     clock, page = Stopwatch(), report.out / "report.html"
     how = {"quick": report.quick, "overwrite": files.overwrite, "progress": True}
     numbers = lib.reproduction.reproduce(report.out, **how)
-    answer = {"report": str(page), "numbers": [number._asdict() for number in numbers]}
+    told = [number._asdict() for number in numbers]
+    yield {"report": str(page), "numbers": told, "seconds": clock.seconds()}
     differ = [number for number in numbers if not number.agrees]
     agree = f"{len(numbers) - len(differ)} of {len(numbers)} numbers agree"
-    lines = [f"{agree} at the digits that the paper prints; not so:"]
+    yield f"{agree} at the digits that the paper prints; not so:"
     for one in differ:
         printed = f"printed {one.printed}, ours {one.ours}"
-        lines.append(f"  {one.where}, {one.what}: {printed}. {one.why}")
-    return answer | {"seconds": clock.seconds()}, [*lines, f"  report {page}"]
+        yield f"  {one.where}, {one.what}: {printed}. {one.why}"
+    yield f"  report {page}"

@@ -1,7 +1,6 @@
 """`walker-jax robustness`."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -16,22 +15,12 @@ from walker_jax.refusals import WrongUse
 class Table(Ranged, theme="Slopes"):
     over: str = option("slope", "The parameter of a table, with --from and --to.")
     low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
+    high: float | None = option(None, "Highest.", "--to")
     count: int | None = option(None, "Rows of the table (default: 20).", least=2, most=10_000)
 
     @property
     def ranged(self) -> tuple[()] | tuple[str, float | None]:
         return () if self.low is None else super().ranged
-
-    def values(self, walker: "wj.System") -> list[float] | None:
-        """Return the values of the parameter; None without a table."""
-        if (self.low is None) != (self.high is None):
-            raise WrongUse("--from and --to are for a table: give both or none")
-        if self.low is None or self.high is None:
-            over = None if self.over == "slope" else self.over
-            refuse("is for a table: give --from and --to too", count=self.count, over=over)
-            return None
-        self.check(walker, self.low, self.high)
-        return lib.space_decimals(self.low, self.high, self.count or 20)
 
 
 class BasinRegion(Region):
@@ -52,7 +41,7 @@ class BasinRegion(Region):
         return grid or lib.grid_along(axes_of_region(walker))
 
 
-class Measures(Group, theme="Measures"):
+class Measures(Group):
     levels: int = option(4, "Halve boundary cells this many times.", least=0, most=8)
     disturbances: float = option(
         0.1, "Largest disturbance for basin stability, as a share of the gait's state.", above=0
@@ -63,26 +52,15 @@ class Measures(Group, theme="Measures"):
     )
     seed: int = option(0, "Seed of random numbers.", least=0)
 
-    def settings(self, walker: "wj.System") -> dict[str, Any]:
-        """Return the arguments of the library's `robustness`."""
-        if not lib.is_planar(walker):
-            plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
-            refuse(plane, ground=self.ground)
-        given = {name: value for name, value in vars(self).items() if value is not None}
-        picture = walker.picture()
-        if picture is not None and picture.axes == 3:
-            given["check"] = lib.check_starts(walker, exact=True)
-        return given
-
 
 @command(
-    *(Table, BasinRegion, Measures, Output(Path("robustness.zarr"))),
     examples=(
         "robustness --slope 0.009",
         "robustness --slope 0.009 --ground 0.0002",
         "robustness --from 0.002 --to 0.018 --count 17 --out slopes.zarr",
     ),
     time="Twenty seconds or more for each slope; minutes for walkers with knees.",
+    out="robustness.zarr",
 )
 def robustness(
     walker: "wj.System", table: Table, region: BasinRegion, measures: Measures, output: Output
@@ -94,8 +72,23 @@ def robustness(
     disturbances that it survives; the dimension of the boundary; and on rough ground the mean
     number of strides until it falls.
     """
-    name, values = underscored(table.over), table.values(walker)
-    how, grid = measures.settings(walker), region.grid(walker)
+    name, low, high, values = underscored(table.over), table.low, table.high, None
+    if (low is None) != (high is None):
+        raise WrongUse("--from and --to are for a table: give both or none")
+    if low is None or high is None:
+        named = None if name == "slope" else name
+        refuse("is for a table: give --from and --to too", count=table.count, over=named)
+    else:
+        table.check(walker, low, high)
+        values = lib.space_decimals(low, high, table.count or 20)
+    if not lib.is_planar(walker):
+        plane = f"is for walkers in the plane, not for {walker.label()}: leave it out"
+        refuse(plane, ground=measures.ground)
+    how: Any = {key: value for key, value in vars(measures).items() if value is not None}
+    shape = walker.picture()
+    if shape is not None and shape.axes == 3:
+        how["check"] = lib.check_starts(walker, exact=True)
+    grid = region.grid(walker)
     asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
     request = request_for("robustness", walker, without=[name] * bool(values), **asked)
     over: Any = {} if values is None else {"values": values, "parameter": name}
@@ -106,17 +99,19 @@ def robustness(
     at = [slope_of(about)] if values is None else [{name: value} for value in values]
     parts = [data] if values is None else [data.isel({name: i}) for i in range(len(values))]
     rows = [*map(lib.summarise_robustness, parts, at)]
-    shown = {key: value for key, value in about.items() if key not in at[0]}
-    lines = [f"Robustness, {lib.write_description(shown)}"]
-    for row, place in zip(rows, at, strict=True):
-        where = "".join(f"{hyphenated(key)} {value:g}: " for key, value in place.items())
-        lines += measures_in_words(row, where, terms_of(walker))
     if values is None:
         answer, advice = rows[0], "--from and --to show how these depend on a parameter"
     else:
         answer = {"slopes" if name == "slope" else "values": rows}
         advice = "walker-jax optimise searches for the best between these values"
-    return {"walker": about} | answer, [*lines, f"  {advice}.", output.places()]
+    yield {"walker": about} | answer
+    shown = {key: value for key, value in about.items() if key not in at[0]}
+    yield f"Robustness, {lib.write_description(shown)}"
+    for row, place in zip(rows, at, strict=True):
+        where = "".join(f"{hyphenated(key)} {value:g}: " for key, value in place.items())
+        yield from measures_in_words(row, where, terms_of(walker))
+    yield f"  {advice}."
+    yield output.places()
 
 
 def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator[str]:
@@ -142,22 +137,7 @@ def measures_in_words(row: dict, where: str, terms: Terms = WALKING) -> Iterator
         if row["step_down_failure"] == "STRIDE":
             down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
         yield f"    least step down {down}"
-    yield from returns_in_words(row["basin_stability"], gait, terms)
-    dimension = row["boundary_dimension"]
-    interval = f"{dimension['low']:.3f} to {dimension['high']:.3f}"
-    yield f"    dimension of the boundary {dimension['value']:.3f} ({interval})"
-    if "steps_to_fall" in row:
-        walks = row["steps_to_fall"]
-        mean, low, high = (
-            "inf" if walks[name] is None else f"{walks[name]:.4g}"
-            for name in ("mean", "low", "high")
-        )
-        ground = f"on ground with steps of standard deviation {walks['ground']:g}"
-        yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
-
-
-def returns_in_words(survived: dict, gait: dict, terms: Terms) -> Iterator[str]:
-    """Describe which disturbances are survived, and how soon they decay."""
+    survived = row["basin_stability"]
     yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the {terms.cycle}'s state are "
@@ -170,6 +150,17 @@ def returns_in_words(survived: dict, gait: dict, terms: Terms) -> Iterator[str]:
         f"{gait['return_strides']:.3g}; the largest that is survived is "
         f"{survived['largest_shock']:.3g}"
     )
+    dimension = row["boundary_dimension"]
+    interval = f"{dimension['low']:.3f} to {dimension['high']:.3f}"
+    yield f"    dimension of the boundary {dimension['value']:.3f} ({interval})"
+    if "steps_to_fall" in row:
+        walks = row["steps_to_fall"]
+        mean, low, high = (
+            "inf" if walks[name] is None else f"{walks[name]:.4g}"
+            for name in ("mean", "low", "high")
+        )
+        ground = f"on ground with steps of standard deviation {walks['ground']:g}"
+        yield f"    {ground} it falls after {mean} strides on average ({low} to {high})"
 
 
 def disturbance_in_words(disturbance: dict, terms: Terms) -> str:

@@ -4,7 +4,7 @@ from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.options import RANGE, Axis, Group, named, option, option_of, refuse
+from walker_jax.cli.options import RANGE, Axis, Group, named, only_given, option, option_of, refuse
 from walker_jax.refusals import WrongUse
 
 PHIDOT = "Rate between the legs, on sections that have it"
@@ -24,33 +24,35 @@ def axes_option(*excludes: str) -> Any:
     return named(text, RANGE, "VALUE", metavar=f"NAME={RANGE}", excludes=excludes)
 
 
-class Section(Group):
+class Section(Group, theme="Window"):
     """Axes by options of their own, for walkers in the plane, or all axes by --axis."""
 
-    theme = "Window"
     theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.4 200).")
     sum: Axis | None = option(None, "theta + thetadot (default: -0.04 0.01 250).")
     axis: dict[str, Any] = axes_option("theta", "sum", "thetadot", "phidot", "at_phidot")
 
-    def own_axes(self, walker: "wj.System") -> dict[str, Any]:
-        """Return the axes that options of their own give for a walker, None where one is missing.
+    def given(self, walker: "wj.System", most: int | None = None) -> dict[str, Any]:
+        """Return the axes that are given, by name; None where a walker's own is missing.
 
-        For a section without the plane of theta and thetadot there are none, and all such options
-        are refused; so are those for coordinates that the section lacks.
+        Options of their own are for sections with the plane of theta and thetadot; they are
+        refused for any other, as are those for coordinates that the section lacks. At most `most`
+        of the axes of --axis may be ranges.
         """
-        own = {name: given for name, given in vars(self).items() if name != "axis"}
+        if self.axis:
+            return named_axes(walker, self.axis, most)
+        own = only_given(**vars(self))
+        del own["axis"]  # none is given
         if not has_plane(walker):
             each = "give --axis for each coordinate of the section"
             refuse(f"is for walkers in the plane: {each}", **own)
             return {}
-        axes: dict[str, Any] = {"theta": self.theta}
-        axes |= {"sum": self.sum} if own.get("thetadot") is None else {"thetadot": own["thetadot"]}
-        turning = {name: own.get(name) for name in ("phidot", "at_phidot")}
+        second = "thetadot" if "thetadot" in own else "sum"
+        axes = {"theta": self.theta, second: own.get(second)}
         if "phidot" in walker.section:
-            given = (one for one in turning.values() if one is not None)
-            return axes | {"phidot": next(given, None)}
+            return axes | {"phidot": own.get("phidot", own.get("at_phidot"))}
+        others = {name: own.get(name) for name in ("phidot", "at_phidot")}
         section = ", ".join(walker.section)
-        refuse(f"must be left out: it is not on the section, {section}", **turning)
+        refuse(f"must be left out: it is not on the section, {section}", **others)
         return axes
 
 
@@ -62,13 +64,9 @@ class Window(Section):
 
         For a walker an axis may be None. The default for any other system is its `gait_region`.
         """
-        own = self.own_axes(walker)
-        if self.axis:
-            axes = named_axes(walker, self.axis, most)
-        elif own:
-            axes = lib.fill_from_paper(walker, own | dict.fromkeys(walker.section[3:]))
-        else:
-            axes = axes_of_region(walker)
+        axes = self.given(walker, most) or axes_of_region(walker)
+        if not self.axis and has_plane(walker):
+            axes = lib.fill_from_paper(walker, axes | dict.fromkeys(walker.section[3:]))
         check_drawable(lib.outline(axes))
         return axes
 
@@ -88,12 +86,10 @@ class Region(Section, theme="Region"):
 
     def grid(self, walker: "wj.System") -> "wj.Grid | None":
         """Return the grid of these axes; None if no axes are given."""
-        axes = self.own_axes(walker)
-        if self.axis:
-            axes = named_axes(walker, self.axis)
-        elif all(axis is None for axis in axes.values()):
+        axes = self.given(walker)
+        if all(axis is None for axis in axes.values()):
             return None
-        elif None in axes.values():
+        if None in axes.values():
             ranged = isinstance(axes.get("phidot"), tuple)
             names = ("at-phidot" if name == "phidot" and not ranged else name for name in axes)
             raise WrongUse(f"give {' and '.join(f'--{name}' for name in names)}, or none of them")
@@ -110,7 +106,7 @@ class Volume(Region):
     )
 
 
-class Start(Group, theme="Start"):
+class Start(Group):
     """A point of the section."""
 
     theta: float | None = option(None, "Stance angle at the start, rad (default: see below).")
@@ -118,11 +114,32 @@ class Start(Group, theme="Start"):
     phidot: float | None = option(None, f"{PHIDOT}.")
     start: dict[str, float] = start_option("theta", "thetadot", "phidot")
 
-    def coordinates(self, walker: "wj.System") -> dict[str, float]:
-        """Return the given coordinates, from --start or from options of their own."""
+    def coordinates(self, walker: "wj.System", **usual: float) -> dict[str, float]:
+        """Return the coordinates of the start, in the order of the section: none, or all.
+
+        Options of their own may have `usual` values.
+        """
         own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
-        check_start(walker, self.start, **own)
-        return self.start or {name: value for name, value in own.items() if value is not None}
+        refuse_own(walker, **own)
+        if self.start:
+            check_names("--start", walker, self.start, "NAME=VALUE is required too")
+        given, section = self.start or usual | only_given(**own), ", ".join(walker.section)
+        for name in walker.section if given else ():
+            if name not in given:
+                raise WrongUse(f"--{name} is required too: the section is {section}")
+        for name in given:
+            if name not in walker.section:
+                raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
+        return {name: given[name] for name in walker.section if given}
+
+    def begin(self, walker: "wj.System", **usual: float) -> list[float]:
+        """Return the start, by default the first state of the gait."""
+        if given := self.coordinates(walker, **usual):
+            return [*given.values()]
+        own = ", ".join(map(option_of, walker.section))
+        instead = f"give {own if has_own_options(walker) else '--start NAME=VALUE'}"
+        (gait,) = lib.selection.select_gaits(walker, instead=instead)
+        return gait.states[0].tolist()
 
 
 def has_plane(walker: "wj.System") -> bool:
@@ -135,16 +152,11 @@ def has_own_options(walker: "wj.System") -> bool:
     return {*walker.section} <= {"theta", "thetadot", "phidot"}
 
 
-def check_start(walker: "wj.System", start: dict[str, float], **own: Any) -> None:
-    """Refuse a start by --start with other coordinates than the section's, and lacking ones.
-
-    Options of their `own` for coordinates are refused where some coordinates have none.
-    """
+def refuse_own(walker: "wj.System", **own: Any) -> None:
+    """Refuse options of their own for coordinates where some coordinates have none."""
     if not has_own_options(walker):
         each = f"give --start NAME=VALUE, for each of {', '.join(walker.section)}"
         refuse(f"is for walkers in the plane: {each}", **own)
-    if start:
-        check_names("--start", walker, start, "NAME=VALUE is required too")
 
 
 def check_names(option: str, walker: "wj.System", given: dict[str, Any], missing: str) -> None:
@@ -171,41 +183,14 @@ def named_axes(walker: "wj.System", given: dict[str, Any], most: int | None = No
     return {name: given[name] for name in walker.section}
 
 
-def begin_at(walker: "wj.System", given: dict[str, float]) -> "lib.numpy.ndarray":
-    """Return the state with these coordinates, or the gait's if none are given."""
-    if given:
-        return state_from(walker, given)
-    own = ", ".join(map(option_of, walker.section))
-    instead = f"give {own if has_own_options(walker) else '--start NAME=VALUE'}"
-    (gait,) = lib.selection.select_gaits(walker, instead=instead)
-    return lib.numpy.asarray(gait.states[0])
-
-
-def state_from(walker: "wj.System", given: dict[str, float]) -> "lib.numpy.ndarray":
-    """Return the state on the section with these coordinates, by name."""
-    section = ", ".join(walker.section)
-    for name in walker.section:
-        if name not in given:
-            raise WrongUse(f"--{name} is required too: the section is {section}")
-    for name in given:
-        if name not in walker.section:
-            raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
-    return lib.numpy.array([given[name] for name in walker.section])
-
-
 def axes_of_region(system: "wj.System") -> dict[str, Any]:
     """Return the axes of the region of a system's gaits, or of the basin of a robot's."""
-    robot = is_robot(system)
+    robot = isinstance(system, lib.Robot)
     axes = lib.window_of_basin(system) if robot else lib.window_of_region(system, WINDOW_CELLS)
     if axes is None:
         names = ", ".join(system.section)
         raise WrongUse(f"--axis NAME={RANGE} is required, for each of {names}")
     return axes
-
-
-def is_robot(system: "wj.System") -> bool:
-    """Return whether a system is a robot from a file, which has a window around its gait."""
-    return isinstance(system, lib.Robot)
 
 
 def check_section(walker: "wj.System", axis: dict[str, Any]) -> None:
@@ -216,7 +201,7 @@ def check_section(walker: "wj.System", axis: dict[str, Any]) -> None:
             f"{walker.label()} has a section of one coordinate, and pictures have two: use "
             "walker_jax.basin in Python"
         )
-    if count > 3 and not axis and not is_robot(walker):
+    if count > 3 and not axis and not isinstance(walker, lib.Robot):
         raise WrongUse(
             f"--axis is required: {walker.label()} has a section of {count} coordinates; give two "
             f"or three of them as NAME={RANGE}, the others as NAME=VALUE"

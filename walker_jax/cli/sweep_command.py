@@ -1,12 +1,11 @@
 """`walker-jax sweep`."""
 
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
-from walker_jax.cli.answers import Output, Pieces, Terms, request_for, terms_of
+from walker_jax.cli.answers import Output, Pieces, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import RANGE, Axis, Group, named, option
 from walker_jax.cli.section import Volume, asked_of
@@ -17,7 +16,7 @@ SHOWN = *GAIT, "least_disturbance", "least_fall", "step_down", "step_down_fall"
 """Columns that are printed; the data set has more."""
 
 
-class Combinations(Group, theme="Combinations"):
+class Combinations(Group):
     over: dict[str, Axis] = named("Values of a parameter; give it again for others.", RANGE)
     levels: int = option(2, "Levels of refinement of the areas.", least=0)
     check: int = option(500_000, "Starts that check each area.", least=0)
@@ -27,12 +26,12 @@ class Combinations(Group, theme="Combinations"):
 
 
 @command(
-    *(Combinations, Volume, Pieces, Output(Path("sweep.zarr"))),
     examples=(
         "sweep --over slope=0.002:0.01:5",
         "sweep --walker spring --over slope=0.002:0.01:5 --over hip-stiffness=0:9:4 --workers 2",
     ),
     time="Some seconds for each combination, half a minute with --robust.",
+    out="sweep.zarr",
 )
 def sweep(walker: "wj.System", asked: Combinations, region: Volume, pieces: Pieces, output: Output):
     """Compute basins, gaits and areas over one or more parameters, all combinations of them.
@@ -49,16 +48,11 @@ def sweep(walker: "wj.System", asked: Combinations, region: Volume, pieces: Piec
     how |= {"cluster": pieces.cluster, **output.place(request)}
     data = output.produce(request, lambda: wj.sweep(walker, grid=grid, **how), "sweep", kept=True)
     rows = lib.tabulate_sweep(data, [*values])
-    answer = {"walker": request["walker"], "points": rows.to_dict(orient="records")}
-    return answer, [*rows_in_words(rows, [*values], terms_of(walker)), output.places()]
-
-
-def rows_in_words(rows: Any, names: list[str], terms: Terms) -> Iterator[str]:
-    """Write the table of `sweep` over these parameters, and its notes."""
-    shown = [name for name in (*names, *SHOWN) if name in rows]
-    yield rows[shown].map("{:.6g}".format).to_string(index=False)
-    where = lambda row: ", ".join(f"{name} {row[name]:.6g}" for name in names)
     points = rows.to_dict(orient="records")
+    yield {"walker": request["walker"], "points": points}
+    shown = [name for name in (*values, *SHOWN) if name in rows]
+    yield rows[shown].map("{:.6g}".format).to_string(index=False)
+    where = lambda row: ", ".join(f"{name} {row[name]:.6g}" for name in values)
     for row in points:
         if row["failed"]:
             yield f"  failed at {where(row)}: {row.get('reason') or 'no reason was kept'}"
@@ -69,7 +63,9 @@ def rows_in_words(rows: Any, names: list[str], terms: Terms) -> Iterator[str]:
         at = where(best).replace("_", "-")
         yield f"  The basin is largest at {at}: walker-jax optimise searches around."
     else:
-        yield f"  No basin has any area: try other values, or a region that holds a {terms.cycle}."
+        cycle = terms_of(walker).cycle
+        yield f"  No basin has any area: try other values, or a region that holds a {cycle}."
+    yield output.places()
 
 
 def values_of(over: Mapping[str, Axis]) -> dict[str, list[float]]:

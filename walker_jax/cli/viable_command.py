@@ -1,7 +1,5 @@
 """`walker-jax viable`."""
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import walker_jax as wj
@@ -13,7 +11,7 @@ from walker_jax.cli.section import Window, grid_of
 from walker_jax.refusals import WrongUse
 
 
-class Actions(Group, theme="Actions"):
+class Actions(Group):
     action: dict[str, Axis] = named(
         "A parameter that is chosen anew before each stride, with N values; all combinations of "
         "several.",
@@ -24,27 +22,15 @@ class Actions(Group, theme="Actions"):
         0, "Halve cells between the bounds this many times: narrows the bounds.", least=0, most=8
     )
 
-    def check(self, walker: "wj.System") -> None:
-        """Refuse actions that are no parameters of the walker, or that it cannot have."""
-        if not self.action:
-            example = "--action push-off=0:0.1:16"
-            raise WrongUse(f"--action NAME={RANGE} is required, such as {example}")
-        known = lib.numbers_of(walker)
-        for name, (low, high, _) in self.action.items():
-            if name not in known:
-                names = ", ".join(map(hyphenated, known))
-                raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
-            lib.check_parameter(walker, name, low, high)
-
 
 @command(
-    *(Window, Actions, Pieces, Output(Path("viable.zarr"))),
     examples=(
         "viable --walker powered --action push-off=0:0.1:17 --theta 0 0.8 160 --sum -0.4 0.05 180",
         "viable --system torso-wheel --action lean=0.1:0.9:9 --axis thetadot=-1.2:0:30 --axis "
         "psi=-0.4:1.2:32 --axis psidot=-1:1:20",
     ),
     time="Half a minute for the first example.",
+    out="viable.zarr",
 )
 def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, output: Output):
     """Compute how large the basin could be: from where some choice of actions walks for ever.
@@ -55,13 +41,21 @@ def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, 
     counted too. The window must hold all coordinates of the section: of two, its default is that of
     the command basin; of three, --axis gives each, and the picture is the slice in the middle.
     """
-    asked.check(walker)
+    actions, known = asked.action, lib.numbers_of(walker)
+    if not actions:
+        example = "--action push-off=0:0.1:16"
+        raise WrongUse(f"--action NAME={RANGE} is required, such as {example}")
+    for name, (low, high, _) in actions.items():
+        if name not in known:
+            names = ", ".join(map(hyphenated, known))
+            raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
+        lib.check_parameter(walker, name, low, high)
     if len(walker.section) > 2 and not window.axis:
         section = ", ".join(walker.section)
         raise WrongUse(
             f"--axis NAME={RANGE} is required for each of {section}: a slice is not enough"
         )
-    axes, actions = window.axes(walker, most=3), asked.action
+    axes = window.axes(walker, most=3)
     if asked.no_bounds and asked.levels:
         raise WrongUse("--levels narrows the bounds: leave out --no-bounds")
     how: Any = {"bounds": not asked.no_bounds, "levels": asked.levels}
@@ -71,13 +65,9 @@ def viable(walker: "wj.System", window: Window, asked: Actions, pieces: Pieces, 
     compute = lambda: wj.viable(walker, grid_of(walker, axes), actions, **how)
     data = output.produce(request, compute, "viability", kept=True)
     answer = {"walker": request["walker"], "actions": actions} | lib.summarise_viability(data)
-    return answer, [*kernel_in_words(walker, answer), output.places()]
-
-
-def kernel_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
-    """Write the answer of `viable`."""
+    yield answer
     yield f"Viability kernel, {lib.describe_in_words(walker)}"
-    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in answer["actions"].items()]
+    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in actions.items()]
     yield f"  actions: {', '.join(ranges)}"
     between = ""
     if answer["inner_area"] is not None:
@@ -94,3 +84,4 @@ def kernel_in_words(walker: "wj.System", answer: dict) -> Iterator[str]:
         "  In this window, as far as the grid tells, no controller with these actions has a "
         "larger basin than the kernel."
     )
+    yield output.places()

@@ -1,16 +1,15 @@
 """`walker-jax walk`."""
 
 import math
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.answers import Files, check_picture, in_words, is_map, request_for, terms_of
 from walker_jax.cli.commands import command
 from walker_jax.cli.options import Group, option, refuse
-from walker_jax.cli.section import Start, begin_at, has_own_options, has_plane
+from walker_jax.cli.section import Start, has_own_options, has_plane
 from walker_jax.cli.unit_options import InUnits
 from walker_jax.refusals import WrongUse
 
@@ -20,7 +19,7 @@ FRAME_INTERVAL = 0.15
 """Time between two frames of a film: 1/20 s for legs of one metre."""
 
 
-class Walk(Group, theme="Walk"):
+class Walk(Group):
     strides: int = option(9, "Strides at most.", most=1_000_000)
     ground: float | None = option(None, "Standard deviation of the steps of rough ground.", least=0)
     seed: int | None = option(None, "Seed of the ground (default: 0).", least=0)
@@ -28,15 +27,8 @@ class Walk(Group, theme="Walk"):
         None, "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
     )
 
-    def heights(self) -> Any:
-        """Return the heights of the steps of rough ground, if it is rough."""
-        if self.ground is None:
-            return None
-        return self.ground * lib.numpy.random.default_rng(self.seed or 0).normal(size=self.strides)
-
 
 @command(
-    *(Start, Walk, InUnits, Files),
     examples=(
         "walk",
         "walk --theta 0.16 --thetadot -0.17 --strides 20",
@@ -62,70 +54,57 @@ def walk(walker: "wj.System", start: Start, asked: Walk, units: InUnits, files: 
             refuse(f"is for walkers, {other}", animate=asked.animate)
     if asked.ground is None:
         refuse("is for --ground alone: give it too", seed=asked.seed)
-    given = start.coordinates(walker)
+    usual = PAPER_START if lib.moves_like(walker, wj.SimplestWalker) else {}
+    given, strides, film = start.coordinates(walker, **usual), asked.strides, asked.animate
     units.check(walker)
-    if lib.moves_like(walker, wj.SimplestWalker):
-        given = PAPER_START | given
-    rough = asked.ground is not None
-    ground = {"ground": asked.ground, "seed": asked.seed or 0} if rough else {}
-    request = request_for("walk", walker, start=given, strides=asked.strides, **ground)
-    check_picture(asked.animate, request, overwrite=files.overwrite, film=True)
+    ground, heights = {}, None
+    if asked.ground is not None:
+        ground = {"ground": asked.ground, "seed": asked.seed or 0}
+        random = lib.numpy.random.default_rng(asked.seed or 0)
+        heights = asked.ground * random.normal(size=strides)
+    request = request_for("walk", walker, start=given, strides=strides, **ground)
+    check_picture(film, request, overwrite=files.overwrite, film=True)
     with lib.bar("walk", True):
-        begin = begin_at(walker, given)
-        made = wj.walk(walker, begin, asked.strides, ground=asked.heights())
+        begin = start.begin(walker, **usual)
+        made = wj.walk(walker, begin, strides, ground=heights)
     outcomes = lib.numpy.asarray(made.outcomes)
     if outcomes[0] == wj.Outcome.OUTSIDE:
         refuse_start(walker, begin)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
-    count = min(completed + 1, asked.strides)
-    names = lib.State._fields if rough else walker.section
-    answer: dict[str, Any] = {
-        "states": units.states(lib.numpy.asarray(made.states)[: completed + 1], names),
-        "outcomes": [
-            lib.name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()
-        ],
-        "times": units.times(lib.numpy.asarray(made.times)[:count]),
-        **units.named,
-    }
-    if asked.animate is not None:
-        draw_film(walker, begin, asked, asked.animate, lib.storage.signature(request))
-    lines = [*walk_in_words(walker, answer, names, units, rough=rough)]
-    lines += [f"film {asked.animate}"] * (asked.animate is not None)
-    return answer, lines
-
-
-def draw_film(walker: "wj.System", begin: Any, asked: Walk, place: Path, signature: str) -> None:
-    """Save the film of a walk."""
-    how: Any = {"step": FRAME_INTERVAL, "ground": asked.heights()}
-    motion, data = wj.motion(walker, begin, asked.strides, **how), None
-    if has_plane(walker):
-        data = wj.basin(walker, lib.film_window(walker, begin), "direct", progress=True)
-    wj.figures.film(motion, place, data, signature=signature, progress=True)
-
-
-def walk_in_words(
-    walker: "wj.System", answer: dict, names: Sequence[str], units: InUnits, *, rough: bool
-) -> Iterator[str]:
-    """Write a line for each stride; the steps of a map have no time."""
+    count = min(completed + 1, strides)
+    coordinates = wj.State._fields if ground else walker.section
+    states = units.states(lib.numpy.asarray(made.states)[: completed + 1], coordinates)
+    ends = [lib.name_of_outcome(one, walker.failures) for one in outcomes[:count].tolist()]
+    times = units.times(lib.numpy.asarray(made.times)[:count])
+    if film is not None:
+        motion = wj.motion(walker, begin, strides, step=FRAME_INTERVAL, ground=heights)
+        data = None
+        if has_plane(walker):
+            window = lib.film_window(walker, lib.numpy.asarray(begin))
+            data = wj.basin(walker, window, "direct", progress=True)
+        signature = lib.storage.signature(request)
+        wj.figures.film(motion, film, data, signature=signature, progress=True)
+    yield {"states": states, "outcomes": ends, "times": times, **units.named}
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
-    heads = "  ".join(f"{name:>10}" for name in names)
-    timeless, step = is_map(walker, answer["times"]), terms_of(walker).step
+    heads = "  ".join(f"{name:>10}" for name in coordinates)
+    timeless, step = is_map(walker, times), terms_of(walker).step
     if units.chosen:
         yield "Angles in rad, rates in rad/s, times in s."
     yield f"{step}  {heads}  " + ("" if timeless else f"{'time':>8}  ") + "outcome"
-    strides = zip(answer["states"], answer["outcomes"], answer["times"], strict=False)
-    for i, (state, name, duration) in enumerate(strides, start=1):
+    for i, (state, end, duration) in enumerate(zip(states, ends, times, strict=False), start=1):
         time = "" if timeless else f"{'-' if math.isnan(duration) else f'{duration:.4f}':>8}  "
-        yield f"{i:{len(step)}}  {row(state)}  {time}{in_words(name, walker)}"
-    if len(answer["states"]) > len(answer["outcomes"]):
-        yield f"{'next':>{len(step)}}  {row(answer['states'][-1])}"
+        yield f"{i:{len(step)}}  {row(state)}  {time}{in_words(end, walker)}"
+    if len(states) > len(ends):
+        yield f"{'next':>{len(step)}}  {row(states[-1])}"
         yield f"It makes all its {step}s: a larger --strides shows whether it goes on."
     else:
-        why = "another --seed gives other ground" if rough else "walker-jax explain says why"
-        yield f"It ends in {step} {len(answer['outcomes'])}: {why}."
+        why = "another --seed gives other ground" if ground else "walker-jax explain says why"
+        yield f"It ends in {step} {len(ends)}: {why}."
+    if film is not None:
+        yield f"film {film}"
 
 
-def refuse_start(walker: "wj.System", start: Any) -> NoReturn:
+def refuse_start(walker: "wj.System", start: list[float]) -> NoReturn:
     """Raise `WrongUse` for a start that is not feasible, with the condition that it violates."""
 
     form = "--{}" if has_own_options(walker) else "--start {}=VALUE"
@@ -134,4 +113,4 @@ def refuse_start(walker: "wj.System", start: Any) -> NoReturn:
     about = feasible.__doc__ if feasible is not wj.System.feasible else None
     condition = (about or "").strip().partition("\n")[0].rstrip(".")
     why = f": {condition}" if condition else ""
-    raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}{why}")
+    raise WrongUse(f"{options} must be a feasible start, not {start}{why}")

@@ -7,6 +7,7 @@ system, is loaded for its parameters.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
+from functools import partial
 from typing import Any, NamedTuple
 
 import click
@@ -14,7 +15,7 @@ import click
 import walker_jax as wj
 from walker_jax.cli import library as lib
 from walker_jax.cli.information import LIST_WALKERS
-from walker_jax.cli.options import Number, Option, name_of, option_of, underscored
+from walker_jax.cli.options import Number, Option, option_of, underscored
 from walker_jax.refusals import WrongUse
 from walker_jax.systems.parameter import Option as Check
 from walker_jax.systems.parameter import Parameter
@@ -32,11 +33,6 @@ def walkers_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
     return [name for name in (*DESCRIBED, *lib.installed_walkers()) if name.startswith(incomplete)]
 
 
-def systems_that_begin(ctx: Any, param: Any, incomplete: str) -> list[str]:
-    """Return the systems whose names begin so, for completion in a shell."""
-    return [name for name in lib.SYSTEMS if name.startswith(incomplete)]
-
-
 WALKER = Option(
     ["walker", "--walker"],
     help=f"The model, such as kneed, FILE.py:CLASS or ROBOT.xml (default: {DEFAULT}).",
@@ -46,7 +42,7 @@ WALKER = Option(
 SYSTEM = Option(
     ["system", "--system"],
     help="Any other system, such as henon, or FILE.py:NAME.",
-    shell_complete=systems_that_begin,
+    shell_complete=lambda ctx, param, begun: [one for one in lib.SYSTEMS if one.startswith(begun)],
     **THEME,
 )
 LENIENT = {"ignore_unknown_options": True, "allow_extra_args": True}
@@ -54,18 +50,11 @@ NAMES = click.Command(None, LENIENT, params=[WALKER, SYSTEM], add_help_option=Fa
 """Reads the name of a walker or system from a command line, whatever else is on it."""
 
 
-class Bounded(Number):
-    """A number within the bounds of a parameter."""
-
-    def __init__(self, parameter: Parameter):
-        super().__init__()
-        self.parameter = parameter
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        number = super().convert(value, param, ctx)
-        if not self.parameter.holds(number):
-            raise WrongUse(f"{name_of(param)} must be {self.parameter.bounds()}, not {number}")
-        return number
+def check_bounds(parameter: Parameter, ctx: Any, param: Any, value: float | None) -> float | None:
+    """Refuse a number outside the bounds of a parameter."""
+    if value is not None and not parameter.holds(value):
+        raise click.BadParameter(f"must be {parameter.bounds()}, not {value}", ctx, param)
+    return value
 
 
 class Chosen(NamedTuple):
@@ -138,7 +127,8 @@ def option_for(one: Any) -> Option:
         return Option(names, metavar="FILE", help=text, **THEME)
     about = "; ".join(filter(None, (one.meaning, one.unit)))
     default = "required" if math.isnan(one.default) else f"default: {one.default:g}"
-    return Option(names, type=Bounded(one), help=f"{about} ({default})".strip(), **THEME)
+    text, check = f"{about} ({default})".strip(), partial(check_bounds, one)
+    return Option(names, type=Number(), callback=check, help=text, **THEME)
 
 
 def choose(args: Sequence[str], *, systems: bool, opening: bool = False) -> Chosen:
