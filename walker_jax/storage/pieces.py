@@ -25,10 +25,10 @@ from walker_jax.storage.checksums import (
 )
 from walker_jax.storage.damage import name_damage
 from walker_jax.storage.places import (
+    ANOTHER_PLACE,
     RESUME_HINT,
     StoreConflict,
     check_writable,
-    ANOTHER_PLACE,
     open_group,
     resolve_link,
     writing,
