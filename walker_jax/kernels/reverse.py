@@ -165,7 +165,7 @@ class ReverseLoop(NamedTuple):
         turns = jnp.where(used, turns, 0)
 
         def back(now):
-            """Transpose the last turn that remains; first write a tape, if it is the first of it."""
+            """Transpose the last turn that remains; write its tape first, if that is another."""
             remaining, written, *cts = now
             last = remaining - 1
             first = last // ROWS * ROWS
@@ -182,16 +182,17 @@ class ReverseLoop(NamedTuple):
         self, leaves: list, written: list, first: Int[Array, ""], last: Int[Array, ""]
     ) -> list:
         """Return tapes with all turns from the first to the last; make them unless known."""
+        until = jnp.where(self.complete, 0, last)
 
         def make(now):
             i, leaves, written = now
             decided = self.decide(leaves)
-            # Earlier turns, and lanes that wait for others, have a row that is not read.
-            row = jnp.where(self.complete, ROWS, jnp.clip(i - first, 0, ROWS))
+            # Lanes that wait for others have a row that is not read. The turns before the first
+            # write its row, and it is the last of these.
+            row = jnp.where(i < until, jnp.maximum(i - first, 0), ROWS)
             written = self.tapes.write(written, row, [*leaves, *decided])
             return i + 1, self.turn(leaves, decided), written
 
-        until = jnp.where(self.complete, 0, last)
         begun = jnp.zeros_like(last), leaves, written
         return lax.while_loop(lambda now: now[0] < until, make, begun)[2]
 
