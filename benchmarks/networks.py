@@ -19,10 +19,11 @@ walker_jax's, by the same walks, relative to the largest derivative. Last comes 
 networks of 2 x 16, all at once and one after the other.
 
 On a machine of two cores, which many others used too, walker_jax made 2.1 times the strides of
-diffrax or more, and 2.8 times the gradients or more; a gradient costs 3.4 to 5.7 strides. From 256
-starts 0.004 from the gait diffrax missed heel strikes within three strides, and its gradient was
-off by 40. A population of 256 networks made 38,748 strides a second, in a later run on a busier
-machine, and networks one after the other 37,527.
+diffrax or more, and 2.8 times the gradients or more; a gradient cost 3.4 to 5.7 strides, and later
+4.2 at 2 x 16 to 5.2 at 2 x 64, by the shortest of 40 repetitions of 32 walks. From 256 starts 0.004
+from the gait diffrax missed heel strikes within three strides, and its gradient was off by 40. A
+population of 256 networks made 38,748 strides a second, in a later run on a busier machine, and
+networks one after the other 37,527.
 
                                              walker_jax                               diffrax
     1 x 8   within   1.9 s  189122/s    9.2 s  47406/s |   3.9 s   30452/s   16.0 s   4583/s | 4e-09

@@ -120,3 +120,14 @@ def test_sums_of_loops(bits, monkeypatch):
     found, expected = of_both(function, POINTS, turns)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+
+
+def test_a_product_alone_is_one_as_before():
+    """So a kernel finds that it knows an equal one; several, which are added, are one sum."""
+    weights, x = jnp.asarray(W), jnp.asarray(BIAS)
+    names = lambda function: [
+        equation.primitive.name
+        for equation in with_gathered_sums(jax.make_jaxpr(function)(x)).jaxpr.eqns
+    ]
+    assert names(lambda x: (weights @ x) * x) == ["dot_general", "mul"]
+    assert names(lambda x: (weights @ x) * x + x * 2) == ["dot_general", "sum_of_products"]

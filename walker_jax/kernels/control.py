@@ -94,8 +94,7 @@ def emit_loop(
     sums: list[RunningSum] = []
     if emitter.store is not None and condition.out_avals[0].ndim == 0:
         body, sums = take_out_sums(body, len(of_body))
-    known, lanes = len(emitter.known), emitter.active
-    used = emitter.used_memory()
+    known, lanes, begun = len(emitter.known), emitter.active, emitter.lifetimes.begin_loop()
     values = with_tapes(phis)
     (flags,) = emitter.interpret(condition, [*of_condition, *values])
     flags = [emitter.vector(flag, bool) for flag in np.ravel(emitter.in_registers(flags))]
@@ -122,7 +121,8 @@ def emit_loop(
     builder.branch(head)
     builder.position_at_end(done)
     emitter.active = lanes
-    forget_terms(emitter, known, used)
+    forget_terms(emitter, known)
+    emitter.lifetimes.end_loop(begun)
     return with_tapes(phis)
 
 
@@ -134,12 +134,8 @@ def any_lane(emitter, flags) -> Any:
 
 
 @no_type_check
-def forget_terms(emitter, known: int, used: int) -> None:
-    """Forget the terms that a block computed: after it they are undefined if it was skipped.
-
-    The memory of its arrays is free again, down to what was used before.
-    """
-    emitter.reuse_memory(used)
+def forget_terms(emitter, known: int) -> None:
+    """Forget the terms that a block computed: after it they are undefined if it was skipped."""
     while len(emitter.known) > known:
         emitter.known.popitem()
 
@@ -239,7 +235,7 @@ def merge_lanes(
     buffers = emitter.new_buffers(avals)
     for i, (mine, function) in enumerate(zip(flags, functions, strict=True)):
         at_work = mine if lanes is None else builder.and_(mine, lanes)
-        jump, known, used = jumps is None or jumps[i], len(emitter.known), emitter.used_memory()
+        jump, known = jumps is None or jumps[i], len(emitter.known)
         first = chosen is None
         if jump and first:
             emitter.fill(buffers, [np.zeros((), object)] * len(buffers))
@@ -270,6 +266,6 @@ def merge_lanes(
                 phi.add_incoming(emitter.vector(one, dtype), after)
                 phi.add_incoming(emitter.vector(other, dtype), before)
             new = phis
-            forget_terms(emitter, known, used)
+            forget_terms(emitter, known)
         emitter.active, chosen = lanes, new
     return emitter.unflatten(chosen, avals, buffers)

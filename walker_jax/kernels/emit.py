@@ -21,6 +21,7 @@ from walker_jax.kernels.jaxprs import (
     UnsupportedPrimitive,
     shape_dtype,
 )
+from walker_jax.kernels.lifetimes import Lifetimes
 from walker_jax.kernels.memory import ADDRESS, LONG, Memory
 from walker_jax.kernels.rules import (
     REDUCTIONS,
@@ -59,6 +60,7 @@ class LLVMEmitter(Unrolling):
         """Functions that primitives call, by primitive, parameters and types of operands."""
         self.alternatives: dict[int, tuple] = {}
         """By identity of an entry that is one of two numbers: the entry, its flag, the numbers."""
+        self.lifetimes = Lifetimes()
         self.store: Any = None
         """The `Store` of long arrays; None if all arrays are of entries in registers."""
 
@@ -270,13 +272,6 @@ class LLVMEmitter(Unrolling):
 
     def in_registers(self, array) -> np.ndarray:
         return array if self.store is None else self.store.entries(array)
-
-    def used_memory(self) -> int:
-        return 0 if self.store is None else self.store.used
-
-    def reuse_memory(self, used: int) -> None:
-        if self.store is not None:
-            self.store.used = used
 
     def inline(self, function: Callable, *vectors: Any, dtype) -> Any:
         """Emit the instructions of a function of JAX scalars."""

@@ -52,7 +52,9 @@ class Sum:
                 products += operands
             else:
                 total = operands[0] if total is None else lax.add(total, operands[0])
-        if products:
+        if len(products) == 2 and total is None:
+            total = lax.mul(*products)  # as it was, so that a kernel knows an equal one
+        elif products:
             total = sum_of_products_p.bind(*products, *([] if total is None else [total]))
         for equation, pairs in outer.values():
             found = add_outer_products(equation, pairs)

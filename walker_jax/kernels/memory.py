@@ -73,7 +73,7 @@ class Memory:
         if size >= SHARED:
             flag = builder.icmp_signed("==", stride, LONG(0))
             base = builder.bitcast(array, ADDRESS)
-            twin = store.array(base, 0, shape, dtype, True)
+            twin = store.array(base, shape, dtype, True)
             twin.places = twin.whole = found.whole  # views of both have the same places
             found.shared = flag, twin
 

@@ -226,7 +226,7 @@ class Program:
             some = lambda flags: jnp.any(jnp.stack([*map(jnp.any, flags)]))
             used = some(ct != 0 for ct in cotangents)
             lost = some((ct != 0) & jnp.isnan(x) for ct, x in zip(cotangents, results, strict=True))
-            known = lambda ct: jnp.where(used, jnp.where(lost, jnp.nan, ct), 0)
+            known = lambda ct: jnp.where(used & ~lost, ct, jnp.where(lost, jnp.nan, 0))
             found = dict(zip(real, transposed(cotangents), strict=True))
             return [known(found[i]) for i in by]
 

@@ -162,37 +162,38 @@ class ReverseLoop(NamedTuple):
         cts = [ct for ct, one in zip(cts, real, strict=True) if one]
         used = jnp.any(jnp.stack([jnp.any(ct != 0) for ct in cts]))
         zeros = [jnp.zeros_like(x) for x in self.consts if is_real(x)]
-        begun = jnp.where(used, turns, 0), cts, zeros
+        turns = jnp.where(used, turns, 0)
 
-        def part(now):
-            """Transpose the last turns that remain, as many as a tape holds."""
-            remaining, *cts = now
-            first = (remaining - 1) // ROWS * ROWS
-            written = self.record(leaves, first, remaining)
+        def back(now):
+            """Transpose the last turn that remains; write its tape first, if that is another."""
+            remaining, written, *cts = now
+            last = remaining - 1
+            first = last // ROWS * ROWS
+            begins = (remaining == turns) | (last - first == ROWS - 1)
+            written = self.record(leaves, written, first, jnp.where(begins, remaining, 0))
+            row = self.tapes.read(written, last - first)
+            return last, written, *self.pull_turn(row, real, *cts)
 
-            def back(now):
-                i, *cts = now
-                return i - 1, *self.pull_turn(self.tapes.read(written, i - 1 - first), real, *cts)
-
-            _, *cts = lax.while_loop(lambda now: now[0] > first, back, (remaining, *cts))
-            return first, *cts
-
-        _, cts, of_consts = lax.while_loop(lambda now: now[0] > 0, part, begun)
+        begun = turns, self.written, cts, zeros
+        _, _, cts, of_consts = lax.while_loop(lambda now: now[0] > 0, back, begun)
         return cts, of_consts
 
-    def record(self, leaves: list, first: Int[Array, ""], last: Int[Array, ""]) -> list:
+    def record(
+        self, leaves: list, written: list, first: Int[Array, ""], last: Int[Array, ""]
+    ) -> list:
         """Return tapes with all turns from the first to the last; make them unless known."""
+        until = jnp.where(self.complete, 0, last)
 
         def make(now):
             i, leaves, written = now
             decided = self.decide(leaves)
-            # Earlier turns, and lanes that wait for others, have a row that is not read.
-            row = jnp.where(self.complete, ROWS, jnp.clip(i - first, 0, ROWS))
+            # Lanes that wait for others have a row that is not read. The turns before the first
+            # write its row, and it is the last of these.
+            row = jnp.where(i < until, jnp.maximum(i - first, 0), ROWS)
             written = self.tapes.write(written, row, [*leaves, *decided])
             return i + 1, self.turn(leaves, decided), written
 
-        until = jnp.where(self.complete, 0, last)
-        begun = jnp.zeros_like(last), leaves, self.written
+        begun = jnp.zeros_like(last), leaves, written
         return lax.while_loop(lambda now: now[0] < until, make, begun)[2]
 
     def pull_turn(self, row: list, real: list[bool], cts: list, of_consts: list):
@@ -233,7 +234,8 @@ class Tapes:
 
         A tape of derivatives begins as a tape too, if rows depend on all that turns depend on.
         """
-        nothing: Any = sum(0 * jnp.sum(x) for x in values if is_real(x))
+        first = lambda x: lax.slice(jnp.ravel(x), (0,), (1,))[0]
+        nothing: Any = sum(0 * first(x) for x in values if is_real(x) and jnp.size(x))
         like = [jnp.zeros(x.shape, x.dtype) for x in self.row]
         like = [x + jnp.asarray(nothing, x.dtype) if is_real(x) else x for x in like]
         return [new_tape(one, ROWS + 1) for one in self.joined(like)]

@@ -9,6 +9,7 @@ from llvmlite import ir
 
 from walker_jax.kernels.indexing import put_in_memory
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive
+from walker_jax.kernels.lifetimes import ALIGNMENT, Distance
 from walker_jax.kernels.memory import ADDRESS, entry_type
 from walker_jax.kernels.memory import LONG as INTEGER
 from walker_jax.kernels.shortcuts import is_known
@@ -18,7 +19,6 @@ MAX_BYTES = 2**25
 """Most bytes of the arrays in memory; beyond the processor's cache, XLA is faster."""
 MAX_UNROLLED = 256
 """Most entries of a stored array that is read number by number, where no rule loops over it."""
-ALIGNMENT = 64
 
 
 @no_type_check  # as the emitter
@@ -31,7 +31,7 @@ class Store:
         """The pointer to the memory."""
         self.size: Any = None
         """Its size, a number in the program that is known when the program is complete."""
-        self.used, self.most, self.arrays = 0, 0, 0
+        self.lifetimes, self.arrays = emitter.lifetimes, 0
         self.tables: dict[tuple, Stored] = {}
         self.functions: dict[tuple, ir.Function] = {}
         """Functions of the program, by what they do."""
@@ -56,23 +56,22 @@ class Store:
     def close(self) -> None:
         """Give the memory back, where the program ends."""
         builder = self.emitter.builder
-        self.size.initializer = INTEGER(self.most + ALIGNMENT)
+        size = self.lifetimes.place()
+        if size > MAX_BYTES:
+            raise UnsupportedPrimitive(f"arrays of more than {MAX_BYTES} bytes")
+        self.size.initializer = INTEGER(size + ALIGNMENT)
         give = ir.Function(builder.module, ir.FunctionType(ir.VoidType(), [ADDRESS]), "free")
         builder.call(give, [self.given])
 
     def allocate(self, shape: Sequence[int], dtype) -> Stored:
         """Return a new array without values."""
-        dtype = np.dtype(dtype)
-        found = self.array(self.block, self.used, shape, dtype, False)
-        self.used += -(-found.size * found.bytes // ALIGNMENT) * ALIGNMENT
-        self.most = max(self.most, self.used)
-        if self.used > MAX_BYTES:
-            raise UnsupportedPrimitive(f"arrays of more than {MAX_BYTES} bytes")
+        found = self.array(self.block, shape, np.dtype(dtype), False)
+        found.span = self.lifetimes.begin(found.size * found.bytes)
         return found
 
-    def array(self, base, first: int, shape: Sequence[int], dtype, for_all: bool) -> Stored:
+    def array(self, base, shape: Sequence[int], dtype, for_all: bool) -> Stored:
         self.arrays += 1
-        found = Stored(base, first, np.empty(shape, np.int8), dtype, self.arrays)
+        found = Stored(base, np.empty(shape, np.int8), dtype, self.arrays)
         size = 1 if dtype.kind == "b" else dtype.itemsize
         found.bytes, found.for_all = size * (1 if for_all else self.emitter.lanes), for_all
         return found
@@ -84,23 +83,26 @@ class Store:
             if values.nbytes > MAX_BYTES:
                 raise UnsupportedPrimitive(f"arrays of more than {MAX_BYTES} bytes")
             base = put_in_memory(self.emitter, values.ravel()).bitcast(ADDRESS)
-            self.tables[key] = self.array(base, 0, values.shape, values.dtype, True)
+            self.tables[key] = self.array(base, values.shape, values.dtype, True)
         return self.tables[key]
 
     # Entries.
 
     def pointer(self, array: Stored, offset: Any = None) -> Any:
         """Return the pointer to an entry, so many bytes after the first one."""
-        place = array.base if offset is None else self.emitter.builder.gep(array.base, [offset])
-        return self.move(place, array.start)
+        builder, place = self.emitter.builder, array.base
+        place = place if offset is None else builder.gep(place, [offset])
+        if array.span is None:
+            return self.move(place, array.start)
+        self.lifetimes.use(array.span)
+        return builder.gep(place, [Distance(array.span, array.start)])
 
     def move(self, place: Any, step: int) -> Any:
         return self.emitter.builder.gep(place, [INTEGER(step)]) if step else place
 
     def load(self, array: Stored, offset: Any = None) -> Any:
         """Return an entry as a vector, so many bytes after the first one."""
-        base = array.base if offset is None else self.emitter.builder.gep(array.base, [offset])
-        return self.load_from(base, array.start, array.dtype, array.for_all)
+        return self.load_from(self.pointer(array, offset), 0, array.dtype, array.for_all)
 
     def load_from(self, base: Any, step: int, dtype, for_all: bool) -> Any:
         emitter, builder = self.emitter, self.emitter.builder
@@ -120,8 +122,7 @@ class Store:
 
     def store(self, array: Stored, offset: Any, vector: Any) -> None:
         """Write an entry, so many bytes after the first one."""
-        base = array.base if offset is None else self.emitter.builder.gep(array.base, [offset])
-        self.store_to(base, array.start, array.dtype, vector)
+        self.store_to(self.pointer(array, offset), 0, array.dtype, vector)
 
     def store_to(self, base: Any, step: int, dtype, vector: Any) -> None:
         emitter, builder = self.emitter, self.emitter.builder
@@ -313,15 +314,6 @@ class Store:
             for i, flag in enumerate(flags):
                 part = source.view(source.places.reshape(parts.shape)[i, ...])
                 self.copy(target.view(parts[i, ...]), part, flag)
-
-    # Scopes.
-
-    @contextmanager
-    def scope(self) -> Iterator[None]:
-        """Give back, after what is emitted within, the memory of arrays that it has made."""
-        used = self.used
-        yield
-        self.used = used
 
 
 def merged_axes(

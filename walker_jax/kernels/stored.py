@@ -14,6 +14,7 @@ import numpy as np
 from jax.extend.core import Jaxpr
 
 from walker_jax.kernels.jaxprs import equations_in
+from walker_jax.kernels.lifetimes import Span
 
 LONG = 16
 """Fewest entries along an axis of a long array. Products of shorter vectors, as of the coordinates
@@ -52,11 +53,12 @@ class Stored:
     only move entries act on it.
     """
 
-    __slots__ = "base", "bytes", "dtype", "first", "for_all", "number", "places", "shared", "whole"
+    __slots__ = "base", "bytes", "dtype", "for_all", "number", "places", "shared", "span", "whole"
 
-    def __init__(self, base: Any, first: int, places: np.ndarray, dtype: np.dtype, number: int):
-        self.base, self.first = base, first
-        """The pointer to a block of memory, and the byte in it where the whole array begins."""
+    def __init__(self, base: Any, places: np.ndarray, dtype: np.dtype, number: int):
+        self.base = base
+        """The pointer to the whole array, or to the memory of all arrays that have a span."""
+        self.span: Span | None = None
         self.places, self.whole = places, places
         self.dtype, self.number = dtype, number
         """The number tells arrays apart."""
@@ -85,9 +87,8 @@ class Stored:
 
     @property
     def start(self) -> int:
-        """The byte where these entries begin."""
-        ahead = self.places.__array_interface__["data"][0] - address_of(self.whole)
-        return self.first + ahead * self.bytes
+        """The byte of the whole array where these entries begin."""
+        return (address_of(self.places) - address_of(self.whole)) * self.bytes
 
     @property
     def steps(self) -> tuple[int, ...]:
@@ -101,7 +102,7 @@ class Stored:
     def view(self, places: np.ndarray) -> "Stored":
         """Return the entries in these places, of a view of its own."""
         found = object.__new__(Stored)
-        for name in ("base", "first", "whole", "dtype", "number", "bytes", "for_all"):
+        for name in ("base", "span", "whole", "dtype", "number", "bytes", "for_all"):
             setattr(found, name, getattr(self, name))
         found.places, found.shared = places, None
         if self.shared is not None:

@@ -26,11 +26,13 @@ def elementwise(emitter, equation, operands: list) -> list:
     primitive, params = equation.primitive, equation.params
     dtypes = [variable.aval.dtype for variable in equation.invars]
     like, name = equation.outvars[0].aval, primitive.name
-    operands = [spread(emitter, x, d, like.shape) for x, d in zip(operands, dtypes, strict=True)]
     same = name in ("copy", "copy_p", "stop_gradient")
     if name == "convert_element_type":
         same = np.dtype(dtypes[0]) == np.dtype(params["new_dtype"])
-    shorter = operands[0] if same else SHORTCUTS.get(name, lambda *_: None)(*operands)
+    if same:
+        return operands
+    operands = [spread(emitter, x, d, like.shape) for x, d in zip(operands, dtypes, strict=True)]
+    shorter = SHORTCUTS.get(name, lambda *_: None)(*operands)
     if shorter is not None:
         return [whole(shorter, like.shape)]
     vectorised = VECTORISED.get((name, str(dtypes[0])))
