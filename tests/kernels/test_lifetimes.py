@@ -1,6 +1,7 @@
 """Arrays of a program in memory: those that are needed at the same time lie apart."""
 
 import itertools
+from typing import Any
 import re
 
 import jax
@@ -31,7 +32,8 @@ def test_arrays_needed_together_lie_apart(seed):
         for i in rng.integers(0, len(lifetimes.spans), 2):
             if rng.random() < 0.3:
                 lifetimes.use(lifetimes.spans[i])
-    size, spans = lifetimes.place(), lifetimes.spans
+    size = lifetimes.place()
+    spans: Any = lifetimes.spans
     ends = [one.first + one.size for one in spans]
     assert max(ends) == size < sum(one.size for one in spans)
     assert all(one.first % ALIGNMENT == 0 for one in spans)
