@@ -1,8 +1,8 @@
 """Arrays of a program in memory: those that are needed at the same time lie apart."""
 
 import itertools
-from typing import Any
 import re
+from typing import Any
 
 import jax
 import jax.numpy as jnp
