@@ -92,6 +92,23 @@ def test_a_descent_begins_where_a_rough_test_is_a_little_off():
     np.testing.assert_allclose(found, 0.251 * np.eye(5)[0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("missed", [False, True])
+def test_what_fails_by_a_rough_test_alone_is_no_failure(missed):
+    """Not even if that finds nothing else."""
+    centre, phantom = np.eye(5)[0], -0.2 * np.eye(5)[0]
+    gap = lambda y: np.linalg.norm(y - centre, axis=1) - 0.7
+    found = nearest_failure(
+        lambda y: gap(y) < 0,
+        np.eye(5),
+        lambda y: centre - y,
+        count=16,
+        roughly_fails=lambda y: (
+            ((gap(y) < 0) & (not missed)) | (np.linalg.norm(y - phantom, axis=1) < 0.05)
+        ),
+    )
+    np.testing.assert_allclose(found, 0.3 * np.eye(5)[0], rtol=0, atol=1e-9)
+
+
 def test_normals_are_found_though_none_is_known_at_the_boundary():
     """As rounding decides there how a walk ends."""
     normal = np.full(5, 1 / np.sqrt(5))

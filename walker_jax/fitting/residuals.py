@@ -170,7 +170,7 @@ def compress(found: Predicted) -> Predicted:
     """Turn residuals by a rotation after which only the first few, and their slopes, are not zero.
 
     Sums of squares, and their derivatives, are the same: a step counts for no more rows than it has
-    variables, and one, which has no slopes.
+    variables, and one more, which has no slopes.
     """
     both = jnp.concatenate([found.jacobian, found.values[:, None]], axis=1)
     triangle = jnp.linalg.qr(both, mode="r")
@@ -182,7 +182,7 @@ def residuals(
 ) -> tuple[Float[Array, " residuals"], Motion]:
     """Return residuals whose sum of squares is to be least, and the steps that they are of.
 
-    Those of samples are compressed; what no variable changes at first order is one for all steps.
+    Those of samples are compressed; the parts that no variable changes at first order are one.
     """
     motion = follow_steps(layout, unknowns, data)
     size = unknowns.starts.shape[1]
@@ -197,7 +197,7 @@ def residuals(
     steps = data.systems, *data.steps[:3], data.weights  # times, values, known
     samples = linearised(of_samples, variables, steps, (data.noise, data.integrator))
     samples, rest = jnp.split(samples, (variables.shape[1],), axis=1)
-    rest = lax.stop_gradient(jnp.linalg.norm(rest))
+    rest = jnp.linalg.norm(lax.stop_gradient(rest))
     others = strike_residuals(layout, motion, data, len(unknowns.begins)), prior(motion, data)
     return jnp.concatenate([samples.reshape(-1), rest[None], *others]), motion
 

@@ -1,14 +1,15 @@
-"""Functions that are traced before they are called, as derivatives or short programs need."""
+"""Functions that are traced before they are called: their captured values, and their constants."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
+import numpy as np
 from jax.core import Tracer
 
-from walker_jax.kernels.entries import bind_primitive
-from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, enter
+from walker_jax.kernels.entries import EXACT, bind_primitive
+from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, enter, shape_dtype
 
 
 def convert_closure(function: Callable, *args) -> Callable:
@@ -25,14 +26,14 @@ def convert_closure(function: Callable, *args) -> Callable:
 
 
 def compute_known_now(function: Callable, *args) -> Any:
-    """Call a function; what follows from its constants alone is computed while it is traced."""
+    """Call a function; what follows from known numbers alone is computed while it is traced."""
     closed, result = jax.make_jaxpr(function, return_shape=True)(*args)
     found = KnownNow().interpret(closed, jax.tree.leaves(args))
     return jax.tree.unflatten(jax.tree.structure(result), found)
 
 
 class KnownNow(Interpreter):
-    """Computes what follows from constants, and traces all else."""
+    """Computes what follows from known numbers, and traces all else."""
 
     rules: ClassVar = {**CALLS}
 
@@ -40,7 +41,15 @@ class KnownNow(Interpreter):
         return value
 
     def default_rule(self, equation, operands):
-        traced = any(isinstance(one, Tracer) for one in operands)
-        if not traced and equation.primitive.name in CALLS_WITH_DERIVATIVES:
+        primitive, params = equation.primitive, equation.params
+        if any(isinstance(one, Tracer) for one in operands):
+            return bind_primitive(primitive, params, operands, now=False)
+        if primitive.name in CALLS_WITH_DERIVATIVES:
             return enter(self, equation, operands)
-        return bind_primitive(equation.primitive, equation.params, operands, now=not traced)
+        if primitive.name == "select_n" and np.ndim(operands[0]) == 0:
+            return [operands[1 + int(operands[0])]]
+        if primitive.name in EXACT:
+            dtypes = [shape_dtype(variable.aval).dtype for variable in equation.invars]
+            with np.errstate(all="ignore"):
+                return [EXACT[primitive.name](*map(np.asarray, operands, dtypes))]
+        return bind_primitive(primitive, params, operands, now=True)

@@ -56,8 +56,9 @@ class LLVMEmitter(Unrolling):
         """Vectors by known entry and type; LLVM's library makes the text of each only once."""
         self.tables: dict[tuple[int, int], tuple] = {}
         """By identity of an array and axis: the array, and its tables in memory, if it is known."""
-        self.functions: dict[tuple, ClosedJaxpr] = {}
-        """Functions that primitives call, by primitive, parameters and types of operands."""
+        self.functions: dict[Any, tuple] = {}
+        """By primitive, parameters and types of operands, or by the identity of an equation: the
+        function that a primitive calls, and the equation."""
         self.alternatives: dict[int, tuple] = {}
         """By identity of an entry that is one of two numbers: the entry, its flag, the numbers."""
         self.lifetimes = Lifetimes()
@@ -220,10 +221,14 @@ class LLVMEmitter(Unrolling):
         else:
             return None
         like = [shape_dtype(variable.aval) for variable in equation.invars]
-        key = primitive, *params.items(), *like
+        key: Any = primitive, *params.items(), *like
+        try:
+            hash(key)
+        except TypeError:  # of an array among the parameters
+            key = id(equation)
         if key not in self.functions:
-            self.functions[key] = jax.make_jaxpr(function)(*like)
-        return self.functions[key]
+            self.functions[key] = jax.make_jaxpr(function)(*like), equation
+        return self.functions[key][0]
 
     def reduce(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         if operands[0].size == 0:

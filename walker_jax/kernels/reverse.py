@@ -181,14 +181,17 @@ class ReverseLoop(NamedTuple):
     def record(
         self, leaves: list, written: list, first: Int[Array, ""], last: Int[Array, ""]
     ) -> list:
-        """Return tapes with all turns from the first to the last; make them unless known."""
+        """Return tapes with all turns from the first to the last; make them unless known.
+
+        A `last` of 0 asks for none.
+        """
         until = jnp.where(self.complete, 0, last)
 
         def make(now):
             i, leaves, written = now
             decided = self.decide(leaves)
-            # Lanes that wait for others have a row that is not read. The turns before the first
-            # write its row, and it is the last of these.
+            # Lanes that wait for others have a row that is not read. Turns before the first write
+            # row 0 too, which the first then overwrites.
             row = jnp.where(i < until, jnp.maximum(i - first, 0), ROWS)
             written = self.tapes.write(written, row, [*leaves, *decided])
             return i + 1, self.turn(leaves, decided), written

@@ -66,6 +66,8 @@ class Store:
     def allocate(self, shape: Sequence[int], dtype) -> Stored:
         """Return a new array without values."""
         found = self.array(self.block, shape, np.dtype(dtype), False)
+        if found.size * found.bytes > MAX_BYTES:
+            raise UnsupportedPrimitive(f"arrays of more than {MAX_BYTES} bytes")
         found.span = self.lifetimes.begin(found.size * found.bytes)
         return found
 

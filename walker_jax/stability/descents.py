@@ -45,6 +45,7 @@ NEARER = np.array([*np.arange(1, 16) / 16, 0.999, 0.99925, 0.9995, 0.99975, 1.0]
 """Shares of the present length that a step tries on each ray: there may be nearer failures, and a
 thin one is met best where it is widest, at its end."""
 GAPS = np.diff(NEARER, prepend=0.0)
+"""How far each of them is beyond the one before."""
 JUST_BEYOND = 1 + 1e-10
 """Multiple of the length at which normals are computed. On the boundary itself, rounding would
 decide how a walk ends."""
@@ -66,13 +67,17 @@ def nearest_failure(
 
     The origin must not fail. `gradient`, at failing points just beyond the boundary, is normal to
     it, or NaN. Rays are chosen by `count` directions in a plane, and by `roughly_fails`, if given,
-    which may be faster than `fails`. Raises `ComputationFailed` where nothing fails.
+    which may be faster than `fails`; where it is wrong, `fails` decides. Raises
+    `ComputationFailed` where nothing fails.
     """
     find = nearest_rays if len(basis) <= LARGEST_SPAN else random_rays
     rays, rough = find(roughly_fails or fails, basis, count)
     rays, rough = rays[:DESCENTS], rough[:DESCENTS]
     lengths = shorten(fails, rays[:, None] @ basis, 1.01 * rough)[:, 0]
-    lengths = np.where(np.isfinite(lengths), lengths, rough)
+    there = fails(rough[:, None] * rays @ basis)  # thin failures lie between the lengths tried
+    lengths = np.where(np.isinf(lengths) & there, rough, lengths)
+    if np.isinf(lengths).all():
+        return nearest_failure(fails, basis, gradient, count)
     rays, lengths = descend(fails, basis, gradient, rays, lengths, SETTLED)
     return first_on_ray(fails, rays[0] @ basis, lengths[0])
 
@@ -156,7 +161,7 @@ def turn(
 def shorten(
     fails: Fails, rays: Float[np.ndarray, "n m size"], lengths: Lengths, halvings: int = FINE
 ) -> Float[np.ndarray, "n m"]:
-    """Find the first failure on each of m rays up to one length; infinite where there is none.
+    """Find the first of `NEARER` shares of a length that fails on each of m rays; else infinity.
 
     Only the shortest of the m is exact.
     """

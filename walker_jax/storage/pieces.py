@@ -56,7 +56,7 @@ def resumable(
             raise
         raise NotWritten(failure.args[0], how, of="overwrite") from failure.__cause__
     except BaseException as interruption:
-        if begun() and not isinstance(interruption, Exception):
+        if not isinstance(interruption, Exception) and begun():
             interruption.add_note(how)
         raise
 
