@@ -9,9 +9,9 @@ The answer: of 400 intervals for the slope of the simplest walker, 94.2 % hold t
 slope and the foot mass of the walker with point feet 95.8 % and 96.0 %; for the slope and the shank
 mass of the walker with knees 95.0 % and 95.0 %. A fit takes 0.04 s, 0.11 s and 0.4 s of a
 processor, and the longest 0.3 s, 0.4 s and 2.4 s by the clock, on two that eight programs shared.
-SciPy takes 64 to 75 times as long for 120 steps, 17 to 21 s beside 0.25 to 0.29 s in three runs on a
-quiet machine, both with OPENBLAS_NUM_THREADS=1; 49 to 59 times with two threads of BLAS, which wait
-for each other. With two, an earlier version had 36 times for 60 steps, and 126 times for 240.
+SciPy takes 64 to 75 times as long for 120 steps, 17 to 21 s beside 0.25 to 0.29 s in three runs on
+a quiet machine, both with OPENBLAS_NUM_THREADS=1; 49 to 59 times with two threads of BLAS, which
+wait for each other. With two, an earlier version had 36 times for 60 steps, 126 times for 240.
 
 Usage: python benchmarks/fits.py [simplest compass kneed scipy ...] [fits]
 """
