@@ -153,7 +153,7 @@ def refuses_tracers(
 
 
 COUNTS = {"strides": 1, "samples": 1, "directions": 1, "seed": 0}
-"""Arguments that are whole numbers in all functions outside of JAX, and the least of each."""
+"""Arguments that are whole numbers in all functions that refuse tracers, and the least of each."""
 
 
 def check_by_name(name: str, value: Any) -> None:

@@ -75,12 +75,9 @@ def pickled_state(value: Any) -> tuple | str:
 
 def name_of_compiled(value: Any) -> str | None:
     """Return the name of a compiled function or method; None for any other object."""
-    compiled = callable(value) or hasattr(value, "__objclass__")
-    return (
-        getattr(value, "__qualname__", None)
-        if compiled and not hasattr(value, "__dict__")
-        else None
-    )
+    if hasattr(value, "__dict__") or not (callable(value) or hasattr(value, "__objclass__")):
+        return None
+    return getattr(value, "__qualname__", None)
 
 
 def has_no_state(state: tuple) -> bool:

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from walker_jax.kernels.entries import EXACT, bind_primitive
+from walker_jax.kernels.entries import EXACT, bind_primitive, compute_exactly
 from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, enter, shape_dtype
 
 
@@ -50,6 +50,5 @@ class KnownNow(Interpreter):
             return [operands[1 + int(operands[0])]]
         if primitive.name in EXACT:
             dtypes = [shape_dtype(variable.aval).dtype for variable in equation.invars]
-            with np.errstate(all="ignore"):
-                return [EXACT[primitive.name](*map(np.asarray, operands, dtypes))]
+            return [compute_exactly(primitive.name, operands, dtypes)]
         return bind_primitive(primitive, params, operands, now=True)

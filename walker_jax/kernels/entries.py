@@ -129,8 +129,7 @@ class Unrolling(Interpreter):
         """Apply a primitive to scalars; the result is a number if all operands are."""
         now = all(map(is_known, operands))
         if now and primitive.name in EXACT:
-            with np.errstate(all="ignore"):
-                return EXACT[primitive.name](*map(np.asarray, operands, dtypes)).item()
+            return compute_exactly(primitive.name, operands, dtypes).item()
         if now and primitive.name == "convert_element_type":
             known, to = np.asarray(*operands, *dtypes), np.dtype(params["new_dtype"])
             if known.dtype.kind in "biu" or to.kind == "f":
@@ -267,6 +266,12 @@ EXACT = {
     "sub": np.subtract,
 }
 """NumPy functions with the same results on known numbers; XLA would compile a program for each."""
+
+
+def compute_exactly(name: str, operands, dtypes) -> np.ndarray:
+    """Apply a primitive of `EXACT` to known numbers of these types."""
+    with np.errstate(all="ignore"):
+        return EXACT[name](*map(np.asarray, operands, dtypes))
 
 
 def broadcast_entries(operands, params, shape):
