@@ -240,7 +240,7 @@ class Grid(eqx.Module):
 
     def centres(self, indices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
         """Return the centres of many cells; on the host only."""
-        dtype = jnp.asarray(0.0).dtype  # on the host, to compile nothing for so little work
+        dtype = jnp.result_type(float)  # on the host, to compile nothing for so little work
         fields = (self.lower, self.spacing, self.shear, self.origin)
         lower, spacing, shear, origin = (np.asarray(part, dtype) for part in fields)
         places = np.unravel_index(indices, self.counts)

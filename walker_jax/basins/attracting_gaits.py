@@ -39,7 +39,7 @@ def gait_of_basins(walker: System, data: xr.Dataset, tolerance: float | None) ->
 
 def gait_of_grid(walker: System, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
     """Find the gait to which most of a sample of a grid's cells converge; None if none do."""
-    integrator = integrator_of(jnp.asarray(0.0).dtype, tolerance)
+    integrator = integrator_of(jnp.result_type(float), tolerance)
     largest = None
     for count in STARTS:
         starts = grid.centres(sample_indices(grid.size, count))

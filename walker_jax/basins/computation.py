@@ -127,7 +127,7 @@ def basin(
     strides = int(strides)
     each = (BYTES_PER_CELL if out is None else BYTES_STORED)[method]
     check_grid(walker, grid, method, each, kind="basin")
-    dtype = jnp.asarray(0.0).dtype
+    dtype = jnp.result_type(float)
     check_precision(dtype)
     warn_if_rounded(walker)
     integrator = integrator_of(dtype, tolerance, solver)

@@ -106,7 +106,7 @@ def edge_state(
     """
     check_kind("walker", walker, System)
     check_single(walker)
-    check_precision(jnp.asarray(0.0).dtype, "edge_state, which brings starts 1e-13 together,")
+    check_precision(jnp.result_type(float), "edge_state, which brings starts 1e-13 together,")
     check_whole("rounds", rounds)
     ends = [check_state(walker, "a", a), check_state(walker, "b", b)]
     for name, end in zip("ab", ends, strict=True):

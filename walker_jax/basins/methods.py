@@ -126,7 +126,7 @@ class DirectIteration(Method):
 
     def arrays(self) -> dict[str, xr.Variable]:
         """Return the arrays that are stored until the end, besides those of the result."""
-        dtype = jnp.asarray(0.0).dtype
+        dtype = jnp.result_type(float)
         return {
             "ends": constant_array(self.grid, np.nan, dtype, None, "coordinate"),
             "reached": constant_array(self.grid, -1, np.int32),
@@ -147,7 +147,7 @@ class DirectIteration(Method):
 
     def mapper(self, notes: dict) -> Mapper:
         """Return the mapper to the stored cycles, for walkers that have come to the window."""
-        dtype = jnp.asarray(0.0).dtype
+        dtype = jnp.result_type(float)
         known = [Attractor(np.array(states, dtype)) for states in notes["cycles"]]
         strides = self.settings["strides"] - self.window[1]
         return Mapper(self.walker, known, self.integrator, strides)

@@ -198,7 +198,7 @@ def refine_cells(
 ) -> Refined:
     """Do the work of `refine`. Cells of the finest grid may have the fates of their centres."""
     check_refinement(walker, grid, {"levels": levels, "check": check, "seed": seed}, strides)
-    dtype = jnp.asarray(0.0).dtype
+    dtype = jnp.result_type(float)
     check_precision(dtype)
     warn_if_rounded(walker)
     integrator = integrator_of(dtype, tolerance)

@@ -138,7 +138,7 @@ def request_of(about: xr.Dataset, grid: Grid) -> dict:
         "axes": grid.box,
         "shear": grid.shear.tolist(),
         "origin": grid.origin.tolist(),
-        "dtype": str(jnp.asarray(0.0).dtype),
+        "dtype": str(jnp.result_type(float)),
     }
 
 

@@ -71,7 +71,7 @@ def find_attractors(
         raise WrongUse(
             f"starts must be points of the section {system.section}, not {short(starts)}"
         )
-    x = x.astype(jnp.asarray(0.0).dtype)
+    x = x.astype(jnp.result_type(float))
     check_precision(x.dtype)
     integrator = integrator_of(x.dtype, tolerance, solver)
     return list(survey(system, x, integrator, strides).mapper.attractors)

@@ -76,7 +76,7 @@ def checked_mapper(
 ) -> Mapper:
     """Check other arguments; return the mapper to a grid's attractors, with capture boxes."""
     check_single(walker)
-    dtype = jnp.asarray(0.0).dtype
+    dtype = jnp.result_type(float)
     check_precision(dtype, needed_by)
     starts = grid.centres(sample_indices(grid.size))
     return survey(walker, starts, integrator_of(dtype, tolerance), strides, boxes=True).mapper

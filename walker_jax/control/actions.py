@@ -29,7 +29,7 @@ class Actions(NamedTuple):
 
     def of(self, system: System, number: int) -> System:
         """Return the system during a stride by one of the actions."""
-        dtype = jnp.asarray(0.0).dtype
+        dtype = jnp.result_type(float)
         arrays = (np.asarray(value, dtype) for value in self.values[number])
         return with_values(system, zip(self.names, arrays, strict=True))
 

@@ -153,7 +153,7 @@ def longest_walk_actions(
 
 def integrator_for(data: xr.Dataset) -> Any:
     """Return the integrator with which a kernel was computed."""
-    return integrator_of(jnp.asarray(0.0).dtype, float(data.attrs["tolerance"]))
+    return integrator_of(jnp.result_type(float), float(data.attrs["tolerance"]))
 
 
 def interpolate_actions(

@@ -153,7 +153,7 @@ def viable(
     check_grid(walker, finest, "cell-map", BYTES_PER_REFINED_CELL)
     for name in {*grid.names} & {*choice.names}:
         raise WrongUse(f"grid must not have an axis called {name}, as an action is: rename it")
-    dtype = jnp.asarray(0.0).dtype
+    dtype = jnp.result_type(float)
     check_precision(dtype)
     task = Task(walker, choice, integrator_of(dtype, tolerance), grid, finest, bounds)
     if target is not None:

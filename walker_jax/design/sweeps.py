@@ -136,7 +136,7 @@ def sweep(
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found", of="grid")
     check_grid(walker, grid, "direct", kind="sweep")
-    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    tolerance = float(default_tolerance(jnp.result_type(float), tolerance))
     how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}
     how = {"method": "direct", **how, "seed": seed, "tolerance": tolerance}
     about = describe(walker, grid, how)
@@ -227,7 +227,7 @@ def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[st
         there = plan.walker
         for name, value in zip(plan.names, values, strict=True):
             check_parameter(there, name, value)
-            there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
+            there = with_parameter(there, name, jnp.asarray(value, jnp.result_type(float)))
         return measure_basin(there, plan)
     except Exception as error:  # one bad combination must not cost the others
         full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)

@@ -210,7 +210,7 @@ def check_interval(
 
 def float64_tolerance(tolerance: Real | None) -> Real:
     """Return the tolerance in float64; in float32, rounding errors would hide bifurcations."""
-    check_precision(jnp.asarray(0.0).dtype, "following gaits over a parameter")
+    check_precision(jnp.result_type(float), "following gaits over a parameter")
     return default_tolerance(jnp.float64, tolerance)
 
 

@@ -122,7 +122,7 @@ def lyapunov(
         raise WrongUse(f"x must be states on the section {system.section}, not of shape {x.shape}")
     if x.ndim == 1 and not np.isfinite(x).all():
         raise WrongUse(f"x must be finite, not {short(x.tolist())}", of="x")
-    check_precision(jnp.asarray(0.0).dtype, "a mean over many strides")
+    check_precision(jnp.result_type(float), "a mean over many strides")
     check_whole("walks", walks, 2)
     check_whole("settling", settling, 0)
     starts = np.asarray(x, float).reshape(-1, size)

@@ -40,7 +40,7 @@ def check_provable(walker: System) -> AbstractMasslessFootWalker:
             f"walker must have single numbers for parameters, not the array {next(iter(arrays))}",
             of="walker",
         )
-    check_precision(jax.numpy.asarray(0.0).dtype, "a proof")
+    check_precision(jax.numpy.result_type(float), "a proof")
     float64 = jax.tree.map(np.float64, walker)
     check_derivatives(float64)
     return float64

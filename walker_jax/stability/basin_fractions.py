@@ -135,7 +135,7 @@ def continue_basins(
         raise WrongUse("region is required where no gait of period one is found")
     check_grid(walker, region, "direct")
     shares = np.random.default_rng(seed).uniform(size=(samples, len(region.names)))
-    starts = region.points_at(shares).astype(jnp.asarray(0.0).dtype)
+    starts = region.points_at(shares).astype(jnp.result_type(float))
     family = Family(walker, parameter, (float(values[0]), float(values[-1])), tolerance)
     found = [
         family.attractors_at(value, starts, strides) for value in track(values, parameter, progress)

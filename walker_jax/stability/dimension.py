@@ -85,7 +85,7 @@ def boundary_dimension(
     """
     check_grid(walker, grid, "direct")
     apart = sort_distances(numbers("distances", distances), pairs)
-    dtype = jnp.asarray(0.0).dtype
+    dtype = jnp.result_type(float)
     check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
     integrator = integrator_of(dtype, tolerance)
 

@@ -132,7 +132,7 @@ def robustness(
         check_planar(walker)
     if grid is not None:
         check_grid(walker, grid, "direct", kind="robustness")
-    check_precision(jnp.asarray(0.0).dtype, NEEDED_BY)
+    check_precision(jnp.result_type(float), NEEDED_BY)
     with bar("search for a gait", progress):
         searched = search_gait(walker, tolerance=tolerance)
         grid = default_region(walker, searched) if grid is None else grid
@@ -229,7 +229,7 @@ def tabulate(
     if values.ndim != 1 or len(values) == 0:
         raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
-    check_precision(jnp.asarray(0.0).dtype, NEEDED_BY)
+    check_precision(jnp.result_type(float), NEEDED_BY)
     rows = []
     for value in track(values, parameter, progress):
         there = with_parameter(walker, parameter, float(value))

@@ -178,7 +178,7 @@ def metric_of(
     if not fits or np.linalg.matrix_rank(basis) != len(basis):
         raise WrongUse(f"along must be independent vectors of the section, not {short(along)}")
     if callable(metric):
-        check_precision(jnp.asarray(0.0).dtype, "a function as the metric")
+        check_precision(jnp.result_type(float), "a function as the metric")
         return CurvedMetric(metric, np.linalg.qr(basis.T)[0].T)
     root = np.diag(unit) if metric is None else inverse_root(metric, size)
     return LinearMetric(root, np.linalg.qr(np.linalg.solve(root.T, basis.T))[0].T)

@@ -141,7 +141,7 @@ def most_probable_fall(
     `ComputationFailed` where nothing topples the walker.
     """
     check_planar(walker)
-    check_precision(jnp.asarray(0.0).dtype, NEEDED_BY)
+    check_precision(jnp.result_type(float), NEEDED_BY)
     deviations = read_deviations(ground)
     if strides > STRIDES_PER_CALL:
         raise WrongUse(f"strides must be at most {STRIDES_PER_CALL}, not {strides}")

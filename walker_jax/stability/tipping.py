@@ -100,7 +100,7 @@ def tipping_probability(
     check_single(walker)
     check_number("value", value)
     check_parameter(walker, parameter, float(value))
-    dtype = jnp.asarray(0.0).dtype
+    dtype = jnp.result_type(float)
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
     rng = np.random.default_rng(seed)

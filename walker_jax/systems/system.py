@@ -307,7 +307,7 @@ def check_single(system: System) -> None:
 
 def warn_if_rounded(system: System) -> None:
     """Warn of parameters that were rounded to float32 before float64 was turned on."""
-    if jnp.asarray(0.0).dtype != np.float64:
+    if jnp.result_type(float) != np.float64:
         return
     for name, value in leaves_of(system).items():
         if getattr(value, "dtype", None) == np.float32:

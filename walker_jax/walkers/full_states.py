@@ -91,8 +91,8 @@ def check_lands_on_section(walker: Any) -> None:
 @jax.jit
 def landing(walker: Any) -> tuple[State, State, State]:
     """Return a heel strike, the state after it, legs exchanged, and its place on the section."""
-    to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
-    walker = in_dtype(walker, jnp.asarray(0.0).dtype, jnp.asarray)
+    to_array = lambda value: jnp.asarray(value, jnp.result_type(float))
+    walker = in_dtype(walker, jnp.result_type(float), jnp.asarray)
     start = walker.lift(
         jnp.stack([to_array(SAMPLE_POINT.get(name, 0.1)) for name in walker.section])
     )

@@ -93,7 +93,7 @@ class Walker(HybridSystem):
         are in units of the toppling rate. phidot covers any motion of the legs. Joints are at rest
         at 0: a walker whose joints are elsewhere in its gait has its own region.
         """
-        dtype = jnp.asarray(0.0).dtype
+        dtype = jnp.result_type(float)
         walker = in_dtype(self, dtype, jnp.asarray)
         rate, widest = float(toppling_rate(walker)), 0.6
         axes = {"theta": (0, widest, 100), "sum": (-1.5 * widest, 0.5 * widest, 800)}
