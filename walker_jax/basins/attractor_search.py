@@ -23,7 +23,7 @@ from walker_jax.basins.attractor import (
     sample_indices,
 )
 from walker_jax.basins.capture_boxes import with_capture_boxes
-from walker_jax.basins.labels import CLOSE, LONGEST_PERIOD, SURVIVAL, Label
+from walker_jax.basins.labels import BLOCKS, CLOSE, LONGEST_PERIOD, SURVIVAL, Label
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.motions import SPARSE, clouds_of, distinct_motions, nearest_motion
 from walker_jax.gaits.cycles import (
@@ -261,8 +261,9 @@ def attracts(
     """
     radius, axes = capture_radius(cycle.dtype), np.eye(len(cycle[0]))
     beside = cycle[0] + radius * np.concatenate([axes, -axes])
-    _, largest = Mapper(walker, [Attractor(cycle)], integrator, 0).follow_near(beside)
-    largest = largest.max(axis=0)
+    walks, _ = orbits(walker, beside, BLOCKS * LONGEST_PERIOD, integrator)
+    apart = np.abs(difference(walks[:, 1:, None], cycle, turns_of(walker))).max(axis=3).min(axis=2)
+    largest = apart.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=(0, 2))  # in each stretch
     if largest[0] < CLOSE and largest[-1] < radius / (2 * len(axes)):  # False for NaN
         return True
     jacobians = linearise(walker, cycle[None], integrator).jacobian
