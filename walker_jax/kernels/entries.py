@@ -130,10 +130,6 @@ class Unrolling(Interpreter):
         now = all(map(is_known, operands))
         if now and primitive.name in EXACT:
             return compute_exactly(primitive.name, operands, dtypes).item()
-        if now and primitive.name == "convert_element_type":
-            known, to = np.asarray(*operands, *dtypes), np.dtype(params["new_dtype"])
-            if known.dtype.kind in "biu" or to.kind == "f":
-                return known.astype(to).item()
         scalars = [
             np.asarray(x, dtype) if is_known(x) else x
             for x, dtype in zip(operands, dtypes, strict=True)
@@ -239,6 +235,10 @@ def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -
     if not now:
         results = primitive.bind(*operands, **primitive.get_bind_params(params))
         return list(results) if primitive.multiple_results else [results]
+    if primitive.name == "convert_element_type":  # for which XLA would compile a program
+        known, to = np.asarray(operands[0]), np.dtype(params["new_dtype"])
+        if known.dtype.kind in "biu" or to.kind == "f":
+            return [known.astype(to)]
     with jax.ensure_compile_time_eval():
         results = bind_primitive(primitive, params, list(map(jnp.asarray, operands)), now=False)
         return list(map(np.asarray, results))
@@ -249,6 +249,7 @@ EXACT = {
     "add": np.add,
     "add_any": np.add,
     "and": np.bitwise_and,
+    "copy": np.copy,
     "eq": np.equal,
     "ge": np.greater_equal,
     "gt": np.greater,
