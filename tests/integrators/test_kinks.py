@@ -440,6 +440,7 @@ class Marked(wj.HybridSystem):
         return {"flow": wj.Mode(field, (wj.Guard(lambda state: state["time"] - 3.0, wj.SECTION),))}
 
 
+@pytest.mark.slow
 def test_a_motion_by_branches_loops_tables_and_remainders():
     """Areas of triangles: each tent 1/4, twice three of them; a table 0.35 + 2.3^2 / 2."""
     end = lambda slope: wj.stride(Marked(slope), jnp.array([0.2])).state[0]
@@ -448,23 +449,21 @@ def test_a_motion_by_branches_loops_tables_and_remainders():
     assert by_slope == pytest.approx(2 * 3 / 4, abs=1e-11)
 
 
-def test_a_step_is_cut_at_the_first_kink_of_a_layer():
+@pytest.mark.parametrize("count", [17, pytest.param(40, marks=pytest.mark.slow)])
+def test_a_step_is_cut_at_the_first_kink_of_a_layer(count):
     """The switching functions of a long array are one list of arrays, with the same zeros."""
     rng = np.random.default_rng(7)
     series = [jnp.asarray(c) for c in rng.normal(size=(9, 40)) / 3.0 ** np.arange(9)[:, None]]
-    units = lambda series, count: [[c[i] for c in series] for i in range(count)]
-    length, behind = jnp.asarray(2.0), jnp.asarray(1e-12)
-    for count in (17, 40):
-        of_all = jax.jit(jax.value_and_grad(lambda s: cut_at_switches([s], length, behind)))
-        of_each = jax.jit(
-            jax.value_and_grad(lambda s, n=count: cut_at_switches(units(s, n), length, behind))
-        )
-        for start in (1.0, 30.0):  # many zeros, and none
-            some = [c[:count] + (start if k == 0 else 0) for k, c in enumerate(series)]
-            (found, slopes), (expected, others) = of_all(some), of_each(some)
-            np.testing.assert_allclose(found, expected, rtol=1e-11)
-            np.testing.assert_allclose(slopes, others, rtol=1e-7, atol=1e-9)
-            assert (found == 2) == (start == 30)
+    units = lambda series: [[c[i] for c in series] for i in range(count)]
+    cut = lambda switches: cut_at_switches(switches, jnp.asarray(2.0), jnp.asarray(1e-12))
+    of_all = jax.jit(jax.value_and_grad(lambda s: cut([s])))
+    of_each = jax.jit(jax.value_and_grad(lambda s: cut(units(s))))
+    for start in (1.0, 30.0):  # many zeros, and none
+        some = [c[:count] + (start if k == 0 else 0) for k, c in enumerate(series)]
+        (found, slopes), (expected, others) = of_all(some), of_each(some)
+        np.testing.assert_allclose(found, expected, rtol=1e-11)
+        np.testing.assert_allclose(slopes, others, rtol=1e-7, atol=1e-9)
+        assert (found == 2) == (start == 30)
 
 
 def test_a_layer_has_its_kinks_together_and_softplus_none():

@@ -64,7 +64,7 @@ class Attracted(Clocked):
 
 
 @pytest.mark.parametrize("weight", [0.0, 1e-3])
-@pytest.mark.parametrize("system", [Waves, Switches])
+@pytest.mark.parametrize("system", [Waves, pytest.param(Switches, marks=pytest.mark.slow)])
 def test_weights_of_functions_that_the_motion_does_not_feel(system, weight):
     """With weights of zero the solution is a slow exponential, whose steps span many waves.
 

@@ -295,7 +295,7 @@ def test_series_differentiates_and_batches():
         np.testing.assert_allclose(derivative, (k + 1) * starts**k, rtol=1e-13)
 
 
-@pytest.mark.parametrize("times", [1, 2, 3])
+@pytest.mark.parametrize("times", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_derivatives_of_a_series_by_what_a_closure_holds(times):
     """y' = a y^2 has the coefficients a^k y(0)^(k+1)."""
 

@@ -30,7 +30,7 @@ def assert_near(function, *cells, shared=(), tolerance=1e-14):
         np.testing.assert_allclose(one, other, tolerance, tolerance)
 
 
-@pytest.fixture(params=[128, 256, 512])
+@pytest.fixture(params=[128, pytest.param(256, marks=pytest.mark.slow), 512])
 def registers(request, monkeypatch):
     """Vectors of this many bits."""
     monkeypatch.setattr(compiled, "register_bits", lambda: request.param)
@@ -195,13 +195,13 @@ def test_derivatives(where):
 
     if where == "constants":
         made, plain = kernel(lambda x: network(weights, x)), lambda x: network(weights, x)
-        both = [jax.vmap(jax.jacfwd(f))(POINTS) for f in (made, plain)]
-        both += [jax.vmap(jax.hessian(f))(POINTS) for f in (made, plain)]
-        both += [jax.vmap(jax.grad(f))(POINTS) for f in (made, plain)]
-        for one, other in zip(both[::2], both[1::2], strict=True):
+        ways = jax.jacfwd, jax.grad, jax.hessian
+        every = lambda f: jax.jit(jax.vmap(lambda x: [way(f)(x) for way in ways]))(POINTS)
+        found, expected = every(made), every(plain)
+        for one, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
         ahead = (made(POINTS[0] + [1e-6, 0, 0]) - made(POINTS[0] - [1e-6, 0, 0])) / 2e-6
-        np.testing.assert_allclose(both[0][0, 0], ahead, rtol=1e-8)
+        np.testing.assert_allclose(found[0][0, 0], ahead, rtol=1e-8)
         return
     made = kernel(network)
     of_bias = lambda f: lambda b, x: f([W, b, U, weights[3]], x)
