@@ -194,7 +194,7 @@ def test_a_number_may_add_to_a_matrix(sign):
         shifted = matrix + 0.1 * y[0] if sign > 0 else matrix - 0.1 * y[0]
         return jnp.linalg.solve(shifted, -y)
 
-    series = solution_series(field, jnp.ones(2), 20)
+    series = jax.jit(lambda y: solution_series(field, y, 20))(jnp.ones(2))
     found = np.sum(np.stack(series) * 0.5 ** np.arange(21)[:, None], axis=0)
     rates = lambda t, y: np.linalg.solve(np.asarray(matrix) + sign * 0.1 * y[0], -y)
     exact = solve_ivp(rates, (0, 0.5), [1.0, 1.0], method="DOP853", rtol=1e-13, atol=1e-14)

@@ -126,7 +126,8 @@ def test_modes_that_begin_on_their_guards_do_not_end_there(solver):
         np.testing.assert_allclose(alone.state, found.state[i], rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("solver", [None, pytest.param(TSIT5, marks=SLOW)], ids=repr)
+@SLOW
+@pytest.mark.parametrize("solver", [None, TSIT5], ids=repr)
 def test_phases_that_begin_where_the_last_one_ended_go_on(solver):
     """Two strides of two modes are one of four; its third mode begins on its guard to rounding."""
     starts = np.random.default_rng(1).uniform((-3, -3), (3, -0.5), (400, 2))

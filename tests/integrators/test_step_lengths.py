@@ -171,6 +171,7 @@ class Attracted(wj.HybridSystem):
         return {"flow": wj.Mode(field, (wj.Guard(lambda s: s.t - 0.1, wj.SECTION),))}
 
 
+@pytest.mark.slow
 def test_exponents_of_fixed_points_of_flows():
     """The eigenvalues of the field's Jacobian at (1, 1) are -1 and -rate."""
     rates = np.array([0.5, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
@@ -180,7 +181,8 @@ def test_exponents_of_fixed_points_of_flows():
     np.testing.assert_allclose(found.exponents, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("solver", [DOPRI8, pytest.param(diffrax.Tsit5(), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [DOPRI8, diffrax.Tsit5()])
 def test_multipliers_at_rest_by_runge_kutta_methods(solver):
     x = np.array([np.sqrt(2 / 3), np.sqrt(2 / 3) / 3])
     values = np.linalg.eigvals(np.asarray(jax.jacfwd(nagumo)(x)))
@@ -188,6 +190,13 @@ def test_multipliers_at_rest_by_runge_kutta_methods(solver):
     end = lambda x: wj.stride(system, x, solver=solver, tolerance=1e-9).state
     found = np.linalg.eigvals(jax.jacfwd(end)(jnp.asarray(x)))
     np.testing.assert_allclose(np.sort(found), np.sort(np.exp(values)), rtol=0, atol=1e-6)
+
+
+def test_a_multiplier_at_rest_by_a_runge_kutta_method():
+    """y' = 1 - y^20 at y = 1: its derivative is exp(-20 t)."""
+    system = time_map(lambda y, t: 1 - y**20, 1, 0.1)
+    end = lambda x: wj.stride(system, x, solver=DOPRI8, tolerance=1e-9).state
+    np.testing.assert_allclose(jax.jacfwd(end)(jnp.ones(1)), [[np.exp(-2)]], rtol=0, atol=1e-6)
 
 
 def test_derivatives_that_feel_what_the_solution_does_not():
@@ -287,6 +296,7 @@ class SoftBall(wj.HybridSystem):
         }
 
 
+@pytest.mark.slow
 def test_a_ball_on_soft_ground_returns_to_its_height():
     heights = jnp.asarray([[0.3], [0.4], [0.6], [1.0], [3.0]])
     end = jax.vmap(lambda x: wj.stride(SoftBall(), x))(heights)

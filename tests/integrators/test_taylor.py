@@ -342,7 +342,9 @@ NOT_SMOOTH = {
 
 
 @pytest.mark.parametrize("name", NOT_SMOOTH)
-@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev, jax.hessian])
+@pytest.mark.parametrize(
+    "transform", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow), jax.hessian]
+)
 def test_derivatives_where_operations_are_not_smooth(name, transform):
     field, same, start = NOT_SMOOTH[name]
     series = lambda f: jax.jit(transform(lambda y: jnp.stack(solution_series(f, y, ORDER))))

@@ -192,16 +192,26 @@ def sorting_map(x, a):
     return a * jnp.sort(x)
 
 
-def test_a_users_own_system_without_a_kernel_says_so_once(monkeypatch):
-    systems = {
-        "SortingWalker": (SortingWalker(0.009), [0.2, -0.2]),
-        "SortingEquations": (SortingEquations(0.009), [0.2, -0.2]),
-        "SortingBall": (SortingBall(), [0.1, 2.0]),
-        "sorting_map": (wj.Map(sorting_map, ("x", "y"), parameters={"a": 0.5}), [0.2, -0.2]),
-    }
+SORTING = {
+    "SortingWalker": (SortingWalker(0.009), [0.2, -0.2]),
+    "SortingEquations": (SortingEquations(0.009), [0.2, -0.2]),
+    "SortingBall": (SortingBall(), [0.1, 2.0]),
+    "sorting_map": (wj.Map(sorting_map, ("x", "y"), parameters={"a": 0.5}), [0.2, -0.2]),
+}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["SortingEquations", "SortingBall", "sorting_map"],
+        pytest.param(["SortingWalker"], marks=pytest.mark.slow),
+    ],
+)
+def test_a_users_own_system_without_a_kernel_says_so_once(names, monkeypatch):
     warn_once.cache_clear()
     lines = Path(__file__).read_text().split("\n")
-    for name, (system, x) in systems.items():
+    for name in names:
+        system, x = SORTING[name]
         begin = next(
             i for i, one in enumerate(lines) if one.startswith((f"class {name}(", f"def {name}("))
         )
@@ -273,6 +283,7 @@ def test_a_fit_and_a_root_of_each_cell():
     np.testing.assert_allclose(jax.vmap(crossing)(found, radii), 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_implicit_steps_of_each_cell():
     """A stiff equation whose solution is cos(t)."""
 
