@@ -99,7 +99,7 @@ def first_landing(start: np.ndarray) -> float:
 )
 def test_a_ball_lands_when_its_parabola_meets_the_table(solver):
     """The error of a step is zero, so only the sine of the table bounds its length."""
-    starts = np.random.default_rng(0).uniform((-3, 1), (3, 4), (400, 2))
+    starts = np.random.default_rng(0).uniform((-3, 1), (3, 4), (100, 2))
     expected = np.array([first_landing(x) for x in starts])
     for tolerance in TOLERANCES:
         found = wj.strides(
@@ -203,7 +203,7 @@ def test_a_time_that_does_not_converge_is_no_number():
 
 
 def test_a_landing_in_single_precision_by_another_solver():
-    starts = np.random.default_rng(0).uniform((-3, 1), (3, 4), (400, 2)).astype(np.float32)
+    starts = np.random.default_rng(0).uniform((-3, 1), (3, 4), (100, 2)).astype(np.float32)
     expected = np.array([first_landing(x) for x in starts.astype(float)])
     found = wj.strides(wj.systems.BouncingBall(TABLE), starts, solver=TSIT5)
     assert found.state.dtype == np.float32

@@ -36,7 +36,18 @@ def registers(request, monkeypatch):
     monkeypatch.setattr(compiled, "register_bits", lambda: request.param)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize(
+    ("registers", "dtype"),
+    [
+        (128, np.float32),
+        (512, np.float64),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in [(128, np.float64), (512, np.float32), (256, np.float32), (256, np.float64)]
+        ),
+    ],
+    indirect=["registers"],
+)
 def test_products(dtype, registers):
     a, b = RNG.normal(size=(2, 19, 3)).astype(dtype), RNG.normal(size=(17, 5, 3)).astype(dtype)
     w, u = W.astype(dtype), U.astype(dtype)
