@@ -453,7 +453,7 @@ def test_a_motion_by_branches_loops_tables_and_remainders():
 def test_a_step_is_cut_at_the_first_kink_of_a_layer(count):
     """The switching functions of a long array are one list of arrays, with the same zeros."""
     rng = np.random.default_rng(7)
-    series = [jnp.asarray(c) for c in rng.normal(size=(9, 40)) / 3.0 ** np.arange(9)[:, None]]
+    series = [jnp.asarray(c) for c in rng.normal(size=(6, 40)) / 3.0 ** np.arange(6)[:, None]]
     units = lambda series: [[c[i] for c in series] for i in range(count)]
     cut = lambda switches: cut_at_switches(switches, jnp.asarray(2.0), jnp.asarray(1e-12))
     of_all = jax.jit(jax.value_and_grad(lambda s: cut([s])))
