@@ -33,8 +33,8 @@ def ball():
     recordings = record_ball(noise=NOISE)
 
     def fit(recordings=recordings, guess=GUESS, **options):
-        options = dict(noise=BALL_NOISE, shooting="single") | options
-        return wj.fit(guess, recordings, ["gravity", "restitution"], **options)
+        asked: Any = dict(noise=BALL_NOISE, shooting="single") | options
+        return wj.fit(guess, recordings, ["gravity", "restitution"], **asked)
 
     return recordings, fit
 
@@ -118,7 +118,7 @@ def test_a_first_guess_that_is_far_off_leads_to_the_same(ball, many):
 @pytest.mark.parametrize("shooting", ["multiple", "single"])
 def test_a_walker_that_is_far_off_leads_to_the_same(shooting):
     recordings = record_walk(wj.SimplestWalker(0.009), noise=NOISE)
-    options = dict(noise=WALK_NOISE, shooting=shooting)
+    options: Any = dict(noise=WALK_NOISE, shooting=shooting)
     near, *far = (
         wj.fit(wj.SimplestWalker(slope), recordings, "slope", **options)
         for slope in (0.009, 0.006, 0.0135)

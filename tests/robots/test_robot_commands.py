@@ -59,8 +59,8 @@ def test_a_robot_travels_without_its_file_and_mujoco(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     there = pickle.loads(packed)
     assert there.parameters == robot.parameters and there.section == robot.section
-    rates = [one.modes()["stance"].field(one.lift(jnp.asarray(GAIT))) for one in (there, robot)]
-    np.testing.assert_array_equal(*map(jax.tree.leaves, rates))
+    rates = lambda one: one.modes()["stance"].field(one.lift(jnp.asarray(GAIT)))
+    np.testing.assert_array_equal(jax.tree.leaves(rates(there)), jax.tree.leaves(rates(robot)))
 
 
 @pytest.mark.slow

@@ -88,17 +88,19 @@ def test_a_robot_says_how_mujoco_differs():
     assert "touch no ground" in line
 
 
+REMARKS = "MuJoCo: it would bounce.", "MuJoCo: it would stop."
+
+
 class MapWithRemarks(wj.Map):
     def remarks(self):
-        return "MuJoCo: it would bounce.", "MuJoCo: it would stop."
+        return REMARKS
 
 
 def test_explain_repeats_what_a_system_says():
-    plain, told = (
-        wj.explain(kind(lambda x: x / 2, ("x",)), [0.5]) for kind in (wj.Map, MapWithRemarks)
-    )
-    assert plain.remarks == () and told.remarks == MapWithRemarks.remarks(None)
-    assert str(told).splitlines()[-2:] == list(told.remarks)
+    halve: Any = (lambda x: x / 2), ("x",)
+    plain, told = wj.explain(wj.Map(*halve), [0.5]), wj.explain(MapWithRemarks(*halve), [0.5])
+    assert plain.remarks == () and told.remarks == REMARKS
+    assert str(told).splitlines()[-2:] == [*REMARKS]
 
 
 @pytest.mark.slow
